@@ -1,0 +1,3 @@
+"""evetac: event-based touch, from a recording to a grasp."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,49 @@
+"""The words for events: what one is, and how a stream of them is cut into slices of one millisecond.
+
+An event is (t_us, x, y, p): device time in microseconds, column, row, and 1 where it got brighter, 0 where darker.
+Events travel as columns of equal length, sorted by time. Slice k holds all events with k <= t / 1 ms < k + 1;
+an empty slice is still a slice, because the slice index is the clock.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+SLICE_US = 1000
+FRAME_PX = (640, 480)  # width, height of the DVXplorer Mini
+
+
+class Events(NamedTuple):
+    """Columns of events: t in us (int64), x and y in px (uint16), p 0 or 1 (uint8)."""
+
+    t: NDArray[np.int64]
+    x: NDArray[np.uint16]
+    y: NDArray[np.uint16]
+    p: NDArray[np.uint8]
+
+    @property
+    def count(self) -> int:
+        """Number of events (len() of a named tuple counts its columns)."""
+        return len(self.t)
+
+    def part(self, start: int, stop: int) -> "Events":
+        """Views of the events [start, stop)."""
+        return Events(self.t[start:stop], self.x[start:stop], self.y[start:stop], self.p[start:stop])
+
+
+def empty() -> Events:
+    """No events, with the right dtypes."""
+    return Events(np.empty(0, np.int64), np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8))
+
+
+def concatenate(parts: list[Events]) -> Events:
+    """Join consecutive pieces of one stream."""
+    if not parts:
+        return empty()
+    return Events(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def slice_starts(t_us: NDArray[np.int64], slices: int) -> NDArray[np.int64]:
+    """Index of the first event of every slice, and the total at the end: shape (slices + 1,), `ms_to_idx` on disk."""
+    return np.searchsorted(t_us, np.arange(slices + 1, dtype=np.int64) * SLICE_US).astype(np.int64)

@@ -1,0 +1,1 @@
+"""For people, never needed by a stage: info, validate."""

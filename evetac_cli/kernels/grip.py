@@ -1,0 +1,91 @@
+"""The paper's grasp controller (section VII-A), one step every 2 ms, in encoder ticks.
+
+The paper writes u_c = K_p (x_e + u_ff) with opening widths, so that a negative u_ff closes. The servo itself multiplies
+by K_p (its position P gain register); what the host writes is the goal position x_ref + u_ff. The encoder counts
+upwards when closing, hence goal_ticks = reference_ticks - u_ff.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Phase(IntEnum):
+    """Phases of a grasp."""
+
+    CONTACT = 0
+    LIFT = 1
+    BALANCE = 2
+
+
+@dataclass(frozen=True)
+class GripLaw:
+    """Constants of the law, in ticks; the paper's values."""
+
+    approach: float = -2.0  # feed-forward in the contact phase: just sufficient to make the gripper move
+    lift_slip: float = -1.0  # increment of u_ff in a step with slip
+    lift_quiet: float = 0.01  # ... without slip
+    balance_slip: float = -2.0
+    balance_quiet: float = 0.01
+    lowest: float = -5.0  # clip of u_ff, closing
+    highest_open: float = 2.0  # clip of u_ff in balance, until the first slip
+    first_tick: int = 0
+    last_tick: int = 660  # closed
+
+
+PAPER = GripLaw()
+
+
+@dataclass
+class GripState:
+    """What the controller remembers between steps."""
+
+    phase: Phase = Phase.CONTACT
+    u_ff: float = 0.0
+    x_ref: float = math.nan  # ticks; NaN: x_e is zero, the reference is the present position
+    slipped: bool = False  # s(t - 1)
+    position: int = 0  # x_g(t - 1)
+    caught: bool = False  # balance: the first slip has been seen
+
+
+def start() -> GripState:
+    """The state before the first step."""
+    return GripState()
+
+
+def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: GripLaw = PAPER) -> int:
+    """One control step: `slip` says whether the detector counted slip since the step before; returns the goal in ticks.
+
+    Lift: each step with slip closes by one tick of u_ff, each without opens by 0.01; where slip ends, the present
+    position becomes the reference. Balance: opens by 0.01 a step until the first slip, which closes by 2 and makes the
+    position of the step before the reference; from then on u_ff only closes. (Paper, section VII-A.)
+    """
+    if phase != state.phase:
+        if phase is Phase.LIFT:
+            state.u_ff = 0.0  # "u_ff is initialized as zero"
+        else:  # balance goes on with the same u_ff, but x_e is zero again until the first slip of this phase
+            state.x_ref = math.nan
+            slip = False
+        state.phase = phase
+    if phase is Phase.CONTACT:
+        state.u_ff = law.approach
+        reference = float(position_ticks)
+    elif phase is Phase.LIFT:
+        state.u_ff = _clip(state.u_ff + (law.lift_slip if slip else law.lift_quiet), law.lowest, 0.0)
+        if state.slipped and not slip:
+            state.x_ref = float(position_ticks)
+        reference = position_ticks if math.isnan(state.x_ref) else state.x_ref
+    else:
+        state.u_ff += law.balance_slip if slip else law.balance_quiet
+        if slip and not state.slipped and not state.caught:
+            state.caught = True
+            state.x_ref = float(state.position)
+        state.u_ff = _clip(state.u_ff, law.lowest, 0.0 if state.caught else law.highest_open)
+        reference = position_ticks if math.isnan(state.x_ref) else state.x_ref
+    state.slipped = slip
+    state.position = position_ticks
+    return int(_clip(round(reference - state.u_ff), law.first_tick, law.last_tick))
+
+
+def _clip(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)

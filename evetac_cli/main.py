@@ -1,0 +1,288 @@
+"""The command line: pick a command, read its flags, run its jobs, print the result or the error.
+
+Flags are made from the dataclasses in params.py, so a parameter is written down once. A stage is imported only when it
+is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
+"""
+
+import importlib
+import inspect
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Optional, get_type_hints
+
+import typer
+
+from . import __version__, console, params
+from .errors import EvetacError, InputError
+from .stages import Job, Outcome, Progress, silent
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that makes files: its parameters, its module, what it eats, and how its progress is counted."""
+
+    name: str
+    params: type
+    module: str
+    files: str  # what the file arguments are; empty if the command takes none
+    unit: str = "slices"
+
+
+PIPELINE = (
+    Command("record", params.Record, "record", ""),
+    Command("label", params.Label, "label", "Recordings.", "pairs"),
+    Command("track", params.Track, "track", "Recordings."),
+    Command("featurize", params.Featurize, "featurize", "Recordings (tracks and labels lie beside them)."),
+    Command("train", params.Train, "train", "Labelled features, one file a trajectory.", "steps"),
+    Command("grasp", params.Grasp, "grasp", ""),
+)
+EVALUATE = (
+    Command("slip", params.EvaluateSlip, "evaluate.slip", "Labelled features that the model never saw.", "files"),
+    Command("labels", params.EvaluateLabels, "evaluate.labels", "Labels of simulated recordings.", "files"),
+    Command("tracking", params.EvaluateTracking, "evaluate.tracking", "Tracks of simulated recordings.", "files"),
+    Command("grasp", params.EvaluateGrasp, "evaluate.grasp", "Recordings made by grasp.", "files"),
+)
+
+app = typer.Typer(
+    help="Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+evaluate = typer.Typer(help="Measure results: figures, tables, a report file.", no_args_is_help=True)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"evetac {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp."""
+
+
+# How to run, the same for every command that makes files; none of it changes the numbers.
+_RUNNING: dict[str, tuple[Any, Any, str, str]] = {
+    "out": (Optional[Path], None, "-o/--out", "Output file (ends in .h5) or folder; default: beside the input."),
+    "force": (bool, False, "-f/--force", "Replace an output that was made by another recipe."),
+    "number_of_jobs": (int, 1, "-j/--jobs", "Files worked on at the same time."),
+    "config": (Optional[Path], None, "--config", "TOML file with parameters, one table a command."),
+    "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
+    "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
+    "verbose": (bool, False, "-v/--verbose", "Print the traceback of an error."),
+}
+
+
+def _add(group: typer.Typer, command: Command, title: str, panel: str) -> None:
+    """Register a command whose signature is made from its parameters."""
+
+    def call(**given: Any) -> None:
+        _execute(command, title, given)
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    signature = []
+    if command.files:
+        files = Annotated[list[Path], typer.Argument(help=command.files, show_default=False)]
+        signature.append(inspect.Parameter("files", keyword, annotation=files))
+    hints = get_type_hints(command.params)
+    for item in fields(command.params):
+        unit = f" \\[{item.metadata['unit']}]" if item.metadata["unit"] else ""
+        choices = f" ({', '.join(item.metadata['choices'])})" if len(item.metadata["choices"]) > 1 else ""
+        flag = params.flag_of(item)
+        default = f" \\[default: {item.default}]" if item.default not in (None, "", False) else ""
+        option = typer.Option(
+            flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}",
+            help=item.metadata["help"] + choices + unit + default,
+        )
+        # Every flag defaults to None, so that a config file can tell what was not given.
+        signature.append(
+            inspect.Parameter(item.name, keyword, default=None, annotation=Annotated[Optional[hints[item.name]], option])
+        )
+    for name, (kind, default, flags, help_) in _RUNNING.items():
+        option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=default == 1)
+        signature.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
+    call.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
+    call.__annotations__ = {entry.name: entry.annotation for entry in signature}
+    call.__doc__ = command.params.__doc__
+    group.command(command.name, rich_help_panel=panel)(call)
+
+
+def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
+    """Run all jobs of a command and print what came out of them."""
+    running = {name: given.pop(name) for name in _RUNNING}
+    files = given.pop("files", [])
+    with _errors_in_words(running["verbose"]):
+        chosen = params.resolve(command.params, title, given, running["config"])
+        stage = importlib.import_module(f".stages.{command.module}", __package__)
+        jobs: list[Job] = stage.jobs(files, chosen, running["out"])
+        clash = {job.output for job in jobs if sum(other.output == job.output for other in jobs) > 1}
+        if clash:
+            raise InputError("several inputs would write the same output", found=", ".join(map(str, sorted(clash))))
+        if running["number_of_jobs"] < 1:
+            raise InputError("out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"]))
+        started = time.monotonic()
+        results = _run(command, jobs, chosen, running)
+        outcomes = [result for result in results if isinstance(result, Outcome)]
+        errors = [result for result in results if isinstance(result, EvetacError)]
+        if outcomes or running["as_json"]:
+            summary = outcomes[0].summary if len(outcomes) == 1 else _count(outcomes)
+            simulated = any(outcome.simulated for outcome in outcomes)
+            rows = [row for outcome in outcomes for row in outcome.rows]
+            if not running["quiet"] or running["as_json"]:
+                console.show(title, rows, summary, simulated=simulated, as_json=running["as_json"])
+        if not running["quiet"] and outcomes and not any(outcome.made for outcome in outcomes):
+            console.say(f"{title}: up to date, nothing to do")
+        elif not running["quiet"] and outcomes:
+            console.say(f"{title}: {time.monotonic() - started:.1f} s")
+        if errors:
+            for error in errors[1:]:
+                console.say(f"error: {error}")
+            raise errors[0]
+
+
+def _count(outcomes: list[Outcome]) -> dict[str, Any]:
+    made = sum(outcome.made for outcome in outcomes)
+    return {"made": made, "up_to_date": len(outcomes) - made}
+
+
+def _run(command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any]) -> list[Outcome | EvetacError]:
+    """Run the jobs one after the other, or several at a time; an error in one does not stop the others."""
+    quiet, at_once = running["quiet"], min(running["number_of_jobs"], len(jobs))
+    if at_once > 1:
+        with console.progress_bar(command.name, "files", quiet=quiet) as progress:
+            return _run_parallel(command, jobs, chosen, running["force"], at_once, progress)
+    results = []
+    for number, job in enumerate(jobs):
+        name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")
+        with console.progress_bar(name, command.unit, quiet=quiet) as progress:
+            results.append(_run_one(command.module, job, chosen, running["force"], progress))
+    return results
+
+
+def _run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
+    """Run one job; also the entry point of a worker process."""
+    stage = importlib.import_module(f".stages.{module}", __package__)
+    try:
+        result: Outcome = stage.run(job, chosen, force=force, progress=progress)
+        return result
+    except EvetacError as error:
+        return error
+
+
+def _run_in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | EvetacError | None:
+    """As _run_one, but a Ctrl-C ends the job quietly: the parent process reports it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return _run_one(module, job, chosen, force)
+    except KeyboardInterrupt:
+        return None
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_parallel(
+    command: Command, jobs: list[Job], chosen: Any, force: bool, at_once: int, progress: Progress
+) -> list[Outcome | EvetacError]:
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+
+    # Each worker computes on one core: threads of numerical libraries would fight over the cores. Spawned, not forked:
+    # HDF5 and a fork do not mix.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(at_once, mp_context=spawn, initializer=_ignore_interrupts) as pool:
+        futures = [pool.submit(_run_in_worker, command.module, job, chosen, force) for job in jobs]
+        try:
+            progress(0, len(jobs))
+            for done, _ in enumerate(as_completed(futures), start=1):
+                progress(done, len(jobs))
+        except KeyboardInterrupt:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+        results = [future.result() for future in futures]
+    if any(result is None for result in results):
+        raise KeyboardInterrupt
+    return [result for result in results if result is not None]
+
+
+class _errors_in_words:  # noqa: N801 - reads as a phrase in a with statement
+    """End the program with an error in words and the exit code of its kind; Ctrl-C exits 130."""
+
+    def __init__(self, verbose: bool) -> None:
+        self.verbose = verbose
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if isinstance(error, KeyboardInterrupt):
+            console.say("interrupted: finished files are complete, the one in progress was left out")
+            raise typer.Exit(130) from None
+        if isinstance(error, EvetacError):
+            if self.verbose:
+                import traceback
+
+                traceback.print_exception(error)
+            console.say(f"error: {error}")
+            raise typer.Exit(error.exit_code) from None
+
+
+def _inspector(name: str, help_: str) -> Callable[..., None]:
+    """A command of inspect/: files in, a table or JSON out."""
+
+    def call(
+        files: Annotated[list[Path], typer.Argument(help="Stage files.", show_default=False)],
+        as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
+        verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
+    ) -> None:
+        with _errors_in_words(verbose):
+            module = importlib.import_module(f".inspect.{name}", __package__)
+            result: Outcome = module.run(files)
+            if as_json:
+                console.show(name, result.rows, result.summary, simulated=result.simulated, as_json=True)
+            else:
+                module.show(result)
+            if result.summary.get("invalid"):
+                raise typer.Exit(InputError.exit_code)
+
+    call.__doc__ = help_
+    return call
+
+
+for _command in PIPELINE[:-1]:
+    _add(app, _command, _command.name, "Pipeline")
+for _command in EVALUATE:
+    _add(evaluate, _command, f"evaluate {_command.name}", "Subjects")
+app.add_typer(evaluate, name="evaluate", rich_help_panel="Pipeline")
+_add(app, PIPELINE[-1], PIPELINE[-1].name, "Pipeline")
+app.command("info", rich_help_panel="Inspect")(
+    _inspector("info", "What stage files hold: kind, duration, events, rates, history.")
+)
+app.command("validate", rich_help_panel="Inspect")(
+    _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")
+)
+
+
+def main() -> None:
+    """Entry point of the command `evetac`."""
+    app()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

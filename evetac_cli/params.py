@@ -1,0 +1,242 @@
+"""The only home of parameters: one frozen dataclass per command, from which flags, config file and header are made.
+
+A field says its default, help, unit and range once. Fields with `recipe=False` choose files or how to run; they do not
+change the numbers and are not part of a recipe. Priority: flag, then `--config FILE.toml` (a table named as the
+command), then the default here.
+"""
+
+import dataclasses
+import math
+import tomllib
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError
+
+
+def parameter(
+    default: Any,
+    help_: str,
+    *,
+    unit: str = "",
+    choices: tuple[str, ...] = (),
+    low: float | None = None,
+    high: float | None = None,
+    recipe: bool = True,
+    flag: str = "",
+) -> Any:
+    """A dataclass field that knows its help text, unit and range (both ends included)."""
+    about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high, "recipe": recipe, "flag": flag}
+    return field(default=default, metadata=about)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Record events: simulate a scene, or import a foreign event file."""
+
+    scene: str = parameter("slip", "Scene to simulate: a name (slip) or a TOML file.")
+    objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
+    count: int = parameter(1, "Trajectories for each object.", low=1, high=100000, recipe=False)
+    seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
+    individual: str = parameter("evetac", "Sensor individual that is simulated.")
+    source: Path | None = parameter(
+        None, "Import this event file instead of simulating: AEDAT4, text `t x y p`, DSEC HDF5.", flag="--from", recipe=False
+    )
+    frame_size: str | None = parameter(None, "Frame of the imported file where it does not say, as in 640x480.", unit="px")
+    sort: bool = parameter(False, "Sort imported events whose time goes backwards, instead of refusing them.")
+    stream: str | None = parameter(None, "Which event stream of the imported file, where it has several.")
+    calibration: Path | None = parameter(None, "Dot grid (JSON) to store with an imported recording.", recipe=False)
+
+
+@dataclass(frozen=True)
+class Label:
+    """Label when the object slips, from optical flow in the window."""
+
+    threshold_px: float = parameter(
+        0.6, "Relative flow of window against gel over the look-ahead that counts as slip.", unit="px", low=0.0
+    )
+    look_ahead_ms: int = parameter(4, "Flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100)
+    accumulate_ms: int = parameter(5, "Slices summed into one event image.", unit="ms", low=1, high=100)
+    min_events: int = parameter(
+        20, "Window images with fewer events have no flow; their pair is left out.", unit="events", low=1
+    )
+    confirm_ms: int = parameter(5, "Slip must hold for this long to be an onset.", unit="ms", low=1, high=1000)
+    coarse_ms: int = parameter(20, "Step of the coarse search for the onset.", unit="ms", low=1, high=1000)
+    after_ms: int = parameter(60, "Slices labelled after the onset; later ones are not examined.", unit="ms", low=0)
+
+
+@dataclass(frozen=True)
+class Track:
+    """Track the dots of the gel, slice by slice."""
+
+    preset: str = parameter("paper", "Constants of the tracker.", choices=("paper", "unregularised", "carry"))
+    step_size: float | None = parameter(None, "Gradient step alpha; overrides the preset.", low=0.0)
+    regulariser: float | None = parameter(None, "Weight of the distance regulariser; overrides the preset.", low=0.0)
+    min_events: int | None = parameter(
+        None, "A dot moves only with more events than this; overrides the preset.", unit="events", low=0
+    )
+    calibration: Path | None = parameter(
+        None, "Dot grid (JSON) to use instead of the one in the recording.", recipe=False
+    )
+
+
+@dataclass(frozen=True)
+class Featurize:
+    """Turn a recording and its tracks (and labels) into features for slip detection."""
+
+    tracks: Path | None = parameter(
+        None, "Tracks of the recording; default: beside it, under the same name.", recipe=False
+    )
+    labels: Path | None = parameter(
+        None, "Labels of the recording; default: beside it, under the same name, where there are any.", recipe=False
+    )
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a slip detector on labelled features."""
+
+    model: str = parameter("hist10", "Architecture, named as in the paper's table.", choices=("hist10",))
+    recipe: str = parameter(
+        "paper", "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features.", choices=("paper", "adam")
+    )
+    epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
+    max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
+    seed: int = parameter(0, "Seed of weights, sampling and augmentation.", low=0, high=2**31 - 1)
+    validate: str = parameter(
+        "", "Files (glob) on which checkpoint and threshold are chosen; default: every 8th of the inputs.", recipe=False
+    )
+
+
+@dataclass(frozen=True)
+class EvaluateSlip:
+    """Measure slip timing and F1 of a model on trajectories it never saw."""
+
+    model: Path | None = parameter(None, "Model file.", recipe=False)
+    threshold: float | None = parameter(None, "Use this threshold instead of the model's own.", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class EvaluateLabels:
+    """Compare the onset of labels with the true onset (simulated recordings)."""
+
+
+@dataclass(frozen=True)
+class EvaluateTracking:
+    """Compare tracked dots with the true dots (simulated recordings)."""
+
+
+@dataclass(frozen=True)
+class EvaluateGrasp:
+    """Tell the outcome of grasps: lifted, balanced, moved (simulated recordings)."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """Grasp by feel: detect slip at 1000 Hz, control the gripper at 500 Hz."""
+
+    model: Path | None = parameter(None, "Model file of the slip detector; needed by the paper's controller.", recipe=False)
+    scene: str = parameter("lift", "Scene to simulate: a name (lift) or a TOML file.")
+    objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
+    count: int = parameter(1, "Trials for each object.", low=1, high=100000, recipe=False)
+    seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
+    individual: str = parameter("evetac", "Sensor individual that is simulated.")
+    controller: str = parameter(
+        "paper", "paper: the paper's lift and balance law; none: contact alone, without the detector.",
+        choices=("paper", "none"),
+    )
+    tracker: str = parameter("paper", "Preset of the dot tracker.", choices=("paper", "unregularised", "carry"))
+    lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0)
+    balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0)
+
+
+def recipe_of(params: Any) -> dict[str, Any]:
+    """The parameters that determine the numbers, for a header."""
+    return {
+        item.name: getattr(params, item.name) for item in fields(params) if item.metadata["recipe"]
+    }
+
+
+def flag_of(item: "dataclasses.Field[Any]") -> str:
+    """The long flag of a field: --step-size for step_size."""
+    return str(item.metadata["flag"]) or "--" + item.name.replace("_", "-")
+
+
+def resolve(cls: type, command: str, given: Mapping[str, Any], config: Path | None) -> Any:
+    """Build the parameters of a command from flags that were given, a config file, and defaults; all checked."""
+    table = _read_config(config, cls, command) if config else {}
+    values = {**table, **{name: value for name, value in given.items() if value is not None}}
+    params = cls(**values)
+    for item in fields(cls):
+        _check(item, getattr(params, item.name))
+    return params
+
+
+def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"not valid TOML: {error}", where=str(path)) from None
+    for word in command.split():
+        table = table.get(word, {})
+        if not isinstance(table, dict):
+            raise InputError(f"`{word}` is not a table", where=str(path), expected=f"[{command.replace(' ', '.')}]")
+    known = {item.name: item for item in fields(cls)}
+    hints = typing.get_type_hints(cls)
+    values = {}
+    for key, value in table.items():
+        if isinstance(value, dict) and command == "evaluate":
+            continue
+        if key not in known:
+            near = get_close_matches(key, known, n=1)
+            raise InputError(
+                f"unknown key `{key}` in [{command}]",
+                where=str(path),
+                expected=", ".join(known),
+                hint=f"did you mean `{near[0]}`?" if near else "",
+            )
+        values[key] = _coerce(value, hints[key], f"{path}: {command}.{key}")
+    return values
+
+
+def _coerce(value: Any, hint: Any, where: str) -> Any:
+    """A TOML value as the type of its field; bool is no int, int is a float, a str may be a path."""
+    wanted = [option for option in (typing.get_args(hint) or (hint,)) if option is not type(None)]
+    for option in wanted:
+        if option is Path and isinstance(value, str):
+            return Path(value)
+        if option is float and isinstance(value, int) and not isinstance(value, bool):
+            return float(value)
+        if type(value) is option:
+            return value
+    names = " or ".join(option.__name__ for option in wanted)
+    raise InputError("wrong type", where=where, expected=names, found=repr(value))
+
+
+def _check(item: "dataclasses.Field[Any]", value: Any) -> None:
+    about, where = item.metadata, flag_of(item)
+    if value is None:
+        return
+    unit = f" {about['unit']}" if about["unit"] else ""
+    if about["choices"] and value not in about["choices"]:
+        near = get_close_matches(str(value), about["choices"], n=1)
+        raise InputError(
+            "unknown value",
+            where=where,
+            expected=", ".join(about["choices"]),
+            found=str(value),
+            hint=f"did you mean {near[0]}?" if near else "",
+        )
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError("not a finite number", where=where, expected=f"a number{unit}", found=str(value))
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        low, high = about["low"], about["high"]
+        if (low is not None and value < low) or (high is not None and value > high):
+            limits = f"{low} to {high}" if high is not None and low is not None else f"at least {low}"
+            raise InputError("out of range", where=where, expected=f"{limits}{unit}", found=str(value))

@@ -1,0 +1,24 @@
+"""Where the package's own data lies: schemas, scenes, tables."""
+
+import functools
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from .errors import EvetacError
+
+PACKAGE = Path(__file__).resolve().parent
+
+
+def schemas() -> Path:
+    """The folder of schemas: inside an installed package, else one folder up (an editable install)."""
+    for candidate in (PACKAGE / "schemas", PACKAGE.parent / "schemas"):
+        if candidate.is_dir():
+            return candidate
+    raise EvetacError("the folder schemas/ is missing from this installation", hint="install evetac again")
+
+
+@functools.cache
+def table(name: str) -> dict[str, Any]:
+    """A TOML table of the package: objects, individuals."""
+    return tomllib.loads((PACKAGE / f"{name}.toml").read_text())

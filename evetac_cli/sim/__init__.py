@@ -1,0 +1,1 @@
+"""What a scene may name: gel, contact, gripper, optics, camera."""

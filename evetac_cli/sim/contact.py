@@ -1,0 +1,166 @@
+"""How hard and where a gripped object presses on the gel: gaps, pressure, and force against closing.
+
+Why so: the pad is thin and bonded to a stiff back, so each node is taken as a spring of its own (a Winkler foundation
+of stiffness E/H per area). The force then follows the shape of the object in closed form, and the closing of the
+gripper is the sum of both gels' indentation and the bending of the fingers, which are softer than the gel.
+Axes are those of the image, seen in a top grasp: x points down (along gravity), y to the side, in metres from the
+centre of the view.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Shape = Literal["flat", "cylinder", "sphere"]
+Floats = NDArray[np.float64]
+
+
+def pad_nodes(columns: int, rows: int, x_range_m: tuple[float, float], y_range_m: tuple[float, float]) -> Floats:
+    """Centres of the cells that divide a rectangular pad evenly: (rows, columns, 2), x along columns, y along rows."""
+    if columns < 1 or rows < 1:
+        raise ValueError(f"a pad needs columns and rows >= 1, found {columns} and {rows}")
+    for name, (low, high) in (("x_range_m", x_range_m), ("y_range_m", y_range_m)):
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise ValueError(f"{name} must be finite and increasing, found ({low}, {high})")
+    x = x_range_m[0] + (np.arange(columns) + 0.5) * (x_range_m[1] - x_range_m[0]) / columns
+    y = y_range_m[0] + (np.arange(rows) + 0.5) * (y_range_m[1] - y_range_m[0]) / rows
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def cell_area(node_xy_m: Floats) -> float:
+    """Area in m2 of a cell of a regular node grid (rows, columns, 2) with at least two rows and two columns."""
+    if node_xy_m.ndim != 3 or node_xy_m.shape[2] != 2 or min(node_xy_m.shape[:2]) < 2:
+        raise ValueError(f"expected nodes (rows >= 2, columns >= 2, 2), found shape {node_xy_m.shape}")
+    return float((node_xy_m[0, 1, 0] - node_xy_m[0, 0, 0]) * (node_xy_m[1, 0, 1] - node_xy_m[0, 0, 1]))
+
+
+def gap_profile(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: float = 0.0) -> Floats:
+    """Distance of a rigid surface from the undeformed gel when it first touches: (rows, columns) in m, least value 0.
+
+    A cylinder stands upright (its axis along x), so it curves away in y; the radius of a flat is not used. Curved
+    surfaces are parabolas, right for contacts narrow against the radius. A tilt about y opens the gap by tilt * x: it
+    is the misalignment of the fingers, and what makes slip begin at one end.
+    """
+    if node_xy_m.ndim != 3 or node_xy_m.shape[2] != 2 or not np.isfinite(node_xy_m).all():
+        raise ValueError(f"node_xy_m must be finite with shape (rows, columns, 2), found shape {node_xy_m.shape}")
+    if not np.isfinite(tilt_rad):
+        raise ValueError(f"tilt_rad must be finite, found {tilt_rad}")
+    if shape not in ("flat", "cylinder", "sphere"):
+        raise ValueError(f"shape must be flat, cylinder or sphere, found {shape!r}")
+    if shape != "flat" and not (np.isfinite(radius_m) and radius_m > 0):
+        raise ValueError(f"the radius_m of a {shape} must be finite and > 0, found {radius_m}")
+    x, y = node_xy_m[..., 0], node_xy_m[..., 1]
+    gap = tilt_rad * x
+    if shape == "cylinder":
+        gap = gap + y**2 / (2 * radius_m)
+    elif shape == "sphere":
+        gap = gap + (x**2 + y**2) / (2 * radius_m)
+    return np.ascontiguousarray(gap - gap.min())
+
+
+@dataclass(frozen=True)
+class ForceCurve:
+    """Normal force of one finger and indentation of one gel against closing past first touch, at even steps from 0.
+
+    The last entry is at `reach_ticks`; `lookup` gives its value for anything beyond.
+    """
+
+    step_ticks: float
+    metres_per_tick: float
+    force_n: Floats
+    indentation_m: Floats
+
+    @property
+    def reach_ticks(self) -> float:
+        """Closing of the last entry, in ticks past first touch."""
+        return self.step_ticks * (len(self.force_n) - 1)
+
+
+def force_curve(
+    gap_m: Floats,
+    cell_area_m2: float,
+    normal_modulus_pa: float,
+    gel_height_m: float,
+    finger_stiffness_n_m: float,
+    metres_per_tick: float,
+    *,
+    reach_ticks: float = 120.0,
+    step_ticks: float = 0.01,
+) -> ForceCurve:
+    """Table of N and indentation d over the closing c of the gripper: c * metres_per_tick = 2 d + N / stiffness.
+
+    metres_per_tick is the change of the gap between both fingers; finger_stiffness_n_m that of fingers, links and
+    mounts against the same gap. N(d) = E/H * cell area * sum of (d - gap) over the nodes pressed, which is linear
+    between the gaps of two nodes, so the table is exact at its entries. It ends at reach_ticks (120 ticks are about
+    20 mm, 30 N with the fingers' 1.8 N/mm), or before, where the gel would be pressed flat (d = gel height).
+    """
+    if gap_m.ndim != 2 or gap_m.size == 0 or not np.isfinite(gap_m).all() or gap_m.min() != 0.0:
+        raise ValueError(f"gap_m must be finite with shape (rows, columns) and least value 0, found {gap_m.shape}")
+    for name, value in (
+        ("cell_area_m2", cell_area_m2),
+        ("normal_modulus_pa", normal_modulus_pa),
+        ("gel_height_m", gel_height_m),
+        ("finger_stiffness_n_m", finger_stiffness_n_m),
+        ("metres_per_tick", metres_per_tick),
+        ("reach_ticks", reach_ticks),
+        ("step_ticks", step_ticks),
+    ):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be finite and > 0, found {value}")
+    node_stiffness = normal_modulus_pa / gel_height_m * cell_area_m2
+    # N is piecewise linear in d, with a corner wherever one more node comes into contact
+    corner = np.unique(np.append(gap_m[gap_m < gel_height_m], gel_height_m))
+    gaps = np.sort(gap_m, axis=None)
+    pressed = np.searchsorted(gaps, corner, side="right")
+    gap_sum = np.concatenate([[0.0], np.cumsum(gaps)])[pressed]
+    force = node_stiffness * (pressed * corner - gap_sum)
+    closing = (2 * corner + force / finger_stiffness_n_m) / metres_per_tick
+    entries = int(min(reach_ticks, closing[-1]) / step_ticks * (1 + 1e-12)) + 1
+    if entries < 2:
+        raise ValueError(f"the gel is pressed flat {closing[-1]:.3g} ticks after touch, less than step_ticks {step_ticks}")
+    ticks = step_ticks * np.arange(entries)
+    return ForceCurve(step_ticks, metres_per_tick, np.interp(ticks, closing, force), np.interp(ticks, closing, corner))
+
+
+def closing_at(curve: ForceCurve, force_n: float) -> float:
+    """Closing in ticks past first touch at which a finger presses with force_n, 0 <= force_n <= the curve's last."""
+    if not 0.0 <= force_n <= curve.force_n[-1]:
+        raise ValueError(f"force_n must be within [0, {curve.force_n[-1]:.4g}] N of the curve, found {force_n}")
+    return float(curve.step_ticks * np.interp(force_n, curve.force_n, np.arange(len(curve.force_n))))
+
+
+@njit(cache=True)
+def lookup(table: Floats, step_ticks: float, closing_ticks: float) -> float:
+    """Value of a ForceCurve's table at a closing: linear between entries, 0 before touch, the last entry beyond."""
+    if closing_ticks <= 0.0:
+        return 0.0
+    place = closing_ticks / step_ticks
+    if place >= table.shape[0] - 1:
+        return table[-1]
+    entry = int(place)
+    return table[entry] + (place - entry) * (table[entry + 1] - table[entry])
+
+
+@njit(cache=True)
+def pressure(indentation_m: float, gap_m: Floats, total_force_n: float) -> Floats:
+    """Normal force of each node, (rows, columns) in N: in proportion to its own indentation, total_force_n together.
+
+    Without indentation there is no contact and every node carries 0, whatever the total. ValueError where a value is
+    not finite or the total is negative.
+    """
+    if not (np.isfinite(indentation_m) and np.isfinite(total_force_n) and total_force_n >= 0.0):
+        raise ValueError("indentation_m must be finite, total_force_n finite and >= 0")
+    force = np.zeros(gap_m.shape)
+    pressed_m = 0.0
+    for row in range(gap_m.shape[0]):
+        for column in range(gap_m.shape[1]):
+            depth = indentation_m - gap_m[row, column]
+            if depth > 0.0:
+                force[row, column] = depth
+                pressed_m += depth
+    if pressed_m > 0.0:
+        force *= total_force_n / pressed_m
+    return force

@@ -1,0 +1,204 @@
+"""One finger of the gripper: a geared servo with a wide band of dry friction, against the force of what it holds.
+
+Law of one finger, closing x in metres (half the change of the gap), from first touch:
+
+    M x'' + b x' + Sgn(x') (Fc + fl N) contains  kF I - N(x),      |x'| <= speed limit
+
+with the motor current I = kp (goal - encoder) in position mode, or the command in current mode. The encoder and the
+goal are whole ticks, the commanded current whole mA. Because the gear rubs, the finger keeps its grip while the
+current falls by 2 (Fc + fl N) / kF, and x = goal does not mean letting go.
+
+Why so: each step is solved implicitly for the speed, force and friction at the end of the step included. The equation
+is monotone in the speed, so a bracketed Newton search always ends, for any stiffness, for no damping and for no mass.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .contact import ForceCurve, closing_at, lookup
+
+Mode = Literal["position", "current"]
+
+# ROBOTIS RH-P12-RN(A): two 57 mm four-bar fingers that start at 60 deg, 0.088 deg a tick (e-manual, URDF)
+LINK_PAIR_M = 0.114
+LINK_OFFSET_M = 0.0061
+START_RAD = math.radians(60.0)
+TICK_RAD = math.radians(0.088)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Constants of one finger's drive.
+
+    Fitted to the paper's grasp figures (only the product force_per_current * gain = 2.0 N/tick and the friction are
+    identified by them): force_per_current_n_ma, gain_ma_tick, friction_n, friction_share, damping_n_s_m, mass_kg.
+    From the maker's manual: speed_limit_m_s (75 mm/s of gap), open_ticks, closed_ticks. The current limit is the one
+    the paper's authors set.
+    """
+
+    force_per_current_n_ma: float = 0.40
+    gain_ma_tick: float = 5.0
+    friction_n: float = 3.87
+    friction_share: float = 0.03
+    damping_n_s_m: float = 150.0
+    mass_kg: float = 2.0
+    speed_limit_m_s: float = 0.0375
+    current_limit_ma: float = 661.0
+    open_ticks: float = 0.0
+    closed_ticks: float = 740.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{field.name} must be finite and >= 0, found {value}")
+        for name in ("force_per_current_n_ma", "speed_limit_m_s"):
+            if getattr(self, name) == 0:
+                raise ValueError(f"{name} must be > 0, found 0")
+        if self.friction_share >= 1:
+            raise ValueError(f"friction_share must be < 1 (the finger could never open), found {self.friction_share}")
+        if self.open_ticks >= self.closed_ticks:
+            raise ValueError(f"open_ticks must be < closed_ticks, found {self.open_ticks} and {self.closed_ticks}")
+
+
+@dataclass
+class DriveState:
+    """Where a finger is: closing past first touch, and what the last step left behind."""
+
+    touch_ticks: float
+    closing_ticks: float
+    speed_m_s: float
+    current_ma: float
+    force_n: float
+    indentation_m: float
+
+    @property
+    def position_ticks(self) -> int:
+        """What the encoder reads: whole ticks of the gripper, 0 open."""
+        return math.floor(self.touch_ticks + self.closing_ticks)
+
+
+def gap_m(position_ticks: float) -> float:
+    """Gap between the fingers at a position of the gripper (four-bar link; 104.9 mm at 0, 0 at about 717 ticks)."""
+    return LINK_PAIR_M * math.sin(START_RAD - TICK_RAD * position_ticks) + LINK_OFFSET_M
+
+
+def ticks_at_gap(gap_m: float) -> float:
+    """Position in ticks at which the fingers are gap_m apart: where an object of that width is first touched."""
+    sine = (gap_m - LINK_OFFSET_M) / LINK_PAIR_M
+    if not (0.0 <= gap_m and sine <= math.sin(START_RAD)):
+        raise ValueError(f"gap_m must be within [0, 0.1048] m, found {gap_m}")
+    return (START_RAD - math.asin(sine)) / TICK_RAD
+
+
+def metres_per_tick(gap_m: float) -> float:
+    """How much one tick changes the gap between the fingers, in m, where they are gap_m apart."""
+    return LINK_PAIR_M * TICK_RAD * math.cos(START_RAD - TICK_RAD * ticks_at_gap(gap_m))
+
+
+def start(drive: Drive, curve: ForceCurve, touch_ticks: float, closing_ticks: float = -2.0) -> DriveState:
+    """A finger at rest, closing_ticks past first touch (negative: before it), which is at touch_ticks of the gripper."""
+    if not drive.open_ticks <= touch_ticks + closing_ticks <= drive.closed_ticks:
+        raise ValueError(
+            f"the finger must start within [{drive.open_ticks:g}, {drive.closed_ticks:g}] ticks,"
+            f" found {touch_ticks:g} + {closing_ticks:g}"
+        )
+    force_n = lookup(curve.force_n, curve.step_ticks, closing_ticks)
+    indentation_m = lookup(curve.indentation_m, curve.step_ticks, closing_ticks)
+    return DriveState(float(touch_ticks), float(closing_ticks), 0.0, 0.0, force_n, indentation_m)
+
+
+def closed_with(drive: Drive, curve: ForceCurve, touch_ticks: float, current_ma: float) -> DriveState:
+    """A finger that closed slowly under a constant current and came to rest: N = (kF I - Fc) / (1 + fl), or at touch."""
+    push_n = drive.force_per_current_n_ma * current_ma - drive.friction_n
+    state = start(drive, curve, touch_ticks, closing_at(curve, max(push_n, 0.0) / (1 + drive.friction_share)))
+    state.current_ma = float(current_ma)
+    return state
+
+
+def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command: float, dt_s: float) -> float:
+    """Move the finger for dt_s under a command and return its normal force in N at the end (also state.force_n).
+
+    command: the goal in ticks of the gripper in position mode, rounded to whole ticks; the current in mA in current
+    mode, rounded to whole mA. The servo reads its encoder once, at the start of the step.
+    """
+    if not (math.isfinite(command) and math.isfinite(dt_s) and dt_s > 0):
+        raise ValueError(f"command must be finite and dt_s finite and > 0, found {command} and {dt_s}")
+    if mode == "position":
+        wanted_ma = drive.gain_ma_tick * (round(command) - state.position_ticks)
+    elif mode == "current":
+        wanted_ma = float(round(command))
+    else:
+        raise ValueError(f"mode must be position or current, found {mode!r}")
+    state.current_ma = min(max(wanted_ma, -drive.current_limit_ma), drive.current_limit_ma)
+    state.speed_m_s, state.closing_ticks = _move(
+        state.closing_ticks,
+        state.speed_m_s,
+        drive.force_per_current_n_ma * state.current_ma,
+        dt_s,
+        curve.force_n,
+        curve.step_ticks,
+        curve.metres_per_tick / 2,  # each finger moves half the gap
+        drive.friction_n,
+        drive.friction_share,
+        drive.damping_n_s_m,
+        drive.mass_kg,
+        drive.speed_limit_m_s,
+        drive.open_ticks - state.touch_ticks,
+        drive.closed_ticks - state.touch_ticks,
+    )
+    state.force_n = lookup(curve.force_n, curve.step_ticks, state.closing_ticks)
+    state.indentation_m = lookup(curve.indentation_m, curve.step_ticks, state.closing_ticks)
+    return state.force_n
+
+
+@njit(cache=True)
+def _move(
+    closing: float,
+    speed: float,
+    motor_n: float,
+    dt: float,
+    force_table: NDArray[np.float64],
+    step_ticks: float,
+    metres_per_tick: float,
+    friction_n: float,
+    friction_share: float,
+    damping: float,
+    mass: float,
+    speed_limit: float,
+    lowest: float,
+    highest: float,
+) -> tuple[float, float]:
+    """Speed (m/s) and closing (ticks) of one finger after dt, from the implicit law with its dry friction."""
+    held_n = lookup(force_table, step_ticks, closing)
+    drive_n = mass / dt * speed + motor_n
+    surplus_n = drive_n - held_n
+    if abs(surplus_n) <= friction_n + friction_share * held_n:
+        return 0.0, closing
+    sign = 1.0 if surplus_n > 0.0 else -1.0
+    # with q = |speed|: what resists the motion rises with q, and at q = 0 it is less than the drive
+    slow = 0.0
+    room_ticks = highest - closing if sign > 0.0 else closing - lowest
+    fast = max(min(speed_limit, room_ticks * metres_per_tick / dt), 0.0)
+    ticks_per_speed = dt / metres_per_tick
+    q = fast
+    for _ in range(60):
+        place = closing + sign * q * ticks_per_speed
+        force = lookup(force_table, step_ticks, place)
+        excess = (mass / dt + damping) * q + friction_n + (sign + friction_share) * force - sign * drive_n
+        if excess <= 0.0:
+            slow = q
+        else:
+            fast = q
+        ahead = lookup(force_table, step_ticks, place + sign * step_ticks)
+        slope = mass / dt + damping + (sign + friction_share) * (ahead - force) / step_ticks * ticks_per_speed
+        newton = q - excess / slope if slope > 0.0 else slow
+        if fast <= slow or abs(newton - q) <= 1e-14 * speed_limit:
+            break
+        q = newton if slow < newton < fast else 0.5 * (slow + fast)
+    return sign * q, closing + sign * q * ticks_per_speed

@@ -1,0 +1,61 @@
+"""One module per subject of evaluate: files in, flat rows out, kept in a report file."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.console import plain
+from evetac_cli.errors import InputError
+from evetac_cli.stages import Job, Outcome
+from evetac_cli.store.files import StageFile, output_path, stem, up_to_date, write_stage
+from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.read import Recording, open_recording
+
+Rows = list[dict[str, Any]]
+
+
+def report_job(files: list[Path], subject: str, out: Path | None, *more: Path) -> list[Job]:
+    """One report over all files: `<first input's name>.<subject>.report.h5`."""
+    if out is not None and out.suffix == ".h5":
+        return [Job((*files, *more), out)]
+    return [Job((*files, *more), (out or files[0].parent) / f"{stem(files[0])}.{subject}.report.h5")]
+
+
+def report(
+    job: Job,
+    command: str,
+    method: int,
+    parameters: dict[str, Any],
+    parents: list[Header],
+    measure: Callable[[], tuple[Rows, dict[str, Any]]],
+    *,
+    force: bool,
+) -> Outcome:
+    """Measure and keep the report, or read it if it is up to date already."""
+    recipe = Recipe("report", method, {"command": command, **parameters}, parents=tuple(parents))
+    simulated = any(parent["simulated"] for parent in parents)
+    if up_to_date(job.output, recipe, force=force):
+        with StageFile(job.output, "report") as file:
+            return Outcome(json.loads(file.read("rows")), simulated, json.loads(file.read("summary")), made=False)
+    rows, summary = measure()
+    arrays = {"command": command, "rows": json.dumps(plain(rows)), "summary": json.dumps(plain(summary))}
+    write_stage(job.output, recipe, arrays)
+    return Outcome(rows, simulated, {**summary, "report": str(job.output)})
+
+
+@contextmanager
+def with_truth(file: StageFile) -> Iterator[Recording]:
+    """The simulated recording beside a file that was made from it; InputError if it is not there or has no truth."""
+    path = output_path(file.path, "recording", None)
+    with open_recording(path) as recording:
+        if recording.header["id"] not in file.header["parents"]:
+            raise InputError(
+                "this is not the recording that the file was made from", where=str(path), expected=str(file.path)
+            )
+        if not recording.has("truth"):
+            raise InputError(
+                "a recording without truth: only a simulation knows it", where=str(path), hint="evaluate simulated files"
+            )
+        yield recording

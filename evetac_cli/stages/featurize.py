@@ -1,0 +1,98 @@
+"""featurize: what a slip detector may see, slice by slice (paper, "Evetac Touch Features").
+
+Reads the recording, its tracks, and its labels where there are any; they lie beside it under the same name unless named.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels import features
+from evetac_cli.params import Featurize, recipe_of
+from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
+from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
+from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.read import open_recording
+
+INPUTS = ("recording", "tracks", "labels")
+OUTPUT = "features"
+METHOD = 1
+
+
+def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
+    """One features file for every recording; its tracks must be there, its labels may be."""
+    one_file(files, out)
+    if len(files) > 1 and (params.tracks or params.labels):
+        raise InputError("--tracks and --labels name one file", expected="one recording", found=f"{len(files)} files")
+    found = []
+    for file in files:
+        tracks = params.tracks or output_path(file, "tracks", None)
+        labels = params.labels or output_path(file, "labels", None)
+        inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
+        found.append(Job(inputs, output_path(file, OUTPUT, out)))
+    return found
+
+
+def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Displacement and events of every dot, events outside the window, and the labels if there are any."""
+    recording_path, tracks_path, *labels_path = job.inputs
+    with open_recording(recording_path) as recording:
+        if not tracks_path.exists():
+            raise InputError(
+                "the tracks of this recording are missing",
+                where=str(recording_path),
+                expected=str(tracks_path),
+                hint=f"evetac track {recording_path}",
+            )
+        parents = [recording.header]
+        arrays: dict[str, Any] = {}
+        with StageFile(tracks_path, "tracks") as tracks:
+            _check_parent(tracks, recording)
+            parents.append(tracks.header)
+            dot_xy_px, events_per_dot = tracks.read("dot_xy_px"), tracks.read("events_per_dot")
+            rest_xy_px = tracks.read("sensor/dot_xy_px")
+            window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
+        for path in labels_path:
+            with StageFile(path, "labels") as labels:
+                _check_parent(labels, recording)
+                parents.append(labels.header)
+                arrays["label"] = labels.read("label")
+                arrays["onset_slice"] = labels.read("onset_slice")
+        recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(parents))
+        simulated = recording.header["simulated"]
+        if up_to_date(job.output, recipe, force=force):
+            return outcome(job, made=False, simulated=simulated)
+        slices = len(recording)
+        rest = rest_xy_px.reshape(-1, 2)
+        displacement = np.empty((slices, len(rest)), np.float32)
+        outside = np.empty(slices, np.int32)
+        for index, events in enumerate(recording):
+            displacement[index] = features.displacement(dot_xy_px[index], rest)
+            outside[index] = features.events_outside(events.x, events.y, window) if window is not None else events.count
+            if index % 100 == 0:
+                progress(index, slices)
+        arrays |= {
+            "displacement_px": displacement,
+            "events_per_dot": events_per_dot,
+            "events_total": np.diff(recording.starts).astype(np.int32),
+            "events_outside": outside,
+            "dot_shape": np.array(rest_xy_px.shape[:2], np.int32),
+        }
+    write_stage(job.output, recipe, arrays)
+    onset = int(arrays.get("onset_slice", -1))
+    return outcome(job, made=True, simulated=simulated, slices=slices, labelled="label" in arrays, onset_ms=onset)
+
+
+def _check_parent(file: StageFile, recording: StageFile) -> None:
+    """Refuse tracks or labels of another recording."""
+    if recording.header["id"] not in file.header["parents"]:
+        parents = [parent[:12] for parent in file.header["parents"]]
+        raise InputError(
+            f"these {file.kind} belong to another recording",
+            where=str(file.path),
+            expected=f"made from {recording.path} (id {recording.header['id'][:12]})",
+            found=f"made from id {', '.join(parents)}",
+            hint=f"evetac {'track' if file.kind == 'tracks' else 'label'} --force {recording.path}",
+        )

@@ -1,0 +1,108 @@
+"""track: where every dot is, slice by slice (paper, "Signal Processing - Dot Tracking")."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels import tracker
+from evetac_cli.params import Track, recipe_of
+from evetac_cli.stages import Job, Outcome, Progress, outcome, per_file, silent
+from evetac_cli.store.calibration import Calibration, read_calibration
+from evetac_cli.store.files import up_to_date, write_stage
+from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.read import Recording, open_recording
+
+INPUTS = ("recording",)
+OUTPUT = "tracks"
+METHOD = 1
+
+
+def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
+    """One tracks file for every recording."""
+    return per_file(files, OUTPUT, out)
+
+
+def constants(preset: str, **overrides: Any) -> tuple[str, tracker.TrackerConstants]:
+    """The constants of a preset, and its name; overridden by hand it is `custom from` that preset."""
+    chosen = {name: value for name, value in overrides.items() if value is not None}
+    base = tracker.PRESETS[preset]
+    custom = dataclasses.replace(base, **chosen)
+    return (preset if custom == base else f"custom from {preset}"), custom
+
+
+def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Fold the tracker over a recording."""
+    name, chosen = constants(
+        params.preset,
+        step_size=params.step_size,
+        regulariser_weight=params.regulariser,
+        min_events=params.min_events,
+    )
+    with open_recording(job.inputs[0]) as recording:
+        calibration = _calibration(recording, params.calibration)
+        parameters = {"preset": name, "constants": dataclasses.asdict(chosen), "grid": calibration.digest()}
+        recipe = Recipe(OUTPUT, METHOD, parameters, parents=(recording.header,))
+        simulated = recording.header["simulated"]
+        if up_to_date(job.output, recipe, force=force):
+            return outcome(job, made=False, simulated=simulated)
+        rows, columns = calibration.dot_xy_px.shape[:2]
+        try:
+            state = tracker.start(calibration.dot_xy_px.reshape(-1, 2), chosen)
+        except ValueError as error:
+            raise InputError(f"the dots cannot be tracked: {error}", where=str(recording.path)) from error
+        slices, dots = len(recording), rows * columns
+        dot_xy_px = np.empty((slices, dots, 2), np.float32)
+        events_per_dot = np.empty((slices, dots), np.int32)
+        lost = np.empty((slices, dots), np.uint8)
+        for index, events in enumerate(recording):
+            tracker.step(state, events.x, events.y)
+            dot_xy_px[index] = state.dot_xy_px
+            events_per_dot[index] = state.events_per_dot
+            lost[index] = state.lost
+            if index % 100 == 0:
+                progress(index, slices)
+        arrays = {
+            "dot_xy_px": dot_xy_px,
+            "events_per_dot": events_per_dot,
+            "lost": lost,
+            "sensor/frame_px": recording.read("sensor/frame_px"),
+            "sensor/individual": recording.read("sensor/individual"),
+            **calibration.arrays(),
+        }
+    write_stage(job.output, recipe, arrays)
+    moved = np.linalg.norm(dot_xy_px - state.rest_xy_px.astype(np.float32), axis=2)
+    return outcome(
+        job,
+        made=True,
+        simulated=simulated,
+        slices=slices,
+        dots=dots,
+        moved_px_most=float(np.nanmax(moved)) if moved.size else 0.0,
+        dots_lost=int(lost[-1].sum()) if slices else 0,
+    )
+
+
+def _calibration(recording: Recording, given: Path | None) -> Calibration:
+    """The dot grid given by hand, or the one in the recording."""
+    if given is not None:
+        calibration = read_calibration(given)
+        if calibration.frame_px != recording.frame_px:
+            raise InputError(
+                "the calibration is for another frame",
+                where=str(given),
+                expected="{} x {} px".format(*recording.frame_px),
+                found="{} x {} px".format(*calibration.frame_px),
+            )
+        return calibration
+    dots = recording.dot_xy_px
+    if dots is None:
+        raise InputError(
+            "the recording holds no dot grid",
+            where=str(recording.path),
+            hint="give one with --calibration GRID.json",
+        )
+    radius = float(recording.read("sensor/dot_radius_px"))
+    return Calibration(recording.frame_px, dots, radius, recording.window_px)

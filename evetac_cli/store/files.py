@@ -1,0 +1,264 @@
+"""Open, check, skip and write stage files.
+
+A file is opened only if it is what the caller expects, and written all-or-nothing: into a temporary file beside the
+target, which is renamed when it is complete. Two writers of the same target do not disturb each other: the later
+rename wins, and with the same recipe both wrote the same arrays.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+
+from ..errors import InputError, SchemaError
+from . import schema
+from .provenance import Header, Recipe, first_difference
+
+# HDF5 1.14 and everything since opens this; `latest` would need HDF5 2.0, which h5py bundles and others do not have.
+LIBVER = ("earliest", "v114")
+CHUNK_ROWS = 65536
+CHUNK_BYTES = 1 << 20
+
+
+class StageFile:
+    """A stage file, open for reading: header, datasets by path."""
+
+    def __init__(self, path: Path, kind: str | tuple[str, ...] | None = None) -> None:
+        """Open and check; InputError if it is missing, foreign, of another kind or of a newer major version."""
+        self.path = Path(path)
+        self._h5 = _open(self.path)
+        try:
+            self.header = _read_header(self.path, self._h5)
+            _check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
+            lines = schema.problems(schema.load(self.kind), self.contents())
+            major, minor = (int(part) for part in self.header["version"].split("."))
+            known_minor = int(schema.load(self.kind).version.split(".")[1])
+            if major == schema.MAJOR and minor > known_minor:  # a newer minor version only adds
+                lines = [line for line in lines if "is not in the schema" not in line]
+            if lines:
+                raise SchemaError(
+                    f"not a valid {self.kind}",
+                    where=str(self.path),
+                    expected=f"schemas/{self.kind}.v{schema.MAJOR}.json",
+                    found="; ".join(lines[:8]),
+                )
+        except BaseException:
+            self._h5.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; arrays already read stay valid."""
+        self._h5.close()
+
+    @property
+    def kind(self) -> str:
+        """recording, labels, tracks, features, model or report."""
+        return str(self.header["kind"])
+
+    def has(self, path: str) -> bool:
+        """Whether a dataset or a group is there."""
+        return path in self._h5
+
+    def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
+        """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar."""
+        try:
+            dataset = self._h5[path]
+            if schema.describe_stored(dataset) == "utf8":
+                return dataset.asstr()[()]
+            return dataset[()] if dataset.shape == () else dataset[start:stop]
+        except KeyError:
+            raise InputError(f"{path} is not in this {self.kind}", where=str(self.path)) from None
+        except OSError as error:
+            raise InputError(
+                f"{path} cannot be read: {error}", where=str(self.path), hint="the file is damaged; make it again"
+            ) from None
+
+    def length(self, path: str) -> int:
+        """Number of rows of a dataset, without reading it."""
+        return int(self._h5[path].shape[0])
+
+    def contents(self) -> dict[str, tuple[str, tuple[int, ...]]]:
+        """Path -> (dtype, shape) of every dataset."""
+        found: dict[str, tuple[str, tuple[int, ...]]] = {}
+
+        def visit(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset):
+                found[name] = (schema.describe_stored(item), item.shape)
+
+        self._h5.visititems(visit)
+        return found
+
+
+def _open(path: Path) -> h5py.File:
+    if path.is_dir():
+        raise InputError("this is a folder", where=str(path), expected="an evetac stage file")
+    if not path.exists():
+        raise InputError("no such file", where=str(path))
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        reason = "it is truncated" if "truncated" in str(error) else "it is not an HDF5 file"
+        raise InputError(
+            f"cannot be opened: {reason}",
+            where=str(path),
+            expected="an evetac stage file",
+            hint="foreign event files are read with `evetac record --from FILE`",
+        ) from None
+
+
+def _read_header(path: Path, h5: h5py.File) -> Header:
+    text = h5.attrs.get("header")
+    if not isinstance(text, str):
+        raise InputError(
+            "this HDF5 file was not made by evetac: it has no header",
+            where=str(path),
+            hint="foreign event files are read with `evetac record --from FILE`",
+        )
+    try:
+        header = json.loads(text)
+        required = ("kind", "version", "method", "parameters", "seed", "parents", "content", "id", "simulated", "history")
+        missing = [key for key in required if key not in header]
+        int(header["version"].split(".")[0])
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
+    if missing:
+        raise SchemaError("its header is incomplete", where=str(path), found=f"no {', '.join(missing)}")
+    return dict(header)
+
+
+def _check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:
+    if wanted and header["kind"] not in wanted:
+        raise InputError("wrong kind of file", where=str(path), expected=" or ".join(wanted), found=str(header["kind"]))
+    if header["kind"] not in schema.KINDS:
+        raise SchemaError("unknown kind", where=str(path), expected=", ".join(schema.KINDS), found=str(header["kind"]))
+    major = int(header["version"].split(".")[0])
+    if major > schema.MAJOR:
+        raise InputError(
+            f"made by a newer evetac: {header['kind']} version {header['version']}",
+            where=str(path),
+            expected=f"version {schema.MAJOR}.x",
+            hint="update evetac",
+        )
+
+
+def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
+    """Whether `path` already holds the result of this recipe.
+
+    InputError if it holds anything else, naming the first difference, unless `force`: then it will be replaced.
+    Checked before any work is done, so that nobody waits an hour for a refusal.
+    """
+    if not path.exists():
+        return False
+    try:
+        with StageFile(path) as existing:
+            header = existing.header
+    except InputError:
+        if force:
+            return False
+        raise InputError(
+            "the output exists and is not a valid evetac file", where=str(path), hint="--force replaces it"
+        ) from None
+    if header["id"] == recipe.id:
+        return True
+    if force:
+        return False
+    raise InputError(
+        "the output exists and was made by another recipe",
+        where=str(path),
+        found=first_difference(recipe, header),
+        hint="--force replaces it, -o NAME writes elsewhere",
+    )
+
+
+def output_path(source: Path, kind: str, out: Path | None) -> Path:
+    """`<name>.<kind>.h5` beside the input; in the folder `out`; or the file `out` if it ends in .h5."""
+    if out is not None and out.suffix == ".h5":
+        return out
+    return (out or source.parent) / f"{stem(source)}.{kind}.h5"
+
+
+def stem(path: Path) -> str:
+    """The name of a trial: the file name without `.<kind>.h5` (or without its suffix, for foreign files)."""
+    name = path.name
+    if name.endswith(".h5"):
+        name = name[:-3]
+        base, _, kind = name.rpartition(".")
+        return base if base and kind in schema.KINDS else name
+    return path.stem
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[h5py.File]:
+    """A new HDF5 file that takes the place of `path` when the block ends well, and leaves no trace when it does not."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError("the output folder is a file", where=str(path.parent)) from None
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with h5py.File(temporary, "w", libver=LIBVER) as h5:
+            yield h5
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_stage(path: Path, recipe: Recipe, arrays: Mapping[str, Any]) -> Header:
+    """Check arrays against the schema of the kind and write them with their header, all or nothing."""
+    schema.check(recipe.kind, arrays)
+    header = recipe.header()
+    with replacing(path) as h5:
+        for name, value in arrays.items():
+            put(h5, name, value)
+        put_header(h5, header)
+    return header
+
+
+def put_header(h5: h5py.File, header: Header) -> None:
+    """Write the header attribute."""
+    h5.attrs["header"] = json.dumps(header, sort_keys=True, allow_nan=False)
+
+
+def put(h5: h5py.File, name: str, value: Any) -> None:
+    """Write one dataset: text and scalars plainly, arrays in chunks with gzip-1 and shuffle (every HDF5 tool reads it)."""
+    if isinstance(value, str):
+        h5.create_dataset(name, data=value, dtype=h5py.string_dtype(), track_times=False)
+        return
+    array = np.asarray(value)
+    if array.size < 64:
+        h5.create_dataset(name, data=array, track_times=False)
+        return
+    create(h5, name, array.dtype, array.shape[1:], rows=len(array))[...] = array
+
+
+def create(h5: h5py.File, name: str, dtype: Any, row_shape: tuple[int, ...], rows: int, *, grows: bool = False) -> Any:
+    """An empty chunked, compressed dataset of `rows` rows."""
+    row_bytes = max(1, int(np.prod(row_shape, dtype=np.int64)) * np.dtype(dtype).itemsize)
+    chunk = max(1, min(CHUNK_ROWS, CHUNK_BYTES // row_bytes, CHUNK_ROWS if grows else rows))
+    return h5.create_dataset(
+        name,
+        shape=(rows, *row_shape),
+        maxshape=(None, *row_shape) if grows else None,
+        dtype=dtype,
+        chunks=(chunk, *row_shape),
+        compression="gzip",
+        compression_opts=1,
+        shuffle=True,
+        track_times=False,
+    )

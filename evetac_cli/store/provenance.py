@@ -1,0 +1,168 @@
+"""The identity of a result: what made it (recipe), the hash of that (recipe id), and the header that says so in a file.
+
+Two files with the same id hold the same numbers on the same machine type, so a stage whose output already carries the
+id of the wanted recipe has nothing to do. The id covers the kind, its major version (minor ones only add), the method
+number of the stage, every parameter, the seed and the parents' ids. A recording from a device or a file cannot be made
+again from a recipe: there the hash of the stored arrays stands in for the seed. Time, host and versions of libraries
+are recorded beside it and are not part of it.
+"""
+
+import hashlib
+import json
+import platform
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from . import schema
+
+Header = dict[str, Any]
+
+
+def canonical(value: Any) -> str:
+    """JSON with sorted keys and no blanks; NaN and infinity are refused."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that determines the content of a stage file."""
+
+    kind: str
+    method: int
+    parameters: dict[str, Any]
+    seed: int | None = None
+    parents: tuple[Header, ...] = ()
+    content: str | None = None
+    simulated_source: bool = False
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the id is the hash of."""
+        return {
+            "kind": self.kind,
+            "major": schema.MAJOR,
+            "method": self.method,
+            "parameters": self.parameters,
+            "seed": self.seed,
+            "content": self.content,
+            "parents": [parent["id"] for parent in self.parents],
+        }
+
+    @property
+    def id(self) -> str:
+        """The recipe id, 64 hexadecimal digits."""
+        return hashlib.sha256(canonical(self.identity).encode()).hexdigest()
+
+    def header(self) -> Header:
+        """The header of a file made now from this recipe; carries the whole history of its parents, each once."""
+        history: dict[str, Header] = {}
+        for parent in self.parents:
+            history.update(parent["history"])
+            history[parent["id"]] = {k: v for k, v in parent.items() if k not in ("history", "made")}
+        return {
+            "kind": self.kind,
+            "version": schema.load(self.kind).version,
+            "method": self.method,
+            "parameters": self.parameters,
+            "seed": self.seed,
+            "parents": [parent["id"] for parent in self.parents],
+            "content": self.content,
+            "id": self.id,
+            "simulated": self.simulated_source or any(parent["simulated"] for parent in self.parents),
+            "history": history,
+            "made": made(),
+        }
+
+
+def id_of(header: Header) -> str:
+    """Recompute the id from a header, to see whether somebody edited it."""
+    identity = {key: header[key] for key in ("kind", "method", "parameters", "seed", "content", "parents")}
+    identity["major"] = int(header["version"].split(".")[0])
+    return hashlib.sha256(canonical(identity).encode()).hexdigest()
+
+
+def made() -> dict[str, str]:
+    """Time, host and versions: recorded, not part of the id."""
+    libraries = {}
+    for name in ("numpy", "numba", "h5py", "torch", "opencv-contrib-python-headless", "onnxruntime"):
+        try:
+            libraries[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return {
+        "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "host": platform.node(),
+        "machine": platform.machine(),
+        "python": platform.python_version(),
+        "evetac": __version__,
+        **libraries,
+    }
+
+
+def first_difference(wanted: Recipe, found: Header) -> str:
+    """Say in words where another recipe departs from the wanted one."""
+    for key in ("kind", "method", "seed", "content"):
+        ours = wanted.identity[key]
+        if ours != found[key]:
+            return f"{key} is {_short(found[key])} in the file, {_short(ours)} wanted"
+    difference = _difference(wanted.parameters, found["parameters"], "parameters")
+    if difference:
+        return difference
+    for position, parent in enumerate(wanted.parents):
+        theirs = found["parents"][position] if position < len(found["parents"]) else None
+        if parent["id"] != theirs:
+            return f"its {parent['kind']} was {_short(theirs)}, now {parent['id'][:12]}"
+    if len(found["parents"]) != len(wanted.parents):
+        return f"it was made from {len(found['parents'])} files, now {len(wanted.parents)}"
+    return "the schema version differs"
+
+
+def _difference(ours: Any, theirs: Any, where: str) -> str:
+    """First place where two nested parameter values differ, or an empty string."""
+    if isinstance(ours, dict) and isinstance(theirs, dict):
+        for key in sorted(ours.keys() | theirs.keys()):
+            if key not in theirs or key not in ours:
+                side = "wanted" if key in ours else "in the file"
+                return f"{where}.{key} is only {side}"
+            inner = _difference(ours[key], theirs[key], f"{where}.{key}")
+            if inner:
+                return inner
+        return ""
+    return "" if canonical(ours) == canonical(theirs) else f"{where} is {_short(theirs)} in the file, {_short(ours)} wanted"
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+class ContentDigest:
+    """SHA-256 over named arrays that arrive in pieces, independent of how they were cut."""
+
+    def __init__(self) -> None:
+        self._hashes: dict[str, Any] = {}
+
+    def update(self, path: str, value: Any) -> None:
+        """Add the next piece of one array (or the whole of a scalar or a str)."""
+        hash_ = self._hashes.setdefault(path, hashlib.sha256())
+        hash_.update(value.encode() if isinstance(value, str) else np.ascontiguousarray(value).tobytes())
+
+    def hexdigest(self) -> str:
+        """The digest over all paths, in their sorted order."""
+        return hashlib.sha256(
+            canonical({path: hash_.hexdigest() for path, hash_ in self._hashes.items()}).encode()
+        ).hexdigest()
+
+
+def content_digest(arrays: Mapping[str, Any]) -> str:
+    """Digest of whole arrays; equal for equal content, whatever the compression or order in a file."""
+    digest = ContentDigest()
+    for path, value in arrays.items():
+        digest.update(path, value)
+    return digest.hexdigest()

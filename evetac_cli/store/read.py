@@ -1,0 +1,127 @@
+"""Read recordings and features from Python, without the command line.
+
+    from evetac_cli.store.read import open_recording, SlipWindows
+
+    with open_recording("a.recording.h5") as recording:
+        for events in recording:                  # one Events per millisecond, numpy views
+            print(events.count, events.x, events.y)
+        burst = recording.between(1200, 1250)     # slices [1200, 1250) as one Events
+
+    data = SlipWindows(["a.features.h5", "b.features.h5"], history=10)
+    loader = torch.utils.data.DataLoader(data, batch_size=72, shuffle=True)
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..events import Events
+from ..kernels import features
+from .files import StageFile
+
+BLOCK_SLICES = 1000
+
+
+class Recording(StageFile):
+    """A recording as a sequence of slices: len() in ms, [k] and iteration give Events, read block by block."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "recording")
+        self.starts: NDArray[np.int64] = self.read("ms_to_idx")
+        self._block = (0, 0)
+        self._events: Events | None = None
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @property
+    def event_count(self) -> int:
+        """All events of the recording."""
+        return int(self.starts[-1])
+
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        """Width and height."""
+        width, height = self.read("sensor/frame_px")
+        return int(width), int(height)
+
+    @property
+    def window_px(self) -> tuple[int, int, int, int] | None:
+        """The cut-out strip x0, y0, x1, y1, or None for a closed gel."""
+        if not self.has("sensor/window_px"):
+            return None
+        x0, y0, x1, y1 = self.read("sensor/window_px").tolist()
+        return x0, y0, x1, y1
+
+    @property
+    def dot_xy_px(self) -> NDArray[np.float64] | None:
+        """Dot centres at rest (rows, columns, 2), or None where no calibration is stored."""
+        return self.read("sensor/dot_xy_px") if self.has("sensor/dot_xy_px") else None
+
+    def between(self, start: int, stop: int) -> Events:
+        """All events of the slices [start, stop) in one; t stays absolute."""
+        if not 0 <= start <= stop <= len(self):
+            raise InputError(
+                "slices out of range",
+                where=str(self.path),
+                expected=f"0 <= start <= stop <= {len(self)}",
+                found=f"{start}, {stop}",
+            )
+        first, last = int(self.starts[start]), int(self.starts[stop])
+        return Events(*(self.read(f"events/{column}", first, last) for column in Events._fields))
+
+    def __getitem__(self, index: int) -> Events:
+        if not -len(self) <= index < len(self):
+            raise IndexError(index)
+        index %= len(self)
+        if self._events is None or not self._block[0] <= index < self._block[1]:
+            start = index - index % BLOCK_SLICES
+            self._block = (start, min(start + BLOCK_SLICES, len(self)))
+            self._events = self.between(*self._block)
+        base = self.starts[self._block[0]]
+        return self._events.part(int(self.starts[index] - base), int(self.starts[index + 1] - base))
+
+    def __iter__(self) -> Iterator[Events]:
+        for index in range(len(self)):
+            yield self[index]
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Open a recording for reading by slices; InputError if it is anything else."""
+    return Recording(Path(path))
+
+
+class SlipWindows:
+    """Windows of features with their labels: a map-style data set that torch's DataLoader takes as it is.
+
+    Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32). Slices without a full history, without an
+    examined label, or more than `after_onset` slices after the onset are left out.
+    """
+
+    def __init__(self, paths: Sequence[str | Path], history: int = 10, after_onset: int = 15) -> None:
+        self.history = history
+        self._trials: list[tuple[Any, Any, Any]] = []
+        self._index: list[tuple[int, int]] = []
+        for trial, path in enumerate(paths):
+            with StageFile(Path(path), "features") as file:
+                if not file.has("label"):
+                    raise InputError("these features have no labels", where=str(path), hint="evetac label, then featurize")
+                label = file.read("label")
+                self._trials.append((file.read("displacement_px"), file.read("events_per_dot"), label))
+                onset = int(file.read("onset_slice"))
+            stop = len(label) if onset < 0 else min(len(label), onset + after_onset)
+            usable = np.flatnonzero(label[:stop] >= 0)
+            self._index += [(trial, int(slice_)) for slice_ in usable if slice_ >= history - 1]
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
+        trial, slice_ = self._index[index]
+        displacement, events, label = self._trials[trial]
+        window = features.windows(displacement, events, self.history, np.array([slice_]))[0]
+        return window, np.float32(label[slice_])

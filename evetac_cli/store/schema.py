@@ -1,0 +1,130 @@
+"""What a file of each kind holds: the tables in schemas/ lay files out and check them, and nothing else says it.
+
+A schema is a flat table: path -> dtype, named dims, unit, meaning. Every named dim has one size in a file; `slices+1`
+is the dim `slices` plus one. A path may end in `*` (any name), and dims may be null (any shape). A group listed in
+`optional_groups` is there with all its required datasets or not at all.
+"""
+
+import functools
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import SchemaError
+from ..resources import schemas
+
+KINDS = ("recording", "labels", "tracks", "features", "model", "report")
+MAJOR = 1
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """One row of a schema."""
+
+    path: str
+    dtype: str
+    dims: tuple[str | int, ...] | None
+    unit: str
+    meaning: str
+    optional: bool
+
+
+@dataclass(frozen=True)
+class Schema:
+    """What a file of one kind holds."""
+
+    kind: str
+    version: str
+    meaning: str
+    optional_groups: tuple[str, ...]
+    datasets: tuple[Dataset, ...]
+
+    def find(self, path: str) -> Dataset | None:
+        """The row that describes a path, if any."""
+        for row in self.datasets:
+            if row.path == path or (row.path.endswith("*") and path.startswith(row.path[:-1])):
+                return row
+        return None
+
+
+@functools.cache
+def load(kind: str) -> Schema:
+    """The schema of a kind, in its newest version."""
+    table = json.loads((schemas() / f"{kind}.v{MAJOR}.json").read_text())
+    rows = tuple(
+        Dataset(
+            path,
+            row["dtype"],
+            None if row["dims"] is None else tuple(row["dims"]),
+            row["unit"],
+            row["meaning"],
+            row.get("optional", False),
+        )
+        for path, row in table["datasets"].items()
+    )
+    return Schema(kind, table["version"], table["meaning"], tuple(table["optional_groups"]), rows)
+
+
+def problems(schema: Schema, found: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:
+    """Compare what a file holds, path -> (dtype, shape), with its schema; one line per difference, empty if valid."""
+    lines = []
+    for row in schema.datasets:
+        group = row.path.split("/")[0]
+        group_absent = group in schema.optional_groups and not any(path.startswith(group + "/") for path in found)
+        wanted = not row.optional and not group_absent
+        if wanted and not any(schema.find(path) is row for path in found):
+            lines.append(f"{row.path} is missing: {row.meaning}")
+    sizes: dict[str, tuple[int, str]] = {}
+    for path, (dtype, shape) in found.items():
+        found_row = schema.find(path)
+        if found_row is None:
+            lines.append(f"{path} is not in the schema of a {schema.kind} file")
+            continue
+        if dtype != found_row.dtype:
+            lines.append(f"{path}: expected dtype {found_row.dtype}, found {dtype}")
+        if found_row.dims is not None:
+            lines += _shape_problems(path, found_row.dims, shape, sizes)
+    return lines
+
+
+def _shape_problems(
+    path: str, dims: tuple[str | int, ...], shape: tuple[int, ...], sizes: dict[str, tuple[int, str]]
+) -> list[str]:
+    """Compare one shape with its dims, remembering the size that each named dim was first seen with."""
+    if len(shape) != len(dims):
+        return [f"{path}: expected dims {list(dims)}, found shape {list(shape)}"]
+    lines = []
+    for dim, size in zip(dims, shape, strict=True):
+        if isinstance(dim, int):
+            if size != dim:
+                lines.append(f"{path}: expected size {dim}, found {size}")
+            continue
+        name, _, more = dim.partition("+")
+        base = size - int(more or 0)
+        first, where = sizes.setdefault(name, (base, path))
+        if base != first:
+            lines.append(f"{path}: expected {first + int(more or 0)} for `{dim}` (as in {where}), found {size}")
+    return lines
+
+
+def describe(value: Any) -> tuple[str, tuple[int, ...]]:
+    """Dtype name and shape of a value about to be stored; a str counts as `utf8`."""
+    if isinstance(value, str):
+        return "utf8", ()
+    array = np.asarray(value)
+    return array.dtype.name, array.shape
+
+
+def check(kind: str, arrays: Mapping[str, Any]) -> None:
+    """Raise SchemaError if arrays are not what a file of this kind holds."""
+    lines = problems(load(kind), {path: describe(value) for path, value in arrays.items()})
+    if lines:
+        raise SchemaError(f"not a valid {kind}", expected=f"schemas/{kind}.v{MAJOR}.json", found="; ".join(lines[:8]))
+
+
+def describe_stored(dataset: Any) -> str:
+    """Dtype name of an HDF5 dataset, in the words of the schema."""
+    return "utf8" if dataset.dtype.kind in "OS" else str(dataset.dtype.name)

@@ -1,0 +1,197 @@
+"""Recordings that grow: closed segments in NAME.part/, joined into one file at the end.
+
+Why so: a single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every
+segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
+last quarter of a second is on disk. A folder NAME.part/ that is left over means that a recording broke off.
+"""
+
+import fcntl
+import shutil
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from ..errors import InputError
+from ..events import Events
+from . import schema
+from .files import LIBVER, create, put, put_header, replacing
+from .provenance import ContentDigest, Header, Recipe
+
+SEGMENT_S = 0.25  # at most one segment in this time, in wall time
+SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
+STATIC = "static.h5"
+COUNTS = "events_per_slice"
+
+
+class RecordingWriter:
+    """Append slices and rows; nothing is in `path` until `finish`.
+
+    Rows are named by their schema path, such as `gripper/t_us`, and may come at any rate of their own.
+    """
+
+    def __init__(self, path: Path, static: Mapping[str, Any], *, discard_leftover: bool) -> None:
+        """Make NAME.part/; `static` holds what is known beforehand (sensor/..., t_offset).
+
+        A left-over NAME.part/ is thrown away only if `discard_leftover` (a simulation can be made again), else refused.
+        """
+        self.path = path
+        self.folder = path.with_name(path.name.removesuffix(".h5") + ".part")
+        self._static = dict(static)
+        self._claim(discard_leftover)
+        self._write(self.folder / STATIC, self._static)
+        self._events: list[Events] = []
+        self._counts: list[int] = []
+        self._rows: dict[str, list[Any]] = {}
+        self._waiting = 0
+        self._segments = 0
+        self._closed_at = time.monotonic()
+
+    def _claim(self, discard_leftover: bool) -> None:
+        """Make the folder ours; a lock tells a recording in progress from one that broke off."""
+        try:
+            self.folder.mkdir(parents=True)
+        except FileExistsError:
+            if not self.folder.is_dir():
+                raise InputError("the output folder is a file", where=str(self.folder)) from None
+        except NotADirectoryError:
+            raise InputError("the output folder is a file", where=str(self.folder.parent)) from None
+        self._lock = open(self.folder / "lock", "w")  # noqa: SIM115 - held until finish() or discard()
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._lock.close()
+            raise InputError("another process is recording here", where=str(self.folder)) from None
+        left = [file for file in self.folder.iterdir() if file.name != "lock"]
+        if left and not discard_leftover:
+            self._lock.close()
+            raise InputError(
+                "a recording broke off here and cannot be made again",
+                where=str(self.folder),
+                hint="move the folder away, or write elsewhere with -o",
+            )
+        for file in left:
+            file.unlink()
+
+    def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
+        """Add one slice (its events may be none) and one row to each of the named datasets."""
+        self._events.append(events)
+        self._counts.append(events.count)
+        self._waiting += events.count
+        for name, row in (rows or {}).items():
+            self._rows.setdefault(name, []).append(row)
+        if self._waiting >= SEGMENT_EVENTS or time.monotonic() - self._closed_at >= SEGMENT_S:
+            self.close_segment()
+
+    @property
+    def slices(self) -> int:
+        """Slices appended and not yet closed into a segment."""
+        return len(self._counts)
+
+    def close_segment(self) -> None:
+        """Write everything that waits as the next segment."""
+        if self._counts:
+            arrays: dict[str, Any] = {COUNTS: np.array(self._counts, np.int64)}
+            for column in Events._fields:
+                arrays[f"events/{column}"] = np.concatenate([getattr(part, column) for part in self._events])
+            table = schema.load("recording")
+            for name, rows in self._rows.items():
+                described = table.find(name)
+                assert described is not None, name
+                arrays[name] = np.asarray(rows, dtype=described.dtype)
+            self._write(self.folder / f"{self._segments:06d}.h5", arrays)
+            self._segments += 1
+            self._events, self._counts, self._rows, self._waiting = [], [], {}, 0
+        self._closed_at = time.monotonic()
+
+    def finish(self, recipe: Recipe, late: Mapping[str, Any] | None = None, *, from_device: bool = False) -> Header:
+        """Close, join all segments into `path` and remove the folder; `late` adds what is only known at the end.
+
+        With `from_device`, the digest of the stored arrays enters the recipe: such a recording cannot be made again.
+        """
+        self.close_segment()
+        header = join(self.folder, self.path, recipe, late or {}, from_device=from_device)
+        self._lock.close()
+        shutil.rmtree(self.folder)
+        return header
+
+    def abandon(self) -> None:
+        """Leave the segments on disk, for later rescue, and let go of the folder."""
+        self.close_segment()
+        self._lock.close()
+
+    @staticmethod
+    def _write(path: Path, arrays: Mapping[str, Any]) -> None:
+        temporary = path.with_suffix(".tmp")
+        try:
+            with h5py.File(temporary, "w", libver=LIBVER) as h5:
+                for name, value in arrays.items():
+                    put(h5, name, value)
+            temporary.replace(path)
+        except OSError as error:
+            raise InputError(
+                f"a segment cannot be written: {error.strerror or error}",
+                where=str(path.parent),
+                hint="what was recorded before is safe in this folder; free some space",
+            ) from error
+
+
+def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], *, from_device: bool) -> Header:
+    """Join the segments of NAME.part/ into one recording, a segment at a time (memory does not grow with length)."""
+    digest = ContentDigest()
+    counts: list[Any] = []
+    written: dict[str, tuple[str, tuple[int, ...]]] = {}
+    with replacing(path) as h5:
+        with h5py.File(folder / STATIC, "r") as static:
+            whole = {name: static[name] for name in _datasets(static)}
+            for name, dataset in whole.items():
+                value = dataset.asstr()[()] if schema.describe_stored(dataset) == "utf8" else dataset[()]
+                _put_whole(h5, name, value, digest, written)
+        for name, value in late.items():
+            _put_whole(h5, name, value, digest, written)
+        for segment_path in sorted(folder.glob("[0-9]*.h5")):
+            with h5py.File(segment_path, "r") as segment:
+                for name in _datasets(segment):
+                    rows = segment[name][()]
+                    if name == COUNTS:
+                        counts.append(rows)
+                        continue
+                    if name not in h5:
+                        create(h5, name, rows.dtype, rows.shape[1:], rows=0, grows=True)
+                    dataset = h5[name]
+                    dataset.resize(len(dataset) + len(rows), axis=0)
+                    dataset[len(dataset) - len(rows) :] = rows
+                    digest.update(name, rows)
+                    written[name] = (rows.dtype.name, dataset.shape)
+        table = schema.load("recording")
+        for column in Events._fields:  # a recording without a single slice still has its columns
+            name = f"events/{column}"
+            described = table.find(name)
+            if name not in h5 and described is not None:
+                _put_whole(h5, name, np.empty(0, described.dtype), digest, written)
+        starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))]) if counts else np.zeros(1)
+        _put_whole(h5, "ms_to_idx", starts.astype(np.int64), digest, written)
+        lines = schema.problems(table, written)
+        assert not lines, lines
+        if from_device:
+            recipe = Recipe(**{**vars(recipe), "seed": None, "content": digest.hexdigest()})
+        header = recipe.header()
+        put_header(h5, header)
+    return header
+
+
+def _put_whole(
+    h5: h5py.File, name: str, value: Any, digest: ContentDigest, written: dict[str, tuple[str, tuple[int, ...]]]
+) -> None:
+    put(h5, name, value)
+    digest.update(name, value)
+    written[name] = schema.describe(value)
+
+
+def _datasets(h5: h5py.File) -> list[str]:
+    names: list[str] = []
+    h5.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+    return names
