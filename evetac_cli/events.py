@@ -23,8 +23,8 @@ class Events(NamedTuple):
     p: NDArray[np.uint8]
 
     @property
-    def count(self) -> int:
-        """Number of events (len() of a named tuple counts its columns)."""
+    def size(self) -> int:
+        """Number of events (len() of a named tuple counts its columns, and .count is a method of every tuple)."""
         return len(self.t)
 
     def part(self, start: int, stop: int) -> "Events":

@@ -8,18 +8,17 @@ import importlib
 import inspect
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Optional, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from . import __version__, console, params
-from .errors import EvetacError, InputError
-from .stages import Job, Outcome, Progress, silent
+from evetac_cli import __version__, console, params
+from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.stages import Job, Outcome, Progress, silent
 
 
 @dataclass(frozen=True)
@@ -74,10 +73,10 @@ def _root(
 
 # How to run, the same for every command that makes files; none of it changes the numbers.
 _RUNNING: dict[str, tuple[Any, Any, str, str]] = {
-    "out": (Optional[Path], None, "-o/--out", "Output file (ends in .h5) or folder; default: beside the input."),
+    "out": (Path | None, None, "-o/--out", "Output file (ends in .h5) or folder; default: beside the input."),
     "force": (bool, False, "-f/--force", "Replace an output that was made by another recipe."),
     "number_of_jobs": (int, 1, "-j/--jobs", "Files worked on at the same time."),
-    "config": (Optional[Path], None, "--config", "TOML file with parameters, one table a command."),
+    "config": (Path | None, None, "--config", "TOML file with parameters, one table a command."),
     "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
     "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
     "verbose": (bool, False, "-v/--verbose", "Print the traceback of an error."),
@@ -107,7 +106,9 @@ def _add(group: typer.Typer, command: Command, title: str, panel: str) -> None:
         )
         # Every flag defaults to None, so that a config file can tell what was not given.
         signature.append(
-            inspect.Parameter(item.name, keyword, default=None, annotation=Annotated[Optional[hints[item.name]], option])
+            inspect.Parameter(
+                item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option]
+            )
         )
     for name, (kind, default, flags, help_) in _RUNNING.items():
         option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=default == 1)
@@ -130,7 +131,9 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
         if clash:
             raise InputError("several inputs would write the same output", found=", ".join(map(str, sorted(clash))))
         if running["number_of_jobs"] < 1:
-            raise InputError("out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"]))
+            raise InputError(
+                "out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"])
+            )
         started = time.monotonic()
         results = _run(command, jobs, chosen, running)
         outcomes = [result for result in results if isinstance(result, Outcome)]
@@ -282,7 +285,3 @@ app.command("validate", rich_help_panel="Inspect")(
 def main() -> None:
     """Entry point of the command `evetac`."""
     app()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

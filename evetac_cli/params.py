@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError
+from evetac_cli.errors import InputError
 
 
 def parameter(
@@ -44,9 +44,14 @@ class Record:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     individual: str = parameter("evetac", "Sensor individual that is simulated.")
     source: Path | None = parameter(
-        None, "Import this event file instead of simulating: AEDAT4, text `t x y p`, DSEC HDF5.", flag="--from", recipe=False
+        None,
+        "Import this event file instead of simulating: AEDAT4, text `t x y p`, DSEC HDF5.",
+        flag="--from",
+        recipe=False,
     )
-    frame_size: str | None = parameter(None, "Frame of the imported file where it does not say, as in 640x480.", unit="px")
+    frame_size: str | None = parameter(
+        None, "Frame of the imported file where it does not say, as in 640x480.", unit="px"
+    )
     sort: bool = parameter(False, "Sort imported events whose time goes backwards, instead of refusing them.")
     stream: str | None = parameter(None, "Which event stream of the imported file, where it has several.")
     calibration: Path | None = parameter(None, "Dot grid (JSON) to store with an imported recording.", recipe=False)
@@ -59,7 +64,9 @@ class Label:
     threshold_px: float = parameter(
         0.6, "Relative flow of window against gel over the look-ahead that counts as slip.", unit="px", low=0.0
     )
-    look_ahead_ms: int = parameter(4, "Flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100)
+    look_ahead_ms: int = parameter(
+        4, "Flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100
+    )
     accumulate_ms: int = parameter(5, "Slices summed into one event image.", unit="ms", low=1, high=100)
     min_events: int = parameter(
         20, "Window images with fewer events have no flow; their pair is left out.", unit="events", low=1
@@ -102,7 +109,9 @@ class Train:
 
     model: str = parameter("hist10", "Architecture, named as in the paper's table.", choices=("hist10",))
     recipe: str = parameter(
-        "paper", "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features.", choices=("paper", "adam")
+        "paper",
+        "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features.",
+        choices=("paper", "adam"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
     max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
@@ -139,14 +148,17 @@ class EvaluateGrasp:
 class Grasp:
     """Grasp by feel: detect slip at 1000 Hz, control the gripper at 500 Hz."""
 
-    model: Path | None = parameter(None, "Model file of the slip detector; needed by the paper's controller.", recipe=False)
+    model: Path | None = parameter(
+        None, "Model file of the slip detector; needed by the paper's controller.", recipe=False
+    )
     scene: str = parameter("lift", "Scene to simulate: a name (lift) or a TOML file.")
     objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
     count: int = parameter(1, "Trials for each object.", low=1, high=100000, recipe=False)
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     individual: str = parameter("evetac", "Sensor individual that is simulated.")
     controller: str = parameter(
-        "paper", "paper: the paper's lift and balance law; none: contact alone, without the detector.",
+        "paper",
+        "paper: the paper's lift and balance law; none: contact alone, without the detector.",
         choices=("paper", "none"),
     )
     tracker: str = parameter("paper", "Preset of the dot tracker.", choices=("paper", "unregularised", "carry"))
@@ -156,9 +168,7 @@ class Grasp:
 
 def recipe_of(params: Any) -> dict[str, Any]:
     """The parameters that determine the numbers, for a header."""
-    return {
-        item.name: getattr(params, item.name) for item in fields(params) if item.metadata["recipe"]
-    }
+    return {item.name: getattr(params, item.name) for item in fields(params) if item.metadata["recipe"]}
 
 
 def flag_of(item: "dataclasses.Field[Any]") -> str:

@@ -5,7 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from .errors import EvetacError
+from evetac_cli.errors import EvetacError
 
 PACKAGE = Path(__file__).resolve().parent
 

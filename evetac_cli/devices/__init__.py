@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-from ..events import Events
+from evetac_cli.events import Events
 
 
 class EventCamera(Protocol):

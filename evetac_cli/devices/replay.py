@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..events import SLICE_US, Events
-from ..store.read import open_recording
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.store.read import open_recording
 
 
 class ReplayCamera:

@@ -5,11 +5,13 @@ keeps dots at the distance from their neighbours that they had at the start (pap
 `start` and `step` are the only way in, for a file and for a live camera alike.
 
 Why so:
-- Pulls are summed as integers of 2**-36 px. Integer sums do not depend on the order of their terms, so the positions are
-  the same bits in whatever order the events of a slice arrive. A pull is cut off by less than 1.5e-11 px.
-- Events find their dots through buckets of 16 x 16 px that list the dots within reach. The lists allow for 4 px of motion
-  and are made again only when a dot has left that margin, so a slice without motion does not pay for them.
-- Whether an event lies in a ring is close to a coin toss, and a wrong guess of the processor costs more than the pull itself.
+- Pulls are summed as integers of 2**-36 px. Integer sums do not depend on the order of their terms, so the positions
+  are the same bits in whatever order the events of a slice arrive. A pull is cut off by less than 1.5e-11 px.
+- The paper moves a dot only "if more than 10 events are triggered at its location". We count the events in the ring,
+  those that pull: events inside the dot say nothing about where it is.
+- Events find their dots through buckets of 16 x 16 px that list the dots within reach. The lists allow for 4 px of
+  motion and are made again only when a dot has left that margin, so a slice without motion does not pay for them.
+- Whether an event lies in a ring is close to a coin toss, and a wrong guess of the processor costs more than the pull.
   So every event adds its pull, times 0 or 1; and empty buckets list one dot more, "nobody", far outside the frame, so
   that nearly every bucket has one entry. Nobody is the last row of the arrays with n + 1 rows.
 """
@@ -25,7 +27,7 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.grid import pitch
 
 MAX_NEIGHBOURS = 8
-LOST_PX = 40.0  # two receptive fields' radii: events of its own dot no longer reach the centre
+LOST_PX = 40.0  # with the paper's constants, no event of a dot's own edge is in its ring from 35 px on
 NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one (2)
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 
@@ -49,20 +51,21 @@ def _check(name: str, value: float, low: float, high: float = inf, *, low_includ
 class TrackerConstants:
     """All constants of the tracker; lengths in px, the defaults are the preset `paper`.
 
-    The ring bounds are exclusive and hold for the distance of an event from the dot's centre (the paper prints them on its
-    square). The paper gives no regulariser weight: ours is the effective one of the authors' published code, step_size *
-    regulariser_weight = 2.25e-7 per px**2. The explicit step is stable near the rest grid while step_size * (4 N / 3 +
-    98.8 * regulariser_weight * pitch**2) < 2 with N ring events per dot and slice. ValueError if a constant is out of range.
+    The ring bounds are exclusive and hold for the distance of an event from the dot's centre (the paper prints them on
+    its square). The paper gives no regulariser weight: ours is the effective one of the authors' published code,
+    step_size * regulariser_weight = 2.25e-7 per px**2. The explicit step is stable near the rest grid while
+    step_size * (4 N / 3 + 98.8 * regulariser_weight * pitch**2) < 2, N ring events per dot and slice; beyond that the
+    clips keep it bounded. ValueError if a constant is out of range.
     """
 
-    radius_px: float = 15.0  # of the dot's edge
+    radius_px: float = 15.0  # of the dot's edge; also the furthest a dot moves in one slice, per axis
     ring_inner_px: float = 10.0  # only events further away than this pull
     ring_outer_px: float = 20.0  # ... and nearer than this
     count_radius_px: float = 20.0  # events nearer than this are the dot's (`events_per_dot`)
     step_size: float = 0.003
     regulariser_weight: float = 7.5e-5  # per px**2
     min_events: int = 10  # a dot moves only if more ring events than this pull it
-    gradient_clip: float = 400.0  # px, per axis, on the sum of pulls; the published code's, bounds the speed to 1.2 px a slice
+    gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px a slice; from the authors' published code
     carry: bool = False  # keep the pulls of slices with too few events until there are enough, else forget them
 
     def __post_init__(self) -> None:
@@ -124,8 +127,8 @@ def start(
 ) -> TrackerState:
     """Begin tracking dots from their centres at rest.
 
-    dot_xy_px: (n, 2) in any order, inside the frame and apart from each other; a row of NaN is a missing dot, which never
-    moves, never has events and is nobody's neighbour. neighbours: (n, 8) indices filled up with -1; found by
+    dot_xy_px: (n, 2) in any order, inside the frame and apart from each other; a row of NaN is a missing dot, which
+    never moves, never has events and is no dot's neighbour. neighbours: (n, 8) indices filled up with -1; found by
     `grid_neighbours` if not given. ValueError if the dots or the neighbours are not like this.
     """
     rest = _checked_dots(dot_xy_px)
@@ -156,10 +159,11 @@ def start(
 def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16]) -> None:
     """Move the dots by the events of one slice, given in any order as columns x and y in px; updates `state` in place.
 
-    Events outside the frame are ignored. A dot moves by -step_size * (gradient of the data term + regulariser_weight *
-    gradient of the distance term), the first clipped to gradient_clip per axis, the whole to radius_px per axis, and stays
-    inside the frame. All gradients are taken at the positions before the slice. ValueError if x and y are not uint16
-    columns of equal length.
+    A dot with more than min_events ring events moves by -step_size * (gradient of the data term + regulariser_weight *
+    gradient of the distance term), all taken at the positions before the slice. The data gradient is clipped to
+    gradient_clip, the motion to radius_px, per axis, and the dot stays inside the frame. Events outside the frame are
+    ignored. Read-only or strided columns do, but the first of them costs a compilation. ValueError if x and y are not
+    uint16 columns of equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
     """
     if x.dtype != np.uint16 or y.dtype != np.uint16 or x.ndim != 1 or x.shape != y.shape:
         raise ValueError(
@@ -221,7 +225,7 @@ def _checked_dots(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
         raise ValueError(f"dot_xy_px: expected at least one dot, found {len(dots)} rows, all missing")
     if not ((present >= 0) & (present <= np.array(FRAME_PX) - 1)).all():
         raise ValueError(f"dot_xy_px: expected centres inside the frame {FRAME_PX}, found {present.tolist()}")
-    if pitch(present) <= 0 or len(np.unique(present, axis=0)) != len(present):
+    if len(np.unique(present, axis=0)) != len(present):
         raise ValueError("dot_xy_px: expected dots apart from each other, found two at the same place")
     return dots
 
@@ -342,7 +346,7 @@ def _fill_buckets(
     bucket_start: NDArray[np.uint32],
     bucket_dots: NDArray[np.uint32],
 ) -> None:
-    """List the dots within reach of every bucket: b has bucket_dots[bucket_start[b]:bucket_start[b + 1]], at least nobody."""
+    """List the dots within reach of bucket b in bucket_dots[bucket_start[b]:bucket_start[b + 1]], at least nobody."""
     nobody = lattice_xy_px.shape[0]
     bucket_start[:] = 0
     for i in range(nobody):
@@ -392,7 +396,7 @@ def _pull_dots(
     ring_events: NDArray[np.int32],
     events: NDArray[np.int32],
 ) -> None:
-    """Give every event to the dots it is near: count it, and add its pull d - r d / |d|, d from the centre to the event."""
+    """Give every event to the dots it is near: count it, and add its pull d - r d / |d|, d from centre to event."""
     ring_inner_px2 = ring_inner_px * ring_inner_px
     ring_outer_px2 = ring_outer_px * ring_outer_px
     count_radius_px2 = count_radius_px * count_radius_px
@@ -483,7 +487,10 @@ def _clip(value: float, bound: float) -> float:
 
 @njit(cache=True)
 def _find_lost(
-    centre_xy_px: NDArray[np.float64], rest_xy_px: NDArray[np.float64], neighbours: NDArray[np.int32], lost: NDArray[np.bool_]
+    centre_xy_px: NDArray[np.float64],
+    rest_xy_px: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    lost: NDArray[np.bool_],
 ) -> None:
     """Flag the dots whose displacement is more than LOST_PX from the mean displacement of their neighbours."""
     for i in range(lost.shape[0]):

@@ -59,8 +59,8 @@ class Trajectory(NamedTuple):
     """What is learned from one trajectory, slice by slice."""
 
     displacement_px: NDArray[np.float32]  # (slices, dots)
-    events_per_dot: NDArray[np.integer]  # (slices, dots)
-    events_outside: NDArray[np.integer]  # (slices,) events outside the window strip
+    events_per_dot: NDArray[np.int32]  # (slices, dots)
+    events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
     onset: int  # first slice of slip, -1 if there is none
 
@@ -73,7 +73,7 @@ class Samples:
     rows: int
     columns: int
     displacement_px: NDArray[np.float32]  # (all slices, dots)
-    events_per_dot: NDArray[np.float32]  # (all slices, dots)
+    events_per_dot: NDArray[np.int32]  # (all slices, dots)
     slip: NDArray[np.int64]
     busy: NDArray[np.int64]
     quiet: NDArray[np.int64]
@@ -116,7 +116,7 @@ def gather(
         pools["busy"].append(begin + np.flatnonzero(full & (label == 0) & busy))
         pools["quiet"].append(begin + np.flatnonzero(full & (label == 0) & ~busy))
         displacements.append(np.asarray(trajectory.displacement_px[:slices], np.float32))
-        events.append(np.asarray(trajectory.events_per_dot[:slices], np.float32))
+        events.append(np.asarray(trajectory.events_per_dot[:slices], np.int32))
         begin += slices
     ends = {name: np.concatenate([np.empty(0, np.int64), *parts]) for name, parts in pools.items()}
     meanings = {"slip": "labelled slip", "busy": f"labelled no slip with more than {BUSY_EVENTS} events"}
@@ -322,5 +322,9 @@ def _check(trajectory: Trajectory, dots: int) -> None:
     slip.check_labels(trajectory.label, trajectory.onset)
     if not np.isfinite(trajectory.displacement_px).all():
         raise ValueError("displacement_px: expected finite numbers")
-    if np.any(trajectory.events_per_dot < 0) or np.any(trajectory.events_outside < 0):
-        raise ValueError("events: expected counts of at least 0")
+    for name in ("events_per_dot", "events_outside"):
+        counts = getattr(trajectory, name)
+        if counts.dtype.kind not in "iu" or np.any(counts < 0):
+            raise ValueError(
+                f"{name}: expected whole numbers of at least 0, found {counts.dtype} from {counts.min(initial=0)}"
+            )

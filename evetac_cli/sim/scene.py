@@ -19,7 +19,7 @@ from evetac_cli.resources import PACKAGE, schemas, table
 
 
 def load(name_or_path: str) -> dict[str, Any]:
-    """Read and check a scene, by the name of one that comes with evetac or as a TOML file; SceneError if it is wrong."""
+    """Read and check a scene: the name of one that comes with evetac, or a TOML file; SceneError if it is wrong."""
     path = Path(name_or_path)
     if path.suffix != ".toml":
         path = PACKAGE / "scenes" / f"{name_or_path}.toml"

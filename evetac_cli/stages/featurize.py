@@ -1,6 +1,6 @@
 """featurize: what a slip detector may see, slice by slice (paper, "Evetac Touch Features").
 
-Reads the recording, its tracks, and its labels where there are any; they lie beside it under the same name unless named.
+Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag.
 """
 
 from pathlib import Path
@@ -70,7 +70,7 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         outside = np.empty(slices, np.int32)
         for index, events in enumerate(recording):
             displacement[index] = features.displacement(dot_xy_px[index], rest)
-            outside[index] = features.events_outside(events.x, events.y, window) if window is not None else events.count
+            outside[index] = features.events_outside(events.x, events.y, window) if window is not None else events.size
             if index % 100 == 0:
                 progress(index, slices)
         arrays |= {

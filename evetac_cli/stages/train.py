@@ -84,7 +84,9 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
         ]
         choice = slip.choose_threshold(predictions)
     except ValueError as error:
-        raise InputError(f"cannot be trained: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more") from error
+        raise InputError(
+            f"cannot be trained: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more"
+        ) from error
     arrays: dict[str, Any] = {
         **{f"weights/{name}": value for name, value in kept[choice.checkpoint].weights.items()},
         "onnx": np.frombuffer(graphs[choice.checkpoint], np.uint8),
@@ -121,7 +123,9 @@ def read_trajectory(path: Path) -> "Trajectory":
 
     with StageFile(path, "features") as file:
         if not file.has("label"):
-            raise InputError("these features have no labels", where=str(path), hint="evetac label, then evetac featurize")
+            raise InputError(
+                "these features have no labels", where=str(path), hint="evetac label, then evetac featurize"
+            )
         return Trajectory(
             file.read("displacement_px"),
             file.read("events_per_dot"),

@@ -1,5 +1,6 @@
 """Dot grids as JSON: the keys of the official base calibration (frame_px, radius_px, dot_xy_px), and optionally
-window_px. The dots may come in any order; rows and columns are found from their centres."""
+window_px. The dots may come in any order; rows and columns are found from their centres.
+"""
 
 import json
 from dataclasses import dataclass
@@ -9,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..kernels import grid
-from .provenance import content_digest
+from evetac_cli.errors import InputError
+from evetac_cli.kernels import grid
+from evetac_cli.store.provenance import content_digest
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ def read_calibration(path: Path) -> Calibration:
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
     except KeyError as error:
-        raise InputError(f"the key {error} is missing", where=str(path), expected="frame_px, radius_px, dot_xy_px") from None
+        raise InputError(
+            f"the key {error} is missing", where=str(path), expected="frame_px, radius_px, dot_xy_px"
+        ) from None
     except (ValueError, TypeError) as error:
         raise InputError(
             f"not a calibration: {error}", where=str(path), expected="JSON with frame_px, radius_px, dot_xy_px"

@@ -16,9 +16,9 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from ..errors import InputError, SchemaError
-from . import schema
-from .provenance import Header, Recipe, first_difference
+from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.store import schema
+from evetac_cli.store.provenance import Header, Recipe, first_difference
 
 # HDF5 1.14 and everything since opens this; `latest` would need HDF5 2.0, which h5py bundles and others do not have.
 LIBVER = ("earliest", "v114")
@@ -130,7 +130,18 @@ def _read_header(path: Path, h5: h5py.File) -> Header:
         )
     try:
         header = json.loads(text)
-        required = ("kind", "version", "method", "parameters", "seed", "parents", "content", "id", "simulated", "history")
+        required = (
+            "kind",
+            "version",
+            "method",
+            "parameters",
+            "seed",
+            "parents",
+            "content",
+            "id",
+            "simulated",
+            "history",
+        )
         missing = [key for key in required if key not in header]
         int(header["version"].split(".")[0])
     except (ValueError, TypeError, KeyError, AttributeError):
@@ -236,7 +247,7 @@ def put_header(h5: h5py.File, header: Header) -> None:
 
 
 def put(h5: h5py.File, name: str, value: Any) -> None:
-    """Write one dataset: text and scalars plainly, arrays in chunks with gzip-1 and shuffle (every HDF5 tool reads it)."""
+    """Write one dataset: text and scalars plainly, arrays in chunks with gzip-1 and shuffle, which every tool reads."""
     if isinstance(value, str):
         h5.create_dataset(name, data=value, dtype=h5py.string_dtype(), track_times=False)
         return

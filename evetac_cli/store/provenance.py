@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
-from . import schema
+from evetac_cli import __version__
+from evetac_cli.store import schema
 
 Header = dict[str, Any]
 
@@ -134,7 +134,11 @@ def _difference(ours: Any, theirs: Any, where: str) -> str:
             if inner:
                 return inner
         return ""
-    return "" if canonical(ours) == canonical(theirs) else f"{where} is {_short(theirs)} in the file, {_short(ours)} wanted"
+    return (
+        ""
+        if canonical(ours) == canonical(theirs)
+        else f"{where} is {_short(theirs)} in the file, {_short(ours)} wanted"
+    )
 
 
 def _short(value: Any) -> str:

@@ -1,14 +1,14 @@
 """Read recordings and features from Python, without the command line.
 
-    from evetac_cli.store.read import open_recording, SlipWindows
+from evetac_cli.store.read import open_recording, SlipWindows
 
-    with open_recording("a.recording.h5") as recording:
-        for events in recording:                  # one Events per millisecond, numpy views
-            print(events.count, events.x, events.y)
-        burst = recording.between(1200, 1250)     # slices [1200, 1250) as one Events
+with open_recording("a.recording.h5") as recording:
+    for events in recording:                  # one Events per millisecond, numpy views
+        print(events.size, events.x, events.y)
+    burst = recording.between(1200, 1250)     # slices [1200, 1250) as one Events
 
-    data = SlipWindows(["a.features.h5", "b.features.h5"], history=10)
-    loader = torch.utils.data.DataLoader(data, batch_size=72, shuffle=True)
+data = SlipWindows(["a.features.h5", "b.features.h5"], history=10)
+loader = torch.utils.data.DataLoader(data, batch_size=72, shuffle=True)
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..events import Events
-from ..kernels import features
-from .files import StageFile
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.kernels import features
+from evetac_cli.store.files import StageFile
 
 BLOCK_SLICES = 1000
 
@@ -109,7 +109,9 @@ class SlipWindows:
         for trial, path in enumerate(paths):
             with StageFile(Path(path), "features") as file:
                 if not file.has("label"):
-                    raise InputError("these features have no labels", where=str(path), hint="evetac label, then featurize")
+                    raise InputError(
+                        "these features have no labels", where=str(path), hint="evetac label, then featurize"
+                    )
                 label = file.read("label")
                 self._trials.append((file.read("displacement_px"), file.read("events_per_dot"), label))
                 onset = int(file.read("onset_slice"))

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SchemaError
-from ..resources import schemas
+from evetac_cli.errors import SchemaError
+from evetac_cli.resources import schemas
 
 KINDS = ("recording", "labels", "tracks", "features", "model", "report")
 MAJOR = 1

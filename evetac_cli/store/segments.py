@@ -15,11 +15,11 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ..errors import InputError
-from ..events import Events
-from . import schema
-from .files import LIBVER, create, put, put_header, replacing
-from .provenance import ContentDigest, Header, Recipe
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.store import schema
+from evetac_cli.store.files import LIBVER, create, put, put_header, replacing
+from evetac_cli.store.provenance import ContentDigest, Header, Recipe
 
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
 SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
@@ -79,17 +79,12 @@ class RecordingWriter:
     def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
         """Add one slice (its events may be none) and one row to each of the named datasets."""
         self._events.append(events)
-        self._counts.append(events.count)
-        self._waiting += events.count
+        self._counts.append(events.size)
+        self._waiting += events.size
         for name, row in (rows or {}).items():
             self._rows.setdefault(name, []).append(row)
         if self._waiting >= SEGMENT_EVENTS or time.monotonic() - self._closed_at >= SEGMENT_S:
             self.close_segment()
-
-    @property
-    def slices(self) -> int:
-        """Slices appended and not yet closed into a segment."""
-        return len(self._counts)
 
     def close_segment(self) -> None:
         """Write everything that waits as the next segment."""
@@ -118,10 +113,10 @@ class RecordingWriter:
         shutil.rmtree(self.folder)
         return header
 
-    def abandon(self) -> None:
-        """Leave the segments on disk, for later rescue, and let go of the folder."""
-        self.close_segment()
+    def discard(self) -> None:
+        """Throw everything away: for a trial that can be made again."""
         self._lock.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     @staticmethod
     def _write(path: Path, arrays: Mapping[str, Any]) -> None:

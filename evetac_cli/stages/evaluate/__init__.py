@@ -56,6 +56,8 @@ def with_truth(file: StageFile) -> Iterator[Recording]:
             )
         if not recording.has("truth"):
             raise InputError(
-                "a recording without truth: only a simulation knows it", where=str(path), hint="evaluate simulated files"
+                "a recording without truth: only a simulation knows it",
+                where=str(path),
+                hint="evaluate simulated files",
             )
         yield recording

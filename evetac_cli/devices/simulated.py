@@ -1,0 +1,72 @@
+"""Camera, gripper and clock of a simulated world: reading a slice is what makes its time pass."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices import GripperReading, Rig
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.sim.world import World
+
+
+class SimulatedCamera:
+    """A camera that looks at a world, and the clock of that world."""
+
+    def __init__(self, world: World, individual: str, individual_row: Mapping[str, Any]) -> None:
+        self._world: World | None = world
+        self._now_us = 0
+        self.sensor: Mapping[str, Any] = {
+            "sensor/frame_px": np.array(individual_row["frame_px"], np.int32),
+            "sensor/individual": individual,
+            "sensor/dot_xy_px": world.grid_xy_px,
+            "sensor/dot_radius_px": np.float64(individual_row["dot_radius_px"]),
+            "sensor/window_px": np.array(individual_row["window_px"], np.int32),
+        }
+
+    def read(self) -> Events | None:
+        """Advance the world by 1 ms and return what the camera saw; None once the scene has ended."""
+        if self._world is None or self._world.finished:
+            return None
+        self._now_us += SLICE_US
+        return self._world.step()
+
+    def now_us(self) -> int:
+        """End of the slice that was read last."""
+        return self._now_us
+
+    def close(self) -> None:
+        """End the simulation."""
+        self._world = None
+
+
+class SimulatedGripper:
+    """A gripper in a world; as on the real one, a command holds until the next."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def read(self) -> GripperReading:
+        """Current and integer encoder position."""
+        finger = self._world.finger
+        return GripperReading(finger.current_ma, finger.position_ticks)
+
+    def write_current(self, current_ma: int) -> None:
+        """Current mode."""
+        self._world.command = ("current", current_ma)
+
+    def write_position(self, goal_ticks: int) -> None:
+        """Position mode."""
+        self._world.command = ("position", goal_ticks)
+
+    def close(self) -> None:
+        """Current zero."""
+        self._world.command = ("current", 0)
+
+
+def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: float) -> Rig:
+    """Build the devices of a simulated trial; each part draws from a stream of its own."""
+    mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
+    world = World(plan, mechanics, optics, **durations)
+    camera = SimulatedCamera(world, plan["individual"], plan["individual_row"])
+    return Rig(camera, SimulatedGripper(world), camera, world.truth, world.drawn.as_json())

@@ -1,0 +1,145 @@
+"""info: what stage files hold."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.console import format_value, print_table
+from evetac_cli.stages import Outcome
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.read import Recording
+
+RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor
+EVENT_BYTES = 5
+
+
+def run(files: list[Path]) -> Outcome:
+    """A row for every file, with its figures and its history."""
+    rows = [_describe(path) for path in files]
+    return Outcome(rows, any(row["simulated"] for row in rows), {"files": len(rows)})
+
+
+def show(result: Outcome) -> None:
+    """One block a file: figures first, then where it comes from."""
+    for row in result.rows:
+        figures = {name: value for name, value in row.items() if name not in ("history", "parameters", "made", "file")}
+        print(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
+        for name, value in figures.items():
+            print(f"  {name:<24} {format_value(value)}")
+        print(f"  {'made':<24} {row['made'].get('at', '?')} by evetac {row['made'].get('evetac', '?')}")
+        for ancestor in row["history"]:
+            print(f"  from {ancestor['kind']:<19} {ancestor['id'][:12]}  method {ancestor['method']}")
+    if len(result.rows) > 1:
+        common = [{"file": row["file"], "kind": row["kind"], "id": row["id"][:12]} for row in result.rows]
+        print_table("info", common, result.summary, simulated=result.simulated)
+
+
+def _describe(path: Path) -> dict[str, Any]:
+    with StageFile(path) as file:
+        header = file.header
+        row: dict[str, Any] = {
+            "file": str(path),
+            "kind": file.kind,
+            "version": header["version"],
+            "id": header["id"],
+            "method": header["method"],
+            "seed": header["seed"],
+            "simulated": header["simulated"],
+        }
+        row |= _FIGURES[file.kind](file)
+        row["size_bytes"] = path.stat().st_size
+        row["parameters"] = header["parameters"]
+        row["made"] = header.get("made", {})
+        row["history"] = [
+            {"id": id_, **{key: ancestor[key] for key in ("kind", "method", "parameters", "seed", "parents")}}
+            for id_, ancestor in header["history"].items()
+        ]
+    return row
+
+
+def _recording(file: StageFile) -> dict[str, Any]:
+    with Recording(file.path) as recording:
+        per_slice = np.diff(recording.starts)
+        seconds = len(recording) / 1000
+        bytes_s = EVENT_BYTES * recording.event_count / seconds if seconds else 0.0
+        width, height = recording.frame_px
+        grid = recording.dot_xy_px
+        return {
+            "duration_s": seconds,
+            "slices": len(recording),
+            "slices_empty": int(np.sum(per_slice == 0)),
+            "events": recording.event_count,
+            "events_a_slice_mean": float(per_slice.mean()) if len(per_slice) else 0.0,
+            "events_a_slice_most": int(per_slice.max(initial=0)),
+            "data_rate_bytes_s": bytes_s,
+            "data_rate_to_rgb": bytes_s / RGB_BYTES_S,
+            "frame_px": f"{width} x {height}",
+            "individual": recording.read("sensor/individual"),
+            "dots": "none" if grid is None else f"{grid.shape[0]} rows x {grid.shape[1]} columns",
+            "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
+            "groups": " ".join(group for group in ("gripper", "truth", "control") if recording.has(group)) or "none",
+        }
+
+
+def _labels(file: StageFile) -> dict[str, Any]:
+    label = file.read("label")
+    return {
+        "slices": len(label),
+        "onset_ms": int(file.read("onset_slice")),
+        "confidence": float(file.read("confidence")),
+        "slices_slip": int(np.sum(label == 1)),
+        "slices_not_examined": int(np.sum(label < 0)),
+        "pairs_computed": int(file.read("pairs_computed")),
+    }
+
+
+def _tracks(file: StageFile) -> dict[str, Any]:
+    dots = file.read("dot_xy_px")
+    moved = np.linalg.norm(dots - file.read("sensor/dot_xy_px").reshape(1, -1, 2), axis=2)
+    return {
+        "slices": len(dots),
+        "dots": dots.shape[1],
+        "preset": file.header["parameters"]["preset"],
+        "moved_px_most": float(np.nanmax(moved)) if moved.size else 0.0,
+        "dots_lost_at_end": int(file.read("lost")[-1].sum()) if len(dots) else 0,
+    }
+
+
+def _features(file: StageFile) -> dict[str, Any]:
+    rows, columns = file.read("dot_shape").tolist()
+    return {
+        "slices": file.length("events_total"),
+        "dots": f"{rows} rows x {columns} columns",
+        "labelled": file.has("label"),
+        "onset_ms": int(file.read("onset_slice")) if file.has("onset_slice") else None,
+    }
+
+
+def _model(file: StageFile) -> dict[str, Any]:
+    return {
+        "architecture": file.read("architecture"),
+        "history_ms": int(file.read("history")),
+        "parameters_trained": sum(
+            int(np.prod(shape)) for name, (_, shape) in file.contents().items() if name.endswith((".weight", ".bias"))
+        ),
+        "threshold": float(file.read("threshold")),
+        "steps": int(file.read("curve/step")[-1]),
+        "loss": float(file.read("curve/loss")[-1]),
+    }
+
+
+def _report(file: StageFile) -> dict[str, Any]:
+    import json
+
+    return {"command": file.read("command"), **json.loads(file.read("summary"))}
+
+
+_FIGURES = {
+    "recording": _recording,
+    "labels": _labels,
+    "tracks": _tracks,
+    "features": _features,
+    "model": _model,
+    "report": _report,
+}

@@ -1,0 +1,146 @@
+"""When an object slips: optical flow of the window against the gel (paper, "Data Labelling - Slip Classifier").
+
+Slices are drawn as pictures (grey, white where it got brighter, black where darker), the flow from the picture at t to
+the one `look_ahead` later is Farneback's, in the window and in the marker region apart, and a slice is slip where the
+two differ by more than a threshold.
+
+Why so, where the paper is silent:
+- A picture sums `accumulate` slices. One slice at the onset of slip has a few dozen events in the window, and of those
+  the next picture shows others: single slices have nothing to correspond.
+- The flow of a region is its mean over the pixels with events. Elsewhere the picture is flat, and so is the flow.
+- Where the window itself does not move, the object does not, and nothing can slip: the flow of the gel, five times as
+  dear, is then left out, and so are pairs whose window has hardly any events.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events
+
+GREY = 128
+FARNEBACK = {"pyr_scale": 0.5, "levels": 3, "winsize": 15, "iterations": 3, "poly_n": 5, "poly_sigma": 1.2, "flags": 0}
+
+Region = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
+Between = Callable[[int, int], Events]  # events of the slices [start, stop)
+
+
+@dataclass(frozen=True)
+class FlowConstants:
+    """Constants of the slip labels; lengths in px over the look-ahead, times in slices of 1 ms."""
+
+    threshold_px: float
+    look_ahead_ms: int
+    accumulate_ms: int
+    min_events: int
+    confirm_ms: int
+    coarse_ms: int
+    after_ms: int
+
+
+class Labels(NamedTuple):
+    """Slip labels of a trajectory."""
+
+    label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
+    relative_flow_px: NDArray[np.float32]  # (slices,) NaN where not computed
+    onset: int  # first slice of slip, -1 if there is none
+    confidence: float  # share of the slices in the `after_ms` from the onset that are slip; NaN without onset
+    pairs: int  # pairs of pictures whose flow was computed
+
+
+def picture(events: Events, region: Region) -> NDArray[np.uint8]:
+    """Events of a region as a picture: grey, lighter where more events were brighter, darker where more were darker."""
+    x0, y0, x1, y1 = region
+    inside = (events.x >= x0) & (events.x < x1) & (events.y >= y0) & (events.y < y1)
+    place = (events.y[inside].astype(np.int64) - y0) * (x1 - x0) + (events.x[inside] - x0)
+    sign = 2 * events.p[inside].astype(np.int64) - 1
+    balance = np.bincount(place, weights=sign, minlength=(x1 - x0) * (y1 - y0))
+    drawn = GREY + 127 * np.sign(balance)
+    return drawn.reshape(y1 - y0, x1 - x0).astype(np.uint8)
+
+
+def region_flow(now: NDArray[np.uint8], later: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Mean flow (x, y) in px from one picture to another, over the pixels with events in the first."""
+    lit = now != GREY
+    if not lit.any():
+        return np.zeros(2)
+    flow = cv2.calcOpticalFlowFarneback(now, later, None, **FARNEBACK)
+    return np.asarray(flow[lit].mean(axis=0), np.float64)
+
+
+def label(between: Between, slices: int, window: Region, gel: Region, constants: FlowConstants) -> Labels:
+    """Find the onset coarse to fine from the start, and label the slices after it.
+
+    `between(start, stop)` gives events of slices. The search looks at every `coarse_ms`-th slice; where one is slip it
+    goes back to the slice before and on from there one by one, until a slice is found from which slip holds for
+    `confirm_ms`. Slices before the onset are no slip, those later than `after_ms` after it are not examined.
+    """
+    search = _Search(between, slices, window, gel, constants)
+    onset = search.onset()
+    labels = np.zeros(slices, np.int8)
+    if onset < 0:
+        return Labels(labels, search.relative_px, -1, float("nan"), search.pairs)
+    stop = min(onset + constants.after_ms, slices)
+    labels[stop:] = -1
+    for index in range(onset, stop):
+        labels[index] = search.slips(index)
+    return Labels(labels, search.relative_px, onset, float(labels[onset:stop].mean()), search.pairs)
+
+
+class _Search:
+    """Flow of a trajectory, computed where it is asked for and remembered."""
+
+    def __init__(self, between: Between, slices: int, window: Region, gel: Region, constants: FlowConstants) -> None:
+        self._between = between
+        self._window, self._gel = window, gel
+        self._constants = constants
+        self.slices = slices
+        self.relative_px = np.full(slices, np.nan, np.float32)
+        self._known: dict[int, bool] = {}
+        self.pairs = 0
+
+    def onset(self) -> int:
+        """First slice from which slip holds for `confirm_ms`, or -1."""
+        checked = -1
+        for coarse in range(0, self.slices, self._constants.coarse_ms):
+            if not self.slips(coarse):
+                continue
+            first = max(checked + 1, coarse - self._constants.coarse_ms + 1)
+            for index in range(first, coarse + 1):
+                if self._confirmed(index):
+                    return index
+            checked = coarse
+        return -1
+
+    def _confirmed(self, index: int) -> bool:
+        stop = min(index + self._constants.confirm_ms, self.slices)
+        return all(self.slips(later) for later in range(index, stop))
+
+    def slips(self, index: int) -> bool:
+        """Whether the window moves against the gel between this slice and the one `look_ahead_ms` later."""
+        if index not in self._known:
+            self._known[index] = self._compute(index)
+        return self._known[index]
+
+    def _compute(self, index: int) -> bool:
+        constants = self._constants
+        later = index + constants.look_ahead_ms
+        if later + constants.accumulate_ms > self.slices:
+            return False
+        now_events = self._between(index, index + constants.accumulate_ms)
+        later_events = self._between(later, later + constants.accumulate_ms)
+        now, then = picture(now_events, self._window), picture(later_events, self._window)
+        if min(np.count_nonzero(now != GREY), np.count_nonzero(then != GREY)) < constants.min_events:
+            return False
+        self.pairs += 1
+        window_flow = region_flow(now, then)
+        if np.hypot(*window_flow) <= constants.threshold_px:
+            return False
+        gel_flow = region_flow(picture(now_events, self._gel), picture(later_events, self._gel))
+        relative = float(np.hypot(*(window_flow - gel_flow)))
+        self.relative_px[index] = relative
+        return relative > constants.threshold_px

@@ -1,0 +1,212 @@
+"""The slip network: the paper's shapes and counts, its arrays, and its ONNX graph."""
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from evetac_cli.kernels import networks
+from evetac_cli.kernels.networks import SlipNet
+from evetac_cli.kernels.slip import ARCHITECTURES, Architecture
+
+HIST10 = ARCHITECTURES["hist10"]
+
+
+@pytest.fixture
+def network() -> SlipNet:
+    """Give a network with seeded weights."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(5)
+        return SlipNet(HIST10)
+
+
+def features(batch: int, seed: int = 0) -> NDArray[np.float32]:
+    """Give random inputs as large as a busy gel's."""
+    return np.random.default_rng(seed).normal(2, 5, (batch, 56, 20)).astype(np.float32)
+
+
+def probability(network: SlipNet, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Run the network in torch."""
+    with torch.no_grad():
+        return torch.sigmoid(network(torch.from_numpy(inputs))).numpy()
+
+
+def session(graph: bytes) -> onnxruntime.InferenceSession:
+    """Load a graph for one thread, as grasp does."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+
+@pytest.mark.parametrize(
+    ("architecture", "count"),
+    [
+        (HIST10, 15_125),
+        (Architecture("nohist", 1, True, True, 1, 0, 10, 4), 14_895),
+        (Architecture("hist20", 20, True, True, 20, 0, 20, 8), 16_385),
+        (Architecture("fastslow", 50, True, True, 10, 10, 15, 8), 15_990),
+    ],
+    ids=lambda value: value.name if isinstance(value, Architecture) else "",
+)
+def test_parameter_count_is_the_papers(architecture: Architecture, count: int) -> None:
+    """Assert that layers have the sizes that the paper's table gives."""
+    assert networks.parameters(SlipNet(architecture)) == count
+
+
+def test_shapes_are_the_papers(network: SlipNet) -> None:
+    """Assert that the layers give 56 x 4, 7 x 6 x 16, 3 x 3 x 32, 32, 10 and 1 values."""
+    shapes = {}
+    for name, layer in network.named_children():
+        layer.register_forward_hook(lambda _, __, out, name=name: shapes.update({name: tuple(out.shape[1:])}))
+    assert network(torch.from_numpy(features(2))).shape == (2,)
+    assert shapes == {
+        "fc1": (56, 12),
+        "fc2": (56, 4),
+        "conv1": (16, 7, 6),
+        "pool": (16, 3, 3),
+        "conv2": (32, 3, 3),
+        "fc3": (32,),
+        "fc4": (10,),
+        "fc5": (1,),
+    }
+
+
+def test_dots_lie_row_by_row(network: SlipNet) -> None:
+    """Assert that a change at the dot of row 2, column 5 reaches only its 3 x 3 neighbours in the first convolution."""
+    outputs = []
+    network.conv1.register_forward_hook(lambda _, __, out: outputs.append(out.detach().numpy()))
+    inputs = features(1)
+    network(torch.from_numpy(inputs))
+    inputs[0, 2 * 8 + 5] += 50
+    network(torch.from_numpy(inputs))
+    touched = np.any(outputs[0] != outputs[1], axis=(0, 1))
+    # no padding across columns: column c of the output looks at columns c .. c + 2
+    expected = np.zeros((7, 6), bool)
+    expected[1:4, 3:6] = True
+    np.testing.assert_array_equal(touched, expected)
+
+
+def test_encoder_is_shared_and_the_rest_is_spatial(network: SlipNet) -> None:
+    """Assert that permuted dots have permuted codes, but another verdict."""
+    codes = []
+    network.fc2.register_forward_hook(lambda _, __, out: codes.append(out.detach().numpy()))
+    order = np.random.default_rng(1).permutation(56)
+    inputs = features(4)
+    straight = probability(network, inputs)
+    permuted = probability(network, inputs[:, order])
+    np.testing.assert_allclose(codes[1], codes[0][:, order], atol=1e-5)
+    assert np.all(np.abs(straight - permuted) > 1e-4)
+
+
+def test_samples_do_not_see_each_other(network: SlipNet) -> None:
+    """Assert that a sample alone is judged as among others."""
+    inputs = features(8)
+    alone = np.concatenate([probability(network, one[None]) for one in inputs])
+    np.testing.assert_allclose(alone, probability(network, inputs), atol=1e-6)
+
+
+def test_normalisation_is_applied_first_and_not_trained() -> None:
+    """Assert that offset and scale act as (x - offset) * scale and are no parameters."""
+    rng = np.random.default_rng(2)
+    offset, scale = rng.normal(size=20), rng.uniform(0.5, 2, 20)
+    normalised = SlipNet(HIST10, input_scale=scale, input_offset=offset)
+    arrays = networks.weights(normalised)
+    plain = networks.from_weights(
+        HIST10, arrays | {"input_scale": np.ones(20, np.float32), "input_offset": np.zeros(20, np.float32)}
+    )
+    inputs = features(5)
+    moved = ((inputs - offset) * scale).astype(np.float32)
+    np.testing.assert_allclose(probability(normalised, inputs), probability(plain, moved), atol=1e-6)
+    assert networks.parameters(normalised) == 15_125
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_weights_come_back(normalised: bool) -> None:
+    """Assert that a network rebuilt from its arrays has the same arrays and the same verdicts, bit for bit."""
+    scale = np.linspace(0.5, 2, 20) if normalised else None
+    network = SlipNet(HIST10, input_scale=scale)
+    arrays = networks.weights(network)
+    again = networks.from_weights(HIST10, arrays)
+    assert {array.dtype for array in arrays.values()} == {np.dtype(np.float32)}
+    assert all(np.array_equal(networks.weights(again)[name], array) for name, array in arrays.items())
+    np.testing.assert_array_equal(probability(again, features(3)), probability(network, features(3)))
+
+
+def test_weights_are_copies(network: SlipNet) -> None:
+    """Assert that a kept checkpoint does not change when training goes on, nor a network when its arrays do."""
+    arrays = networks.weights(network)
+    before = arrays["fc4.bias"].copy()
+    again = networks.from_weights(HIST10, arrays)
+    with torch.no_grad():
+        network.fc4.bias.add_(1)
+    np.testing.assert_array_equal(arrays["fc4.bias"], before)
+    arrays["fc4.bias"] += 1
+    np.testing.assert_array_equal(networks.weights(again)["fc4.bias"], before)
+
+
+def test_weights_that_do_not_fit_are_refused(network: SlipNet) -> None:
+    """Assert that missing names, other shapes and values that are not finite are refused by name."""
+    arrays = networks.weights(network)
+    with pytest.raises(ValueError, match=r"expected weights .*found"):
+        networks.from_weights(HIST10, {name: array for name, array in arrays.items() if name != "fc3.bias"})
+    with pytest.raises(ValueError, match=r"fc1.weight: expected shape \(12, 20\), found \(12, 2\)"):
+        networks.from_weights(HIST10, arrays | {"fc1.weight": arrays["fc1.weight"][:, :2]})
+    with pytest.raises(ValueError, match=r"conv2.bias: expected finite"):
+        networks.from_weights(HIST10, arrays | {"conv2.bias": np.full(32, np.nan, np.float32)})
+
+
+@pytest.mark.parametrize("batch", [1, 72])
+@pytest.mark.parametrize("normalised", [False, True])
+def test_onnx_agrees_with_torch(batch: int, normalised: bool) -> None:
+    """Assert that the ONNX graph gives torch's probabilities to 1e-5, at inputs that spread them over 0..1."""
+    rng = np.random.default_rng(batch)
+    scale, offset = (rng.uniform(0.2, 2, 20), rng.normal(size=20)) if normalised else (None, None)
+    network = SlipNet(HIST10, input_scale=scale, input_offset=offset)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.copy_(torch.from_numpy(rng.normal(0, 0.3, parameter.shape).astype(np.float32)))
+        network.fc5.weight.mul_(0.01)
+    inputs = features(batch, seed=batch)
+    expected = probability(network, inputs)
+    (found,) = session(networks.onnx_graph(network)).run(None, {"features": inputs})
+    assert found.shape == (batch,)
+    assert batch == 1 or np.ptp(expected) > 0.1
+    np.testing.assert_allclose(found, expected, atol=1e-5, rtol=0)
+
+
+def test_onnx_signature(network: SlipNet) -> None:
+    """Assert that the graph takes features (batch, 56, 20) and gives probability (batch,), both float32."""
+    graph = session(networks.onnx_graph(network))
+    (source,), (target,) = graph.get_inputs(), graph.get_outputs()
+    assert (source.name, source.shape, source.type) == ("features", ["batch", 56, 20], "tensor(float)")
+    assert (target.name, target.shape, target.type) == ("probability", ["batch"], "tensor(float)")
+
+
+def test_onnx_bytes_follow_the_weights(network: SlipNet) -> None:
+    """Assert that equal weights give equal bytes and other weights others."""
+    again = networks.from_weights(HIST10, networks.weights(network))
+    assert networks.onnx_graph(again) == networks.onnx_graph(network)
+    with torch.no_grad():
+        again.fc5.bias.add_(1)
+    assert networks.onnx_graph(again) != networks.onnx_graph(network)
+
+
+def test_other_grids() -> None:
+    """Assert that the closed gel's 7 x 9 dots and a small grid go through torch and ONNX alike."""
+    for rows, columns in ((7, 9), (2, 4)):
+        network = SlipNet(HIST10, rows, columns)
+        inputs = np.random.default_rng(3).normal(size=(4, rows * columns, 20)).astype(np.float32)
+        (found,) = session(networks.onnx_graph(network)).run(None, {"features": inputs})
+        np.testing.assert_allclose(found, probability(network, inputs), atol=1e-5, rtol=0)
+
+
+def test_impossible_networks_are_refused() -> None:
+    """Assert that grids too small to pool and scales of another length or not finite are refused."""
+    with pytest.raises(ValueError, match="2 x 4"):
+        SlipNet(HIST10, 7, 3)
+    with pytest.raises(ValueError, match="one finite value a channel"):
+        SlipNet(HIST10, input_scale=np.ones(19))
+    with pytest.raises(ValueError, match="one finite value a channel"):
+        SlipNet(HIST10, input_offset=np.full(20, np.inf))
