@@ -64,7 +64,7 @@ class Reference:
         self.rest = rest_px.copy()
         self.centres = rest_px.copy()
         self.gradient = np.zeros_like(rest_px)
-        self.ring_events = np.zeros(len(rest_px), int)
+        self.ring_events = np.zeros(len(rest_px), np.int64)
         self.neighbours: list[list[int]] = []
         for row in range(rows):
             for column in range(columns):
@@ -89,13 +89,12 @@ class Reference:
         for event in np.stack([x, y], axis=1).astype(float):
             if event[0] >= 640 or event[1] >= 480:
                 continue
-            for i, centre in enumerate(self.centres):
-                away = event - centre
-                norm = np.linalg.norm(away)
-                events[i] += norm < 20
-                if 10 < norm < 20:
-                    self.gradient[i] += -2 * (away - 15 * away / norm)
-                    self.ring_events[i] += 1
+            away = event - self.centres
+            norm = np.linalg.norm(away, axis=1)
+            events += norm < 20
+            ring = (norm > 10) & (norm < 20)
+            self.gradient[ring] += -2 * (away - 15 * away / norm[:, None])[ring]
+            self.ring_events += ring
         moved = self.centres.copy()
         for i in np.flatnonzero(self.ring_events > 10):
             regulariser = np.zeros(2)
@@ -148,7 +147,7 @@ def test_agrees_with_plain_reference(preset: str) -> None:
     state = tracker.start(rest, PRESETS[preset])
     reference = Reference(3, 3, rest, PRESETS[preset])
     for k in range(80):
-        x, y = random_events(rng, rest + 0.1 * k, 200)
+        x, y = random_events(rng, rest + 0.1 * k, 300)
         tracker.step(state, x, y)
         events = reference.step(x, y)
         assert np.abs(state.dot_xy_px - reference.centres).max() < 1e-9

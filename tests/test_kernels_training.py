@@ -90,7 +90,7 @@ def test_busy_means_more_than_25_events_outside_the_window() -> None:
 
 def test_unexamined_slices_are_no_samples() -> None:
     """Assert that a label of -1 is in no pool."""
-    one = trajectory(60, 40)
+    one = trajectory(60, 40, np.arange(60) % 2 == 0)
     one.label[20:45] = -1
     samples = training.gather([one], HIST10)
     drawn = np.concatenate([samples.slip, samples.busy, samples.quiet])
@@ -250,6 +250,13 @@ def test_same_seed_same_network(problem: Samples, recipe: training.Recipe) -> No
     assert same(first, second)
     np.testing.assert_array_equal(first.curve_loss, second.curve_loss)
     assert not same(first, other)
+
+
+def test_seed_sets_the_first_weights_too(problem: Samples) -> None:
+    """Assert that runs that learn nothing still end with other weights for another seed."""
+    idle = replace(PAPER, learning_rate=0.0)
+    first, second = (training.train(problem, idle, np.random.default_rng(seed), max_steps=1) for seed in (4, 5))
+    assert not same(first, second)
 
 
 def test_global_generators_are_left_alone(problem: Samples) -> None:

@@ -6,10 +6,9 @@ recordings (`displacement`, `windows`) give the same bits. Dots are flattened ro
 Why so:
 - Places are rounded to float32 before the distance is taken, because tracks are stored that way: a live track and the
   same track read from a file then have the same features.
-- The paper rotates windows of the 7 x 8 grid by quarter turns, "crop and pad" without saying how. `rotate` turns
-  counter-clockwise (as seen in the image) about the middle of the grid: rows are cut and columns of zeros put in on
-  both sides alike. Where that is half a dot, a quarter turn either way loses the leftmost column of dots and leaves
-  zeros in the leftmost column. Three quarter turns undo one, and four single ones put what is left back in its place.
+- The paper rotates windows of the 7 x 8 grid by quarter turns, "crop and pad" without saying how. `rotate` turns the
+  middle square of the grid counter-clockwise (as seen in the image) and leaves zeros beside it. The odd column over,
+  for 7 x 8 the leftmost, is the one cut. So three quarter turns undo one, and four give back the square in its place.
 """
 
 from dataclasses import dataclass
@@ -56,7 +55,7 @@ def start(rest_xy_px: NDArray[np.floating], history: int) -> FeatureState:
     return state
 
 
-def step(state: FeatureState, dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.int32]) -> None:
+def step(state: FeatureState, dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
     """Take in one slice: the dots' places, (n, 2) in px, and their events, (n,). ValueError for other shapes."""
     if dot_xy_px.shape != state.rest_xy_px.shape or events_per_dot.shape != dot_xy_px.shape[:1]:
         raise ValueError(
@@ -77,7 +76,7 @@ def window(state: FeatureState) -> NDArray[np.float32]:
     if not state.full:
         raise ValueError(f"window: expected at least {state.history} slices, found {state.slices}")
     last = state.ring[:, :, state.newest : state.newest + state.history]
-    return last.reshape(len(state.rest_xy_px), 2 * state.history)
+    return last.copy().reshape(len(state.rest_xy_px), 2 * state.history)
 
 
 def displacement(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -98,7 +97,7 @@ def displacement(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floatin
 
 
 def windows(
-    displacement_px: NDArray[np.float32], events_per_dot: NDArray[np.int32], history: int, at: NDArray[np.integer]
+    displacement_px: NDArray[np.float32], events_per_dot: NDArray[np.integer], history: int, at: NDArray[np.integer]
 ) -> NDArray[np.float32]:
     """All inputs of a network at the slices `at` of a recording: (len(at), n, 2 * history), each as from `window`.
 
@@ -126,20 +125,18 @@ def windows(
 def rotate(windows: NDArray[np.float32], quarter_turns: int) -> NDArray[np.float32]:
     """Turn windows (k, rows, columns, c) as if the object had been grasped in another direction; returns a new array.
 
-    Half turns are exact; quarter turns crop and pad as the head of this module says. ValueError for other shapes and
-    for more rows than columns. Source: paper, "Model Training & Data Selection".
+    Half turns are exact; quarter turns keep only the middle square, see the head of this module. ValueError for other
+    shapes and for more rows than columns. Source: paper, "Model Training & Data Selection".
     """
     if windows.ndim != 4 or windows.shape[1] > windows.shape[2]:
         raise ValueError(f"windows: expected (k, rows, columns, c) with rows <= columns, found shape {windows.shape}")
-    turned = np.rot90(windows, quarter_turns % 4, axes=(1, 2))
     if quarter_turns % 2 == 0:
-        return turned.copy()
+        return np.rot90(windows, quarter_turns, axes=(1, 2)).copy()
     rows, columns = windows.shape[1:3]
-    few = (columns - rows) // 2
-    many = columns - rows - few
-    cut_above = few if quarter_turns % 4 == 1 else many  # the leftmost column comes out below or above
+    first = (columns - rows + 1) // 2
+    square = slice(first, first + rows)
     result = np.zeros_like(windows)
-    result[:, :, many : many + rows] = turned[:, cut_above : cut_above + rows]
+    result[:, :, square] = np.rot90(windows[:, :, square], quarter_turns, axes=(1, 2))
     return result
 
 

@@ -154,7 +154,7 @@ class World:
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
         self._move()
-        shift_m = gel.displacement_at(self._gel, self._at_dots)
+        shift_m = gel.displacement_at(self._gel, *self._at_dots)
         dot_xy_px = self.grid_xy_px.reshape(-1, 2) + shift_m * (1e3 / self._mm_per_px)
         object_xy_px = self._gel.pose[:2] * (1e3 / self._mm_per_px)
         events = self._see(dot_xy_px, object_xy_px, self.slices * SLICE_US)

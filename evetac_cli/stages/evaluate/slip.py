@@ -9,7 +9,7 @@ from evetac_cli.kernels.detector import Detector
 from evetac_cli.params import EvaluateSlip, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, report, report_job
-from evetac_cli.stages.train import check_disjoint, object_of
+from evetac_cli.stages.train import check_disjoint, predict, read_trajectory
 from evetac_cli.store.files import StageFile
 
 INPUTS = ("features", "model")
@@ -37,8 +37,7 @@ def run(job: Job, params: EvaluateSlip, *, force: bool = False, progress: Progre
         dot_shape = model.read("dot_shape").tolist()
         model_header = model.header
     headers = []
-    predictions: list[slip.Prediction] = []
-    for number, path in enumerate(features_paths):
+    for path in features_paths:
         with StageFile(path, "features") as file:
             if not file.has("label"):
                 raise InputError("these features have no labels", where=str(path), hint="evetac label, then featurize")
@@ -49,17 +48,15 @@ def run(job: Job, params: EvaluateSlip, *, force: bool = False, progress: Progre
                     expected=str(dot_shape),
                     found=str(file.read("dot_shape").tolist()),
                 )
-            probability = detector.over(file.read("displacement_px"), file.read("events_per_dot"))
-            onset = int(file.read("onset_slice"))
-            predictions.append(slip.Prediction(probability, file.read("label"), onset, object_of(file.header)))
             headers.append(file.header)
-        progress(number + 1, len(features_paths))
     check_disjoint([model_header], headers, "evaluated on")
     parameters: dict[str, Any] = {**recipe_of(params), "threshold": threshold}
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         rows = []
-        for path, prediction in zip(features_paths, predictions, strict=True):
+        predictions = []
+        for number, (path, header) in enumerate(zip(features_paths, headers, strict=True)):
+            prediction = predict(detector, read_trajectory(path), header)
             first = slip.onset(prediction.detected(threshold))
             labelled = prediction.onset >= 0
             rows.append(
@@ -73,6 +70,8 @@ def run(job: Job, params: EvaluateSlip, *, force: bool = False, progress: Progre
                     "f1": prediction.counts(threshold).f1,
                 }
             )
+            predictions.append(prediction)
+            progress(number + 1, len(features_paths))
         return rows, slip.score(predictions, threshold)
 
     return report(job, "evaluate slip", METHOD, parameters, [model_header, *headers], measure, force=force)
