@@ -62,12 +62,12 @@ class Label:
     """Label when the object slips, from optical flow in the window."""
 
     threshold_px: float = parameter(
-        0.6, "Relative flow of window against gel over the look-ahead that counts as slip.", unit="px", low=0.0
+        0.3, "Relative flow of window against gel over the look-ahead that counts as slip.", unit="px", low=0.0
     )
     look_ahead_ms: int = parameter(
         4, "Flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100
     )
-    accumulate_ms: int = parameter(5, "Slices summed into one event image.", unit="ms", low=1, high=100)
+    accumulate_ms: int = parameter(3, "Slices summed into one event image.", unit="ms", low=1, high=100)
     min_events: int = parameter(
         20, "Window images with fewer events have no flow; their pair is left out.", unit="events", low=1
     )

@@ -208,6 +208,8 @@ def test_events_outside_the_window() -> None:
     y = np.array([0, 0, 479, 100, 480, 50], np.uint16)
     assert features.events_outside(x, y, (540, 0, 640, 480)) == 3
     assert features.events_outside(x, y, np.array([540, 100, 640, 480], np.int32)) == 4
+    assert features.events_outside(x, y, (500, 0, 540, 480)) == 5
+    assert features.events_outside(x, y, (540, 0, 640, 100)) == 5
     assert features.events_outside(x, y, None) == 6
     assert features.events_outside(x[:0], y[:0], (540, 0, 640, 480)) == 0
 

@@ -258,6 +258,24 @@ def test_gradient_clip_bounds_the_speed() -> None:
     assert state.dot_xy_px[0] == pytest.approx([301.2, 200], abs=1e-12)
 
 
+def test_a_dot_moves_at_most_its_radius() -> None:
+    """Assert that a step size far beyond the stable ones moves a dot by its radius per axis and not further."""
+    state = single(constants=replace(PAPER, step_size=1.0))
+    tracker.step(state, *columns([(312, 213)] * 100))
+    assert state.dot_xy_px.tolist() == [[315, 215]]
+
+
+def test_dots_stay_in_the_frame() -> None:
+    """Assert that a dot pushed out of the frame at any of its four corners stops at the last pixel."""
+    corners = np.array([[0, 0], [639, 0], [0, 479], [639, 479]])
+    inwards = np.sign(np.array([320, 240]) - corners)
+    state = tracker.start(corners + 3.0 * inwards, replace(PAPER, step_size=1.0))
+    # Events 12 px off, inside the dot's edge, push it away from them.
+    events = corners[:, None] + 3 * inwards[:, None] + inwards[:, None] * np.array([(12, 0), (0, 12)] * 6)
+    tracker.step(state, *columns(events.reshape(-1, 2)))
+    assert state.dot_xy_px.tolist() == corners.tolist()
+
+
 def test_missing_dot_takes_no_part() -> None:
     """Assert that a NaN dot stays NaN, has no events and no neighbours, and that its neighbours do without it."""
     rest = grid()

@@ -49,9 +49,8 @@ def start(rest_xy_px: NDArray[np.floating], history: int) -> FeatureState:
     rest = _checked_rest(rest_xy_px)
     _check_history(history)
     state = FeatureState(rest, history, np.zeros((len(rest), 2, 2 * history), np.float32))
-    _push(
-        rest, np.zeros(len(rest), np.int32), rest, state.ring, 0
-    )  # compiles or loads it now; the first slice overwrites
+    # Compiles or loads the kernel now and not in the first slice; writes zeros over zeros.
+    _push(rest, np.zeros(len(rest), np.int32), rest, state.ring, state.newest)
     return state
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import Events
 
 GREY = 128
-FARNEBACK = {"pyr_scale": 0.5, "levels": 3, "winsize": 15, "iterations": 3, "poly_n": 5, "poly_sigma": 1.2, "flags": 0}
+FARNEBACK = {"pyr_scale": 0.5, "levels": 3, "winsize": 31, "iterations": 3, "poly_n": 5, "poly_sigma": 1.2, "flags": 0}
 
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
 Between = Callable[[int, int], Events]  # events of the slices [start, stop)

@@ -160,6 +160,16 @@ def f1(label: NDArray[np.int8], detected: NDArray[np.bool_], onset: int) -> floa
     return counts(label, detected, onset).f1
 
 
+class Trajectory(NamedTuple):
+    """What a detector learns from, or is judged on: one trajectory, slice by slice."""
+
+    displacement_px: NDArray[np.float32]  # (slices, dots)
+    events_per_dot: NDArray[np.int32]  # (slices, dots)
+    events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
+    label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
+    onset: int  # first slice of slip, -1 if there is none
+
+
 @dataclass(frozen=True)
 class Prediction:
     """What a detector says of one trajectory, and what its labels say.

@@ -55,16 +55,6 @@ RECIPES = {
 }
 
 
-class Trajectory(NamedTuple):
-    """What is learned from one trajectory, slice by slice."""
-
-    displacement_px: NDArray[np.float32]  # (slices, dots)
-    events_per_dot: NDArray[np.int32]  # (slices, dots)
-    events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
-    label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
-    onset: int  # first slice of slip, -1 if there is none
-
-
 @dataclass(frozen=True)
 class Samples:
     """Trajectories end to end, and for each pool the slices (int64) at which a sample's history ends."""
@@ -89,7 +79,7 @@ class Samples:
 
 
 def gather(
-    trajectories: Sequence[Trajectory], architecture: slip.Architecture, rows: int = 7, columns: int = 8
+    trajectories: Sequence[slip.Trajectory], architecture: slip.Architecture, rows: int = 7, columns: int = 8
 ) -> Samples:
     """Sort the slices of trajectories into the three pools.
 
@@ -307,7 +297,7 @@ def _evenly(steps: int, points: int) -> list[int]:
     return sorted({max(1, round(steps * (index + 1) / points)) for index in range(points)})
 
 
-def _check(trajectory: Trajectory, dots: int) -> None:
+def _check(trajectory: slip.Trajectory, dots: int) -> None:
     slices = len(trajectory.label)
     expected = {
         "displacement_px": (slices, dots),

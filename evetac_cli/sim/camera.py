@@ -29,7 +29,9 @@ from numpy.typing import ArrayLike, NDArray
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim import optics
 
-# A rim's steepest slope is 0.53 log units per px, so a level drifts by at most 0.005 before it is looked at again.
+# A rim's steepest slope is 0.53 log units per px, so a level drifts by at most 0.005 before it is looked at again. Against
+# every pixel in every scan this loses 1.9 % of the events at 0.005 px/ms, 0.9 % at 0.05, under 0.1 % from 0.3 up, and
+# delays the rest by the time it takes a dot to move this far. Tremor below it is not seen.
 RESOLUTION_PX = 0.01
 FARTHEST_PX = 1e6
 # No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
@@ -247,9 +249,11 @@ def _scan_dots(
             moved = math.sqrt(moved_x * moved_x + moved_y * moved_y)
             if moved < RESOLUTION_PX:
                 continue
-            # Centred half way, a ring widened by half the path holds both rings; after a jump, two rings are less.
-            jumped = moved > outer - inner
+            # Outside a ring centred half way and widened by half the path, a pixel was and is under the dot, or was and
+            # is not. After a jump the two discs are less: all of them, since a pixel may go from ink to gel at once.
+            jumped = moved > outer
             widened = 0.0 if jumped else 0.5 * moved
+            hole = 0.0 if jumped else inner - widened
             for visit in range(2 if jumped else 1):
                 back = float(visit) if jumped else 0.5
                 centre_x = now_xy[dot, 0] - back * moved_x
@@ -258,7 +262,7 @@ def _scan_dots(
                 made = _compare_ring(
                     centre_x,
                     centre_y,
-                    inner - widened,
+                    hole,
                     outer + widened,
                     near_xy[:near],
                     inner,

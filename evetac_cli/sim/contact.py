@@ -120,7 +120,9 @@ def force_curve(
     closing = (2 * corner + force / finger_stiffness_n_m) / metres_per_tick
     entries = int(min(reach_ticks, closing[-1]) / step_ticks * (1 + 1e-12)) + 1
     if entries < 2:
-        raise ValueError(f"the gel is pressed flat {closing[-1]:.3g} ticks after touch, less than step_ticks {step_ticks}")
+        raise ValueError(
+            f"the gel is pressed flat {closing[-1]:.3g} ticks after touch, less than step_ticks {step_ticks}"
+        )
     ticks = step_ticks * np.arange(entries)
     return ForceCurve(step_ticks, metres_per_tick, np.interp(ticks, closing, force), np.interp(ticks, closing, corner))
 
@@ -139,9 +141,9 @@ def lookup(table: Floats, step_ticks: float, closing_ticks: float) -> float:
         return 0.0
     place = closing_ticks / step_ticks
     if place >= table.shape[0] - 1:
-        return table[-1]
+        return float(table[-1])
     entry = int(place)
-    return table[entry] + (place - entry) * (table[entry + 1] - table[entry])
+    return float(table[entry] + (place - entry) * (table[entry + 1] - table[entry]))
 
 
 @njit(cache=True)

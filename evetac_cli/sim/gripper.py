@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .contact import ForceCurve, closing_at, lookup
+from evetac_cli.sim.contact import ForceCurve, closing_at, lookup
 
 Mode = Literal["position", "current"]
 
@@ -88,21 +88,21 @@ def gap_m(position_ticks: float) -> float:
     return LINK_PAIR_M * math.sin(START_RAD - TICK_RAD * position_ticks) + LINK_OFFSET_M
 
 
-def ticks_at_gap(gap_m: float) -> float:
-    """Position in ticks at which the fingers are gap_m apart: where an object of that width is first touched."""
-    sine = (gap_m - LINK_OFFSET_M) / LINK_PAIR_M
-    if not (0.0 <= gap_m and sine <= math.sin(START_RAD)):
-        raise ValueError(f"gap_m must be within [0, 0.1048] m, found {gap_m}")
+def ticks_at_gap(width_m: float) -> float:
+    """Position in ticks at which the fingers are width_m apart: where an object of that width is first touched."""
+    sine = (width_m - LINK_OFFSET_M) / LINK_PAIR_M
+    if not (width_m >= 0.0 and sine <= math.sin(START_RAD)):
+        raise ValueError(f"width_m must be within [0, 0.1048], found {width_m}")
     return (START_RAD - math.asin(sine)) / TICK_RAD
 
 
-def metres_per_tick(gap_m: float) -> float:
-    """How much one tick changes the gap between the fingers, in m, where they are gap_m apart."""
-    return LINK_PAIR_M * TICK_RAD * math.cos(START_RAD - TICK_RAD * ticks_at_gap(gap_m))
+def metres_per_tick(width_m: float) -> float:
+    """How much one tick changes the gap between the fingers, in m, where they are width_m apart."""
+    return LINK_PAIR_M * TICK_RAD * math.cos(START_RAD - TICK_RAD * ticks_at_gap(width_m))
 
 
 def start(drive: Drive, curve: ForceCurve, touch_ticks: float, closing_ticks: float = -2.0) -> DriveState:
-    """A finger at rest, closing_ticks past first touch (negative: before it), which is at touch_ticks of the gripper."""
+    """A finger at rest, closing_ticks past first touch (negative: before it), which lies at touch_ticks."""
     if not drive.open_ticks <= touch_ticks + closing_ticks <= drive.closed_ticks:
         raise ValueError(
             f"the finger must start within [{drive.open_ticks:g}, {drive.closed_ticks:g}] ticks,"
@@ -114,7 +114,7 @@ def start(drive: Drive, curve: ForceCurve, touch_ticks: float, closing_ticks: fl
 
 
 def closed_with(drive: Drive, curve: ForceCurve, touch_ticks: float, current_ma: float) -> DriveState:
-    """A finger that closed slowly under a constant current and came to rest: N = (kF I - Fc) / (1 + fl), or at touch."""
+    """A finger that closed slowly under a constant current and rests: N = (kF I - Fc) / (1 + fl), 0 at the least."""
     push_n = drive.force_per_current_n_ma * current_ma - drive.friction_n
     state = start(drive, curve, touch_ticks, closing_at(curve, max(push_n, 0.0) / (1 + drive.friction_share)))
     state.current_ma = float(current_ma)
@@ -125,7 +125,8 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
     """Move the finger for dt_s under a command and return its normal force in N at the end (also state.force_n).
 
     command: the goal in ticks of the gripper in position mode, rounded to whole ticks; the current in mA in current
-    mode, rounded to whole mA. The servo reads its encoder once, at the start of the step.
+    mode, rounded to whole mA. The servo reads its encoder once, at the start of the step. The finger stops where the
+    curve ends, so that a curve too short shows as a force that stays at the curve's last.
     """
     if not (math.isfinite(command) and math.isfinite(dt_s) and dt_s > 0):
         raise ValueError(f"command must be finite and dt_s finite and > 0, found {command} and {dt_s}")
@@ -150,7 +151,7 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
         drive.mass_kg,
         drive.speed_limit_m_s,
         drive.open_ticks - state.touch_ticks,
-        drive.closed_ticks - state.touch_ticks,
+        min(drive.closed_ticks - state.touch_ticks, curve.reach_ticks),
     )
     state.force_n = lookup(curve.force_n, curve.step_ticks, state.closing_ticks)
     state.indentation_m = lookup(curve.indentation_m, curve.step_ticks, state.closing_ticks)

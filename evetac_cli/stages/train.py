@@ -6,7 +6,7 @@ never trained on: those named by --validate, or every 8th of the inputs.
 
 import glob
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from evetac_cli.params import Train, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
-
-if TYPE_CHECKING:
-    from evetac_cli.kernels.training import Trajectory
 
 INPUTS = ("features",)
 OUTPUT = "model"
@@ -117,16 +114,14 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
     )
 
 
-def read_trajectory(path: Path) -> "Trajectory":
+def read_trajectory(path: Path) -> slip.Trajectory:
     """The arrays of a labelled features file."""
-    from evetac_cli.kernels.training import Trajectory
-
     with StageFile(path, "features") as file:
         if not file.has("label"):
             raise InputError(
                 "these features have no labels", where=str(path), hint="evetac label, then evetac featurize"
             )
-        return Trajectory(
+        return slip.Trajectory(
             file.read("displacement_px"),
             file.read("events_per_dot"),
             file.read("events_outside"),
@@ -135,7 +130,7 @@ def read_trajectory(path: Path) -> "Trajectory":
         )
 
 
-def predict(detector: Detector, trajectory: "Trajectory", header: Header) -> slip.Prediction:
+def predict(detector: Detector, trajectory: slip.Trajectory, header: Header) -> slip.Prediction:
     """What a detector says of a trajectory, beside its labels."""
     probability = detector.over(trajectory.displacement_px, trajectory.events_per_dot)
     return slip.Prediction(probability, trajectory.label, trajectory.onset, object_of(header))
