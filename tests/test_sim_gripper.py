@@ -79,7 +79,7 @@ def test_closed_with_is_the_rest_of_closing():
     assert (weak.force_n, weak.closing_ticks) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("current_ma", [12, 17, 30])
+@pytest.mark.parametrize("current_ma", [15, 17, 30])
 def test_force_stays_until_the_current_fell_by_twice_the_band(current_ma):
     """Assert that N is constant on a falling ramp until the current has lost 2 (Fc + fl N) / kF, about 2 Fc / kF."""
     state = closed_with(DRIVE, CURVE, TOUCH_TICKS, current_ma)

@@ -68,20 +68,24 @@ def region_flow(now: NDArray[np.uint8], later: NDArray[np.uint8]) -> NDArray[np.
     lit = now != GREY
     if not lit.any():
         return np.zeros(2)
-    flow = cv2.calcOpticalFlowFarneback(now, later, None, **FARNEBACK)
+    flow = cv2.calcOpticalFlowFarneback(now, later, None, **FARNEBACK)  # type: ignore[call-overload]
     return np.asarray(flow[lit].mean(axis=0), np.float64)
 
 
-def label(between: Between, slices: int, window: Region, gel: Region, constants: FlowConstants) -> Labels:
-    """Find the onset coarse to fine from the start, and label the slices after it.
+def label(
+    between: Between, slices: int, window: Region, gel: Region, constants: FlowConstants, start: int = 0
+) -> Labels:
+    """Find the onset coarse to fine from slice `start`, and label the slices after it.
 
     `between(start, stop)` gives events of slices. The search looks at every `coarse_ms`-th slice; where one is slip it
     goes back to the slice before and on from there one by one, until a slice is found from which slip holds for
-    `confirm_ms`. Slices before the onset are no slip, those later than `after_ms` after it are not examined.
+    `confirm_ms`. Slices before the onset are no slip; those before `start`, or later than `after_ms` after the onset,
+    are not examined.
     """
     search = _Search(between, slices, window, gel, constants)
-    onset = search.onset()
+    onset = search.onset(start)
     labels = np.zeros(slices, np.int8)
+    labels[:start] = -1
     if onset < 0:
         return Labels(labels, search.relative_px, -1, float("nan"), search.pairs)
     stop = min(onset + constants.after_ms, slices)
@@ -103,10 +107,10 @@ class _Search:
         self._known: dict[int, bool] = {}
         self.pairs = 0
 
-    def onset(self) -> int:
+    def onset(self, start: int) -> int:
         """First slice from which slip holds for `confirm_ms`, or -1."""
-        checked = -1
-        for coarse in range(0, self.slices, self._constants.coarse_ms):
+        checked = start - 1
+        for coarse in range(start, self.slices, self._constants.coarse_ms):
             if not self.slips(coarse):
                 continue
             first = max(checked + 1, coarse - self._constants.coarse_ms + 1)

@@ -29,9 +29,9 @@ from numpy.typing import ArrayLike, NDArray
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim import optics
 
-# A rim's steepest slope is 0.53 log units per px, so a level drifts by at most 0.005 before it is looked at again. Against
-# every pixel in every scan this loses 1.9 % of the events at 0.005 px/ms, 0.9 % at 0.05, under 0.1 % from 0.3 up, and
-# delays the rest by the time it takes a dot to move this far. Tremor below it is not seen.
+# A rim's steepest slope is 0.53 log units per px, so a level drifts by at most 0.005 before it is looked at again.
+# Against every pixel in every scan this loses 1.9 % of the events at 0.005 px/ms, 0.9 % at 0.05, next to none from 0.3
+# up, and delays the rest by the time a dot takes to move this far. Tremor below it is not seen.
 RESOLUTION_PX = 0.01
 FARTHEST_PX = 1e6
 # No pixel's threshold is below this share of the nominal one, however far the mismatch falls.

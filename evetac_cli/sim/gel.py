@@ -18,9 +18,10 @@ which the nodes that stick, or that it would bring to rest, move along. Its exac
 the object flips for ever between the two directions of slip on a stiff gel. Taking along the nodes it would bring to
 rest is what keeps partial slip cheap: without it a single node about to stick stops the object again and again.
 
-theta: implicit Euler over theta * dt, then extrapolated to dt. 1 damps most and is of first order; 0.5 keeps the energy
-of oscillations and is of second order between stick events, but lets each ring on; 0.55, the default, damps that
-ringing by 0.82 a step.
+theta: implicit Euler over theta * dt, then extrapolated to dt. 1 damps most and is of first order. 0.5 keeps the energy
+of oscillations and is of second order while nothing begins to stick or slip; but the velocities ring on after each
+such event, and where kinetic friction is below static that ringing breaks the stick again: do not use it there. 0.55,
+the default, damps the ringing by 0.82 a step.
 """
 
 import copy
@@ -39,6 +40,8 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SWEEPS_A_ROUND = 3  # measured: 1, 2 and 3 took 120, 94 and 81 us a step, 24 x 18 nodes, a tilted cylinder that slips
+CATCHES = 3  # how often a Newton step is found again because it would bring more nodes to rest
+WORTHWHILE = 0.1  # part of a Newton step that has to be possible, or the step is not right
 DECAY_M = 2.3e-3  # lateral decay of the motion of a layer 4 mm high outside a contact: H / sqrt(3)
 
 
@@ -301,9 +304,9 @@ def step(
     False after max_sweeps; the step is made in either case. ValueError, before anything is changed, where a value is
     not finite or out of range.
     """
-    nodal = np.asarray(nodal_force_n, dtype=np.float64)
-    force = np.asarray(body_force_n, dtype=np.float64)
-    wanted = state.twist if prescribed_twist is None else np.asarray(prescribed_twist, dtype=np.float64)
+    nodal = np.ascontiguousarray(nodal_force_n, dtype=np.float64)
+    force = np.ascontiguousarray(body_force_n, dtype=np.float64)
+    wanted = state.twist if prescribed_twist is None else np.ascontiguousarray(prescribed_twist, dtype=np.float64)
     if nodal.shape != state.stuck.shape:
         raise ValueError(f"nodal_force_n must have the shape of the grid {state.stuck.shape}, found {nodal.shape}")
     if force.shape != (3,) or wanted.shape != (3,):
@@ -504,9 +507,8 @@ def _imbalance(work: _Work, stencil: _Stencil, twist: Floats, stuck: Flags, felt
                 slip_x = here_x - twist[0] + twist[2] * y
                 slip_y = here_y - twist[1] - twist[2] * x
                 speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
-                rub = bound / speed if speed > 0.0 else 0.0
-                force_x = -rub * slip_x
-                force_y = -rub * slip_y
+                force_x = -bound * (slip_x / speed) if speed > 0.0 else 0.0
+                force_y = -bound * (slip_y / speed) if speed > 0.0 else 0.0
                 left = math.sqrt((pull_x - force_x) ** 2 + (pull_y - force_y) ** 2)
             worst = max(worst, left)
             work.pull[row, column, 0] = pull_x
@@ -550,8 +552,8 @@ def _curvature(work: _Work, stencil: _Stencil, curvature: Floats) -> None:
                 along_x = work.slip[row, column, 0] / speed
                 along_y = work.slip[row, column, 1] / speed
                 arm = x * along_x + y * along_y
-                rub = work.bound[row, column] / speed
-                stiff = rub * work.diagonal[row, column] / (rub + work.diagonal[row, column])
+                bound = work.bound[row, column]
+                stiff = bound * work.diagonal[row, column] / (bound + work.diagonal[row, column] * speed)
                 curvature[0, 0] += stiff * along_y * along_y
                 curvature[0, 1] -= stiff * along_y * along_x
                 curvature[1, 1] += stiff * along_x * along_x
@@ -561,10 +563,48 @@ def _curvature(work: _Work, stencil: _Stencil, curvature: Floats) -> None:
 
 
 @njit(cache=True)
+def _halt(work: _Work, stencil: _Stencil, felt: Floats) -> None:
+    """Add to felt (3) what it costs to bring the nodes to rest that were caught: not loose any more, but still slipping.
+
+    Their slip ends, and with it the friction that felt holds for them; their springs and links to others take over.
+    """
+    loose = work.loose
+    rows, columns = work.bound.shape
+    for row in range(rows):
+        for column in range(columns):
+            speed = work.speed[row, column]
+            if speed == 0.0 or loose[row + 1, column + 1] == 1.0:
+                continue
+            x = work.lever[row, column, 0]
+            y = work.lever[row, column, 1]
+            slip_x = work.slip[row, column, 0]
+            slip_y = work.slip[row, column, 1]
+            free_x = loose[row + 1, column] + loose[row + 1, column + 2]
+            free_y = loose[row, column + 1] + loose[row + 2, column + 1]
+            stiff = stencil.own + stencil.link_x * free_x + stencil.link_y * free_y
+            force_x = work.pull[row, column, 0] + work.bound[row, column] * (slip_x / speed) - stiff * slip_x
+            force_y = work.pull[row, column, 1] + work.bound[row, column] * (slip_y / speed) - stiff * slip_y
+            # links within the group that moves along cancel in its sum, but for the moment of their couples
+            twist_x = 0.0
+            twist_y = 0.0
+            if column > 0 and loose[row + 1, column] == 0.0:
+                twist_x += stencil.link_x * stencil.pitch_x
+            if column < columns - 1 and loose[row + 1, column + 2] == 0.0:
+                twist_x -= stencil.link_x * stencil.pitch_x
+            if row > 0 and loose[row, column + 1] == 0.0:
+                twist_y += stencil.link_y * stencil.pitch_y
+            if row < rows - 1 and loose[row + 2, column + 1] == 0.0:
+                twist_y -= stencil.link_y * stencil.pitch_y
+            felt[0] += force_x
+            felt[1] += force_y
+            felt[2] += x * force_y - y * force_x - twist_x * slip_y + twist_y * slip_x
+
+
+@njit(cache=True)
 def _follow(work: _Work, move: Floats) -> int:
     """Fill way, how each node answers a move of the object; returns how many loose nodes the move would bring to rest.
 
-    Those are marked as moving along: they are about to stick, and the move has to be found again with them.
+    Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
     """
     rows, columns = work.bound.shape
     caught = 0
@@ -575,16 +615,16 @@ def _follow(work: _Work, move: Floats) -> int:
             speed = work.speed[row, column]
             bound = work.bound[row, column]
             if work.loose[row + 1, column + 1] == 0.0:
-                work.way[row, column, 0] = move_x
-                work.way[row, column, 1] = move_y
+                work.way[row, column, 0] = move_x - work.slip[row, column, 0]
+                work.way[row, column, 1] = move_y - work.slip[row, column, 1]
             elif speed > 0.0 and bound > 0.0:
                 along_x = work.slip[row, column, 0] / speed
                 along_y = work.slip[row, column, 1] / speed
                 if along_x * move_x + along_y * move_y >= speed:
                     work.loose[row + 1, column + 1] = 0.0
                     caught += 1
-                rub = bound / speed
-                across = rub / (rub + work.diagonal[row, column]) * (along_x * move_y - along_y * move_x)
+                across = along_x * move_y - along_y * move_x
+                across *= bound / (bound + work.diagonal[row, column] * speed)
                 work.way[row, column, 0] = -across * along_y
                 work.way[row, column, 1] = across * along_x
             else:
@@ -620,7 +660,7 @@ def _rubbing(work: _Work, move: Floats, part: float) -> float:
     slope = 0.0
     for row in range(rows):
         for column in range(columns):
-            if work.speed[row, column] > 0.0 and work.loose[row + 1, column + 1] == 1.0:
+            if work.speed[row, column] > 0.0:
                 drift_x = work.way[row, column, 0] - move[0] + move[2] * work.lever[row, column, 1]
                 drift_y = work.way[row, column, 1] - move[1] - move[2] * work.lever[row, column, 0]
                 slip_x = work.slip[row, column, 0] + part * drift_x
@@ -632,48 +672,58 @@ def _rubbing(work: _Work, move: Floats, part: float) -> float:
 
 
 @njit(cache=True)
-def _solve3(matrix: Floats, right: Floats) -> Floats:
-    """Solution of a symmetric positive definite 3 x 3 system of which the upper triangle is given."""
-    low_10 = matrix[0, 1] / matrix[0, 0]
-    low_20 = matrix[0, 2] / matrix[0, 0]
-    pivot_1 = matrix[1, 1] - low_10 * matrix[0, 1]
+def _solve3(matrix: Floats, right: Floats, least: Floats) -> Floats:
+    """Solution of a symmetric 3 x 3 system of which the upper triangle is given, and of which the pivots are >= least.
+
+    That they are follows from the diagonal least being one positive summand of the matrix; rounding may forget it.
+    """
+    pivot_0 = max(matrix[0, 0], least[0])
+    low_10 = matrix[0, 1] / pivot_0
+    low_20 = matrix[0, 2] / pivot_0
+    pivot_1 = max(matrix[1, 1] - low_10 * matrix[0, 1], least[1])
     cross = matrix[1, 2] - low_10 * matrix[0, 2]
     low_21 = cross / pivot_1
-    pivot_2 = matrix[2, 2] - low_20 * matrix[0, 2] - low_21 * cross
+    pivot_2 = max(matrix[2, 2] - low_20 * matrix[0, 2] - low_21 * cross, least[2])
     half_1 = right[1] - low_10 * right[0]
     half_2 = right[2] - low_20 * right[0] - low_21 * half_1
     third = half_2 / pivot_2
     second = half_1 / pivot_1 - low_21 * third
-    first = right[0] / matrix[0, 0] - low_10 * second - low_20 * third
+    first = right[0] / pivot_0 - low_10 * second - low_20 * third
     return np.array([first, second, third])
 
 
 @njit(cache=True)
-def _move_object(
-    work: _Work, stencil: _Stencil, twist: Floats, weight: Floats, gradient: Floats, inertial: Floats
-) -> None:
-    """Newton step of the object, and of the nodes that answer it, with exact line search along it.
-
-    weight: inertia / (theta dt); gradient: of the whole potential against the twist; inertial: the object's own share.
-    """
-    rows, columns = work.bound.shape
+def _find_move(
+    work: _Work, stencil: _Stencil, weight: Floats, inertial: Floats, felt: Floats, stuck: Flags, catches: int
+) -> Floats:
+    """Newton step of the object, found again while it brings more nodes to rest, at most `catches` times; fills way."""
+    rows, columns = stuck.shape
+    for row in range(rows):
+        for column in range(columns):
+            work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
     curvature = np.empty((3, 3))
-    move = np.zeros(3)
-    for _ in range(4):
+    while True:
+        slope = felt.copy()
+        _halt(work, stencil, slope)
         curvature[:] = 0.0
         _curvature(work, stencil, curvature)
         curvature *= stencil.pads
         for axis in range(3):
             curvature[axis, axis] += weight[axis]
-        move = _solve3(curvature, -gradient)
-        if _follow(work, move) == 0:
-            break
+        move = _solve3(curvature, -inertial - stencil.pads * slope, weight)
+        caught = _follow(work, move)
+        if caught == 0 or catches == 0:
+            return move
+        catches -= 1
+
+
+@njit(cache=True)
+def _search(work: _Work, stencil: _Stencil, move: Floats, weight: Floats, inertial: Floats) -> float:
+    """Exact line search: the part, 0 to 1, of a move (with way) at which the potential is least; 0 if it only rises."""
     slope, bend = _smooth(work, stencil)
     slope = stencil.pads * slope + (inertial * move).sum()
     bend = stencil.pads * bend + (weight * move * move).sum()
     start = slope + stencil.pads * _rubbing(work, move, 0.0)
-    if start >= 0.0:
-        return  # the nodes are still too far from balance for a common step downhill: let them come nearer first
     low = 0.0
     high = 1.0
     part = 1.0
@@ -686,12 +736,31 @@ def _move_object(
         else:
             high = part
         part = 0.5 * (low + high)
+    return low if start < 0.0 else 0.0
+
+
+@njit(cache=True)
+def _move_object(
+    work: _Work, stencil: _Stencil, twist: Floats, weight: Floats, inertial: Floats, felt: Floats, stuck: Flags
+) -> None:
+    """Newton step of the object, and of the nodes that answer it.
+
+    weight: inertia / (theta dt); inertial: the object's own unbalanced force; felt: what the nodes of a pad add to it.
+    A step that catches nodes is a guess at which of them stick. Where it turns out to be no way down, the plain step
+    is taken: with the nodes in balance that always is one.
+    """
+    rows, columns = stuck.shape
+    move = _find_move(work, stencil, weight, inertial, felt, stuck, CATCHES)
+    part = _search(work, stencil, move, weight, inertial)
+    if part < WORTHWHILE:
+        move = _find_move(work, stencil, weight, inertial, felt, stuck, 0)
+        part = _search(work, stencil, move, weight, inertial)
     for axis in range(3):
-        twist[axis] += low * move[axis]
+        twist[axis] += part * move[axis]
     for row in range(rows):
         for column in range(columns):
             for axis in range(2):
-                work.velocity[row + 1, column + 1, axis] += low * work.way[row, column, axis]
+                work.velocity[row + 1, column + 1, axis] += part * work.way[row, column, axis]
 
 
 @njit(cache=True)
@@ -744,6 +813,7 @@ def _step(
     )
     _spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.right)
     scale = abs(force[0]) + abs(force[1])
+    square = 0.0
     for row in range(rows):
         for column in range(columns):
             load = nodal[row, column]
@@ -763,9 +833,13 @@ def _step(
                     return 4
                 scale += layer.pads * abs(right)
                 work.right[row, column, axis] = right
-                work.lever[row, column, axis] = nodes[row, column, axis] - pose[axis]
+                lever = nodes[row, column, axis] - pose[axis]
+                square += lever * lever
+                work.lever[row, column, axis] = lever
                 work.velocity[row + 1, column + 1, axis] = velocity[row, column, axis]
-    scale = max(scale, 1e-300)
+    # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
+    reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
+    scale = max(scale + abs(force[2]) / reach, 1e-300)
     # the factor of over-relaxation that is best for a smooth pattern on this grid
     ring = 2.0 * (stencil.link_x + stencil.link_y)
     smoothness = ring / (stencil.own + ring)
@@ -781,16 +855,13 @@ def _step(
             sweeps += 1
         worst = _imbalance(work, stencil, body, stuck, felt)
         inertial = weight * (body - twist) - force
-        gradient = inertial + layer.pads * felt
         if not prescribed:
-            worst = max(worst, abs(gradient[0]), abs(gradient[1]))
+            left = np.abs(inertial + layer.pads * felt)
+            worst = max(worst, left[0], left[1], left[2] / reach)
         if worst <= tolerance * scale or sweeps >= max_sweeps:
             break
         if not prescribed:
-            for row in range(rows):
-                for column in range(columns):
-                    work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
-            _move_object(work, stencil, body, weight, gradient, inertial)
+            _move_object(work, stencil, body, weight, inertial, felt, stuck)
     info[:] = 0.0
     info[0] = sweeps
     info[1] = worst / scale
@@ -835,9 +906,11 @@ def _advance(
                 loaded += 1
             if load > 0.0 and not stuck[row, column]:
                 slipping += 1
-            rub = work.bound[row, column] / speed if speed > 0.0 else 0.0
-            push_x = work.pull[row, column, 0] if stuck[row, column] else -rub * work.slip[row, column, 0]
-            push_y = work.pull[row, column, 1] if stuck[row, column] else -rub * work.slip[row, column, 1]
+            push_x = work.pull[row, column, 0] if stuck[row, column] else 0.0
+            push_y = work.pull[row, column, 1] if stuck[row, column] else 0.0
+            if speed > 0.0:
+                push_x = -work.bound[row, column] * (work.slip[row, column, 0] / speed)
+                push_y = -work.bound[row, column] * (work.slip[row, column, 1] / speed)
             info[9] += push_x
             info[10] += push_y
             info[11] += nodes[row, column, 0] * push_y - nodes[row, column, 1] * push_x

@@ -130,8 +130,6 @@ class World:
         self._rng = rng
         self._texture_at_px = rng.uniform(0, TEXTURE_PX[0], 2)
         self._camera = camera.start(model, self._dot_xy_px, None, self.window_px, texture, rng)
-        # The camera was on before the trial began: what the texture sets off on its first sight is not recorded.
-        self._see(self._dot_xy_px, self._object_xy_px, 0)
 
     def _see(self, dot_xy_px: NDArray[np.float64], object_xy_px: NDArray[np.float64], t0_us: int) -> Events:
         fade = 0.0

@@ -1,4 +1,8 @@
-"""label: when the object slips, from optical flow in the window (paper, "Data Labelling - Slip Classifier")."""
+"""label: when the object slips, from optical flow in the window (paper, "Data Labelling - Slip Classifier").
+
+A trajectory begins where the object is held stably and the gripper's current starts to fall (paper, "Experimental Setup
+and Data Collection Procedure"); what came before, closing and loading, is not examined. Without a gripper it begins at 0.
+"""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -6,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.kernels import flow
 from evetac_cli.params import Label, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, outcome, per_file, silent
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.read import Recording, open_recording
 
 INPUTS = ("recording",)
 OUTPUT = "labels"
@@ -42,11 +47,12 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         slices = len(recording)
         gel = (0, 0, window[0], recording.frame_px[1])
 
-        def between(start: int, stop: int) -> flow.Events:
+        def between(start: int, stop: int) -> Events:
             progress(start, slices)
             return recording.between(start, stop)
 
-        labels = flow.label(between, slices, window, gel, constants)
+        start = ramp_start(recording)
+        labels = flow.label(between, slices, window, gel, constants, start)
     arrays = {
         "label": labels.label,
         "relative_flow_px": labels.relative_flow_px,
@@ -64,3 +70,12 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         confidence=labels.confidence,
         pairs=labels.pairs,
     )
+
+
+def ramp_start(recording: Recording) -> int:
+    """The slice in which the target current first departs from the one that holds the object; 0 without a gripper."""
+    if not recording.has("gripper"):
+        return 0
+    target_ma = recording.read("gripper/current_target_ma")
+    changed = np.flatnonzero(target_ma[1:] != target_ma[:-1]) if np.isfinite(target_ma).all() else []
+    return int(recording.read("gripper/t_us")[changed[0] + 1] // SLICE_US) if len(changed) else 0

@@ -131,8 +131,10 @@ def read_trajectory(path: Path) -> slip.Trajectory:
 
 
 def predict(detector: Detector, trajectory: slip.Trajectory, header: Header) -> slip.Prediction:
-    """What a detector says of a trajectory, beside its labels."""
+    """What a detector says of a trajectory, beside its labels, from the first slice that is labelled."""
     probability = detector.over(trajectory.displacement_px, trajectory.events_per_dot)
+    examined = np.flatnonzero(trajectory.label >= 0)
+    probability[: examined[0] if len(examined) else len(probability)] = np.nan
     return slip.Prediction(probability, trajectory.label, trajectory.onset, object_of(header))
 
 

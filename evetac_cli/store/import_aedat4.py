@@ -9,7 +9,6 @@ tells a whole file from a broken one and lets the intact packets of a broken one
     packet table, only in files that were closed
 """
 
-import importlib.util
 import signal
 import struct
 import subprocess
@@ -18,6 +17,7 @@ import tempfile
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 from xml.etree import ElementTree
@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.store import import_aedat4_child
 from evetac_cli.store.import_aedat4_child import EVENT
-from evetac_cli.store.import_door import Columns, Foreign, checked_frame
+from evetac_cli.store.import_door import Columns, Foreign, at_index, checked_frame
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 HEADER_LIMIT_BYTES = 1 << 24
-PACKET_CPU_S = 10  # a packet takes milliseconds
+PACKET_CPU_S = 3  # a packet takes milliseconds
 SCAN_BYTES_PER_S = 10_000_000  # without a packet table the library reads the whole file first, 40 times as fast
 KINDS = {"EVTS": "events", "FRME": "frames", "IMUS": "IMU samples", "TRIG": "triggers"}
 
@@ -87,13 +87,7 @@ def _columns(packets: "deque[NDArray[np.void]]") -> Iterator[Columns]:
     start = 0
     while packets:
         packet = packets.popleft()
-        yield Columns(
-            packet["t"],
-            packet["x"],
-            packet["y"],
-            packet["p"],
-            lambda row, start=start: f"at index {start + row}",  # type: ignore[misc]
-        )
+        yield Columns(packet["t"], packet["x"], packet["y"], packet["p"], partial(at_index, start))
         start += len(packet)
 
 
@@ -197,14 +191,12 @@ def _decode(
     a file without a packet table, which the library then has to go through one by one.
     """
     where = str(path)
-    if importlib.util.find_spec("dv_processing") is None:
-        raise InputError("AEDAT4 needs dv-processing", where=where, hint='pip install "evetac[camera]"')
     size = path.stat().st_size
     count = len(packets.spans)
     events: deque[NDArray[np.void]] = deque()
     trouble = "its packet table is missing"
     if 0 <= header.table < size:
-        events, trouble = _run(path, header, chosen, size)
+        events, trouble = _run(path, header, chosen, where)
         if not trouble and (len(events) == count if packets.whole else len(events) > count):
             if not packets.whole:
                 notes.append(f"a packet at byte {packets.end} is damaged; the packet table led past it")
@@ -212,7 +204,7 @@ def _decode(
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "intact.aedat4"
         _copy_intact(path, copy, header, packets)
-        again, trouble_again = _run(copy, header, chosen, copy.stat().st_size) if count else (deque(), "no packet")
+        again, trouble_again = _run(copy, header, chosen, where) if count else (deque(), "no packet")
     complete = not trouble_again and len(again) == count
     if complete or len(again) > len(events):
         events, trouble = again, trouble_again
@@ -221,10 +213,13 @@ def _decode(
         found = f"{size - packets.end} bytes after byte {packets.end}" if not packets.whole else trouble
         raise InputError("no packet of events can be read: the file is broken", where=where, found=found)
     if not complete:
-        notes.append(f"broken file: kept {kept} events of {len(events)} of {count} packets; the next one: {trouble}")
+        notes.append(
+            f"broken file: kept {kept} events of {len(events)} of {count} packets; {trouble or 'then the decoder stopped'}"
+        )
     if not packets.whole:
         lost = min(size, header.table if header.table >= 0 else size) - packets.end
-        notes.append(f"truncated file: kept {kept} events of {len(events)} complete packets; {lost} bytes are lost")
+        word = "damaged" if 0 <= header.table < size else "truncated"
+        notes.append(f"{word} file: kept {kept} events of {len(events)} complete packets; {lost} bytes are lost")
     elif header.table < 0:
         notes.append(f"the recorder never closed the file: kept {kept} events of {len(events)} packets")
     elif complete:
@@ -244,10 +239,10 @@ def _copy_intact(path: Path, copy: Path, header: Header, packets: Packets) -> No
             target.write(struct.pack("<q", -1))
 
 
-def _run(path: Path, header: Header, chosen: Stream, size: int) -> tuple["deque[NDArray[np.void]]", str]:
+def _run(path: Path, header: Header, chosen: Stream, where: str) -> tuple["deque[NDArray[np.void]]", str]:
     """Packets decoded by the child process, and what ended it too early ("" if nothing did)."""
     cameras = {stream.camera for stream in header.streams}
-    seconds = PACKET_CPU_S + size // SCAN_BYTES_PER_S
+    seconds = PACKET_CPU_S + path.stat().st_size // SCAN_BYTES_PER_S
     call = [sys.executable, "-P", import_aedat4_child.__file__, str(path)]
     call += [chosen.camera if len(cameras) > 1 else "", chosen.name, str(seconds)]
     packets: deque[NDArray[np.void]] = deque()
@@ -271,6 +266,11 @@ def _run(path: Path, header: Header, chosen: Stream, size: int) -> tuple["deque[
         code = child.wait()
         complaints.seek(0)
         said = complaints.read().decode(errors="replace").strip().split("\n")[-1][:200]
+    if code == import_aedat4_child.NOT_INSTALLED:
+        hint = 'pip install "evetac[camera]"'
+        raise InputError("AEDAT4 needs dv-processing", where=where, found=said, hint=hint)
+    if code == import_aedat4_child.REFUSED:
+        return packets, said
     if code == -signal.SIGXCPU:
-        return packets, f"decoding it did not end within {seconds} s"
-    return packets, said if code == import_aedat4_child.REFUSED else f"the decoder ended with code {code}"
+        return packets, f"decoding the next one did not end in {seconds + 2} s"
+    return packets, f"the decoder crashed (exit code {code})"

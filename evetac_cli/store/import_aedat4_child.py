@@ -7,7 +7,7 @@ packet, and the kernel keeps it to that.
     import_aedat4_child.py FILE CAMERA STREAM SECONDS
 
 Output: for every packet its number of events (int64), then as many records of EVENT; -1 events mark the end.
-CAMERA may be empty. Exit code 3 and one line on stderr when dv-processing refuses the file.
+CAMERA may be empty. Exit codes, with one line on stderr: 3 when dv-processing refuses the file, 4 when it does not load.
 """
 
 import os
@@ -20,6 +20,7 @@ import numpy as np
 
 EVENT = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "i1")])
 REFUSED = 3
+NOT_INSTALLED = 4
 
 
 def main(file: str, camera: str, stream: str, seconds: int) -> int:
@@ -46,7 +47,7 @@ def main(file: str, camera: str, stream: str, seconds: int) -> int:
     except Exception as error:  # noqa: BLE001 - C++ exceptions arrive as all kinds of types, with a stack trace inside
         text = str(error).split("Stacktrace:")[0].split("\n")
         print(([line.strip() for line in text if line.strip()] or [type(error).__name__])[-1], file=sys.stderr)
-        return REFUSED
+        return NOT_INSTALLED if isinstance(error, ImportError) else REFUSED
     out.write(struct.pack("<q", -1))
     out.close()
     return 0
@@ -55,7 +56,7 @@ def main(file: str, camera: str, stream: str, seconds: int) -> int:
 def _allow(seconds: int) -> None:
     """Let the kernel end this process (SIGXCPU) if it uses more than that many seconds of CPU time from now on."""
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
-    soft = int(time.process_time()) + 1 + seconds
+    soft = int(time.process_time()) + 2 + seconds  # the limit is in whole seconds: 1 to 2 more than asked for
     resource.setrlimit(resource.RLIMIT_CPU, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
 
 

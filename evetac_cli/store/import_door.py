@@ -43,6 +43,11 @@ class Foreign:
     notes: list[str] = field(default_factory=list)
 
 
+def at_index(start: int, row: int) -> str:
+    """Where an event stands in a file that has no lines: its number, counted from 0."""
+    return f"at index {start + row}"
+
+
 class Normal(NamedTuple):
     """What comes out of the door."""
 
@@ -95,7 +100,7 @@ def normalise(batches: Iterable[Columns], frame_px: tuple[int, int], *, sort: bo
         inside = (x >= 0) & (x < frame_px[0]) & (y >= 0) & (y < frame_px[1])
         dropped["out_of_frame"] += len(t) - int(np.count_nonzero(inside))
         part = Events(
-            np.rint(t[inside]).astype(np.int64),
+            (np.rint(t) if t.dtype.kind == "f" else t)[inside].astype(np.int64),
             x[inside].astype(np.uint16),
             y[inside].astype(np.uint16),
             (p[inside] > 0).astype(np.uint8),

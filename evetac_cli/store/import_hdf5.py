@@ -6,11 +6,12 @@
 import importlib
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.import_door import CLOCK_LIMIT_US, Columns, Foreign, check_lengths, checked_frame
+from evetac_cli.store.import_door import CLOCK_LIMIT_US, Columns, Foreign, at_index, check_lengths, checked_frame
 
 BATCH_ROWS = 1 << 20
 LAYOUT = "events/t, events/x, events/y, events/p (the layout of DSEC)"
@@ -42,7 +43,7 @@ def _batches(path: Path, rows: int) -> Iterator[Columns]:
         with h5py.File(path, "r") as file:
             for start in range(0, rows, BATCH_ROWS):
                 t, x, y, p = (file["events"][name][start : start + BATCH_ROWS] for name in "txyp")
-                yield Columns(t, x, y, p, lambda row, start=start: f"at index {start + row}")  # type: ignore[misc]
+                yield Columns(t, x, y, p, partial(at_index, start))
     except OSError as error:
         raise _unreadable(str(path), error) from error
 

@@ -7,6 +7,7 @@ is microseconds, with a point or an exponent it is seconds.
 
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,7 +75,7 @@ def _batches(path: Path, names: list[str] | None) -> Iterator[Columns]:
                 raise InputError(
                     "time changes its unit", where=str(path), expected=expected, found=found, hint=UNIT_HINT
                 )
-        yield Columns(t * layout.us_per_unit, x, y, p, lambda row, n=number, ls=lines: _place(n, ls, row))  # type: ignore[misc]
+        yield Columns(t * layout.us_per_unit, x, y, p, partial(_place, number, lines))
     if layout is None and not named:
         raise InputError("holds no events, only comments or blank lines", where=str(path))
 

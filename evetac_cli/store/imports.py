@@ -115,11 +115,9 @@ def _open(path: Path, frame_px: tuple[int, int] | None, dialect: str | None, str
             raise InputError(
                 "not a file of events that can be read", where=where, expected=FORMATS, found=name, hint=hint
             )
-    if any(byte < 32 and byte not in b"\t\n\f\r" for byte in head) or path.suffix.lower() in (
-        ".aedat4",
-        ".h5",
-        ".hdf5",
-    ):
+    first_line = head.partition(b"\n")[0]
+    binary = any(byte < 32 and byte not in b"\t\f\r" for byte in first_line)
+    if binary or path.suffix.lower() in (".aedat4", ".h5", ".hdf5"):
         raise InputError(
             "not a file of events that can be read",
             where=where,
