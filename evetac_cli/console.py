@@ -65,11 +65,12 @@ def print_table(title: str, rows: list[dict[str, Any]], summary: dict[str, Any],
     console = Console(soft_wrap=not sys.stdout.isatty())
     if rows:
         table = Table(title=title + (" (simulated)" if simulated else ""), title_justify="left")
-        for name in dict.fromkeys(name for row in rows for name in row):
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        for name in names:
             numeric = all(isinstance(row.get(name), (int, float, type(None))) for row in rows)
             table.add_column(name, justify="right" if numeric else "left", overflow="fold")
         for row in rows:
-            table.add_row(*(format_value(row.get(column.header)) for column in table.columns))
+            table.add_row(*(format_value(row.get(name)) for name in names))
         console.print(table)
     for name, value in summary.items():
         console.print(f"{name}: {format_value(value)}", highlight=False, soft_wrap=True)

@@ -253,14 +253,14 @@ def test_carry_waits_for_enough_events() -> None:
 
 def test_gradient_clip_bounds_the_speed() -> None:
     """Assert that 10,000 events on one side of a dot move it by 1.2 px and not further."""
-    state = single()
+    state = single(constants=replace(PAPER, hot_pixel_events=0))
     tracker.step(state, *columns([(318, 200)] * 10_000))
     assert state.dot_xy_px[0] == pytest.approx([301.2, 200], abs=1e-12)
 
 
 def test_a_dot_moves_at_most_its_radius() -> None:
     """Assert that a step size far beyond the stable ones moves a dot by its radius per axis and not further."""
-    state = single(constants=replace(PAPER, step_size=1.0))
+    state = single(constants=replace(PAPER, step_size=1.0, hot_pixel_events=0))
     tracker.step(state, *columns([(312, 213)] * 100))
     assert state.dot_xy_px.tolist() == [[315, 215]]
 
@@ -532,3 +532,40 @@ def test_start_copies_and_step_works_in_place() -> None:
     assert (dots == state.dot_xy_px).all()
     assert (dots[:, 0] > rest[:, 0]).all()
     assert (events == 11).all()
+
+
+def test_a_hot_pixel_does_not_pull() -> None:
+    """Assert that a pixel firing 2000 times a second in a ring moves its dot by 0.5 px at most, unfiltered by 2."""
+    moved = {}
+    for limit in (0, 16):
+        state = single(constants=replace(PAPER, min_events=0, regulariser_weight=0.0, hot_pixel_events=limit))
+        for _ in range(3000):
+            tracker.step(state, *columns([(319, 200)] * 2))
+        moved[limit] = abs(state.dot_xy_px - [300, 200]).max()
+    assert moved[16] < 0.5
+    assert moved[0] > 2
+
+
+def test_a_vibrating_edge_is_no_hot_pixel() -> None:
+    """Assert that a dot whose whole edge fires at 100 Hz for 2 s is tracked as without the filter."""
+    angle = np.arange(0, 2 * np.pi, 0.02)
+    edge = np.unique(np.round([300 + 15.4 * np.cos(angle), 200 + 15.4 * np.sin(angle)]).astype(np.uint16), axis=1)
+    with_filter, without = single(), single(constants=replace(PAPER, hot_pixel_events=0))
+    for slice_ in range(2000):
+        events = edge if slice_ % 5 == 0 else edge[:, :0]
+        for state in (with_filter, without):
+            tracker.step(state, events[0].copy(), events[1].copy())
+    assert with_filter.dot_xy_px.tolist() == without.dot_xy_px.tolist()
+
+
+def test_hot_pixels_do_not_depend_on_order() -> None:
+    """Assert that noise with hot pixels gives the same bits whatever the order of events within a slice."""
+    rng = np.random.default_rng(3)
+    one, other = (single(constants=replace(PAPER, min_events=0)) for _ in range(2))
+    for _ in range(400):
+        x = np.concatenate([rng.integers(280, 321, 3), [312, 312, 290]]).astype(np.uint16)
+        y = np.concatenate([rng.integers(180, 221, 3), [211, 211, 190]]).astype(np.uint16)
+        order = rng.permutation(len(x))
+        tracker.step(one, x, y)
+        tracker.step(other, x[order], y[order])
+    assert one.dot_xy_px.tolist() == other.dot_xy_px.tolist()

@@ -27,7 +27,8 @@ def test_pad_nodes_are_cell_centres():
 
 
 @pytest.mark.parametrize(
-    "arguments", [(0, 2, (0, 1), (0, 1)), (2, 2, (1, 0), (0, 1)), (2, 2, (0, np.nan), (0, 1)), (2, 2, (0, np.inf), (0, 1))]
+    "arguments",
+    [(0, 2, (0, 1), (0, 1)), (2, 2, (1, 0), (0, 1)), (2, 2, (0, np.nan), (0, 1)), (2, 2, (0, np.inf), (0, 1))],
 )
 def test_pad_nodes_refuse_nonsense(arguments):
     """Assert that empty grids and ranges that are not finite and increasing are refused."""

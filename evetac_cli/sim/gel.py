@@ -14,9 +14,10 @@ Model, in SI units, x down, y to the side, rotation from x to y:
 Why so: a step minimises one convex function of the node velocities and the object's twist (Moreau's time stepping). It
 is stable for any stiffness, mass, friction and time step, and sticking is exact: no creep, no regularisation speed.
 The minimum is found in rounds: sweeps of projected over-relaxation over the nodes, then a Newton step of the object in
-which the nodes that stick, or that it would bring to rest, move along. Its exact line search is essential: without it
-the object flips for ever between the two directions of slip on a stiff gel. Taking along the nodes it would bring to
-rest is what keeps partial slip cheap: without it a single node about to stick stops the object again and again.
+which the nodes that stick move along. Its exact line search is essential: without it the object flips for ever between
+the two directions of slip on a stiff gel. Catching the nodes that the step would bring to rest, so that they move along
+too, is what keeps partial slip cheap: without it a single node about to stick stops the object again and again (400
+sweeps and no balance where now 20 are enough).
 
 theta: implicit Euler over theta * dt, then extrapolated to dt. 1 damps most and is of first order. 0.5 keeps the energy
 of oscillations and is of second order while nothing begins to stick or slip; but the velocities ring on after each
@@ -39,10 +40,12 @@ from evetac_cli.sim.contact import cell_area
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-SWEEPS_A_ROUND = 3  # measured: 1, 2 and 3 took 120, 94 and 81 us a step, 24 x 18 nodes, a tilted cylinder that slips
-CATCHES = 3  # how often a Newton step is found again because it would bring more nodes to rest
-WORTHWHILE = 0.1  # part of a Newton step that has to be possible, or the step is not right
 DECAY_M = 2.3e-3  # lateral decay of the motion of a layer 4 mm high outside a contact: H / sqrt(3)
+
+# How the balance is searched; measured on 24 x 18 nodes under a tilted cylinder that begins to slip.
+SWEEPS_A_ROUND = 3  # 1, 2 and 3 took 120, 94 and 81 us a step
+REACHES = (1.0, 0.1, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,
+WORTHWHILE = 0.1  # and the first step is taken of which at least this part leads down, else the last
 
 
 @dataclass(frozen=True)
@@ -564,7 +567,7 @@ def _curvature(work: _Work, stencil: _Stencil, curvature: Floats) -> None:
 
 @njit(cache=True)
 def _halt(work: _Work, stencil: _Stencil, felt: Floats) -> None:
-    """Add to felt (3) what it costs to bring the nodes to rest that were caught: not loose any more, but still slipping.
+    """Add to felt (3) what bringing the caught nodes to rest changes: those not loose any more, but still slipping.
 
     Their slip ends, and with it the friction that felt holds for them; their springs and links to others take over.
     """
@@ -601,7 +604,7 @@ def _halt(work: _Work, stencil: _Stencil, felt: Floats) -> None:
 
 
 @njit(cache=True)
-def _follow(work: _Work, move: Floats) -> int:
+def _follow(work: _Work, move: Floats, reach: float) -> int:
     """Fill way, how each node answers a move of the object; returns how many loose nodes the move would bring to rest.
 
     Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
@@ -620,7 +623,7 @@ def _follow(work: _Work, move: Floats) -> int:
             elif speed > 0.0 and bound > 0.0:
                 along_x = work.slip[row, column, 0] / speed
                 along_y = work.slip[row, column, 1] / speed
-                if along_x * move_x + along_y * move_y >= speed:
+                if reach * (along_x * move_x + along_y * move_y) >= speed:
                     work.loose[row + 1, column + 1] = 0.0
                     caught += 1
                 across = along_x * move_y - along_y * move_x
@@ -694,15 +697,16 @@ def _solve3(matrix: Floats, right: Floats, least: Floats) -> Floats:
 
 @njit(cache=True)
 def _find_move(
-    work: _Work, stencil: _Stencil, weight: Floats, inertial: Floats, felt: Floats, stuck: Flags, catches: int
+    work: _Work, stencil: _Stencil, weight: Floats, inertial: Floats, felt: Floats, stuck: Flags, reach: float
 ) -> Floats:
-    """Newton step of the object, found again while it brings more nodes to rest, at most `catches` times; fills way."""
+    """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest; fills way."""
     rows, columns = stuck.shape
     for row in range(rows):
         for column in range(columns):
             work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
     curvature = np.empty((3, 3))
-    while True:
+    move = np.zeros(3)
+    for _ in range(4):
         slope = felt.copy()
         _halt(work, stencil, slope)
         curvature[:] = 0.0
@@ -711,10 +715,9 @@ def _find_move(
         for axis in range(3):
             curvature[axis, axis] += weight[axis]
         move = _solve3(curvature, -inertial - stencil.pads * slope, weight)
-        caught = _follow(work, move)
-        if caught == 0 or catches == 0:
-            return move
-        catches -= 1
+        if _follow(work, move, reach) == 0:
+            break
+    return move
 
 
 @njit(cache=True)
@@ -746,15 +749,17 @@ def _move_object(
     """Newton step of the object, and of the nodes that answer it.
 
     weight: inertia / (theta dt); inertial: the object's own unbalanced force; felt: what the nodes of a pad add to it.
-    A step that catches nodes is a guess at which of them stick. Where it turns out to be no way down, the plain step
-    is taken: with the nodes in balance that always is one.
+    To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
+    the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
     """
     rows, columns = stuck.shape
-    move = _find_move(work, stencil, weight, inertial, felt, stuck, CATCHES)
-    part = _search(work, stencil, move, weight, inertial)
-    if part < WORTHWHILE:
-        move = _find_move(work, stencil, weight, inertial, felt, stuck, 0)
+    move = np.zeros(3)
+    part = 0.0
+    for reach in REACHES:
+        move = _find_move(work, stencil, weight, inertial, felt, stuck, reach)
         part = _search(work, stencil, move, weight, inertial)
+        if part >= WORTHWHILE:
+            break
     for axis in range(3):
         twist[axis] += part * move[axis]
     for row in range(rows):

@@ -67,8 +67,8 @@ class World:
 
     def _planned_slices(self, lift_s: float, balance_s: float) -> int:
         if self.lifting:
-            return round((self._time["touch_s"] + lift_s + balance_s) * 1000)
-        return round(self._time["longest_s"] * 1000)
+            return round((float(self._time["touch_s"]) + lift_s + balance_s) * 1000)
+        return round(float(self._time["longest_s"]) * 1000)
 
     def _build_mechanics(self, thing: Mapping[str, Any], individual: Mapping[str, Any]) -> None:
         columns, rows = self._scene["gel"]["nodes"]
@@ -224,7 +224,7 @@ class World:
         if self.lifting:
             gone = fallen and self._table_m - self._gel.pose[0] > GONE_M and self.finger.force_n <= 0.0
         self._lost_for = self._lost_for + 1 if gone else 0
-        return self._lost_for > self._time.get("after_lost_s", 0.15) / STEP_S
+        return bool(self._lost_for > self._time.get("after_lost_s", 0.15) / STEP_S)
 
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""
@@ -253,7 +253,7 @@ def dot_grid(individual: Mapping[str, Any]) -> NDArray[np.float64]:
 
 def plan(scene_name: str, object_number: int, individual: str, kind: str) -> dict[str, Any]:
     """What a trial is made from, resolved: it goes into the header, so that a changed table is another recipe."""
-    resolved = {
+    resolved: dict[str, Any] = {
         "scene": scene.load(scene_name),
         "object": object_number,
         "object_row": scene.object_row(object_number),

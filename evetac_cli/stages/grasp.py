@@ -22,7 +22,7 @@ from evetac_cli.sim.world import plan
 from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
 from evetac_cli.stages.record import COMMAND_MS, seeds, trials
 from evetac_cli.store.files import StageFile, up_to_date
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.segments import RecordingWriter
 
 INPUTS = ("model",)
@@ -76,8 +76,7 @@ class SlipSense:
     def step(self, events: Events) -> float:
         """Slip probability after one more slice; NaN until the history is full."""
         tracker.step(self.tracking, events.x, events.y)
-        # float32 as in a tracks file, so that the features are the same bits online and offline
-        features.step(self.history, self.tracking.dot_xy_px.astype(np.float32), self.tracking.events_per_dot)
+        features.step(self.history, self.tracking.dot_xy_px, self.tracking.events_per_dot)
         if not self.history.full:
             return float("nan")
         probability = float(self.detector.probability(features.window(self.history)[None])[0])
@@ -99,7 +98,7 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
         "lift_s": params.lift_s,
         "balance_s": params.balance_s,
     }
-    parents = ()
+    parents: tuple[Header, ...] = ()
     if sensing:
         assert params.model is not None
         with StageFile(params.model, "model") as model:

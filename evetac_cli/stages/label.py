@@ -77,5 +77,7 @@ def ramp_start(recording: Recording) -> int:
     if not recording.has("gripper"):
         return 0
     target_ma = recording.read("gripper/current_target_ma")
-    changed = np.flatnonzero(target_ma[1:] != target_ma[:-1]) if np.isfinite(target_ma).all() else []
+    if not np.isfinite(target_ma).all():  # position mode
+        return 0
+    changed = np.flatnonzero(target_ma[1:] != target_ma[:-1])
     return int(recording.read("gripper/t_us")[changed[0] + 1] // SLICE_US) if len(changed) else 0

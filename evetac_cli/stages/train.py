@@ -171,10 +171,10 @@ def _header(path: Path) -> Header:
 
 def _common_shape(paths: tuple[Path, ...]) -> tuple[int, int]:
     """Rows and columns of the dot grid, which all files must share."""
-    shapes = {}
+    shapes: dict[tuple[int, int], Path] = {}
     for path in paths:
         with StageFile(path, "features") as file:
-            rows, columns = file.read("dot_shape").tolist()
+            rows, columns = (int(size) for size in file.read("dot_shape"))
             shapes.setdefault((rows, columns), path)
     if len(shapes) > 1:
         (first, path), (other, elsewhere) = list(shapes.items())[:2]

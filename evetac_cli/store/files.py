@@ -7,10 +7,11 @@ rename wins, and with the same recipe both wrote the same arrays.
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
+from types import NoneType, TracebackType
 from typing import Any, Self
 
 import h5py
@@ -18,10 +19,9 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import schema
-from evetac_cli.store.provenance import Header, Recipe, first_difference
+from evetac_cli.store.disk import new_file
+from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference
 
-# HDF5 1.14 and everything since opens this; `latest` would need HDF5 2.0, which h5py bundles and others do not have.
-LIBVER = ("earliest", "v114")
 CHUNK_ROWS = 65536
 CHUNK_BYTES = 1 << 20
 
@@ -36,18 +36,14 @@ class StageFile:
         try:
             self.header = _read_header(self.path, self._h5)
             _check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
-            lines = schema.problems(schema.load(self.kind), self.contents())
+            with _damage_in_words(self.path, "its contents"):
+                found = self.contents()
+            lines = schema.problems(schema.load(self.kind), found)
             major, minor = (int(part) for part in self.header["version"].split("."))
             known_minor = int(schema.load(self.kind).version.split(".")[1])
             if major == schema.MAJOR and minor > known_minor:  # a newer minor version only adds
                 lines = [line for line in lines if "is not in the schema" not in line]
-            if lines:
-                raise SchemaError(
-                    f"not a valid {self.kind}",
-                    where=str(self.path),
-                    expected=f"schemas/{self.kind}.v{schema.MAJOR}.json",
-                    found="; ".join(lines[:8]),
-                )
+            schema.refuse(self.kind, lines, str(self.path))
         except BaseException:
             self._h5.close()
             raise
@@ -75,17 +71,13 @@ class StageFile:
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
         """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar."""
-        try:
-            dataset = self._h5[path]
+        with _damage_in_words(self.path, path):
+            dataset = self._h5.get(path)
+            if not isinstance(dataset, h5py.Dataset):
+                raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
             if schema.describe_stored(dataset) == "utf8":
                 return dataset.asstr()[()]
             return dataset[()] if dataset.shape == () else dataset[start:stop]
-        except KeyError:
-            raise InputError(f"{path} is not in this {self.kind}", where=str(self.path)) from None
-        except OSError as error:
-            raise InputError(
-                f"{path} cannot be read: {error}", where=str(self.path), hint="the file is damaged; make it again"
-            ) from None
 
     def length(self, path: str) -> int:
         """Number of rows of a dataset, without reading it."""
@@ -97,20 +89,35 @@ class StageFile:
 
         def visit(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset):
-                found[name] = (schema.describe_stored(item), item.shape)
+                found[name] = (schema.describe_stored(item), item.shape or ())
 
         self._h5.visititems(visit)
         return found
 
 
+@contextmanager
+def _damage_in_words(path: Path, what: str) -> Iterator[None]:
+    """Damaged bytes in a file make h5py raise nearly anything; say which file and what could not be read."""
+    try:
+        yield
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
+        raise InputError(
+            f"{what} cannot be read: {error}", where=str(path), hint="the file is damaged; make it again"
+        ) from None
+
+
 def _open(path: Path) -> h5py.File:
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError("this is a folder", where=str(path), expected="an evetac stage file")
-    if not path.exists():
+    if not os.path.exists(path):  # unlike Path.exists, False for a name that is too long
         raise InputError("no such file", where=str(path))
+    if not os.path.isfile(path):  # opening a pipe would wait for a writer
+        raise InputError("this is not a regular file", where=str(path), expected="an evetac stage file")
     try:
         return h5py.File(path, "r")
     except OSError as error:
+        if error.errno:
+            raise InputError(f"cannot be opened: {os.strerror(error.errno)}", where=str(path)) from None
         reason = "it is truncated" if "truncated" in str(error) else "it is not an HDF5 file"
         raise InputError(
             f"cannot be opened: {reason}",
@@ -120,8 +127,24 @@ def _open(path: Path) -> h5py.File:
         ) from None
 
 
+# What every header says, and as what.
+HEADER: dict[str, tuple[type, ...]] = {
+    "kind": (str,),
+    "version": (str,),
+    "method": (int,),
+    "parameters": (dict,),
+    "seed": (int, NoneType),
+    "parents": (list,),
+    "content": (str, NoneType),
+    "id": (str,),
+    "simulated": (bool,),
+    "history": (dict,),
+}
+
+
 def _read_header(path: Path, h5: h5py.File) -> Header:
-    text = h5.attrs.get("header")
+    with _damage_in_words(path, "its header"):
+        text = h5.attrs.get("header")
     if not isinstance(text, str):
         raise InputError(
             "this HDF5 file was not made by evetac: it has no header",
@@ -129,26 +152,28 @@ def _read_header(path: Path, h5: h5py.File) -> Header:
             hint="foreign event files are read with `evetac record --from FILE`",
         )
     try:
-        header = json.loads(text)
-        required = (
-            "kind",
-            "version",
-            "method",
-            "parameters",
-            "seed",
-            "parents",
-            "content",
-            "id",
-            "simulated",
-            "history",
-        )
-        missing = [key for key in required if key not in header]
-        int(header["version"].split(".")[0])
-    except (ValueError, TypeError, KeyError, AttributeError):
+        header = dict(json.loads(text))
+        canonical(header)
+    except (ValueError, TypeError, RecursionError):
         raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
+    version = re.fullmatch("([0-9]{1,9})[.][0-9]{1,9}", str(header.get("version")))
+    if version and int(version[1]) > schema.MAJOR:  # said first: such a header may look different
+        raise InputError(
+            f"made by a newer evetac: {header.get('kind')} version {version[0]}",
+            where=str(path),
+            expected=f"version {schema.MAJOR}.x",
+            hint="update evetac",
+        )
+    missing = [key for key in HEADER if key not in header]
     if missing:
         raise SchemaError("its header is incomplete", where=str(path), found=f"no {', '.join(missing)}")
-    return dict(header)
+    wrong = [key for key, types in HEADER.items() if not isinstance(header[key], types)]
+    wrong += [] if version or "version" in wrong else ["version"]
+    if wrong:
+        raise SchemaError(
+            f"its header is not valid: {', '.join(wrong)}", where=str(path), expected="schemas/header.v1.json"
+        )
+    return header
 
 
 def _check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:
@@ -156,14 +181,6 @@ def _check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> N
         raise InputError("wrong kind of file", where=str(path), expected=" or ".join(wanted), found=str(header["kind"]))
     if header["kind"] not in schema.KINDS:
         raise SchemaError("unknown kind", where=str(path), expected=", ".join(schema.KINDS), found=str(header["kind"]))
-    major = int(header["version"].split(".")[0])
-    if major > schema.MAJOR:
-        raise InputError(
-            f"made by a newer evetac: {header['kind']} version {header['version']}",
-            where=str(path),
-            expected=f"version {schema.MAJOR}.x",
-            hint="update evetac",
-        )
 
 
 def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
@@ -172,16 +189,22 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     InputError if it holds anything else, naming the first difference, unless `force`: then it will be replaced.
     Checked before any work is done, so that nobody waits an hour for a refusal.
     """
-    if not path.exists():
+    if os.path.isdir(path):
+        raise InputError("the output is a folder", where=str(path))
+    if not os.path.exists(path):
+        _check_folder(path.parent)
         return False
     try:
         with StageFile(path) as existing:
             header = existing.header
-    except InputError:
+    except InputError as error:
         if force:
             return False
         raise InputError(
-            "the output exists and is not a valid evetac file", where=str(path), hint="--force replaces it"
+            "the output exists and is not a valid evetac file",
+            where=str(path),
+            found=str(error).splitlines()[0].removeprefix(f"{path}: "),
+            hint="--force replaces it",
         ) from None
     if header["id"] == recipe.id:
         return True
@@ -193,6 +216,16 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
         found=first_difference(recipe, header),
         hint="--force replaces it, -o NAME writes elsewhere",
     )
+
+
+def _check_folder(folder: Path) -> None:
+    """Refuse an output folder that cannot be made or written in."""
+    while not os.path.exists(folder):
+        folder = folder.parent
+    if not os.path.isdir(folder):
+        raise InputError("the output folder is a file", where=str(folder))
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError("the output folder cannot be written to", where=str(folder))
 
 
 def output_path(source: Path, kind: str, out: Path | None) -> Path:
@@ -215,19 +248,19 @@ def stem(path: Path) -> str:
 @contextmanager
 def replacing(path: Path) -> Iterator[h5py.File]:
     """A new HDF5 file that takes the place of `path` when the block ends well, and leaves no trace when it does not."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        raise InputError("the output folder is a file", where=str(path.parent)) from None
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with h5py.File(temporary, "w", libver=LIBVER) as h5:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with new_file(temporary) as h5:
             yield h5
         temporary.replace(path)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError("the output folder is a file", where=str(path.parent)) from None
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def write_stage(path: Path, recipe: Recipe, arrays: Mapping[str, Any]) -> Header:

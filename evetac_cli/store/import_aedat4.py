@@ -213,9 +213,8 @@ def _decode(
         found = f"{size - packets.end} bytes after byte {packets.end}" if not packets.whole else trouble
         raise InputError("no packet of events can be read: the file is broken", where=where, found=found)
     if not complete:
-        notes.append(
-            f"broken file: kept {kept} events of {len(events)} of {count} packets; {trouble or 'then the decoder stopped'}"
-        )
+        end = trouble or "there the decoder stopped"
+        notes.append(f"broken file: kept {kept} events of {len(events)} of {count} packets; {end}")
     if not packets.whole:
         lost = min(size, header.table if header.table >= 0 else size) - packets.end
         word = "damaged" if 0 <= header.table < size else "truncated"

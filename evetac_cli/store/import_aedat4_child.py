@@ -7,7 +7,7 @@ packet, and the kernel keeps it to that.
     import_aedat4_child.py FILE CAMERA STREAM SECONDS
 
 Output: for every packet its number of events (int64), then as many records of EVENT; -1 events mark the end.
-CAMERA may be empty. Exit codes, with one line on stderr: 3 when dv-processing refuses the file, 4 when it does not load.
+CAMERA may be empty. Exit codes, with one line on stderr: 3 if dv-processing refuses the file, 4 if it does not load.
 """
 
 import os

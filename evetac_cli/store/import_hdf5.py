@@ -16,6 +16,7 @@ from evetac_cli.store.import_door import CLOCK_LIMIT_US, Columns, Foreign, at_in
 BATCH_ROWS = 1 << 20
 LAYOUT = "events/t, events/x, events/y, events/p (the layout of DSEC)"
 PROPHESEE_FILTER = 0x8ECF
+DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError)  # what h5py raises when a file is broken
 
 
 def open_hdf5(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
@@ -30,7 +31,7 @@ def open_hdf5(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
             lengths = [len(column) for column in columns]
             check_lengths(lengths, where)
             clock_us = _t_offset(file, where)
-    except (OSError, RuntimeError, KeyError) as error:
+    except DAMAGE as error:
         raise _unreadable(where, error) from error
     frame = checked_frame(frame_px, where, "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)")
     return Foreign("hdf5", frame, _batches(path, lengths[0]), clock_us)
@@ -44,7 +45,7 @@ def _batches(path: Path, rows: int) -> Iterator[Columns]:
             for start in range(0, rows, BATCH_ROWS):
                 t, x, y, p = (file["events"][name][start : start + BATCH_ROWS] for name in "txyp")
                 yield Columns(t, x, y, p, partial(at_index, start))
-    except OSError as error:
+    except DAMAGE as error:
         raise _unreadable(str(path), error) from error
 
 
@@ -94,7 +95,7 @@ def _member(group: Any, name: str, where: str) -> Any:
     if link is not None:
         raise InputError(f"`{name}` is a link", where=where, expected="data in the file itself")
     hint = "Prophesee's own layout: convert it with the maker's tools" if group.get("CD", getlink=True) else ""
-    found = ", ".join(sorted(group)[:12]) or "nothing"
+    found = ", ".join(sorted(map(str, group))[:12]) or "nothing"  # names may be bytes
     raise InputError("holds no columns of events", where=where, expected=LAYOUT, found=found, hint=hint)
 
 

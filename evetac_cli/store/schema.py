@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import h5py
 import numpy as np
 
 from evetac_cli.errors import SchemaError
@@ -104,6 +105,9 @@ def _shape_problems(
             continue
         name, _, more = dim.partition("+")
         base = size - int(more or 0)
+        if base < 0:
+            lines.append(f"{path}: expected at least {more} for `{dim}`, found {size}")
+            continue
         first, where = sizes.setdefault(name, (base, path))
         if base != first:
             lines.append(f"{path}: expected {first + int(more or 0)} for `{dim}` (as in {where}), found {size}")
@@ -120,11 +124,19 @@ def describe(value: Any) -> tuple[str, tuple[int, ...]]:
 
 def check(kind: str, arrays: Mapping[str, Any]) -> None:
     """Raise SchemaError if arrays are not what a file of this kind holds."""
-    lines = problems(load(kind), {path: describe(value) for path, value in arrays.items()})
+    refuse(kind, problems(load(kind), {path: describe(value) for path, value in arrays.items()}))
+
+
+def refuse(kind: str, lines: list[str], where: str = "") -> None:
+    """Raise SchemaError if there are problems."""
     if lines:
-        raise SchemaError(f"not a valid {kind}", expected=f"schemas/{kind}.v{MAJOR}.json", found="; ".join(lines[:8]))
+        raise SchemaError(
+            f"not a valid {kind}", where=where, expected=f"schemas/{kind}.v{MAJOR}.json", found="; ".join(lines[:8])
+        )
 
 
 def describe_stored(dataset: Any) -> str:
     """Dtype name of an HDF5 dataset, in the words of the schema."""
-    return "utf8" if dataset.dtype.kind in "OS" else str(dataset.dtype.name)
+    if dataset.shape is None:  # HDF5's null dataspace: a name without a value
+        return "nothing"
+    return str(dataset.dtype.name) if h5py.check_string_dtype(dataset.dtype) is None else "utf8"

@@ -9,6 +9,7 @@ import fcntl
 import shutil
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.store import schema
-from evetac_cli.store.files import LIBVER, create, put, put_header, replacing
+from evetac_cli.store.disk import new_file
+from evetac_cli.store.files import create, put, put_header, replacing
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
 
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
@@ -40,9 +42,12 @@ class RecordingWriter:
         """
         self.path = path
         self.folder = path.with_name(path.name.removesuffix(".h5") + ".part")
-        self._static = dict(static)
         self._claim(discard_leftover)
-        self._write(self.folder / STATIC, self._static)
+        try:
+            self._write(self.folder / STATIC, static)
+        except BaseException:
+            self.discard()
+            raise
         self._events: list[Events] = []
         self._counts: list[int] = []
         self._rows: dict[str, list[Any]] = {}
@@ -53,13 +58,12 @@ class RecordingWriter:
     def _claim(self, discard_leftover: bool) -> None:
         """Make the folder ours; a lock tells a recording in progress from one that broke off."""
         try:
-            self.folder.mkdir(parents=True)
-        except FileExistsError:
-            if not self.folder.is_dir():
-                raise InputError("the output folder is a file", where=str(self.folder)) from None
-        except NotADirectoryError:
-            raise InputError("the output folder is a file", where=str(self.folder.parent)) from None
-        self._lock = open(self.folder / "lock", "w")  # noqa: SIM115 - held until finish() or discard()
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = open(self.folder / "lock", "w")  # noqa: SIM115 - held until finish() or discard()
+        except (FileExistsError, NotADirectoryError):
+            raise InputError("the output folder is a file", where=str(self.folder)) from None
+        except OSError as error:
+            raise InputError(f"cannot be made: {error.strerror}", where=str(self.folder)) from None
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -74,6 +78,9 @@ class RecordingWriter:
                 hint="move the folder away, or write elsewhere with -o",
             )
         for file in left:
+            if file.is_dir():
+                self._lock.close()
+                raise InputError("this folder is not from a recording", where=str(file), hint="move it away")
             file.unlink()
 
     def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
@@ -109,24 +116,25 @@ class RecordingWriter:
         """
         self.close_segment()
         header = join(self.folder, self.path, recipe, late or {}, from_device=from_device)
-        self._lock.close()
-        shutil.rmtree(self.folder)
+        self.discard()
         return header
 
     def discard(self) -> None:
-        """Throw everything away: for a trial that can be made again."""
+        """Throw the folder away: for a trial that can be made again, or is joined."""
+        shutil.rmtree(self.folder, ignore_errors=True)  # before the lock is let go: the next may be waiting for it
         self._lock.close()
-        shutil.rmtree(self.folder, ignore_errors=True)
 
     @staticmethod
     def _write(path: Path, arrays: Mapping[str, Any]) -> None:
         temporary = path.with_suffix(".tmp")
         try:
-            with h5py.File(temporary, "w", libver=LIBVER) as h5:
+            with new_file(temporary) as h5:
                 for name, value in arrays.items():
                     put(h5, name, value)
             temporary.replace(path)
         except OSError as error:
+            with suppress(OSError):
+                temporary.unlink()
             raise InputError(
                 f"a segment cannot be written: {error.strerror or error}",
                 where=str(path.parent),
@@ -169,8 +177,7 @@ def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], *, f
                 _put_whole(h5, name, np.empty(0, described.dtype), digest, written)
         starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))]) if counts else np.zeros(1)
         _put_whole(h5, "ms_to_idx", starts.astype(np.int64), digest, written)
-        lines = schema.problems(table, written)
-        assert not lines, lines
+        schema.refuse("recording", schema.problems(table, written), str(folder))
         if from_device:
             recipe = Recipe(**{**vars(recipe), "seed": None, "content": digest.hexdigest()})
         header = recipe.header()

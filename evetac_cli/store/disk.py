@@ -1,0 +1,62 @@
+"""New HDF5 files whose disk may be full.
+
+Why so: where HDF5 cannot write, it cannot close the file either, and takes the whole process down at its end. So it
+writes through a file object that never fails: that keeps the first error, which is raised once HDF5 has closed. For the
+same reason Ctrl-C waits until then; it would otherwise come up inside that object.
+"""
+
+import io
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+# HDF5 1.14 and everything since opens this; `latest` would need HDF5 2.0, which h5py bundles and others do not have.
+LIBVER = ("earliest", "v114")
+
+
+class _Disk(io.FileIO):
+    """A file that takes everything: after the first error, bytes are dropped."""
+
+    error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of `data`, or remember why not."""
+        left = memoryview(data).cast("B")
+        try:
+            while left and self.error is None:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.error = error
+        return len(data)
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[h5py.File]:
+    """A new HDF5 file, open for writing; OSError if the disk did not take all of it."""
+    with _interrupts_wait(), _Disk(path, "w+") as disk:
+        try:
+            with h5py.File(disk, "w", libver=LIBVER) as h5:
+                yield h5
+        finally:
+            if disk.error is not None:
+                raise disk.error
+
+
+@contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():  # signals come up in the main thread only
+        yield
+        return
+    came: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if came:
+            signal.raise_signal(signal.SIGINT)
