@@ -26,6 +26,12 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
     from rich.progress import Progress as Bar
     from rich.text import Text
 
+    class Count(ProgressColumn):
+        """Done of all, once it is known how many that are."""
+
+        def render(self, task: Any) -> Text:
+            return Text(f"{task.completed:.0f}/{task.total:.0f} {unit}" if task.total is not None else "")
+
     class Rate(ProgressColumn):
         """Units a second."""
 
@@ -33,9 +39,9 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
             return Text(f"{task.speed:.3g} {unit}/s" if task.speed else "")
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit),
+        Count(),
         Rate(),
         TimeRemainingColumn(),
     )
@@ -62,7 +68,8 @@ def print_table(title: str, rows: list[dict[str, Any]], summary: dict[str, Any],
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(soft_wrap=not sys.stdout.isatty())
+    # What is printed is text, not markup: a path may hold [brackets] or :colons:.
+    console = Console(soft_wrap=not sys.stdout.isatty(), markup=False, emoji=False)
     if rows:
         table = Table(title=title + (" (simulated)" if simulated else ""), title_justify="left")
         names = list(dict.fromkeys(name for row in rows for name in row))

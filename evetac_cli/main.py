@@ -9,6 +9,7 @@ import inspect
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -99,7 +100,8 @@ def _add(group: typer.Typer, command: Command, title: str, panel: str) -> None:
         unit = f" \\[{item.metadata['unit']}]" if item.metadata["unit"] else ""
         choices = f" ({', '.join(item.metadata['choices'])})" if len(item.metadata["choices"]) > 1 else ""
         flag = params.flag_of(item)
-        default = f" \\[default: {item.default}]" if item.default not in (None, "", False) else ""
+        told = item.default is not None and item.default is not False and item.default != ""
+        default = f" \\[default: {item.default}]" if told else ""
         option = typer.Option(
             flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}",
             help=item.metadata["help"] + choices + unit + default,
@@ -127,9 +129,7 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
         chosen = params.resolve(command.params, title, given, running["config"])
         stage = importlib.import_module(f".stages.{command.module}", __package__)
         jobs: list[Job] = stage.jobs(files, chosen, running["out"])
-        clash = {job.output for job in jobs if sum(other.output == job.output for other in jobs) > 1}
-        if clash:
-            raise InputError("several inputs would write the same output", found=", ".join(map(str, sorted(clash))))
+        _check_outputs(jobs, files, chosen, force=running["force"])
         if running["number_of_jobs"] < 1:
             raise InputError(
                 "out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"])
@@ -152,6 +152,19 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             for error in errors[1:]:
                 console.say(f"error: {error}")
             raise errors[0]
+
+
+def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
+    """Refuse outputs that would replace each other, or (with --force) what they are made from."""
+    times = Counter(job.output for job in jobs)
+    clash = sorted(output for output, count in times.items() if count > 1)
+    if clash:
+        raise InputError("several inputs would write the same output", found=", ".join(map(str, clash)))
+    named = (value for value in vars(chosen).values() if isinstance(value, Path))
+    inputs = {path.resolve() for path in (*files, *named, *(path for job in jobs for path in job.inputs))}
+    lost = sorted(output for output in times if output.resolve() in inputs) if force else []
+    if lost:
+        raise InputError("the output would replace an input", found=", ".join(map(str, lost)))
 
 
 def _count(outcomes: list[Outcome]) -> dict[str, Any]:

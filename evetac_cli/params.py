@@ -7,6 +7,7 @@ command), then the default here.
 
 import dataclasses
 import math
+import sys
 import tomllib
 import typing
 from collections.abc import Mapping
@@ -166,6 +167,21 @@ class Grasp:
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0)
 
 
+# A table of a config file for each: [track], [evaluate.slip].
+COMMANDS = (
+    "record",
+    "label",
+    "track",
+    "featurize",
+    "train",
+    "evaluate slip",
+    "evaluate labels",
+    "evaluate tracking",
+    "evaluate grasp",
+    "grasp",
+)
+
+
 def recipe_of(params: Any) -> dict[str, Any]:
     """The parameters that determine the numbers, for a header."""
     return {item.name: getattr(params, item.name) for item in fields(params) if item.metadata["recipe"]}
@@ -193,26 +209,29 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
         raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"not valid TOML: {error}", where=str(path)) from None
-    for word in command.split():
+    words = command.split()
+    for depth, word in enumerate(words):
+        tables = {name.split()[depth] for name in COMMANDS if name.split()[:depth] == words[:depth]}
+        for key in table:
+            if key not in tables:
+                raise _unknown("table", key, sorted(tables), where=str(path))
         table = table.get(word, {})
         if not isinstance(table, dict):
             raise InputError(f"`{word}` is not a table", where=str(path), expected=f"[{command.replace(' ', '.')}]")
-    known = {item.name: item for item in fields(cls)}
+    known = [item.name for item in fields(cls)]
     hints = typing.get_type_hints(cls)
     values = {}
     for key, value in table.items():
-        if isinstance(value, dict) and command == "evaluate":
-            continue
         if key not in known:
-            near = get_close_matches(key, known, n=1)
-            raise InputError(
-                f"unknown key `{key}` in [{command}]",
-                where=str(path),
-                expected=", ".join(known),
-                hint=f"did you mean `{near[0]}`?" if near else "",
-            )
+            raise _unknown("key", key, known, where=f"{path}: [{command.replace(' ', '.')}]")
         values[key] = _coerce(value, hints[key], f"{path}: {command}.{key}")
     return values
+
+
+def _unknown(what: str, name: str, known: list[str], where: str) -> InputError:
+    near = get_close_matches(name, known, n=1)
+    hint = f"did you mean `{near[0]}`?" if near else ""
+    return InputError(f"unknown {what} `{name}`", where=where, expected=", ".join(known), hint=hint)
 
 
 def _coerce(value: Any, hint: Any, where: str) -> Any:
@@ -221,7 +240,7 @@ def _coerce(value: Any, hint: Any, where: str) -> Any:
     for option in wanted:
         if option is Path and isinstance(value, str):
             return Path(value)
-        if option is float and isinstance(value, int) and not isinstance(value, bool):
+        if option is float and type(value) is int and abs(value) < sys.float_info.max:
             return float(value)
         if type(value) is option:
             return value

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from evetac_cli.sim.contact import cell_area, pad_nodes
+from evetac_cli.sim.contact import cell_area, gap_profile, pad_nodes, pressure
 from evetac_cli.sim.gel import Friction, GelMaterial, displacement_at, energy, interpolation, start, step
 
 GRAVITY = 9.81
@@ -537,6 +537,52 @@ def test_extreme_cases_stay_finite(name, theta):
     for array in (state.pose, state.twist, state.displacement_m, state.velocity_m_s, state.maxwell_n):
         assert np.isfinite(array).all()
     assert all(np.isfinite(np.hstack(info)))
+
+
+def hard_case(seed):
+    """Anything from a crumb to a brick, on gels from jelly to glass, gripped anyhow and shaken, for 40 steps."""
+    rng = np.random.default_rng(seed)
+
+    def logarithmic(low, high):
+        return 10 ** rng.uniform(low, high)
+
+    columns, rows = (int(count) for count in rng.integers(1, 20, 2))
+    nodes = pad(columns, rows)
+    material = GelMaterial(
+        shear_modulus_pa=145e3 * logarithmic(-2, 4),
+        density_kg_m3=logarithmic(2, 4),
+        viscous_time_s=logarithmic(-6, -2),
+        maxwell_share=rng.uniform(0, 0.5),
+        maxwell_time_s=logarithmic(-5, 1),
+        coupled=bool(rng.random() < 0.8),
+        with_mass=bool(rng.random() < 0.8),
+    )
+    mass_kg, mu = logarithmic(-3, 1), logarithmic(-1, 0.5)
+    friction = Friction(mu, mu * rng.uniform(0.3, 1), logarithmic(-4, -1))
+    centre_m = tuple(rng.normal(0, 5e-3, 2))
+    state = start(
+        nodes, material, mass_kg, mass_kg * logarithmic(-6, -2), body_xy_m=centre_m, cell_area_m2=300e-6 / columns / rows
+    )
+    gap = gap_profile(nodes, rng.choice(["flat", "cylinder", "sphere"]), logarithmic(-2.3, -1), rng.normal(0, 0.01))
+    depth_m, dt_s = logarithmic(-5, -3.3), logarithmic(-4.5, -2)
+    force = mass_kg * np.array([GRAVITY, rng.normal(), 0.1 * rng.normal()])
+    grip_n, rate = mass_kg * GRAVITY / mu * rng.uniform(0.2, 3), rng.uniform(5, 100)
+    loads = [pressure(depth_m, gap, grip_n * (1 + 0.9 * math.sin(rate * k * dt_s))) for k in range(40)]
+    return state, loads, force, friction, dt_s, float(rng.choice([0.5, 0.55, 0.75, 1.0]))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_hard_cases_find_their_balance(seed):
+    """Assert that whatever is held, every step finds its balance within 400 sweeps and gains no energy."""
+    state, loads, force, friction, dt_s, theta = hard_case(seed)
+    work, largest = 0.0, 1e-12
+    for nodal in loads:
+        before = state.pose.copy()
+        info = step(state, nodal, force, friction, dt_s, theta=theta)
+        assert info.converged, info
+        work += force @ (state.pose - before)
+        largest = max(largest, abs(work), energy(state))
+        assert energy(state) - work <= 1e-5 * largest
 
 
 # -- refusals ----------------------------------------------------------------------------------------------------------

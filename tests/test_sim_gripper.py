@@ -126,11 +126,17 @@ def test_speed_limit_holds():
     for speeds, sign in ((closing, 1.0), (opening, -1.0)):
         assert np.abs(speeds).max() <= DRIVE.speed_limit_m_s
         assert (sign * speeds).max() == DRIVE.speed_limit_m_s
+    ticks_s = 2 * DRIVE.speed_limit_m_s / CURVE.metres_per_tick  # both fingers close the gap
+    there = start(DRIVE, CURVE, TOUCH_TICKS, -100.0)
+    settle(there, "current", 300.0, 0.02)
+    before = there.closing_ticks
+    settle(there, "current", 300.0, 0.1)
+    assert there.closing_ticks - before == pytest.approx(0.1 * ticks_s, rel=1e-9)
 
 
 def test_current_limit_and_rounding():
     """Assert that currents are whole mA and goals whole ticks, and that no current exceeds the limit."""
-    state = start(DRIVE, CURVE, TOUCH_TICKS, -2.5)
+    state = start(DRIVE, CURVE, TOUCH_TICKS, -2.25)
     assert state.position_ticks == 434
     step(state, DRIVE, CURVE, "current", 3.4, 1e-3)
     assert state.current_ma == 3.0

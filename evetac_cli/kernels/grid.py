@@ -7,14 +7,19 @@ from numpy.typing import NDArray
 def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sort dots given in any order into (rows, columns, 2), rows from top to bottom, columns from left to right.
 
-    Accepts (dots, 2) or an array already of shape (rows, columns, 2). Rows are told apart by gaps in y that exceed half
-    the pitch, so the grid may be tilted by up to about half a pitch over its width. ValueError if the rows are uneven.
+    Accepts (dots, 2) or an array already sorted as (rows, columns, 2), with NaN where a dot is missing. Rows are told
+    apart by gaps in y that exceed half the pitch, so the grid may be tilted by up to about half a pitch over its width.
+    ValueError if the rows are uneven, or their dots do not stand below each other.
     """
     dots = np.asarray(dot_xy_px, dtype=np.float64)
-    if dots.ndim == 3 and dots.shape[2] == 2:
-        return dots
-    if dots.ndim != 2 or dots.shape[1] != 2 or len(dots) == 0:
+    if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
         raise ValueError(f"expected (dots, 2), found shape {dots.shape}")
+    if dots.ndim == 3:
+        if np.isinf(dots).any():
+            raise ValueError("expected finite centres, or NaN for a missing dot")
+        if (np.diff(dots[..., 1], axis=0) <= 0).any() or (np.diff(dots[..., 0], axis=1) <= 0).any():
+            raise ValueError("expected rows from top to bottom and columns from left to right")
+        return dots
     if not np.isfinite(dots).all():
         raise ValueError("expected finite centres; missing dots are only possible in a (rows, columns, 2) grid")
     by_row = dots[np.argsort(dots[:, 1], kind="stable")]
@@ -23,7 +28,10 @@ def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     sizes = {len(row) for row in rows}
     if len(sizes) != 1:
         raise ValueError(f"expected rows of equal length, found {[len(row) for row in rows]} dots a row")
-    return np.stack([row[np.argsort(row[:, 0], kind="stable")] for row in rows])
+    grid = np.stack([row[np.argsort(row[:, 0], kind="stable")] for row in rows])
+    if (np.abs(np.diff(grid[..., 0], axis=0)) > pitch(dots) / 2).any():
+        raise ValueError("expected dots below each other; every row lacks dots, or has too many, in another place")
+    return grid
 
 
 def pitch(dot_xy_px: NDArray[np.float64]) -> float:

@@ -14,6 +14,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels import grid
 from evetac_cli.store.provenance import content_digest
 
+MOST_PX = 65536  # events count columns and rows in uint16
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -43,26 +45,56 @@ def read_calibration(path: Path) -> Calibration:
     """Read a calibration; InputError names the key that is missing or wrong."""
     try:
         table = json.loads(path.read_text())
-        frame = tuple(int(size) for size in table["frame_px"])
-        dots = np.asarray(table["dot_xy_px"], dtype=np.float64)
-        radius = float(table["radius_px"])
-        window = table.get("window_px")
-        window = None if window is None else tuple(int(edge) for edge in window)
+        width, height = _whole(table, "frame_px", 2)
+        dots = _dots(table["dot_xy_px"])
+        radius = table["radius_px"]
+        window = None if table.get("window_px") is None else _whole(table, "window_px", 4)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
     except KeyError as error:
         raise InputError(
             f"the key {error} is missing", where=str(path), expected="frame_px, radius_px, dot_xy_px"
         ) from None
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(
             f"not a calibration: {error}", where=str(path), expected="JSON with frame_px, radius_px, dot_xy_px"
         ) from None
-    if len(frame) != 2 or (window is not None and len(window) != 4) or not (np.isfinite(radius) and radius > 0):
-        raise InputError(
-            "not a calibration", where=str(path), expected="frame_px of 2, window_px of 4 numbers, radius_px > 0"
-        )
+    x0, y0, x1, y1 = window or (0, 0, width, height)
+    for key, holds, expected in (
+        ("frame_px", 0 < width <= MOST_PX and 0 < height <= MOST_PX, f"width and height from 1 to {MOST_PX}"),
+        ("radius_px", _is_number(radius) and 0 < radius <= max(width, height), "a number above 0, in px"),
+        ("window_px", 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height, "x0, y0, x1, y1 inside the frame"),
+    ):
+        if not holds:
+            raise InputError(f"{key} is not valid", where=str(path), expected=expected, found=str(table[key]))
     try:
-        return Calibration((frame[0], frame[1]), grid.arrange(dots), radius, window)
+        arranged = grid.arrange(dots)
     except ValueError as error:
         raise InputError(f"the dots do not form a grid: {error}", where=str(path)) from None
+    if (arranged < 0).any() or (arranged >= (width, height)).any():
+        raise InputError(
+            "a dot lies outside the frame",
+            where=str(path),
+            expected=f"dot_xy_px as (x, y) within {width} x {height} px",
+            found=f"x up to {np.nanmax(arranged[..., 0]):.4g}, y up to {np.nanmax(arranged[..., 1]):.4g}",
+        )
+    return Calibration((width, height), arranged, float(radius), (x0, y0, x1, y1) if window else None)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _whole(table: Any, key: str, count: int) -> tuple[int, ...]:
+    """So many whole numbers; int() would also take the digits of a string, or cut 640.7."""
+    values = table[key]
+    if not isinstance(values, list) or len(values) != count or not all(_is_number(v) and v == int(v) for v in values):
+        raise ValueError(f"{key} is {values}, not {count} whole numbers")
+    return tuple(int(value) for value in values)
+
+
+def _dots(values: Any) -> NDArray[np.float64]:
+    """Centres as numbers, null for a missing dot; text is refused, though numpy would take it."""
+    if np.asarray(values).dtype.kind not in "iufO":
+        raise ValueError("dot_xy_px holds something other than numbers")
+    return np.asarray(values, dtype=np.float64)

@@ -89,7 +89,7 @@ class StageFile:
 
         def visit(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset):
-                found[name] = (schema.describe_stored(item), item.shape or ())
+                found[str(name)] = (schema.describe_stored(item), item.shape or ())
 
         self._h5.visititems(visit)
         return found

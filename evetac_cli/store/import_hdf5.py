@@ -50,7 +50,7 @@ def _batches(path: Path, rows: int) -> Iterator[Columns]:
 
 
 def _unreadable(where: str, error: Exception) -> InputError:
-    reason = str(error).strip("'\"").splitlines()[0][:200]
+    reason = (str(error).strip("'\"").splitlines() or [type(error).__name__])[0][:200]
     return InputError(
         "cannot be read as HDF5", where=where, found=reason, hint="the file may be cut short: copy it again"
     )
@@ -58,7 +58,8 @@ def _unreadable(where: str, error: Exception) -> InputError:
 
 def _refuse_own(file: Any, where: str) -> None:
     """Our own files carry a header; a recording needs no import, and the other kinds hold no events."""
-    if "header" in file.attrs:
+    header = file.attrs.get("header")
+    if isinstance(header, str) and '"kind"' in header:
         raise InputError(
             "is a file of evetac's own, not a foreign one",
             where=where,

@@ -114,12 +114,11 @@ def first_difference(wanted: Recipe, found: Header) -> str:
     difference = _difference(wanted.parameters, found["parameters"], "parameters")
     if difference:
         return difference
-    for position, parent in enumerate(wanted.parents):
-        theirs = found["parents"][position] if position < len(found["parents"]) else None
-        if parent["id"] != theirs:
-            return f"its {parent['kind']} was {_short(theirs)}, now {parent['id'][:12]}"
     if len(found["parents"]) != len(wanted.parents):
         return f"it was made from {len(found['parents'])} files, now {len(wanted.parents)}"
+    for parent, theirs in zip(wanted.parents, found["parents"], strict=True):
+        if parent["id"] != theirs:
+            return f"its {parent['kind']} was {_short(theirs)}, now {parent['id'][:12]}"
     return "the schema version differs"
 
 
@@ -147,15 +146,22 @@ def _short(value: Any) -> str:
 
 
 class ContentDigest:
-    """SHA-256 over named arrays that arrive in pieces, independent of how they were cut."""
+    """SHA-256 over named arrays, with dtype and shape, that arrive in pieces; independent of how they were cut."""
 
     def __init__(self) -> None:
         self._hashes: dict[str, Any] = {}
 
     def update(self, path: str, value: Any) -> None:
         """Add the next piece of one array (or the whole of a scalar or a str)."""
-        hash_ = self._hashes.setdefault(path, hashlib.sha256())
-        hash_.update(value.encode() if isinstance(value, str) else np.ascontiguousarray(value).tobytes())
+        if isinstance(value, str):
+            what, content = "utf8", value.encode()
+        else:
+            array = np.asarray(value)
+            row = array.shape[1:] if array.ndim else "scalar"  # the number of rows follows from the bytes
+            what, content = f"{array.dtype.str} {row}", array.tobytes()
+        if path not in self._hashes:
+            self._hashes[path] = hashlib.sha256(what.encode())
+        self._hashes[path].update(content)
 
     def hexdigest(self) -> str:
         """The digest over all paths, in their sorted order."""

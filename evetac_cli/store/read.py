@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import Events
 from evetac_cli.kernels import features
 from evetac_cli.store.files import StageFile
@@ -31,7 +31,14 @@ class Recording(StageFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "recording")
-        self.starts: NDArray[np.int64] = self.read("ms_to_idx")
+        try:
+            self.starts: NDArray[np.int64] = self.read("ms_to_idx")
+            first, last = self.starts[0], self.starts[-1]
+            if first != 0 or last != self.length("events/t") or (self.starts[1:] < self.starts[:-1]).any():
+                raise SchemaError("ms_to_idx does not count the events", where=str(self.path))
+        except BaseException:
+            self.close()
+            raise
         self._block = (0, 0)
         self._events: Events | None = None
 
@@ -99,7 +106,7 @@ class SlipWindows:
     """Windows of features with their labels: a map-style data set that torch's DataLoader takes as it is.
 
     Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32). Slices without a full history, without an
-    examined label, or more than `after_onset` slices after the onset are left out.
+    examined label, or `after_onset` slices and more after the onset are left out.
     """
 
     def __init__(self, paths: Sequence[str | Path], history: int = 10, after_onset: int = 15) -> None:

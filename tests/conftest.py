@@ -1,0 +1,95 @@
+"""Files of every kind, each made by the real stage from the smallest scene; shared by the tests of a session."""
+
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evetac_cli import params
+from evetac_cli.resources import PACKAGE
+from evetac_cli.stages import featurize, grasp, label, record, track, train
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+# As the slip scene, but slipping within a second, seen by a coarse gel.
+SHORT = {
+    "rest_s": 0.05,
+    "load_s": 0.05,
+    "hold_s": 0.05,
+    "after_lost_s": 0.02,
+    "longest_s": 4.0,
+}
+
+
+def as_toml(table: dict[str, Any]) -> str:
+    """TOML of a table of tables (the standard library only reads)."""
+    plain = [f"{key} = {_value(value)}" for key, value in table.items() if not isinstance(value, dict)]
+    for name, group in table.items():
+        if isinstance(group, dict):
+            plain += [f"[{name}]", *(f"{key} = {_value(value)}" for key, value in group.items())]
+    return "\n".join(plain) + "\n"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+@dataclass
+class Made:
+    """One trial and what was computed from it, and a model and a grasp."""
+
+    folder: Path
+    scene: Path
+    recordings: list[Path] = field(default_factory=list)
+
+    def beside(self, recording: Path, kind: str) -> Path:
+        return recording.with_name(recording.name.replace(".recording.", f".{kind}."))
+
+    @property
+    def model(self) -> Path:
+        return self.folder / "hist10.model.h5"
+
+    @property
+    def grasp(self) -> Path:
+        return self.folder / "grasp.recording.h5"
+
+
+@pytest.fixture(scope="session")
+def short_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The slip scene, shortened."""
+    scene = tomllib.loads((PACKAGE / "scenes" / "slip.toml").read_text())
+    scene["name"] = "short"
+    scene["time"] |= SHORT
+    scene["gel"]["nodes"] = [12, 9]
+    scene["gripper"] = {"start_factor": [1.2, 1.25], "friction_factor": [0.1, 0.12]}
+    path = tmp_path_factory.mktemp("scene") / "short.toml"
+    path.write_text(as_toml(scene))
+    return path
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
+    """Recordings with labels, tracks and features, a model trained on them, and a grasp with that model."""
+    folder = tmp_path_factory.mktemp("made")
+    made = Made(folder, short_scene)
+    recipe = params.Record(scene=str(short_scene), objects="8", count=3)
+    for job in record.jobs([], recipe, folder):
+        record.run(job, recipe)
+        made.recordings.append(job.output)
+    for path in made.recordings:
+        for stage, chosen in ((track, params.Track()), (label, params.Label(after_ms=25)), (featurize, params.Featurize())):
+            (job,) = stage.jobs([path], chosen, None)
+            stage.run(job, chosen)
+    features = [made.beside(path, "features") for path in made.recordings]
+    training = params.Train(epochs=1, max_steps=20, recipe="adam", validate=str(features[-1]))
+    (job,) = train.jobs(features, training, made.model)
+    train.run(job, training)
+    grasping = params.Grasp(model=made.model, lift_s=1.0, balance_s=0.2)
+    (job,) = grasp.jobs([], grasping, made.grasp)
+    grasp.run(job, grasping)
+    return made
+
