@@ -29,10 +29,10 @@ demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; res
 	run record --scene slip --object 4,8,11 --count 3 --seed $$(( $(SEED) + 1000 )) --out $(DEMO)/unseen --jobs $(JOBS) --quiet; \
 	for part in learn unseen; do \
 	  run track $(DEMO)/$$part/*.recording.h5 --jobs $(JOBS) --quiet; \
-	  run label $(DEMO)/$$part/*.recording.h5 --jobs $(JOBS) --quiet; \
+	  run label $(DEMO)/$$part/*.recording.h5 --after-ms 25 --jobs $(JOBS) --quiet; \
 	  run featurize $(DEMO)/$$part/*.recording.h5 --jobs $(JOBS) --quiet; \
 	done; \
-	run train $(DEMO)/learn/*.features.h5 --recipe adam --epochs 12 --seed $(SEED) --validate '$(DEMO)/learn/*-005.features.h5' --out $(DEMO)/slip.model.h5 --quiet; \
+	run train $(DEMO)/learn/*.features.h5 --recipe adam --epochs 30 --seed $(SEED) --validate '$(DEMO)/learn/*-005.features.h5' --out $(DEMO)/slip.model.h5 --quiet; \
 	run evaluate labels $(DEMO)/unseen/*.labels.h5 --out $(DEMO)/labels.report.h5 --quiet; \
 	run evaluate tracking $(DEMO)/unseen/*.tracks.h5 --out $(DEMO)/tracking.report.h5 --quiet; \
 	run evaluate slip $(DEMO)/unseen/*.features.h5 --model $(DEMO)/slip.model.h5 --out $(DEMO)/slip.report.h5 --quiet; \

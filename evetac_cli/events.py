@@ -47,3 +47,34 @@ def concatenate(parts: list[Events]) -> Events:
 def slice_starts(t_us: NDArray[np.int64], slices: int) -> NDArray[np.int64]:
     """Index of the first event of every slice, and the total at the end: shape (slices + 1,), `ms_to_idx` on disk."""
     return np.searchsorted(t_us, np.arange(slices + 1, dtype=np.int64) * SLICE_US).astype(np.int64)
+
+
+class Slicer:
+    """Cuts a stream that arrives in packets, however they are cut, into slices; empty slices included."""
+
+    def __init__(self) -> None:
+        self._next = 0  # index of the slice that is open
+        self._waiting: list[Events] = []
+        self._latest_us = 0
+
+    def push(self, packet: Events) -> list[Events]:
+        """Take the next packet; return the slices that its last event shows to be over. ValueError if time goes back."""
+        if packet.size == 0:
+            return []
+        if packet.t[0] < self._latest_us or (np.diff(packet.t) < 0).any():
+            raise ValueError(f"expected events from {self._latest_us} us on in order of time, found earlier ones")
+        self._latest_us = int(packet.t[-1])
+        self._waiting.append(packet)
+        return self.close_until(self._latest_us // SLICE_US)
+
+    def close_until(self, slices: int) -> list[Events]:
+        """Close all slices below this index: device time has passed them, whether or not events came."""
+        if slices <= self._next:
+            return []
+        waiting = concatenate(self._waiting)
+        edges = np.searchsorted(waiting.t, np.arange(self._next + 1, slices + 1, dtype=np.int64) * SLICE_US)
+        starts = [0, *edges.tolist()]
+        closed = [waiting.part(first, last) for first, last in zip(starts, starts[1:], strict=False)]
+        self._waiting = [waiting.part(starts[-1], waiting.size)]
+        self._next = slices
+        return closed

@@ -108,9 +108,7 @@ def _add(group: typer.Typer, command: Command, title: str, panel: str) -> None:
         )
         # Every flag defaults to None, so that a config file can tell what was not given.
         signature.append(
-            inspect.Parameter(
-                item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option]
-            )
+            inspect.Parameter(item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option])
         )
     for name, (kind, default, flags, help_) in _RUNNING.items():
         option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=default == 1)

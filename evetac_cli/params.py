@@ -207,7 +207,7 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
         table = tomllib.loads(path.read_text())
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError, and so is a number too long
         raise InputError(f"not valid TOML: {error}", where=str(path)) from None
     words = command.split()
     for depth, word in enumerate(words):

@@ -63,9 +63,9 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
     if phase != state.phase:
         if phase is Phase.LIFT:
             state.u_ff = 0.0  # "u_ff is initialized as zero"
-        else:  # balance goes on with the same u_ff, but x_e is zero again until the first slip of this phase
+            state.slipped = False  # the detector is listened to from here on: making contact is no slip
+        else:  # balance goes on with the same u_ff, but x_e is zero again until slip begins in this phase
             state.x_ref = math.nan
-        state.slipped = False  # a change from slip to none, or to slip, is one within a phase
         state.phase = phase
     if phase is Phase.CONTACT:
         state.u_ff = law.approach

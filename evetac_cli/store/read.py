@@ -78,7 +78,10 @@ class Recording(StageFile):
                 expected=f"0 <= start <= stop <= {len(self)}",
                 found=f"{start}, {stop}",
             )
-        first, last = int(self.starts[start]), int(self.starts[stop])
+        return self.events(int(self.starts[start]), int(self.starts[stop]))
+
+    def events(self, first: int, last: int) -> Events:
+        """The events [first, last), counted from the start of the recording."""
         return Events(*(self.read(f"events/{column}", first, last) for column in Events._fields))
 
     def __getitem__(self, index: int) -> Events:

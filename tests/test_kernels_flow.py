@@ -1,0 +1,111 @@
+"""Slip labels from flow: pictures, flow of known motion, and the search for the onset."""
+
+import numpy as np
+import pytest
+
+from evetac_cli.events import Events
+from evetac_cli.kernels import flow
+
+WINDOW, GEL = (540, 0, 640, 480), (0, 0, 540, 480)
+CONSTANTS = flow.FlowConstants(0.3, 4, 3, 20, 5, 20, 30)
+
+
+def columns(x: np.ndarray, y: np.ndarray, p: np.ndarray | None = None) -> Events:
+    p = np.ones(len(x)) if p is None else p
+    return Events(np.zeros(len(x), np.int64), x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+def moving(start: int, window_px_ms: float, gel_px_ms: float, after: int = 10**9) -> flow.Between:
+    """Edges that move along x in the window and in the gel from slice `start` to `after`, seen in every slice."""
+    rng = np.random.default_rng(1)
+    places = {region: (rng.uniform(region[0], region[2], 60), rng.uniform(0, 460, 60)) for region in (WINDOW, GEL)}
+
+    def between(first: int, last: int) -> Events:
+        parts = []
+        for region, speed in ((WINDOW, window_px_ms), (GEL, gel_px_ms)):
+            x, y = places[region]
+            for slice_ in range(max(first, start), min(last, after)):
+                at = region[0] + (x - region[0] + speed * (slice_ - start)) % (region[2] - region[0])
+                for down in range(12):
+                    parts.append(columns(at, y + down, np.arange(60) % 2))
+        if not parts:
+            return columns(np.empty(0), np.empty(0))
+        return Events(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    return between
+
+
+def test_picture_shows_the_balance_of_polarities() -> None:
+    """Assert that a pixel is white, black or grey by its events, relative to the region, and that others are left out."""
+    events = columns(np.array([541, 541, 542, 543, 543, 10]), np.array([0, 0, 1, 2, 2, 2]), np.array([1, 1, 0, 1, 0, 1]))
+    drawn = flow.picture(events, WINDOW)
+    assert drawn.shape == (480, 100)
+    assert drawn[0, 1] == 255
+    assert drawn[1, 2] == 1
+    assert drawn[2, 3] == flow.GREY
+    assert np.count_nonzero(drawn != flow.GREY) == 2
+
+
+@pytest.mark.parametrize("shift", [(1.0, 0.0), (0.0, 2.0), (-2.0, 1.0)])
+def test_flow_of_a_shifted_picture(shift: tuple[float, float]) -> None:
+    """Assert that a picture shifted by whole pixels has that flow, within 20 %."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(560, 620, 300), rng.uniform(20, 460, 300)
+    now = flow.picture(columns(x, y), WINDOW)
+    later = flow.picture(columns(x + shift[0], y + shift[1]), WINDOW)
+    assert flow.region_flow(now, later) == pytest.approx(shift, abs=0.2 * np.hypot(*shift))
+
+
+def test_flow_of_nothing_is_zero() -> None:
+    """Assert that a picture without events has no flow."""
+    grey = flow.picture(columns(np.empty(0), np.empty(0)), WINDOW)
+    assert flow.region_flow(grey, grey).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("start", [83, 100, 117])
+def test_onset_is_found_to_the_slice(start: int) -> None:
+    """Assert that motion of the window alone is labelled where it begins, within the summed slices, and then holds."""
+    labels = flow.label(moving(start, 0.5, 0.0), 200, WINDOW, GEL, CONSTANTS)
+    assert start - CONSTANTS.accumulate_ms <= labels.onset <= start + 1
+    assert labels.label[: labels.onset].max() == 0
+    assert (labels.label[labels.onset : labels.onset + 30] == 1).mean() > 0.9
+    assert (labels.label[labels.onset + 30 :] == -1).all()
+    assert labels.confidence > 0.9
+
+
+def test_common_motion_is_no_slip() -> None:
+    """Assert that window and gel moving alike are not slip, whatever the speed."""
+    labels = flow.label(moving(50, 0.5, 0.5), 150, WINDOW, GEL, CONSTANTS)
+    assert labels.onset == -1
+    assert labels.label.max() == 0
+    assert np.isnan(labels.confidence)
+
+
+def test_a_short_twitch_is_no_onset() -> None:
+    """Assert that motion that does not hold for confirm_ms is not taken for the onset."""
+    labels = flow.label(moving(100, 0.5, 0.0, after=103), 200, WINDOW, GEL, CONSTANTS)
+    assert labels.onset == -1
+
+
+def test_slices_before_the_start_are_not_examined() -> None:
+    """Assert that a search from slice 60 on leaves the slices before unlabelled and finds nothing in them."""
+    labels = flow.label(moving(20, 0.5, 0.0, after=50), 150, WINDOW, GEL, CONSTANTS, start=60)
+    assert labels.onset == -1
+    assert (labels.label[:60] == -1).all()
+    assert (labels.label[60:] == 0).all()
+    assert labels.pairs == 0
+
+
+def test_pairs_without_events_are_left_out() -> None:
+    """Assert that no flow is computed where the window has hardly any events."""
+    labels = flow.label(lambda first, last: columns(np.array([600]), np.array([5])), 500, WINDOW, GEL, CONSTANTS)
+    assert labels.pairs == 0
+    assert np.isnan(labels.relative_flow_px).all()
+
+
+@pytest.mark.parametrize("slices", [0, 1, 5, 8])
+def test_recordings_shorter_than_a_pair(slices: int) -> None:
+    """Assert that a recording too short for one pair has labels of no slip and no onset."""
+    labels = flow.label(moving(0, 0.5, 0.0), slices, WINDOW, GEL, CONSTANTS)
+    assert labels.onset == -1
+    assert len(labels.label) == slices
