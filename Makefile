@@ -6,7 +6,7 @@ SEED ?= 0
 DEMO ?= demo
 VENV := .venv
 BIN := $(VENV)/bin
-EVETAC := $(BIN)/evetac
+EVETAC := $(CURDIR)/$(BIN)/evetac
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
@@ -22,24 +22,26 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[camera,plot,dev]'
 	@touch $@
 
-# Training and test trajectories have seeds of their own. Labels and tracks are made from the recordings alone.
+# Trajectories to learn from, to choose threshold and checkpoint on, and to be judged on have seeds of their own.
 demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; results in demo/ (SEED, JOBS, DEMO)
-	@started=$$(date +%s); set -e; run() { echo "+ evetac $$*"; $(EVETAC) "$$@"; }; \
-	run record --scene slip --object 3,6,8,9 --count 6 --seed $(SEED) --out $(DEMO)/learn --jobs $(JOBS) --quiet; \
-	run record --scene slip --object 4,8,11 --count 3 --seed $$(( $(SEED) + 1000 )) --out $(DEMO)/unseen --jobs $(JOBS) --quiet; \
-	for part in learn unseen; do \
-	  run track $(DEMO)/$$part/*.recording.h5 --jobs $(JOBS) --quiet; \
-	  run label $(DEMO)/$$part/*.recording.h5 --after-ms 25 --jobs $(JOBS) --quiet; \
-	  run featurize $(DEMO)/$$part/*.recording.h5 --jobs $(JOBS) --quiet; \
+	@set -e; started=$$(date +%s); mkdir -p $(DEMO); cd $(DEMO); \
+	run() { echo "+ evetac $$*"; $(EVETAC) $$* --quiet; }; \
+	run record --object 3,6,8,9 --count 5 --seed $(SEED) --out learn --jobs $(JOBS); \
+	run record --object 3,6,8,9 --seed $$(( $(SEED) + 500 )) --out choose --jobs $(JOBS); \
+	run record --object 4,8,11 --count 3 --seed $$(( $(SEED) + 1000 )) --out unseen --jobs $(JOBS); \
+	for part in learn choose unseen; do \
+	  run track "$$part/*.recording.h5" --jobs $(JOBS); \
+	  run label "$$part/*.recording.h5" --after-ms 25 --jobs $(JOBS); \
+	  run featurize "$$part/*.recording.h5" --jobs $(JOBS); \
 	done; \
-	run train $(DEMO)/learn/*.features.h5 --recipe adam --epochs 30 --seed $(SEED) --validate '$(DEMO)/learn/*-005.features.h5' --out $(DEMO)/slip.model.h5 --quiet; \
-	run evaluate labels $(DEMO)/unseen/*.labels.h5 --out $(DEMO)/labels.report.h5 --quiet; \
-	run evaluate tracking $(DEMO)/unseen/*.tracks.h5 --out $(DEMO)/tracking.report.h5 --quiet; \
-	run evaluate slip $(DEMO)/unseen/*.features.h5 --model $(DEMO)/slip.model.h5 --out $(DEMO)/slip.report.h5 --quiet; \
-	run grasp --object 11 --seed $(SEED) --model $(DEMO)/slip.model.h5 --lift-s 7 --balance-s 5 --out $(DEMO)/with-detector.recording.h5 --quiet; \
-	run grasp --object 11 --seed $(SEED) --controller none --lift-s 7 --balance-s 0 --out $(DEMO)/without-detector.recording.h5 --quiet; \
-	run evaluate grasp $(DEMO)/with-detector.recording.h5 $(DEMO)/without-detector.recording.h5 --out $(DEMO)/grasp.report.h5 --quiet; \
-	$(BIN)/python scripts/demo_table.py $(DEMO) $$(( $$(date +%s) - started ))
+	run train "learn/*.features.h5" --validate choose --recipe adam --epochs 30 --seed $(SEED) --out slip.model.h5; \
+	run evaluate labels "unseen/*.labels.h5" --out labels.report.h5; \
+	run evaluate tracking "unseen/*.tracks.h5" --out tracking.report.h5; \
+	run evaluate slip "unseen/*.features.h5" --model slip.model.h5 --out slip.report.h5; \
+	run grasp --object 11 --seed $(SEED) --model slip.model.h5 --lift-s 7 --balance-s 5 --out with-detector.recording.h5; \
+	run grasp --object 11 --seed $(SEED) --controller none --lift-s 7 --balance-s 0 --out without-detector.recording.h5; \
+	run evaluate grasp "with*-detector.recording.h5" --out grasp.report.h5; \
+	$(CURDIR)/$(BIN)/python $(CURDIR)/scripts/demo_table.py $$started
 
 test: $(READY)  ## the test suite
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m 'not slow'

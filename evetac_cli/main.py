@@ -171,17 +171,21 @@ def _count(outcomes: list[Outcome]) -> dict[str, Any]:
 
 
 def _run(command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any]) -> list[Outcome | EvetacError]:
-    """Run the jobs one after the other, or several at a time; an error in one does not stop the others."""
-    quiet, at_once = running["quiet"], min(running["number_of_jobs"], len(jobs))
+    """Run the jobs, several at a time if asked; an error in one does not stop the others."""
+    quiet, force = running["quiet"], running["force"]
+    # An output that exists is either up to date or refused: that is quick, and worth no worker process.
+    waiting = [job for job in jobs if force or not job.output.exists()]
+    results: dict[Path, Outcome | EvetacError] = {}
+    at_once = min(running["number_of_jobs"], len(waiting))
     if at_once > 1:
         with console.progress_bar(command.name, "files", quiet=quiet) as progress:
-            return _run_parallel(command, jobs, chosen, running["force"], at_once, progress)
-    results = []
+            results |= _run_parallel(command, waiting, chosen, force, at_once, progress)
     for number, job in enumerate(jobs):
-        name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")
-        with console.progress_bar(name, command.unit, quiet=quiet) as progress:
-            results.append(_run_one(command.module, job, chosen, running["force"], progress))
-    return results
+        if job.output not in results:
+            name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")
+            with console.progress_bar(name, command.unit, quiet=quiet) as progress:
+                results[job.output] = _run_one(command.module, job, chosen, force, progress)
+    return [results[job.output] for job in jobs]
 
 
 def _run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
@@ -211,7 +215,7 @@ def _ignore_interrupts() -> None:
 
 def _run_parallel(
     command: Command, jobs: list[Job], chosen: Any, force: bool, at_once: int, progress: Progress
-) -> list[Outcome | EvetacError]:
+) -> dict[Path, Outcome | EvetacError]:
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor, as_completed
 
@@ -229,10 +233,10 @@ def _run_parallel(
         except KeyboardInterrupt:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-        results = [future.result() for future in futures]
-    if any(result is None for result in results):
+        results = {job.output: future.result() for job, future in zip(jobs, futures, strict=True)}
+    if any(result is None for result in results.values()):
         raise KeyboardInterrupt
-    return [result for result in results if result is not None]
+    return {output: result for output, result in results.items() if result is not None}
 
 
 class _errors_in_words:  # noqa: N801 - reads as a phrase in a with statement

@@ -1,7 +1,8 @@
-"""Print the table at the end of `make demo` from the reports in its folder."""
+"""Print the table at the end of `make demo` from the reports in the present folder; the argument is when it started."""
 
 import json
 import sys
+import time
 from pathlib import Path
 
 from evetac_cli.console import print_table
@@ -16,21 +17,22 @@ def figures(folder: Path, subject: str) -> tuple[list[dict], dict]:
 
 
 def main() -> None:
-    folder, seconds = Path(sys.argv[1]), int(sys.argv[2])
+    folder, started = Path(), int(sys.argv[1])
     _, labels = figures(folder, "labels")
     _, tracking = figures(folder, "tracking")
     _, slip = figures(folder, "slip")
     grasps, _ = figures(folder, "grasp")
-    rows = [
-        {"what": "onset of slip: labels against truth, median", "figure": labels["onset_error_ms_median"], "unit": "ms"},
-        {"what": "... worst", "figure": labels["onset_error_ms_worst"], "unit": "ms"},
-        {"what": "... found", "figure": f"{labels['onsets_found']} of {labels['trajectories']}", "unit": ""},
-        {"what": "dot tracking error, rms (a tracker that stands still)",
-         "figure": f"{tracking['error_px_rms']:.3g} ({tracking['still_px_rms']:.3g})", "unit": "px"},
-        {"what": "slip timing correct, unseen trajectories", "figure": slip["slip_correct"], "unit": "share"},
-        {"what": "... too early, too late", "figure": f"{slip['slip_early']:.3g}, {slip['slip_late']:.3g}", "unit": "share"},
-        {"what": "slip F1, unseen trajectories", "figure": slip["f1"], "unit": ""},
-    ]  # fmt: skip
+    still = f"{tracking['error_px_rms']:.3g} ({tracking['still_px_rms']:.3g})"
+    amiss = f"{slip['slip_early']:.3g}, {slip['slip_late']:.3g}"
+    table = [
+        ("onset of slip: labels against truth, median", labels["onset_error_ms_median"], "ms"),
+        ("... worst", labels["onset_error_ms_worst"], "ms"),
+        ("... found", f"{labels['onsets_found']} of {labels['trajectories']}", ""),
+        ("dot tracking error, rms (a tracker that stands still)", still, "px"),
+        ("slip timing correct, unseen trajectories", slip["slip_correct"], "share"),
+        ("... too early, too late", amiss, "share"),
+        ("slip F1, unseen trajectories", slip["f1"], ""),
+    ]
     for grasp in grasps:
         how = "without the detector" if grasp["controller"] == "none" else "with the detector"
         if not grasp["lifted"]:
@@ -39,10 +41,13 @@ def main() -> None:
             result = "lifted"
         else:
             result = f"lifted, {'held' if grasp['balanced'] else 'lost in balance'}, moved {grasp['moved_mm']:.2g} mm"
-        rows.append({"what": f"grasp of object {grasp['object']} {how}", "figure": result, "unit": ""})
+        table.append((f"grasp of object {grasp['object']} {how}", result, ""))
+    rows = [dict(zip(("what", "figure", "unit"), row, strict=True)) for row in table]
     print_table("evetac demo", rows, {}, simulated=True)
+    made = [path for path in folder.rglob("*.h5") if path.stat().st_mtime >= started]
     files = {kind: len(list(folder.rglob(f"*.{kind}.h5"))) for kind in KINDS}
-    print(f"{folder}/ holds " + ", ".join(f"{count} {kind}" for kind, count in files.items()) + f"; {seconds} s")
+    print(f"{folder.resolve().name}/ holds " + ", ".join(f"{count} {kind}" for kind, count in files.items()), end="; ")
+    print(f"{len(made)} made in {time.time() - started:.0f} s" if made else "all up to date, nothing to do")
 
 
 if __name__ == "__main__":

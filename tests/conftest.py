@@ -81,7 +81,11 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
         record.run(job, recipe)
         made.recordings.append(job.output)
     for path in made.recordings:
-        for stage, chosen in ((track, params.Track()), (label, params.Label(after_ms=25)), (featurize, params.Featurize())):
+        for stage, chosen in (
+            (track, params.Track()),
+            (label, params.Label(after_ms=25)),
+            (featurize, params.Featurize()),
+        ):
             (job,) = stage.jobs([path], chosen, None)
             stage.run(job, chosen)
     features = [made.beside(path, "features") for path in made.recordings]
@@ -92,4 +96,3 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)
     return made
-

@@ -37,7 +37,9 @@ def moving(start: int, window_px_ms: float, gel_px_ms: float, after: int = 10**9
 
 def test_picture_shows_the_balance_of_polarities() -> None:
     """Assert that a pixel is white, black or grey by its events, relative to the region, and that others are left out."""
-    events = columns(np.array([541, 541, 542, 543, 543, 10]), np.array([0, 0, 1, 2, 2, 2]), np.array([1, 1, 0, 1, 0, 1]))
+    events = columns(
+        np.array([541, 541, 542, 543, 543, 10]), np.array([0, 0, 1, 2, 2, 2]), np.array([1, 1, 0, 1, 0, 1])
+    )
     drawn = flow.picture(events, WINDOW)
     assert drawn.shape == (480, 100)
     assert drawn[0, 1] == 255

@@ -28,7 +28,10 @@ def packets(events: Events, cuts: list[int]) -> list[Events]:
 
 
 @given(
-    seed=st.integers(0, 2**31), slices=st.integers(1, 40), count=st.integers(0, 200), cuts=st.lists(st.integers(0, 1000))
+    seed=st.integers(0, 2**31),
+    slices=st.integers(1, 40),
+    count=st.integers(0, 200),
+    cuts=st.lists(st.integers(0, 1000)),
 )
 def test_slices_do_not_depend_on_packets(seed: int, slices: int, count: int, cuts: list[int]) -> None:
     """Assert that however a stream is cut into packets, the slices are those of the index, empty ones included."""

@@ -561,7 +561,12 @@ def hard_case(seed):
     friction = Friction(mu, mu * rng.uniform(0.3, 1), logarithmic(-4, -1))
     centre_m = tuple(rng.normal(0, 5e-3, 2))
     state = start(
-        nodes, material, mass_kg, mass_kg * logarithmic(-6, -2), body_xy_m=centre_m, cell_area_m2=300e-6 / columns / rows
+        nodes,
+        material,
+        mass_kg,
+        mass_kg * logarithmic(-6, -2),
+        body_xy_m=centre_m,
+        cell_area_m2=300e-6 / columns / rows,
     )
     gap = gap_profile(nodes, rng.choice(["flat", "cylinder", "sphere"]), logarithmic(-2.3, -1), rng.normal(0, 0.01))
     depth_m, dt_s = logarithmic(-5, -3.3), logarithmic(-4.5, -2)
@@ -571,7 +576,7 @@ def hard_case(seed):
     return state, loads, force, friction, dt_s, float(rng.choice([0.5, 0.55, 0.75, 1.0]))
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", [*range(30), 192, 279])
 def test_random_hard_cases_find_their_balance(seed):
     """Assert that whatever is held, every step finds its balance within 400 sweeps and gains no energy."""
     state, loads, force, friction, dt_s, theta = hard_case(seed)

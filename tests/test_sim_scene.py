@@ -64,9 +64,7 @@ def test_files_that_are_no_scene(tmp_path: Path) -> None:
         scene.individual_row("evtac")
 
 
-@pytest.mark.parametrize(
-    ("text", "numbers"), [("8", [8]), ("1-3,10", [1, 2, 3, 10]), ("3, 3,2", [3, 2])]
-)
+@pytest.mark.parametrize(("text", "numbers"), [("8", [8]), ("1-3,10", [1, 2, 3, 10]), ("3, 3,2", [3, 2])])
 def test_object_lists(text: str, numbers: list[int]) -> None:
     """Assert that lists and ranges of objects are read in their order, each once."""
     assert scene.numbers(text) == numbers

@@ -96,7 +96,11 @@ def with_apart(folder: Path) -> Path:
     recipe = params.Record(scene=scene(folder), objects="8", seed=77)
     (job,) = record.jobs([], recipe, folder / "apart.recording.h5")
     record.run(job, recipe)
-    for module, chosen in ((track, params.Track()), (label, params.Label(after_ms=15)), (featurize, params.Featurize())):
+    for module, chosen in (
+        (track, params.Track()),
+        (label, params.Label(after_ms=15)),
+        (featurize, params.Featurize()),
+    ):
         (job,) = module.jobs([folder / "apart.recording.h5"], chosen, None)
         module.run(job, chosen)
     return folder

@@ -1,7 +1,7 @@
 """label: when the object slips, from optical flow in the window (paper, "Data Labelling - Slip Classifier").
 
-A trajectory begins where the object is held stably and the gripper's current starts to fall (paper, "Experimental Setup
-and Data Collection Procedure"); what came before, closing and loading, is not examined. Without a gripper it begins at 0.
+A trajectory begins where the object is held stably and the gripper's current starts to fall (paper, "Experimental
+Setup and Data Collection Procedure"); closing and loading before are not examined. Without a gripper it begins at 0.
 """
 
 from dataclasses import asdict

@@ -26,9 +26,10 @@ VALIDATE_EVERY = 8
 
 def jobs(files: list[Path], params: Train, out: Path | None) -> list[Job]:
     """One model from all features files together."""
-    validate = [Path(name) for name in sorted(glob.glob(params.validate))] if params.validate else []
+    pattern = params.validate if not Path(params.validate).is_dir() else f"{params.validate}/*.{INPUTS[0]}.h5"
+    validate = [Path(name) for name in sorted(glob.glob(pattern))] if params.validate else []
     if params.validate and not validate:
-        raise InputError("no file matches", where="--validate", found=params.validate)
+        raise InputError("no features there", where="--validate", found=params.validate)
     if not params.validate:
         validate = files[VALIDATE_EVERY - 1 :: VALIDATE_EVERY] or files[-1:]
     learn = [file for file in files if file not in validate]

@@ -224,7 +224,7 @@ def _check_folder(folder: Path) -> None:
         folder = folder.parent
     if not os.path.isdir(folder):
         raise InputError("the output folder is a file", where=str(folder))
-    if not os.access(folder, os.W_OK | os.X_OK):
+    if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
         raise InputError("the output folder cannot be written to", where=str(folder))
 
 

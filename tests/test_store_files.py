@@ -1,0 +1,599 @@
+"""Stage files that are missing, foreign, damaged, newer or in the way; writing that fails half-way."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from evetac_cli.errors import EvetacError, InputError, SchemaError
+from evetac_cli.store import files
+from evetac_cli.store.files import StageFile, output_path, put, replacing, stem, up_to_date, write_stage
+from evetac_cli.store.provenance import Recipe
+
+RECIPE = Recipe("labels", 1, {"threshold_px": 0.5}, parents=(Recipe("recording", 1, {}, seed=1).header(),))
+SLICES = 5000
+
+
+def labels() -> dict[str, Any]:
+    """Arrays of a labels file, long enough to be stored in compressed chunks."""
+    rng = np.random.default_rng(0)
+    return {
+        "label": rng.integers(-1, 2, SLICES).astype(np.int8),
+        "relative_flow_px": rng.normal(size=SLICES).astype(np.float32),
+        "onset_slice": np.int64(17),
+        "confidence": np.float64("nan"),
+        "pairs_computed": np.int64(3),
+    }
+
+
+REPORT = {"command": "evaluate slip", "rows": "[]", "summary": '{"Größe": 1}'}
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    """A real labels file."""
+    path = tmp_path / "a.labels.h5"
+    write_stage(path, RECIPE, labels())
+    return path
+
+
+@pytest.fixture
+def locked() -> Iterator[Path]:
+    """A folder that this process may not write in, also where the tests run as root."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o555)
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield folder
+    finally:
+        if root:
+            os.seteuid(0)
+        folder.chmod(0o755)
+        shutil.rmtree(folder)
+
+
+def edit_header(path: Path, **changes: Any) -> None:
+    """Change the header of a file; a key given as ... is left out."""
+    with h5py.File(path, "r+") as h5:
+        header = {**json.loads(h5.attrs["header"]), **changes}
+        h5.attrs["header"] = json.dumps({key: value for key, value in header.items() if value is not ...})
+
+
+def refusal(path: Path, kind: str | None = None) -> str:
+    """What is said of a file that is not opened; it must name the file and end with exit code 2."""
+    with pytest.raises(InputError) as refused:
+        StageFile(path, kind)
+    assert str(refused.value).startswith(f"{path}: ")
+    assert refused.value.exit_code == 2
+    return str(refused.value)
+
+
+def test_what_is_written_is_read(made: Path) -> None:
+    """Assert that arrays, scalars, text, parts and lengths come back as they were stored, with their dtypes."""
+    stored = labels()
+    with StageFile(made, "labels") as file:
+        assert file.kind == "labels"
+        assert file.header["id"] == RECIPE.id
+        assert file.contents() == {name: (np.asarray(v).dtype.name, np.shape(v)) for name, v in stored.items()}
+        for name, value in stored.items():
+            np.testing.assert_array_equal(file.read(name), value, strict=True)
+        np.testing.assert_array_equal(file.read("label", 10, 20), stored["label"][10:20])
+        assert file.length("label") == SLICES
+        assert file.has("label")
+        assert not file.has("curve/step")
+    report = made.with_name("a.report.h5")
+    write_stage(report, Recipe("report", 1, {}), REPORT)
+    with StageFile(report, ("model", "report")) as file:
+        assert {name: file.read(name) for name in file.contents()} == REPORT
+
+
+@pytest.mark.parametrize("path", ["nothing", "curve/step", "label/deeper", ""])
+def test_reading_what_is_not_there(made: Path, path: str) -> None:
+    """Assert that a dataset that is not there is an error in words, not a KeyError."""
+    with StageFile(made) as file, pytest.raises(InputError, match="is not in this labels"):
+        file.read(path or "/")
+
+
+def test_arrays_outlive_the_file(made: Path) -> None:
+    """Assert that what was read stays valid when the file is closed, and that closing twice does nothing."""
+    file = StageFile(made)
+    label = file.read("label")
+    file.close()
+    file.close()
+    np.testing.assert_array_equal(label, labels()["label"])
+
+
+def test_same_recipe_same_datasets(tmp_path: Path) -> None:
+    """Assert that two files of one recipe differ in nothing but the time in their header."""
+    contents = []
+    for name in ("a.labels.h5", "b.labels.h5"):
+        write_stage(tmp_path / name, RECIPE, labels())
+        with h5py.File(tmp_path / name, "r+") as h5:
+            header = json.loads(h5.attrs["header"])
+            header["made"]["at"] = ""
+            h5.attrs["header"] = json.dumps(header)
+        contents.append((tmp_path / name).read_bytes())
+    assert contents[0] == contents[1]
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    """Assert that a file that is not there is said to be missing, however odd its name."""
+    for name in ("no.recording.h5", "no/folder/a.h5", "x" * 300):
+        assert "no such file" in refusal(tmp_path / name)
+
+
+def test_folder(tmp_path: Path) -> None:
+    """Assert that a folder is said to be one."""
+    assert "this is a folder" in refusal(tmp_path)
+
+
+def test_pipe(tmp_path: Path) -> None:
+    """Assert that a pipe is refused instead of waited for."""
+    os.mkfifo(tmp_path / "pipe.h5")
+    assert "not a regular file" in refusal(tmp_path / "pipe.h5")
+
+
+@pytest.mark.parametrize("content", [b"", b"t x y p\n0.1 3 4 1\n", b"\x89HDF\r\n\x1a\n", bytes(4096)])
+def test_not_hdf5(tmp_path: Path, content: bytes) -> None:
+    """Assert that text, an empty file, a lone signature and zeros are refused with the way to import foreign files."""
+    path = tmp_path / "events.recording.h5"
+    path.write_bytes(content)
+    message = refusal(path)
+    assert "cannot be opened" in message
+    assert "evetac record --from" in message
+
+
+@pytest.mark.parametrize("share", [0.001, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.9999])
+def test_truncated(made: Path, share: float) -> None:
+    """Assert that a file that ends early, even by one byte, is refused."""
+    whole = made.read_bytes()
+    made.write_bytes(whole[: int(len(whole) * share)])
+    assert "cannot be opened" in refusal(made)
+    made.write_bytes(whole[:-1])
+    assert "it is truncated" in refusal(made)
+
+
+def test_unreadable(locked: Path) -> None:
+    """Assert that a file without permission is said to be that, and not to be something other than HDF5."""
+    locked_file = locked / "a.labels.h5"
+    uid = os.geteuid()
+    if uid != os.getuid():
+        os.seteuid(os.getuid())
+    locked.chmod(0o755)
+    write_stage(locked_file, RECIPE, labels())
+    locked_file.chmod(0)
+    os.seteuid(uid)
+    assert "Permission denied" in refusal(locked_file)
+
+
+def test_hdf5_of_somebody_else(tmp_path: Path) -> None:
+    """Assert that HDF5 without our header, or with a header that is no text, is told apart from a damaged file."""
+    path = tmp_path / "dsec.h5"
+    headers: list[Any] = [None, 3, np.bytes_(b"{}"), np.array([1, 2]), h5py.Empty("f8")]
+    for value in headers:
+        with h5py.File(path, "w") as h5:
+            h5["events/t"] = np.arange(3)
+            if value is not None:
+                h5.attrs["header"] = value
+        assert "was not made by evetac" in refusal(path)
+
+
+NO_OBJECTS = ("", "{", "3", "null", '"text"', "[1]", "[" * 100000, '{"seed": NaN}', '{"seed": 1e999}')
+
+
+@pytest.mark.parametrize("text", NO_OBJECTS, ids=lambda text: text[:20])
+def test_header_that_is_no_json_object(made: Path, text: str) -> None:
+    """Assert that a header that is no JSON object, or one that holds no numbers of JSON, is refused."""
+    with h5py.File(made, "r+") as h5:
+        h5.attrs["header"] = text
+    assert "its header is" in refusal(made)
+
+
+KEYS = ("kind", "version", "method", "parameters", "seed", "parents", "content", "id", "simulated", "history")
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_header_without_a_key(made: Path, key: str) -> None:
+    """Assert that a header that lacks something is refused by name; `made` alone may be missing."""
+    edit_header(made, made=...)
+    StageFile(made).close()
+    edit_header(made, **{key: ...})
+    assert f"no {key}" in refusal(made)
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("value", [[1], {"a": 1}, 0.5, "1", "1.x", "-1.0", "1.0.0"])
+def test_header_with_a_wrong_value(made: Path, key: str, value: Any) -> None:
+    """Assert that a header value of another type, or a version that is none, never gets past opening as an error."""
+    edit_header(made, **{key: value})
+    right = {"parents": [1], "parameters": {"a": 1}, "history": {"a": 1}}.get(key)
+    if right == value or (key in ("id", "content") and isinstance(value, str)):
+        StageFile(made).close()
+    elif key == "kind" and isinstance(value, str):
+        assert "unknown kind" in refusal(made)
+    else:
+        assert f"its header is not valid: {key}" in refusal(made)
+
+
+def test_wrong_kind(made: Path) -> None:
+    """Assert that another kind than wanted is refused with both, and any kind is taken where none is wanted."""
+    message = refusal(made, "recording")
+    assert "expected: recording" in message
+    assert "found:    labels" in message
+    with pytest.raises(InputError, match="recording or tracks"):
+        StageFile(made, ("recording", "tracks"))
+    StageFile(made, ("tracks", "labels")).close()
+    StageFile(made).close()
+
+
+def test_newer_major_version(made: Path) -> None:
+    """Assert that a newer major version is refused as such, whatever else is new in its header."""
+    edit_header(made, version="2.0")
+    assert "made by a newer evetac: labels version 2.0" in refusal(made)
+    edit_header(made, version="12.3", parents={"new": "form"}, content=...)
+    assert "update evetac" in refusal(made)
+
+
+def test_newer_minor_version(made: Path) -> None:
+    """Assert that what a newer minor version adds is let be, while its known datasets are still checked."""
+    with h5py.File(made, "r+") as h5:
+        h5["added/in_1_1"] = np.arange(3)
+    assert "added/in_1_1 is not in the schema" in refusal(made)
+    edit_header(made, version="1.1", added="too")
+    with StageFile(made, "labels") as file:
+        np.testing.assert_array_equal(file.read("added/in_1_1"), np.arange(3))
+    with h5py.File(made, "r+") as h5:
+        del h5["confidence"]
+    message = refusal(made)
+    assert "confidence is missing" in message
+    assert "added" not in message
+
+
+def delete(h5: h5py.File) -> None:
+    del h5["label"]
+
+
+def other_dtype(h5: h5py.File) -> None:
+    delete(h5)
+    h5["label"] = np.zeros(SLICES, np.int16)
+
+
+def other_length(h5: h5py.File) -> None:
+    delete(h5)
+    h5["label"] = np.zeros(SLICES - 1, np.int8)
+
+
+def empty(h5: h5py.File) -> None:
+    delete(h5)
+    h5["label"] = h5py.Empty("int8")
+
+
+def group(h5: h5py.File) -> None:
+    delete(h5)
+    h5.create_group("label")
+
+
+def ragged(h5: h5py.File) -> None:
+    delete(h5)
+    h5.create_dataset("label", (SLICES,), dtype=h5py.vlen_dtype(np.int8))
+
+
+def compound(h5: h5py.File) -> None:
+    delete(h5)
+    h5["label"] = np.zeros(SLICES, [("a", "i1"), ("b", "i1")])
+
+
+def dangling(h5: h5py.File) -> None:
+    delete(h5)
+    h5["label"] = h5py.ExternalLink("elsewhere.h5", "/label")
+
+
+CONTENTS = [delete, other_dtype, other_length, empty, group, ragged, compound, dangling]
+
+
+@pytest.mark.parametrize("change", CONTENTS, ids=lambda change: change.__name__)
+def test_contents_against_the_schema(made: Path, change: Callable[[h5py.File], None]) -> None:
+    """Assert that a file whose contents are not those of its schema is refused, with the schema and the dataset."""
+    with h5py.File(made, "r+") as h5:
+        change(h5)
+    with pytest.raises(SchemaError) as refused:
+        StageFile(made)
+    assert "schemas/labels.v1.json" in str(refused.value)
+    assert "label" in str(refused.value).splitlines()[-1]
+
+
+def chunk_place(path: Path, name: str) -> tuple[int, int]:
+    """Where in a file the first chunk of a dataset lies, and how long it is."""
+    with h5py.File(path) as h5:
+        chunk = h5[name].id.get_chunk_info(0)
+        return chunk.byte_offset, chunk.size
+
+
+def test_damaged_chunk(made: Path) -> None:
+    """Assert that damage in the data of one dataset is an error in words on reading it, and on reading it alone."""
+    offset, size = chunk_place(made, "label")
+    damaged = bytearray(made.read_bytes())
+    damaged[offset : offset + size] = bytes(size)
+    made.write_bytes(damaged)
+    with StageFile(made) as file:
+        for rows in ((0, None), (0, 1), (SLICES - 1, SLICES)):
+            with pytest.raises(InputError, match=r"label cannot be read(.|\n)*damaged; make it again"):
+                file.read("label", *rows)
+        np.testing.assert_array_equal(file.read("relative_flow_px"), labels()["relative_flow_px"])
+
+
+@pytest.mark.parametrize("signature", [b"TREE", b"SNOD", b"HEAP", b"\x89HDF"])
+@pytest.mark.parametrize("shift", [0, 4, 8, 16, 24, 40, 80])
+def test_damaged_structure(made: Path, signature: bytes, shift: int) -> None:
+    """Assert that damage in the structures of HDF5 ends in an error in words or in nothing, never in another error."""
+    whole = made.read_bytes()
+    place = whole.find(signature)
+    assert place >= 0
+    while place >= 0:
+        damaged = bytearray(whole)
+        damaged[place + shift : place + shift + 4] = b"\xff\x85\x00\x7f"
+        made.write_bytes(damaged)
+        try:
+            with StageFile(made) as file:
+                for name in file.contents():
+                    file.read(name)
+        except EvetacError as error:
+            assert str(error).startswith(f"{made}: ")
+        place = whole.find(signature, place + 1)
+
+
+def test_up_to_date(made: Path) -> None:
+    """Assert that an output is skipped with the same recipe, made if missing, and refused with another recipe."""
+    other = Recipe("labels", 1, {"threshold_px": 0.7}, parents=RECIPE.parents)
+    assert up_to_date(made, RECIPE)
+    assert up_to_date(made, RECIPE, force=True)
+    assert not up_to_date(made.with_name("b.labels.h5"), RECIPE)
+    assert not up_to_date(made.parent / "new" / "folder" / "b.labels.h5", RECIPE)
+    with pytest.raises(InputError) as refused:
+        up_to_date(made, other)
+    assert "parameters.threshold_px is 0.5 in the file, 0.7 wanted" in str(refused.value)
+    assert "--force" in str(refused.value)
+    assert not up_to_date(made, other, force=True)
+    assert not made.parent.joinpath("new").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"not a stage file", bytes(3000)])
+def test_output_that_is_garbage(tmp_path: Path, content: bytes) -> None:
+    """Assert that an output that is no stage file is never replaced without --force, and stays as it is."""
+    path = tmp_path / "a.labels.h5"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"(?s)not a valid evetac file.*cannot be opened.*--force"):
+        up_to_date(path, RECIPE)
+    assert not up_to_date(path, RECIPE, force=True)
+    assert path.read_bytes() == content
+    write_stage(path, RECIPE, labels())
+    assert up_to_date(path, RECIPE)
+
+
+def test_truncated_output_is_made_again_only_with_force(made: Path) -> None:
+    """Assert that half an output does not count as up to date, though its header may still be there."""
+    made.write_bytes(made.read_bytes()[:-100])
+    with pytest.raises(InputError, match="truncated"):
+        up_to_date(made, RECIPE)
+    assert not up_to_date(made, RECIPE, force=True)
+
+
+def test_output_that_cannot_be_written_is_refused_before_the_work(locked: Path) -> None:
+    """Assert that a folder as output and an output in a locked folder are refused at once, --force or not."""
+    for force in (False, True):
+        with pytest.raises(InputError, match="the output is a folder"):
+            up_to_date(locked, RECIPE, force=force)
+        with pytest.raises(InputError, match="cannot be written to"):
+            up_to_date(locked / "new" / "a.labels.h5", RECIPE, force=force)
+
+
+def test_file_as_output_folder_is_refused_before_the_work(made: Path) -> None:
+    """Assert that a file where the output folder should be is refused at once."""
+    with pytest.raises(InputError, match="the output folder is a file"):
+        up_to_date(made / "deeper" / "a.labels.h5", RECIPE)
+
+
+def everything(folder: Path) -> list[str]:
+    """Names of all files and folders below."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize("change", [{"label": np.zeros(3)}, {"extra": 1}, {"label": np.zeros(7, np.int8)}])
+def test_wrong_arrays_leave_nothing(tmp_path: Path, change: dict[str, Any]) -> None:
+    """Assert that arrays against the schema are refused before anything is written, a folder included."""
+    with pytest.raises(SchemaError, match=r"schemas/labels\.v1\.json"):
+        write_stage(tmp_path / "new" / "a.labels.h5", RECIPE, {**labels(), **change})
+    assert everything(tmp_path) == []
+
+
+def test_recipe_without_json_leaves_nothing(tmp_path: Path) -> None:
+    """Assert that a recipe that has no id leaves no file."""
+    with pytest.raises(ValueError, match="JSON"):
+        write_stage(tmp_path / "a.labels.h5", Recipe("labels", 1, {"x": float("nan")}), labels())
+    assert everything(tmp_path) == []
+
+
+def test_failing_writes_leave_the_old_file(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that when writing fails half-way, the file that was there stays, and no temporary one."""
+    before = made.read_bytes()
+    written = []
+
+    def fail_at_third(h5: h5py.File, name: str, value: Any) -> None:
+        if len(written) == 2:
+            raise OSError(5, "Input/output error")
+        written.append(name)
+        put(h5, name, value)
+
+    monkeypatch.setattr(files, "put", fail_at_third)
+    with pytest.raises(InputError, match="cannot be written: Input/output error"):
+        write_stage(made, RECIPE, labels())
+    assert made.read_bytes() == before
+    assert everything(made.parent) == [made.name]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, MemoryError])
+def test_any_end_of_writing_leaves_the_old_file(made: Path, error: type[BaseException]) -> None:
+    """Assert that errors from within the block come out as they are, and leave no trace."""
+    before = made.read_bytes()
+    with pytest.raises(error), replacing(made) as h5:
+        put(h5, "half", np.arange(1000))
+        raise error
+    assert made.read_bytes() == before
+    assert everything(made.parent) == [made.name]
+
+
+def test_ctrl_c_while_writing(made: Path) -> None:
+    """Assert that Ctrl-C waits until HDF5 has closed the file, and then leaves the old file and no other."""
+    before, handler = made.read_bytes(), signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), replacing(made) as h5:
+        signal.raise_signal(signal.SIGINT)
+        put(h5, "after", np.random.default_rng(0).random(300_000))
+        h5.flush()
+        reached = True
+    assert reached
+    assert made.read_bytes() == before
+    assert everything(made.parent) == [made.name]
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_unwritable_folder(locked: Path) -> None:
+    """Assert that a folder without permission is an error in words that leaves nothing."""
+    with pytest.raises(InputError, match="cannot be written: Permission denied"):
+        write_stage(locked / "a.labels.h5", RECIPE, labels())
+    with pytest.raises(InputError, match="cannot be written: Permission denied"):
+        write_stage(locked / "new" / "a.labels.h5", RECIPE, labels())
+    assert everything(locked) == []
+
+
+def test_parent_is_a_file(made: Path) -> None:
+    """Assert that a file where the output folder should be is named and stays as it is."""
+    before = made.read_bytes()
+    for path in (made / "a.labels.h5", made / "deeper" / "a.labels.h5"):
+        with pytest.raises(InputError, match=f"{path.parent}: the output folder is a file"):
+            write_stage(path, RECIPE, labels())
+    assert made.read_bytes() == before
+
+
+def test_target_is_a_folder(tmp_path: Path) -> None:
+    """Assert that a folder is never replaced by a file."""
+    (tmp_path / "a.labels.h5" / "precious").mkdir(parents=True)
+    with pytest.raises(InputError, match="cannot be written"):
+        write_stage(tmp_path / "a.labels.h5", RECIPE, labels())
+    assert everything(tmp_path) == ["a.labels.h5", "a.labels.h5/precious"]
+
+
+@pytest.mark.parametrize("length", [245, 255, 300])
+def test_name_too_long(tmp_path: Path, length: int) -> None:
+    """Assert that a name the file system does not take is an error in words."""
+    with pytest.raises(InputError, match="File name too long"):
+        write_stage(tmp_path / f"{'x' * (length - 3)}.h5", RECIPE, labels())
+    assert everything(tmp_path) == []
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from evetac_cli.errors import InputError
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Recipe
+
+rng = np.random.default_rng(0)
+arrays = {"label": rng.integers(0, 2, 200000).astype(np.int8), "relative_flow_px": rng.random(200000, np.float32),
+          "onset_slice": np.int64(1), "confidence": np.float64(1), "pairs_computed": np.int64(1)}
+said = []
+for room in (0, 1, 1000, 30000, 400000):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+    for recipe, content in ((Recipe("labels", 1, {}), arrays),
+                            (Recipe("report", 1, {}), {"command": "x", "rows": "y" * 900000, "summary": "{}"})):
+        try:
+            write_stage(Path(sys.argv[1]) / f"a.{recipe.kind}.h5", recipe, content)
+        except InputError as error:
+            said.append(str(error))
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+write_stage(Path(sys.argv[1]) / "after.labels.h5", Recipe("labels", 1, {}), arrays)
+print(len(said), all("cannot be written: File too large" in line for line in said))
+"""
+
+
+def test_full_disk(tmp_path: Path) -> None:
+    """Assert that running out of room is an error in words at any point, and the process lives on to write again.
+
+    A limit on the size of files stands in for the full disk: the system refuses to write in the same way.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(tmp_path)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "10 True\n", "")
+    assert everything(tmp_path) == ["after.labels.h5"]
+    with StageFile(tmp_path / "after.labels.h5") as file:
+        assert file.read("label").shape == (200000,)
+
+
+def test_two_writers_of_one_target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that two processes writing one target do not disturb each other, and the later one wins."""
+    path = tmp_path / "a.labels.h5"
+    process = iter((1, 2))
+    monkeypatch.setattr(files.os, "getpid", lambda: next(process))
+    with replacing(path) as slow:
+        put(slow, "who", "slow")
+        with replacing(path) as fast:
+            put(fast, "who", "fast")
+        with h5py.File(path) as h5:
+            assert h5["who"].asstr()[()] == "fast"
+    with h5py.File(path) as h5:
+        assert h5["who"].asstr()[()] == "slow"
+    assert everything(tmp_path) == ["a.labels.h5"]
+
+
+def test_files_need_no_plugin(made: Path) -> None:
+    """Assert that data lie in gzip chunks of at most 1 MiB, and small arrays in one piece."""
+    with h5py.File(made) as h5:
+        assert (h5["label"].compression, h5["label"].shuffle, h5["label"].compression_opts) == ("gzip", True, 1)
+        assert h5["onset_slice"].chunks is None
+    with h5py.File("none", "w", driver="core", backing_store=False) as h5:
+        wide = files.create(h5, "wide", np.float32, (300, 2), rows=10_000)
+        assert wide.chunks[0] * 300 * 2 * 4 <= files.CHUNK_BYTES
+        assert wide.chunks[1:] == (300, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "trial"),
+    [
+        ("a.recording.h5", "a"),
+        ("a.b.recording.h5", "a.b"),
+        ("a.slip.report.h5", "a.slip"),
+        ("a.h5", "a"),
+        ("a.v2.h5", "a.v2"),
+        ("events.aedat4", "events"),
+        ("events.tar.gz", "events.tar"),
+        ("events", "events"),
+        ("recording.h5", "recording"),
+        (".recording.h5", ".recording"),
+        ("a.recording.recording.h5", "a.recording"),
+    ],
+)
+def test_stem(name: str, trial: str) -> None:
+    """Assert that the name of a trial is the file name without its kind, and only a kind is taken off."""
+    assert stem(Path("folder") / name) == trial
+
+
+def test_output_path() -> None:
+    """Assert that outputs lie beside the input, in a folder, or in the file that is named."""
+    source = Path("in/a.recording.h5")
+    assert output_path(source, "tracks", None) == Path("in/a.tracks.h5")
+    assert output_path(source, "tracks", Path("out")) == Path("out/a.tracks.h5")
+    assert output_path(source, "tracks", Path("out/x.h5")) == Path("out/x.h5")
+    assert output_path(source, "tracks", Path("v1.5")) == Path("v1.5/a.tracks.h5")

@@ -1,0 +1,415 @@
+"""Recordings that grow: joined they are what was appended, however they were cut; and what is left when they break."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.events import Events, concatenate, empty, slice_starts
+from evetac_cli.store import segments
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.read import open_recording
+from evetac_cli.store.segments import RecordingWriter
+
+STATIC: dict[str, Any] = {
+    "sensor/frame_px": np.array([640, 480], np.int32),
+    "sensor/individual": "evetac",
+    "t_offset": np.int64(0),
+}
+RECIPE = Recipe("recording", 1, {"object": 8}, seed=3, simulated_source=True)
+
+
+@pytest.fixture(autouse=True)
+def no_timer(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Segments are closed by the tests, not by the time that passes."""
+    monkeypatch.setattr(segments, "SEGMENT_S", 1e9)
+    yield
+
+
+def some_events(k: int, count: int) -> Events:
+    """`count` events of slice k, different in every slice."""
+    rng = np.random.default_rng([k, count])
+    return Events(
+        np.sort(rng.integers(1000 * k, 1000 * (k + 1), count)),
+        rng.integers(0, 640, count).astype(np.uint16),
+        rng.integers(0, 480, count).astype(np.uint16),
+        rng.integers(0, 2, count).astype(np.uint8),
+    )
+
+
+def rows_of(k: int, every: int) -> dict[str, Any]:
+    """Truth in every slice, the gripper in every so-manieth, as plain Python numbers and as arrays."""
+    rows: dict[str, Any] = {
+        "truth/dot_xy_px": np.full((4, 2), k + 0.5, np.float32),
+        "truth/object_xy_px": (k, 2.5),
+        "truth/slid_px": 0.1 * k,
+        "truth/slip": k % 3 == 0,
+        "truth/slip_fraction": np.float64(k) / 7,
+        "truth/normal_force_n": 1,
+        "truth/closing_ticks": float("nan"),
+    }
+    if k % every == 0:
+        rows |= {
+            "gripper/t_us": 1000 * k,
+            "gripper/current_target_ma": 100.0 - k / 3,
+            "gripper/current_written_ma": round(100 - k / 3),
+            "gripper/current_ma": 99,
+            "gripper/position_ticks": k,
+        }
+    return rows
+
+
+def expected(counts: list[int], every: int) -> dict[str, Any]:
+    """The datasets of a recording of these slices, made without a writer."""
+    pieces = [some_events(k, count) for k, count in enumerate(counts)]
+    events = concatenate(pieces)
+    rows = [rows_of(k, every) for k in range(len(counts))]
+    arrays = {f"events/{name}": getattr(events, name) for name in Events._fields}
+    arrays |= {"ms_to_idx": slice_starts(events.t, len(counts)), **STATIC, "truth/drawn": "{}"}
+    dtypes = {"gripper/t_us": np.int64, "gripper/current_target_ma": np.float64, "truth/slip": np.uint8}
+    dtypes |= dict.fromkeys(("gripper/current_written_ma", "gripper/position_ticks"), np.int32)
+    for name in dict.fromkeys(name for row in rows for name in row):
+        arrays[name] = np.array([row[name] for row in rows if name in row], dtypes.get(name, np.float32))
+    return arrays
+
+
+def write(path: Path, counts: list[int], cuts: set[int], every: int, **finish: Any) -> dict[str, Any]:
+    """Append slices with `counts` events, closing a segment before each slice in `cuts`; returns the header."""
+    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    for k, count in enumerate(counts):
+        if k in cuts:
+            writer.close_segment()
+        writer.append(some_events(k, count), rows_of(k, every))
+    return writer.finish(RECIPE, {"truth/drawn": "{}"}, **finish)
+
+
+def everything(folder: Path) -> list[str]:
+    """Names of all files and folders below."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@given(
+    st.lists(st.sampled_from([0, 0, 1, 2, 90]), min_size=1, max_size=12),
+    st.sets(st.integers(0, 11)),
+    st.integers(1, 3),
+)
+@settings(max_examples=25, deadline=None)
+def test_joined_is_what_was_appended(counts: list[int], cuts: set[int], every: int) -> None:
+    """Assert that every dataset is what was appended, bit for bit, whatever the cuts, and nothing else is left."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        header = write(folder / "a.recording.h5", counts, cuts, every)
+        assert everything(folder) == ["a.recording.h5"]
+        wanted = expected(counts, every)
+        with StageFile(folder / "a.recording.h5", "recording") as file:
+            assert file.contents().keys() == wanted.keys()
+            for path, value in wanted.items():
+                np.testing.assert_array_equal(file.read(path), value, strict=not isinstance(value, str))
+            assert file.header == header
+            assert header["id"] == RECIPE.id
+
+
+@given(st.lists(st.integers(0, 3), min_size=1, max_size=8), st.sets(st.integers(0, 7)), st.sets(st.integers(0, 7)))
+@settings(max_examples=8, deadline=None)
+def test_digest_of_a_device_recording(counts: list[int], cuts: set[int], other_cuts: set[int]) -> None:
+    """Assert that what stands for a recording that cannot be made again does not depend on where it was cut."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        first = write(folder / "a.recording.h5", counts, cuts, 2, from_device=True)
+        again = write(folder / "b.recording.h5", counts, other_cuts, 2, from_device=True)
+        more = write(folder / "c.recording.h5", [*counts, 0], cuts, 2, from_device=True)
+        with StageFile(folder / "a.recording.h5") as file:
+            stored = {path: file.read(path) for path in file.contents()}
+    assert first["seed"] is None
+    assert first["content"] == again["content"] == content_digest(stored)
+    assert first["id"] == again["id"] != more["id"]
+
+
+def test_segments_close_by_themselves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a segment is written when enough events wait or enough time has passed, and not before."""
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False)
+    monkeypatch.setattr(segments, "SEGMENT_EVENTS", 10)
+    for k in range(5):
+        writer.append(some_events(k, 4))
+    assert everything(writer.folder) == ["000000.h5", "lock", "static.h5"]
+    monkeypatch.setattr(segments, "SEGMENT_S", 0.0)
+    writer.append(empty())
+    assert everything(writer.folder) == ["000000.h5", "000001.h5", "lock", "static.h5"]
+    assert not (tmp_path / "a.recording.h5").exists()
+    writer.close_segment()
+    assert len(everything(writer.folder)) == 4
+    writer.finish(RECIPE)
+    with open_recording(tmp_path / "a.recording.h5") as recording:
+        assert [events.size for events in recording] == [4, 4, 4, 4, 4, 0]
+
+
+def test_empty_recording(tmp_path: Path) -> None:
+    """Assert that a recording without a slice, and one of slices without events, are valid files."""
+    for slices in (0, 3):
+        path = tmp_path / f"{slices}.recording.h5"
+        writer = RecordingWriter(path, STATIC, discard_leftover=False)
+        for _ in range(slices):
+            writer.append(empty())
+        writer.finish(RECIPE)
+        with open_recording(path) as recording:
+            assert len(recording) == slices
+            assert recording.event_count == 0
+            assert [column.dtype for column in recording.between(0, slices)] == [np.int64, np.uint16, np.uint16, np.uint8]
+    assert everything(tmp_path) == ["0.recording.h5", "3.recording.h5"]
+
+
+def test_discard_leaves_nothing(tmp_path: Path) -> None:
+    """Assert that a discarded recording leaves no file, however far it had come, and the name is free again."""
+    path = tmp_path / "a.recording.h5"
+    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    writer.append(some_events(0, 4))
+    writer.close_segment()
+    writer.append(some_events(1, 4))
+    writer.discard()
+    writer.discard()
+    assert everything(tmp_path) == []
+    write(path, [1, 2], set(), 1)
+    assert everything(tmp_path) == ["a.recording.h5"]
+
+
+def test_finishing_replaces_an_older_file(tmp_path: Path) -> None:
+    """Assert that an older file stays until the new one is complete."""
+    path = tmp_path / "a.recording.h5"
+    write(path, [1, 2], set(), 1)
+    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    writer.append(some_events(0, 9))
+    with open_recording(path) as recording:
+        assert recording.event_count == 3
+    writer.finish(RECIPE)
+    with open_recording(path) as recording:
+        assert recording.event_count == 9
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+import numpy as np
+from evetac_cli.events import Events
+from evetac_cli.store import segments
+segments.SEGMENT_S = 1e9
+static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "e", "t_offset": np.int64(0)}
+writer = segments.RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False)
+for k in range(5):
+    one = np.ones(1)
+    writer.append(Events((1000 * k * one).astype(np.int64), one.astype("u2"), one.astype("u2"), one.astype("u1")))
+    if k in (1, 3):
+        writer.close_segment()
+os.kill(os.getpid(), 9)
+"""
+
+
+@pytest.fixture
+def broken_off(tmp_path: Path) -> Path:
+    """The path of a recording whose process was killed after two segments."""
+    path = tmp_path / "a.recording.h5"
+    subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False, timeout=60)
+    return path
+
+
+def test_killed_recorder_leaves_closed_segments(broken_off: Path) -> None:
+    """Assert that all closed segments of a killed process are whole, and can be joined as they are."""
+    folder = broken_off.parent / "a.recording.part"
+    assert everything(broken_off.parent) == [
+        "a.recording.part",
+        *(f"a.recording.part/{name}" for name in ("000000.h5", "000001.h5", "lock", "static.h5")),
+    ]
+    segments.join(folder, broken_off, RECIPE, {}, from_device=True)
+    with open_recording(broken_off) as recording:
+        assert recording.between(0, len(recording)).t.tolist() == [0, 1000, 2000, 3000]
+
+
+def test_leftover_is_refused(broken_off: Path) -> None:
+    """Assert that a recording that broke off is not written over, again and again, and stays as it is."""
+    before = {path: path.read_bytes() for path in broken_off.parent.rglob("*.h5")}
+    for _ in range(2):
+        with pytest.raises(InputError, match="a recording broke off here") as refused:
+            RecordingWriter(broken_off, STATIC, discard_leftover=False)
+        assert "a.recording.part" in str(refused.value)
+    assert {path: path.read_bytes() for path in broken_off.parent.rglob("*.h5")} == before
+
+
+def test_leftover_is_discarded_if_it_can_be_made_again(broken_off: Path) -> None:
+    """Assert that nothing of a discarded leftover gets into the new recording."""
+    writer = RecordingWriter(broken_off, STATIC, discard_leftover=True)
+    writer.append(some_events(0, 3))
+    writer.finish(RECIPE)
+    with open_recording(broken_off) as recording:
+        assert [events.size for events in recording] == [3]
+    assert everything(broken_off.parent) == ["a.recording.h5"]
+
+
+def test_folders_of_others_are_not_deleted(tmp_path: Path) -> None:
+    """Assert that a folder inside NAME.part/, which no recording makes, is named and stays."""
+    precious = tmp_path / "a.recording.part" / "precious"
+    precious.mkdir(parents=True)
+    with pytest.raises(InputError, match="not from a recording"):
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+    assert precious.is_dir()
+
+
+def test_second_writer_is_refused(tmp_path: Path) -> None:
+    """Assert that two recordings into one file are refused at the same time, and the first is not disturbed."""
+    path = tmp_path / "a.recording.h5"
+    first = RecordingWriter(path, STATIC, discard_leftover=False)
+    first.append(some_events(0, 5))
+    first.close_segment()
+    for discard_leftover in (False, True):
+        with pytest.raises(InputError, match="another process is recording here"):
+            RecordingWriter(path, STATIC, discard_leftover=discard_leftover)
+    first.append(some_events(1, 6))
+    first.finish(RECIPE)
+    with open_recording(path) as recording:
+        assert [events.size for events in recording] == [5, 6]
+    RecordingWriter(path, STATIC, discard_leftover=False).discard()
+
+
+def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    """Assert that files in the way, and a place where nothing can be made, are errors in words."""
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "a.recording.part").write_text("x")
+    for path in (tmp_path / "file" / "a.recording.h5", tmp_path / "a.recording.h5"):
+        with pytest.raises(InputError, match="the output folder is a file"):
+            RecordingWriter(path, STATIC, discard_leftover=True)
+    with pytest.raises(InputError, match="cannot be made"):
+        RecordingWriter(Path("/proc/nowhere/a.recording.h5"), STATIC, discard_leftover=True)
+    assert everything(tmp_path) == ["a.recording.part", "file"]
+
+
+def test_failing_start_leaves_nothing(tmp_path: Path) -> None:
+    """Assert that a writer that cannot store what is known beforehand leaves no folder, so that the next can start."""
+    path = tmp_path / "a.recording.h5"
+    with pytest.raises(TypeError):
+        RecordingWriter(path, {**STATIC, "t_offset": object()}, discard_leftover=False)
+    assert everything(tmp_path) == []
+    write(path, [1], set(), 1)
+
+
+def incomplete(writer: RecordingWriter) -> None:
+    writer.append(some_events(0, 3), {"gripper/t_us": 0})
+
+
+def a_row_too_few(writer: RecordingWriter) -> None:
+    writer.append(some_events(0, 3), rows_of(0, 1))
+    writer.append(some_events(1, 3), {**rows_of(1, 1), "gripper/t_us": 1000, "truth/slip": 0})
+    writer.append(some_events(2, 3), {})
+
+
+def wrong_dtype(writer: RecordingWriter) -> None:
+    events = some_events(0, 3)
+    writer.append(events._replace(x=events.x.astype(np.int64)))
+
+
+def test_what_is_not_a_recording_is_refused_and_kept(tmp_path: Path) -> None:
+    """Assert that a recording against the schema is refused in words, and what was recorded stays in its folder."""
+    for number, spoil in enumerate((incomplete, a_row_too_few, wrong_dtype)):
+        path = tmp_path / f"{number}.recording.h5"
+        writer = RecordingWriter(path, STATIC, discard_leftover=False)
+        spoil(writer)
+        with pytest.raises(SchemaError, match="not a valid recording"):
+            writer.finish(RECIPE)
+        assert not path.exists()
+        assert everything(writer.folder) == ["000000.h5", "lock", "static.h5"]
+        writer.discard()
+    assert everything(tmp_path) == []
+
+
+def test_finish_can_be_tried_again(tmp_path: Path) -> None:
+    """Assert that a target that cannot be written costs nothing: all is in the folder, and a second try succeeds."""
+    path = tmp_path / "a.recording.h5"
+    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    writer.append(some_events(0, 3))
+    path.mkdir()
+    with pytest.raises(InputError, match="cannot be written"):
+        writer.finish(RECIPE)
+    path.rmdir()
+    writer.finish(RECIPE)
+    with open_recording(path) as recording:
+        assert recording.event_count == 3
+    assert everything(tmp_path) == ["a.recording.h5"]
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.store import segments
+from evetac_cli.store.provenance import Recipe
+segments.SEGMENT_S = 1e9
+static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "e", "t_offset": np.int64(0)}
+writer = segments.RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False)
+rng = np.random.default_rng(0)
+def piece(k, count):
+    t = np.sort(rng.integers(1000 * k, 1000 * k + 1000, count))
+    return Events(t, *(rng.integers(0, 2, count).astype(kind) for kind in ("u2", "u2", "u1")))
+writer.append(piece(0, 1000))
+writer.close_segment()
+writer.append(piece(1, 100000))
+limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limit[1]))
+for attempt in (writer.close_segment, writer.close_segment):
+    try:
+        attempt()
+    except InputError as error:
+        print("segment", "File too large" in str(error), "safe in this folder" in str(error))
+print(sorted(path.name for path in writer.folder.iterdir()))
+resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+writer.close_segment()
+resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limit[1]))
+try:
+    writer.finish(Recipe("recording", 1, {}))
+except InputError as error:
+    print("join", "File too large" in str(error))
+resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+writer.finish(Recipe("recording", 1, {}))
+"""
+
+
+def test_full_disk(tmp_path: Path) -> None:
+    """Assert that a full disk while recording or joining is an error in words, and nothing is lost when it has room.
+
+    A limit on the size of files stands in for the full disk: the system refuses to write in the same way.
+    """
+    path = tmp_path / "a.recording.h5"
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(path)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == [
+        "segment True True",
+        "segment True True",
+        "['000000.h5', 'lock', 'static.h5']",
+        "join True",
+    ]
+    with open_recording(path) as recording:
+        assert [events.size for events in recording] == [1000, 100000]
+    assert everything(tmp_path) == ["a.recording.h5"]
+
+
+def test_segments_are_plain_hdf5(tmp_path: Path) -> None:
+    """Assert that a segment holds its own events with the number of each slice: any HDF5 tool can rescue it."""
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False)
+    for k in range(3):
+        writer.append(some_events(k, k), {"gripper/t_us": k})
+    writer.close_segment()
+    with h5py.File(writer.folder / "000000.h5") as h5:
+        assert h5["events_per_slice"][()].tolist() == [0, 1, 2]
+        assert h5["events/t"].shape == (3,)
+        assert h5["gripper/t_us"][()].tolist() == [0, 1, 2]
+    writer.discard()
