@@ -24,16 +24,14 @@ $(READY): pyproject.toml constraints.txt
 
 # Trajectories to learn from, to choose threshold and checkpoint on, and to be judged on have seeds of their own.
 demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; results in demo/ (SEED, JOBS, DEMO)
-	@set -e; started=$$(date +%s); mkdir -p $(DEMO); cd $(DEMO); \
+	@set -e; started=$$(date +%s.%N); mkdir -p $(DEMO); cd $(DEMO); \
 	run() { echo "+ evetac $$*"; $(EVETAC) $$* --quiet; }; \
 	run record --object 3,6,8,9 --count 5 --seed $(SEED) --out learn --jobs $(JOBS); \
 	run record --object 3,6,8,9 --seed $$(( $(SEED) + 500 )) --out choose --jobs $(JOBS); \
 	run record --object 4,8,11 --count 3 --seed $$(( $(SEED) + 1000 )) --out unseen --jobs $(JOBS); \
-	for part in learn choose unseen; do \
-	  run track "$$part/*.recording.h5" --jobs $(JOBS); \
-	  run label "$$part/*.recording.h5" --after-ms 25 --jobs $(JOBS); \
-	  run featurize "$$part/*.recording.h5" --jobs $(JOBS); \
-	done; \
+	run track "*/*.recording.h5" --jobs $(JOBS); \
+	run label "*/*.recording.h5" --after-ms 25 --jobs $(JOBS); \
+	run featurize "*/*.recording.h5" --jobs $(JOBS); \
 	run train "learn/*.features.h5" --validate choose --recipe adam --epochs 30 --seed $(SEED) --out slip.model.h5; \
 	run evaluate labels "unseen/*.labels.h5" --out labels.report.h5; \
 	run evaluate tracking "unseen/*.tracks.h5" --out tracking.report.h5; \

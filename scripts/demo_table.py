@@ -17,7 +17,7 @@ def figures(folder: Path, subject: str) -> tuple[list[dict], dict]:
 
 
 def main() -> None:
-    folder, started = Path(), int(sys.argv[1])
+    folder, started = Path(), float(sys.argv[1])
     _, labels = figures(folder, "labels")
     _, tracking = figures(folder, "tracking")
     _, slip = figures(folder, "slip")

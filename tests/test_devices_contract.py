@@ -11,7 +11,7 @@ from evetac_cli.devices import EventCamera, Gripper, Rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.world import plan
+from evetac_cli.sim.scene import plan
 from evetac_cli.store.read import open_recording
 
 

@@ -8,7 +8,8 @@ import pytest
 from conftest import Made
 from evetac_cli.errors import SceneError
 from evetac_cli.sim import scene
-from evetac_cli.sim.world import GRAVITY_M_S2, World, dot_grid, plan
+from evetac_cli.sim.scene import plan
+from evetac_cli.sim.world import GRAVITY_M_S2, World, dot_grid
 from evetac_cli.store.read import open_recording
 
 

@@ -164,7 +164,7 @@ def test_empty_recording(tmp_path: Path) -> None:
         with open_recording(path) as recording:
             assert len(recording) == slices
             assert recording.event_count == 0
-            assert [column.dtype for column in recording.between(0, slices)] == [np.int64, np.uint16, np.uint16, np.uint8]
+            assert [column.dtype for column in recording.between(0, slices)] == ["int64", "uint16", "uint16", "uint8"]
     assert everything(tmp_path) == ["0.recording.h5", "3.recording.h5"]
 
 

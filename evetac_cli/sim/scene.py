@@ -66,6 +66,26 @@ def _check_ranges(scene: dict[str, Any], where: str) -> None:
                 raise SceneError(f"{group}.{key}: the lower end comes first", where=where, found=str(value))
 
 
+def plan(scene_name: str, object_number: int, individual: str, kind: str) -> dict[str, Any]:
+    """What a trial is made from, resolved: it goes into the header, so that a changed table is another recipe."""
+    resolved: dict[str, Any] = {
+        "scene": load(scene_name),
+        "object": object_number,
+        "object_row": object_row(object_number),
+        "individual": individual,
+        "individual_row": individual_row(individual),
+    }
+    if resolved["scene"]["kind"] != kind:
+        raise SceneError(
+            "this scene is for another command",
+            where=scene_name,
+            expected=f"kind = {json.dumps(kind)}",
+            found=f"kind = {json.dumps(resolved['scene']['kind'])}",
+            hint="ramp scenes are recorded, lift scenes are grasped",
+        )
+    return resolved
+
+
 def object_row(number: int) -> dict[str, Any]:
     """The row of an object; InputError if there is no such object."""
     row = table("objects").get(str(number))

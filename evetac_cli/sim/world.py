@@ -5,14 +5,12 @@ the gripper starts just before touch, and a hand lifts the gripper; in its frame
 pads is simulated. The camera sees the pad at the end of each mechanical step of 1 ms.
 """
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import SceneError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim import camera, contact, gel, gripper, optics, scene
 
@@ -249,23 +247,3 @@ def dot_grid(individual: Mapping[str, Any]) -> NDArray[np.float64]:
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
     grid = grid + rng.normal(0.0, individual["dot_jitter_px"], grid.shape)
     return grid[:, [x < individual["window_px"][0] for x in columns]]
-
-
-def plan(scene_name: str, object_number: int, individual: str, kind: str) -> dict[str, Any]:
-    """What a trial is made from, resolved: it goes into the header, so that a changed table is another recipe."""
-    resolved: dict[str, Any] = {
-        "scene": scene.load(scene_name),
-        "object": object_number,
-        "object_row": scene.object_row(object_number),
-        "individual": individual,
-        "individual_row": scene.individual_row(individual),
-    }
-    if resolved["scene"]["kind"] != kind:
-        raise SceneError(
-            "this scene is for another command",
-            where=scene_name,
-            expected=f"kind = {json.dumps(kind)}",
-            found=f"kind = {json.dumps(resolved['scene']['kind'])}",
-            hint="ramp scenes are recorded, lift scenes are grasped",
-        )
-    return resolved

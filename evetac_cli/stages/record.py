@@ -14,7 +14,6 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.params import Record
 from evetac_cli.sim import scene
-from evetac_cli.sim.world import plan
 from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import output_path, up_to_date, write_stage
@@ -35,7 +34,7 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
         return [Job((params.source,), output_path(params.source, OUTPUT, out))]
     resolved = [
-        (number, plan(params.scene, number, params.individual, "ramp")) for number in scene.numbers(params.objects)
+        (number, scene.plan(params.scene, number, params.individual, "ramp")) for number in scene.numbers(params.objects)
     ]
     return trials(resolved, params, out)
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import Events
-from evetac_cli.kernels import features
 from evetac_cli.store.files import StageFile
 
 BLOCK_SLICES = 1000
@@ -133,6 +132,8 @@ class SlipWindows:
         return len(self._index)
 
     def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
+        from evetac_cli.kernels import features  # brings numba, which those who only read a file need not wait for
+
         trial, slice_ = self._index[index]
         displacement, events, label = self._trials[trial]
         window = features.windows(displacement, events, self.history, np.array([slice_]))[0]

@@ -84,7 +84,7 @@ class RecordingWriter:
             file.unlink()
 
     def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
-        """Add one slice (its events may be none) and one row to each of the named datasets; kept as they are, no copies."""
+        """Add one slice (its events may be none) and one row to each of the named datasets; arrays are not copied."""
         self._events.append(events)
         self._counts.append(events.size)
         self._waiting += events.size

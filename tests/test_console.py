@@ -1,0 +1,160 @@
+"""What people see: one JSON object, a table of plain text, a bar on a terminal and nothing elsewhere."""
+
+import io
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli import console
+
+ROWS: list[dict[str, Any]] = [
+    {"file": "a.h5", "delay_ms": 1.25, "ok": True},
+    {"file": "b.h5", "delay_ms": None, "more": 12345},
+]
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_say_goes_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that messages leave stdout to the result."""
+    console.say("made 3 files")
+    assert capsys.readouterr() == ("", "made 3 files\n")
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_json_is_one_object_on_one_line(capsys: pytest.CaptureFixture[str], simulated: bool) -> None:
+    """Assert the shape of --json, and that nothing else is printed."""
+    console.show("evaluate slip", ROWS, {"f1": 0.5}, simulated=simulated, as_json=True)
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.count("\n") == 1
+    assert json.loads(out) == {"command": "evaluate slip", "simulated": simulated, "rows": ROWS, "summary": {"f1": 0.5}}
+
+
+def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that numbers that do not exist are null, however deep, and the rest stays as it is."""
+    deep = {"a": [1, math.nan, (math.inf, {"b": -math.inf})], "c": np.float64("nan"), "d": True, "e": "NaN"}
+    console.show("x", [deep], {"mean": math.nan}, simulated=True, as_json=True)
+    result = json.loads(capsys.readouterr().out, parse_constant=lambda word: pytest.fail(word))
+    assert result["rows"] == [{"a": [1, None, [None, {"b": None}]], "c": None, "d": True, "e": "NaN"}]
+    assert result["summary"] == {"mean": None}
+
+
+def test_plain_leaves_its_input_alone() -> None:
+    """Assert that rows, which also go into a report, are not changed by printing them."""
+    rows = [{"a": math.nan}]
+    assert console.plain(rows) == [{"a": None}]
+    assert math.isnan(rows[0]["a"])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "-"),
+        (True, "yes"),
+        (False, "no"),
+        (math.nan, "-"),
+        (math.inf, "inf"),
+        (0.0, "0"),
+        (0.123456, "0.1235"),
+        (123456.0, "1.235e+05"),
+        (np.float64(2.5), "2.5"),
+        (1234567, "1,234,567"),
+        (0, "0"),
+        (-3, "-3"),
+        ("1234", "1234"),
+        ("", ""),
+    ],
+)
+def test_format_value(value: object, text: str) -> None:
+    """Assert how each kind of value is written in a cell."""
+    assert console.format_value(value) == text
+
+
+def table(capsys: pytest.CaptureFixture[str], rows: list[dict[str, Any]], summary: dict[str, Any], **more: Any) -> str:
+    """What is printed for people."""
+    console.show("track", rows, summary, as_json=False, **{"simulated": False, **more})
+    out, err = capsys.readouterr()
+    assert err == ""
+    return out
+
+
+def test_table_shows_every_column(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that rows with different names share one table, and the summary stands below it."""
+    text = table(capsys, ROWS, {"files": 2})
+    lines = text.splitlines()
+    for name in ("file", "delay_ms", "ok", "more"):
+        assert name in lines[2]
+    assert "12,345" in text
+    assert "yes" in text
+    assert lines[-1] == "files: 2"
+
+
+def test_simulated_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that figures from simulation say so, and others do not."""
+    assert "track (simulated)" in table(capsys, ROWS, {}, simulated=True)
+    assert "simulated" not in table(capsys, ROWS, {})
+
+
+def test_nothing_to_show(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that without rows there is no empty table."""
+    assert table(capsys, [], {"made": 0}) == "made: 0\n"
+
+
+NAMES = ["runs[a]/b.h5", "[bold]x", "[/]", "a[/red].h5", "\\[x]", "x:smile:y", "[link=x]y[/link]", "100%", "{0}", "ä°"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_text_is_no_markup(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """Assert that brackets and colons in names are printed as they are, in cells, headings and the summary."""
+    text = table(capsys, [{"file": name, name: "z"}], {"report": name, name: 1})
+    assert text.count(name) == 4
+
+
+def test_long_paths_are_whole_somewhere(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that a cell wider than the table is folded, and a line of the summary is not cut."""
+    path = "/data/" + "x" * 300 + "/end.h5"
+    text = table(capsys, [{"file": path}], {"report": path})
+    assert f"report: {path}\n" in text
+    folded = "".join(line.strip("│ ") for line in text.splitlines() if line.startswith("│"))
+    assert folded == path
+
+
+@pytest.mark.parametrize(("quiet", "stream"), [(True, Terminal()), (False, io.StringIO()), (True, io.StringIO())])
+def test_no_bar_where_nobody_looks(monkeypatch: pytest.MonkeyPatch, quiet: bool, stream: io.StringIO) -> None:
+    """Assert that without a terminal, or with --quiet, progress prints nothing."""
+    monkeypatch.setattr("sys.stderr", stream)
+    with console.progress_bar("track", "slices", quiet=quiet) as progress:
+        progress(1, 2)
+    assert stream.getvalue() == ""
+
+
+def test_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a bar shows what is done and of how much, also before the first step, and names are no markup."""
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("TERM", "xterm")
+    with console.progress_bar("track runs[a].h5", "slices", quiet=False) as progress:
+        progress(0, 0)
+        progress(5, 10)
+        progress(10, 10)
+    assert "track runs[a].h5" in terminal.getvalue()
+    assert "10/10 slices" in terminal.getvalue()
+
+
+def test_bar_without_any_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that work that never reports (it was up to date) has a bar without numbers, and errors come through."""
+    monkeypatch.setattr("sys.stderr", Terminal())
+    with console.progress_bar("track", "slices", quiet=False):
+        pass
+    with pytest.raises(KeyError), console.progress_bar("track", "slices", quiet=False):
+        raise KeyError

@@ -1,0 +1,125 @@
+"""Who may import whom (design, section 4), and what starting the program must not load."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from evetac_cli.resources import PACKAGE
+
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+# Each part may import itself and these: main -> {stages, inspect} -> {devices, store} -> sim -> kernels -> {events,
+# errors}. `params` says what stages are given, `resources` where the package's tables lie, `console` how results look.
+BELOW = {
+    "errors": set[str](),
+    "events": {"errors"},
+    "resources": {"errors"},
+    "params": {"errors"},
+    "kernels": {"events", "errors"},
+    "sim": {"kernels", "events", "errors", "resources"},
+    "store": {"kernels", "events", "errors", "resources", "evetac_cli"},
+    "devices": {"store", "sim", "kernels", "events", "errors", "resources"},
+    "stages": {"devices", "store", "sim", "kernels", "events", "errors", "resources", "params", "console"},
+    "inspect": {"stages", "devices", "store", "sim", "kernels", "events", "errors", "resources", "params", "console"},
+    "console": {"stages", "errors"},
+}
+
+# Libraries that only some modules may import.
+ONLY_IN = {
+    "h5py": ("store/*",),
+    "usb": ("devices/*",),
+    "dynamixel_sdk": ("devices/*",),
+    "torch": ("kernels/networks.py", "kernels/training.py", "stages/train.py"),
+    "typer": ("main.py",),
+    "rich": ("console.py",),
+}
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Full names of all that a module imports, at its head, in its functions and for type checking."""
+    package = ("evetac_cli", *path.relative_to(PACKAGE).parent.parts)
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = list(package[: len(package) - node.level + 1]) if node.level else []
+            base += node.module.split(".") if node.module else []
+            yield from (".".join([*base, name.name]) for name in node.names)
+        elif isinstance(node, ast.Call) and "import" in ast.unparse(node.func) and path.name != "main.py":
+            pytest.fail(f"{path}:{node.lineno}: only main imports by name: {ast.unparse(node)}")
+
+
+def part_of(name: str) -> str:
+    """The part of the package that a full name belongs to; `evetac_cli` for its own names, such as __version__."""
+    parts = name.split(".")
+    known = parts[1] if len(parts) > 1 else ""
+    return known if (PACKAGE / known).is_dir() or (PACKAGE / f"{known}.py").is_file() else "evetac_cli"
+
+
+def test_names_are_resolved(tmp_path: Path) -> None:
+    """Assert that this test sees relative, function-level and plain imports (else it would prove nothing)."""
+    found = set(imports(PACKAGE / "main.py"))
+    assert {"typer", "importlib", "evetac_cli.errors.EvetacError", "traceback"} <= found
+    assert "evetac_cli.main.main" in set(imports(PACKAGE / "__main__.py"))
+    assert part_of("evetac_cli.store.files.StageFile") == "store"
+    assert part_of("evetac_cli.errors") == "errors"
+    assert part_of("evetac_cli.__version__") == part_of("evetac_cli") == "evetac_cli"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_directions(path: Path) -> None:
+    """Assert that a module imports only from its own part and those below it; main may import anything."""
+    part = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    if part in ("main", "__main__", "__init__"):
+        return
+    allowed = BELOW[part] | {part}
+    ours = [name for name in imports(path) if name.split(".")[0] == "evetac_cli"]
+    assert [name for name in ours if part_of(name) not in allowed] == []
+
+
+def test_nothing_imports_main() -> None:
+    """Assert that main is at the top: only `python -m evetac_cli` imports it."""
+    importers = [path.name for path in MODULES if any(part_of(name) == "main" for name in imports(path))]
+    assert importers == ["__main__.py"]
+
+
+@pytest.mark.parametrize("library", ONLY_IN)
+def test_libraries_have_one_home(library: str) -> None:
+    """Assert that a library is imported only where it belongs."""
+    users = [path.relative_to(PACKAGE) for path in MODULES if library in {name.split(".")[0] for name in imports(path)}]
+    assert [str(user) for user in users if not any(user.match(place) for place in ONLY_IN[library])] == []
+
+
+def test_wrong_imports_would_be_seen() -> None:
+    """Assert that the rule above is not empty: each of these directions is forbidden."""
+    for part, wrong in (("kernels", "store"), ("sim", "devices"), ("store", "sim"), ("stages", "inspect")):
+        assert wrong not in BELOW[part]
+
+
+HEAVY = ("numpy", "h5py", "torch", "cv2", "scipy", "numba", "matplotlib")
+START = """
+import runpy, sys
+sys.argv = ["evetac", *sys.argv[1:]]
+try:
+    runpy.run_module("evetac_cli", run_name="__main__", alter_sys=True)
+except SystemExit as end:
+    print("exit", end.code, file=sys.stderr)
+print(*sorted({name.split(".")[0] for name in sys.modules}), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["track", "--help"], ["evaluate", "slip", "--help"]])
+def test_start_is_light(arguments: list[str]) -> None:
+    """Assert that help and version load none of the heavy libraries."""
+    done = subprocess.run(
+        [sys.executable, "-c", START, *arguments], capture_output=True, text=True, timeout=60, check=True
+    )
+    end, loaded = done.stderr.splitlines()[-2:]
+    assert end == "exit 0"
+    assert done.stdout
+    assert "evetac_cli" in loaded.split()
+    assert [name for name in HEAVY if name in loaded.split()] == []

@@ -1,0 +1,267 @@
+"""Parameters: their priority, and every way in which a flag or a config file can be wrong."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import pytest
+
+from evetac_cli import params
+from evetac_cli.errors import InputError
+from evetac_cli.params import Featurize, Grasp, Label, Record, Track, Train, flag_of, recipe_of, resolve
+
+EVERY = {
+    "record": Record,
+    "label": Label,
+    "track": Track,
+    "featurize": Featurize,
+    "train": Train,
+    "evaluate slip": params.EvaluateSlip,
+    "evaluate labels": params.EvaluateLabels,
+    "evaluate tracking": params.EvaluateTracking,
+    "evaluate grasp": params.EvaluateGrasp,
+    "grasp": Grasp,
+}
+ALL_FIELDS = [(command, item) for command, cls in EVERY.items() for item in dataclasses.fields(cls)]
+ENDS = [(command, item, end) for command, item in ALL_FIELDS for end in ("low", "high")]
+RANGED = [(command, item, end) for command, item, end in ENDS if item.metadata[end] is not None]
+
+
+def config(folder: Path, text: str) -> Path:
+    """A config file."""
+    path = folder / "evetac.toml"
+    path.write_text(text)
+    return path
+
+
+def refusal(cls: type, command: str, given: dict[str, Any], path: Path | None = None) -> str:
+    """What is said of wrong parameters; exit code 2."""
+    with pytest.raises(InputError) as refused:
+        resolve(cls, command, given, path)
+    assert refused.value.exit_code == 2
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("command", EVERY)
+def test_defaults_are_valid(command: str) -> None:
+    """Assert that what a command does without flags is within its own ranges."""
+    cls = EVERY[command]
+    assert resolve(cls, command, {}, None) == cls()
+    assert resolve(cls, command, {item.name: None for item in dataclasses.fields(cls)}, None) == cls()
+
+
+def test_every_command_has_a_table() -> None:
+    """Assert that a config file can have a table for each command, and for no other."""
+    assert tuple(EVERY) == params.COMMANDS
+
+
+def test_flag_beats_config_beats_default(tmp_path: Path) -> None:
+    """Assert the priority of flag, config file and default, for each parameter by itself."""
+    path = config(tmp_path, '[track]\npreset = "carry"\nstep_size = 0.25\n[label]\nconfirm_ms = 9\n')
+    assert resolve(Track, "track", {}, path) == Track(preset="carry", step_size=0.25)
+    assert resolve(Track, "track", {"step_size": 0.5}, path) == Track(preset="carry", step_size=0.5)
+    assert resolve(Track, "track", {"preset": "paper", "step_size": None}, path) == Track(step_size=0.25)
+    assert resolve(Label, "label", {}, path).confirm_ms == 9
+    assert resolve(Train, "train", {}, path) == Train()
+
+
+def test_false_and_zero_are_given(tmp_path: Path) -> None:
+    """Assert that a flag that says false or 0 beats the config file too."""
+    path = config(tmp_path, "[record]\nsort = true\nseed = 5\n[label]\nafter_ms = 7\n")
+    assert resolve(Record, "record", {"sort": False, "seed": 0}, path) == Record()
+    assert resolve(Label, "label", {"after_ms": 0}, path).after_ms == 0
+
+
+def test_types_of_toml(tmp_path: Path) -> None:
+    """Assert that text becomes a path, and a whole number a float, where that is wanted, and nothing else changes."""
+    path = config(tmp_path, '[track]\nstep_size = 1\ncalibration = "grid.json"\n[record]\nsort = true\nstream = "0"\n')
+    chosen = resolve(Track, "track", {}, path)
+    assert chosen.calibration == Path("grid.json")
+    assert type(chosen.step_size) is float
+    assert resolve(Record, "record", {}, path) == Record(sort=True, stream="0")
+
+
+def test_nested_table(tmp_path: Path) -> None:
+    """Assert that `evaluate slip` reads [evaluate.slip], and `slip` or `evaluate` alone mean nothing else."""
+    path = config(tmp_path, "[evaluate.slip]\nthreshold = 0.25\n[evaluate.labels]\n")
+    assert resolve(params.EvaluateSlip, "evaluate slip", {}, path).threshold == 0.25
+    assert resolve(params.EvaluateLabels, "evaluate labels", {}, path) == params.EvaluateLabels()
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "[label]\n", "[evaluate]\n"])
+def test_config_without_the_command(tmp_path: Path, text: str) -> None:
+    """Assert that a config file may say nothing about a command."""
+    assert resolve(Track, "track", {}, config(tmp_path, text)) == Track()
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "near"),
+    [
+        ("[label]\nthreshold = 0.5\n", "unknown key `threshold`", "`threshold_px`"),
+        ("[label]\nlookahead_ms = 4\n", "unknown key `lookahead_ms`", "`look_ahead_ms`"),
+        ("[label]\nthreshold-px = 0.5\n", "unknown key `threshold-px`", "`threshold_px`"),
+        ("[label]\nxyzzy = 1\n", "unknown key `xyzzy`", ""),
+        ("[label.deeper]\nconfirm_ms = 1\n", "unknown key `deeper`", ""),
+        ("[labels]\nconfirm_ms = 1\n", "unknown table `labels`", "`label`"),
+        ("confirm_ms = 1\n", "unknown table `confirm_ms`", ""),
+        ("[trak]\n", "unknown table `trak`", "`track`"),
+    ],
+)
+def test_unknown_names(tmp_path: Path, text: str, key: str, near: str) -> None:
+    """Assert that a key or table that does not exist is refused, with what there is and the nearest name, if any."""
+    message = refusal(Label, "label", {}, config(tmp_path, text))
+    assert message.startswith(str(tmp_path / "evetac.toml"))
+    assert key in message
+    assert "expected: " in message
+    assert (f"did you mean {near}?" in message) if near else ("try:" not in message)
+
+
+def test_unknown_names_of_evaluate(tmp_path: Path) -> None:
+    """Assert that the tables under [evaluate] are checked as well."""
+    message = refusal(params.EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate.slp]\nthreshold = 1.0\n"))
+    assert "did you mean `slip`?" in message
+    message = refusal(params.EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate]\nthreshold = 1.0\n"))
+    assert "unknown table `threshold`" in message
+    message = refusal(params.EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate.slip]\nthresold = 1.0\n"))
+    assert "[evaluate.slip]: unknown key `thresold`" in message
+    assert "did you mean `threshold`?" in message
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("confirm_ms", "5.0", "int"),
+        ("confirm_ms", "true", "int"),
+        ("confirm_ms", '"5"', "int"),
+        ("confirm_ms", "[5]", "int"),
+        ("confirm_ms", "{a = 1}", "int"),
+        ("confirm_ms", "2026-01-01", "int"),
+        ("threshold_px", '"0.5"', "float"),
+        ("threshold_px", "false", "float"),
+        ("threshold_px", "1" + "0" * 400, "float"),
+    ],
+)
+def test_wrong_types(tmp_path: Path, key: str, value: str, expected: str) -> None:
+    """Assert that a value of another type is refused with its place and both types: no truth value is a number."""
+    message = refusal(Label, "label", {}, config(tmp_path, f"[label]\n{key} = {value}\n"))
+    assert f"label.{key}: wrong type" in message
+    assert f"expected: {expected}" in message
+
+
+@pytest.mark.parametrize(
+    ("cls", "text"),
+    [
+        (Track, "preset = 3"),
+        (Track, "calibration = 3"),
+        (Record, "sort = 1"),
+        (Record, 'sort = "yes"'),
+        (Record, "scene = true"),
+    ],
+)
+def test_wrong_types_of_text_and_truth(tmp_path: Path, cls: type, text: str) -> None:
+    """Assert that numbers are no text, no path and no truth value."""
+    command = cls.__name__.lower()
+    assert "wrong type" in refusal(cls, command, {}, config(tmp_path, f"[{command}]\n{text}\n"))
+
+
+@pytest.mark.parametrize("text", ["label = 3\n", 'label = "x"\n', "label = [1]\n", "[[label]]\nconfirm_ms = 1\n"])
+def test_command_that_is_no_table(tmp_path: Path, text: str) -> None:
+    """Assert that a command must be a table."""
+    assert "`label` is not a table" in refusal(Label, "label", {}, config(tmp_path, text))
+
+
+NO_TOML = {
+    "half": b"[label\n",
+    "twice": b"[label]\nconfirm_ms = 1\nconfirm_ms = 2\n",
+    "binary": b"\xff\xfe\x00",
+    "JSON": b'{"label": {"confirm_ms": 1}}',
+    "deep": b"a = " + b"[" * 5000,
+    "long number": b"a = " + b"9" * 5000,
+}
+
+
+@pytest.mark.parametrize("content", NO_TOML.values(), ids=NO_TOML)
+def test_no_toml(tmp_path: Path, content: bytes) -> None:
+    """Assert that a file that is no TOML is refused by name."""
+    path = tmp_path / "evetac.toml"
+    path.write_bytes(content)
+    assert refusal(Label, "label", {}, path).startswith(f"{path}: not valid TOML")
+
+
+def test_no_config(tmp_path: Path) -> None:
+    """Assert that a config file that is missing, or a folder, is an error in words."""
+    assert "No such file" in refusal(Label, "label", {}, tmp_path / "none.toml")
+    assert "Is a directory" in refusal(Label, "label", {}, tmp_path)
+
+
+@pytest.mark.parametrize(("command", "item", "end"), RANGED, ids=lambda value: getattr(value, "name", value))
+def test_both_ends_of_every_range(command: str, item: "dataclasses.Field[Any]", end: str) -> None:
+    """Assert that the ends belong to the range and the next value does not; flag, end and unit are said."""
+    cls, edge = EVERY[command], item.metadata[end]
+    wanted = (get_args(get_type_hints(cls)[item.name]) or (get_type_hints(cls)[item.name],))[0]
+    away = math.inf if end == "high" else -math.inf
+    assert getattr(resolve(cls, command, {item.name: wanted(edge)}, None), item.name) == edge
+    outside = math.nextafter(edge, away) if wanted is float else edge + int(math.copysign(1, away))
+    message = refusal(cls, command, {item.name: outside})
+    assert message.startswith(f"{flag_of(item)}: out of range")
+    assert str(edge) in message
+    assert item.metadata["unit"] in message
+    assert f"found:    {outside}" in message
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_numbers_that_are_none(tmp_path: Path, value: float) -> None:
+    """Assert that NaN and infinity are refused as a flag and in a config file, also where there is no upper end."""
+    assert "--threshold-px: not a finite number" in refusal(Label, "label", {"threshold_px": value})
+    text = f"[label]\nthreshold_px = {'nan' if math.isnan(value) else '+inf' if value > 0 else '-inf'}\n"
+    assert "not a finite number" in refusal(Label, "label", {}, config(tmp_path, text))
+
+
+def test_ranges_hold_in_config_files(tmp_path: Path) -> None:
+    """Assert that values of a config file are checked like flags."""
+    assert "out of range" in refusal(Label, "label", {}, config(tmp_path, "[label]\nconfirm_ms = 0\n"))
+    message = refusal(Track, "track", {}, config(tmp_path, '[track]\npreset = "papr"\n'))
+    assert "did you mean paper?" in message
+
+
+def test_choices() -> None:
+    """Assert that an unknown choice is refused with all there are, and the nearest, if one is near."""
+    message = refusal(Train, "train", {"recipe": "adma"})
+    assert message.startswith("--recipe: unknown value")
+    assert "expected: paper, adam" in message
+    assert "did you mean adam?" in message
+    assert "try:" not in refusal(Train, "train", {"recipe": "xyzzy"})
+    assert refusal(Train, "train", {"recipe": ""})
+
+
+@pytest.mark.parametrize(("command", "item"), ALL_FIELDS, ids=lambda value: getattr(value, "name", value))
+def test_fields_are_described(command: str, item: "dataclasses.Field[Any]") -> None:
+    """Assert that every parameter has a sentence of help, a unit if its name ends in one, and a default it allows."""
+    about = item.metadata
+    assert about["help"][0].isupper() or about["help"].split(":")[0] in about["choices"]
+    assert about["help"].endswith(".")
+    ending = item.name.rsplit("_", 1)[-1]
+    if ending in ("px", "ms", "s", "ma"):
+        assert about["unit"] == {"ma": "mA"}.get(ending, ending)
+    if about["choices"] and item.default is not None:
+        assert item.default in about["choices"]
+
+
+@pytest.mark.parametrize("command", EVERY)
+def test_flags_are_unique(command: str) -> None:
+    """Assert that no two parameters of a command have one flag, and none has that of a running option."""
+    flags = [flag_of(item) for item in dataclasses.fields(EVERY[command])]
+    running = {"--out", "--force", "--jobs", "--config", "--json", "--quiet", "--verbose", "--help"}
+    assert len(set(flags)) == len(flags)
+    assert not running & set(flags)
+    assert all(flag.startswith("--") and "_" not in flag for flag in flags)
+
+
+def test_recipe_leaves_out_what_does_not_change_the_numbers() -> None:
+    """Assert that files and how to run are no part of a recipe, and everything else is."""
+    recipe = recipe_of(Record(count=7, calibration=Path("grid.json")))
+    assert recipe == recipe_of(Record())
+    assert not {"count", "source", "calibration"} & set(recipe)
+    assert recipe != recipe_of(Record(seed=1))
+    assert recipe_of(Label()) == dataclasses.asdict(Label())
