@@ -58,7 +58,7 @@ class Slicer:
         self._latest_us = 0
 
     def push(self, packet: Events) -> list[Events]:
-        """Take the next packet; return the slices that its last event shows to be over. ValueError if time goes back."""
+        """Take the next packet; return the slices that its last event ends. ValueError if time goes back."""
         if packet.size == 0:
             return []
         if packet.t[0] < self._latest_us or (np.diff(packet.t) < 0).any():

@@ -118,7 +118,9 @@ class Train:
     max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
     seed: int = parameter(0, "Seed of weights, sampling and augmentation.", low=0, high=2**31 - 1)
     validate: str = parameter(
-        "", "Folder or glob of features on which checkpoint and threshold are chosen; default: every 8th input.", recipe=False
+        "",
+        "Folder or glob of features on which checkpoint and threshold are chosen; default: every 8th input.",
+        recipe=False,
     )
 
 

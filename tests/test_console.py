@@ -43,7 +43,7 @@ def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
     """Assert that numbers that do not exist are null, however deep, and the rest stays as it is."""
     deep = {"a": [1, math.nan, (math.inf, {"b": -math.inf})], "c": np.float64("nan"), "d": True, "e": "NaN"}
     console.show("x", [deep], {"mean": math.nan}, simulated=True, as_json=True)
-    result = json.loads(capsys.readouterr().out, parse_constant=lambda word: pytest.fail(word))
+    result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert result["rows"] == [{"a": [1, None, [None, {"b": None}]], "c": None, "d": True, "e": "NaN"}]
     assert result["summary"] == {"mean": None}
 

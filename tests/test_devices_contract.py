@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from conftest import Made
+
 from evetac_cli.devices import EventCamera, Gripper, Rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.simulated import rig
@@ -75,7 +75,7 @@ def test_replay_is_the_recording(made: Made) -> None:
 
 @pytest.mark.parametrize("make", [simulated, lifted])
 def test_gripper_obeys_the_last_command(make: Callable[[Made], Rig], made: Made) -> None:
-    """Assert that a command holds until the next, that closing raises position or force, and that readings are whole."""
+    """Assert that a command holds until the next, that closing raises the position, and that readings are whole."""
     devices = make(made)
     gripper: Gripper | None = devices.gripper
     assert gripper is not None

@@ -26,8 +26,7 @@ def moving(start: int, window_px_ms: float, gel_px_ms: float, after: int = 10**9
             x, y = places[region]
             for slice_ in range(max(first, start), min(last, after)):
                 at = region[0] + (x - region[0] + speed * (slice_ - start)) % (region[2] - region[0])
-                for down in range(12):
-                    parts.append(columns(at, y + down, np.arange(60) % 2))
+                parts += [columns(at, y + down, np.arange(60) % 2) for down in range(12)]
         if not parts:
             return columns(np.empty(0), np.empty(0))
         return Events(*(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -36,7 +35,7 @@ def moving(start: int, window_px_ms: float, gel_px_ms: float, after: int = 10**9
 
 
 def test_picture_shows_the_balance_of_polarities() -> None:
-    """Assert that a pixel is white, black or grey by its events, relative to the region, and that others are left out."""
+    """Assert that a pixel is white, black or grey by its events, and that events outside the region are left out."""
     events = columns(
         np.array([541, 541, 542, 543, 543, 10]), np.array([0, 0, 1, 2, 2, 2]), np.array([1, 1, 0, 1, 0, 1])
     )

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from conftest import Made
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conftest import Made
 from evetac_cli.events import Events, Slicer, concatenate, empty, slice_starts
 from evetac_cli.kernels import slip, tracker
 from evetac_cli.kernels.detector import Detector

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from conftest import as_toml
+
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import PACKAGE
 from evetac_cli.sim import scene
@@ -41,7 +41,7 @@ def test_objects_are_the_papers() -> None:
     ],
 )
 def test_what_is_wrong_is_said(group: str, key: str, value: Any, says: str, tmp_path: Path) -> None:
-    """Assert that an unknown key, or a value of the wrong kind or range, is refused with its place or the nearest name."""
+    """Assert that an unknown key, or a value of the wrong kind or range, is refused with its place."""
     table = slip()
     table[group][key] = value
     path = tmp_path / "odd.toml"

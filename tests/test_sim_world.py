@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-
 from conftest import Made
+
 from evetac_cli.errors import SceneError
 from evetac_cli.sim import scene
 from evetac_cli.sim.scene import plan

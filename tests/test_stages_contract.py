@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 import pytest
-
 from conftest import Made
+
 from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
@@ -54,20 +54,29 @@ GRASP = {"model": model, "lift_s": 1.0}
 TRAIN = {"epochs": 1, "max_steps": 5, "recipe": "adam"}
 STAGES = [
     Stage("record", record, some(params.Record, scene=scene), some(params.Record, scene=scene, seed=1), lambda _: []),
-    Stage("label", label, some(params.Label, after_ms=15), some(params.Label, after_ms=15, confirm_ms=4), of("recording")),
+    Stage(
+        "label", label, some(params.Label, after_ms=15), some(params.Label, after_ms=15, confirm_ms=4),
+        of("recording"),
+    ),
     Stage("track", track, some(params.Track), some(params.Track, preset="carry"), of("recording")),
     Stage("featurize", featurize, some(params.Featurize), some(params.Featurize), of("recording")),
     Stage(
         "train", train, some(params.Train, **TRAIN), some(params.Train, **TRAIN, seed=1),
         lambda folder: sorted(folder.glob("short-*.features.h5")),
     ),
-    Stage("grasp", grasp, some(params.Grasp, **GRASP, balance_s=0.0), some(params.Grasp, **GRASP, balance_s=0.1), lambda _: []),
+    Stage(
+        "grasp", grasp, some(params.Grasp, **GRASP, balance_s=0.0), some(params.Grasp, **GRASP, balance_s=0.1),
+        lambda _: [],
+    ),
     Stage(
         "evaluate slip", evaluate_slip, some(params.EvaluateSlip, model=model),
         some(params.EvaluateSlip, model=model, threshold=0.5), lambda folder: [folder / "apart.features.h5"],
     ),
     Stage("evaluate labels", evaluate_labels, some(params.EvaluateLabels), some(params.EvaluateLabels), of("labels")),
-    Stage("evaluate tracking", evaluate_tracking, some(params.EvaluateTracking), some(params.EvaluateTracking), of("tracks")),
+    Stage(
+        "evaluate tracking", evaluate_tracking, some(params.EvaluateTracking), some(params.EvaluateTracking),
+        of("tracks"),
+    ),
     Stage(
         "evaluate grasp", evaluate_grasp, some(params.EvaluateGrasp), some(params.EvaluateGrasp),
         lambda folder: [folder / "grasp.recording.h5"],

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import EvetacError, InputError, SchemaError
+from evetac_cli.resources import PACKAGE
 from evetac_cli.store import files
 from evetac_cli.store.files import StageFile, output_path, put, replacing, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -533,9 +534,8 @@ def test_full_disk(tmp_path: Path) -> None:
 
     A limit on the size of files stands in for the full disk: the system refuses to write in the same way.
     """
-    done = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(tmp_path)], capture_output=True, text=True, timeout=60, check=False
-    )
+    run = [sys.executable, "-c", FULL_DISK, str(tmp_path)]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
     assert (done.returncode, done.stdout, done.stderr) == (0, "10 True\n", "")
     assert everything(tmp_path) == ["after.labels.h5"]
     with StageFile(tmp_path / "after.labels.h5") as file:

@@ -86,9 +86,7 @@ def test_wrong_dtype_is_named(kind: str, path: str) -> None:
     found = layout(table)
     dtype, shape = found[path]
     other = {"int64": "int32", "uint8": "int8", "float64": "float32", "utf8": "uint8"}.get(dtype, "float64")
-    assert schema.problems(table, {**found, path: (other, shape)}) == [
-        f"{path}: expected dtype {dtype}, found {other}"
-    ]
+    assert schema.problems(table, {**found, path: (other, shape)}) == [f"{path}: expected dtype {dtype}, found {other}"]
 
 
 @pytest.mark.parametrize(("kind", "path"), [(kind, path) for kind, path in EVERY_DATASET if not path.endswith("*")])

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import Events, concatenate, empty, slice_starts
+from evetac_cli.resources import PACKAGE
 from evetac_cli.store import segments
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe, content_digest
@@ -217,7 +218,7 @@ os.kill(os.getpid(), 9)
 def broken_off(tmp_path: Path) -> Path:
     """The path of a recording whose process was killed after two segments."""
     path = tmp_path / "a.recording.h5"
-    subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False, timeout=60)
+    subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False, timeout=60, cwd=PACKAGE.parent)
     return path
 
 
@@ -387,9 +388,8 @@ def test_full_disk(tmp_path: Path) -> None:
     A limit on the size of files stands in for the full disk: the system refuses to write in the same way.
     """
     path = tmp_path / "a.recording.h5"
-    done = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(path)], capture_output=True, text=True, timeout=60, check=False
-    )
+    run = [sys.executable, "-c", FULL_DISK, str(path)]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines() == [
         "segment True True",

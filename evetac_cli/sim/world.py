@@ -29,7 +29,7 @@ TEXTURE_SEED = 7919  # with the object's number: an object has the same texture 
 
 
 class World:
-    """Everything that exists in one trial: `command` is set from outside, `step` makes a slice, `truth` describes it."""
+    """Everything that exists in one trial: `command` is set from outside, `step` makes a slice, `truth` tells of it."""
 
     def __init__(
         self,

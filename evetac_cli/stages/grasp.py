@@ -17,7 +17,6 @@ from evetac_cli.events import Events
 from evetac_cli.kernels import features, grip, slip, tracker
 from evetac_cli.kernels.detector import Detector
 from evetac_cli.params import Grasp
-from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
 from evetac_cli.stages.record import COMMAND_MS, seeds, trials
 from evetac_cli.store.files import StageFile, up_to_date
@@ -35,10 +34,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
         raise InputError(
             "which slip detector?", where="--model", expected="a model file", hint="evetac train makes one"
         )
-    resolved = [
-        (number, scene.plan(params.scene, number, params.individual, "lift")) for number in scene.numbers(params.objects)
-    ]
-    return trials(resolved, params, out)
+    return trials("lift", params, out)
 
 
 @dataclass

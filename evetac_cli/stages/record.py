@@ -33,20 +33,18 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
         if params.source.is_dir():
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
         return [Job((params.source,), output_path(params.source, OUTPUT, out))]
-    resolved = [
-        (number, scene.plan(params.scene, number, params.individual, "ramp")) for number in scene.numbers(params.objects)
-    ]
-    return trials(resolved, params, out)
+    return trials("ramp", params, out)
 
 
-def trials(resolved: list[tuple[int, dict[str, Any]]], params: Any, out: Path | None) -> list[Job]:
-    """`count` trials of every object: <scene>-obj<number>-s<seed>-<trial>.recording.h5."""
+def trials(kind: str, params: Any, out: Path | None) -> list[Job]:
+    """`count` trials of every object in a scene of a kind: <scene>-obj<number>-s<seed>-<trial>.recording.h5."""
     found = []
-    for number, what in resolved:
+    for number in scene.numbers(params.objects):
+        plan = scene.plan(params.scene, number, params.individual, kind)
         for trial in range(params.count):
-            name = f"{what['scene']['name']}-obj{number:02d}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
+            name = f"{plan['scene']['name']}-obj{number:02d}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
             output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
-            found.append(Job((), output, {"plan": what, "trial": trial}))
+            found.append(Job((), output, {"plan": plan, "trial": trial}))
     one_file(found, out)
     return found
 
