@@ -39,11 +39,12 @@ def parameter(
 class Record:
     """Record events: simulate a scene, or import a foreign event file."""
 
-    scene: str = parameter("slip", "Scene to simulate: a name (slip) or a TOML file.")
+    scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, or a TOML file.")
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     count: int = parameter(1, "Trajectories for each object.", low=1, high=100000, recipe=False)
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
-    individual: str = parameter("evetac", "Sensor individual that is simulated.")
+    individual: str = parameter("evetac", "Sensor individual: evetac, second, bare-dvxplorer.")
+    gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     source: Path | None = parameter(
         None,
         "Import this event file instead of simulating: AEDAT4, text `t x y p`, DSEC HDF5.",
@@ -148,17 +149,36 @@ class EvaluateGrasp:
 
 
 @dataclass(frozen=True)
+class EvaluateCost:
+    """Measure error against run time of a part's numerical choices: table, report, plot."""
+
+    part: str = parameter("sim", "What is measured; sim: the simulator.", choices=("sim",), flag="PART")
+    seed: int = parameter(0, "Seed of the scenes that are simulated.", low=0, high=2**31 - 1)
+    full: bool = parameter(False, "Finer steps and grids too; takes several minutes.")
+
+
+@dataclass(frozen=True)
+class EvaluateStability:
+    """Run the stiff, extreme and nonsensical cases of a part: finite, or refused in words."""
+
+    part: str = parameter("sim", "What is tried; sim: the simulator.", choices=("sim",), flag="PART")
+    seed: int = parameter(0, "Seed of the cases that are drawn.", low=0, high=2**31 - 1)
+    full: bool = parameter(False, "Every theta, longer runs and many more drawn cases; takes several minutes.")
+
+
+@dataclass(frozen=True)
 class Grasp:
     """Grasp by feel: detect slip at 1000 Hz, control the gripper at 500 Hz."""
 
     model: Path | None = parameter(
         None, "Model file of the slip detector; needed by the paper's controller.", recipe=False
     )
-    scene: str = parameter("lift", "Scene to simulate: a name (lift) or a TOML file.")
+    scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
     objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
     count: int = parameter(1, "Trials for each object.", low=1, high=100000, recipe=False)
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
-    individual: str = parameter("evetac", "Sensor individual that is simulated.")
+    individual: str = parameter("evetac", "Sensor individual: evetac, second, bare-dvxplorer.")
+    gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     controller: str = parameter(
         "paper",
         "paper: the paper's lift and balance law; none: contact alone, without the detector.",
@@ -180,6 +200,8 @@ COMMANDS = (
     "evaluate labels",
     "evaluate tracking",
     "evaluate grasp",
+    "evaluate cost",
+    "evaluate stability",
     "grasp",
 )
 
@@ -190,7 +212,7 @@ def recipe_of(params: Any) -> dict[str, Any]:
 
 
 def flag_of(item: "dataclasses.Field[Any]") -> str:
-    """The long flag of a field: --step-size for step_size."""
+    """The long flag of a field: --step-size for step_size; without dashes it is a positional argument."""
     return str(item.metadata["flag"]) or "--" + item.name.replace("_", "-")
 
 

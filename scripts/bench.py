@@ -31,7 +31,7 @@ def simulation(number: int) -> list[dict[str, object]]:
     """A whole slip trajectory and the start of a lift, mean over all slices, camera included."""
     rows = []
     for name, kind, slices in (("slip", "ramp", 10_000), ("lift", "lift", 6_000)):
-        plan = scene.plan(name, number, "evetac", kind)
+        plan = scene.plan(name, str(number), "evetac", (kind,))[0]
         for trial in range(2):  # the first compiles
             world = World(plan, *(np.random.default_rng([trial, part]) for part in range(2)))
             held_ma, started = world.command[1], time.perf_counter()

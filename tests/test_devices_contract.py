@@ -16,11 +16,11 @@ from evetac_cli.store.read import open_recording
 
 
 def simulated(made: Made) -> Rig:
-    return rig(plan(str(made.scene), 8, "evetac", "ramp"), np.random.SeedSequence([5, 8, 0]))
+    return rig(plan(str(made.scene), "8", "evetac", ("ramp",))[0], np.random.SeedSequence([5, 8, 0]))
 
 
 def lifted(made: Made) -> Rig:
-    return rig(plan("lift", 8, "evetac", "lift"), np.random.SeedSequence([5, 8, 0]), lift_s=0.1, balance_s=0.0)
+    return rig(plan("lift", "8", "evetac", ("lift",))[0], np.random.SeedSequence([5, 8, 0]), lift_s=0.1, balance_s=0.0)
 
 
 CAMERAS: dict[str, Callable[[Made], EventCamera]] = {

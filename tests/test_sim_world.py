@@ -8,15 +8,16 @@ from conftest import Made
 
 from evetac_cli.errors import SceneError
 from evetac_cli.sim import scene
+from evetac_cli.sim.eye import dot_grid
 from evetac_cli.sim.scene import plan
-from evetac_cli.sim.world import GRAVITY_M_S2, World, dot_grid
+from evetac_cli.sim.world import GRAVITY_M_S2, World
 from evetac_cli.store.read import open_recording
 
 
 def world(object_number: int, seed: int = 0, name: str = "slip") -> World:
     kind = "lift" if name == "lift" else "ramp"
     rngs = [np.random.default_rng([seed, part]) for part in range(2)]
-    return World(plan(name, object_number, "evetac", kind), *rngs, lift_s=1.5, balance_s=0.0)
+    return World(plan(name, str(object_number), "evetac", (kind,))[0], *rngs, lift_s=1.5, balance_s=0.0)
 
 
 def run(one: World, slices: int) -> list[dict[str, object]]:
@@ -38,8 +39,8 @@ def test_object_hangs_still(number: int) -> None:
     assert held.finger.force_n > held.drawn.mass_kg * GRAVITY_M_S2 / (2 * held.drawn.static_friction)
     dots = np.array([rows[at]["truth/dot_xy_px"] for at in (1000, 1099)])
     assert np.abs(dots[1] - dots[0]).max() < 0.01
-    assert dots[1][:, 0].max() - held.grid_xy_px[..., 0].max() >= 0  # hangs along +x
-    assert (dots[1] - held.grid_xy_px.reshape(-1, 2))[:, 0].max() > 0.5
+    assert dots[1][:, 0].max() - held.eye.grid_xy_px[..., 0].max() >= 0  # hangs along +x
+    assert (dots[1] - held.eye.grid_xy_px.reshape(-1, 2))[:, 0].max() > 0.5
 
 
 def test_quasi_static_onset(made: Made) -> None:
@@ -98,7 +99,7 @@ def test_seeds_are_enough() -> None:
 def test_window_dots_do_not_exist() -> None:
     """Assert that the cut gel keeps 7 rows of 8 dots, all outside the window."""
     row = scene.individual_row("evetac")
-    grid = dot_grid(row)
+    grid = dot_grid(row, cut=True)
     assert grid.shape == (7, 8, 2)
     assert grid[..., 0].max() < row["window_px"][0]
 
@@ -106,4 +107,4 @@ def test_window_dots_do_not_exist() -> None:
 def test_scene_of_the_wrong_kind_is_refused() -> None:
     """Assert that a lift scene cannot be recorded as a ramp."""
     with pytest.raises(SceneError, match="another command"):
-        plan("lift", 8, "evetac", "ramp")
+        plan("lift", "8", "evetac", ("ramp",))

@@ -63,6 +63,7 @@ class Rig:
     gripper: Gripper | None
     clock: Clock
     truth: Callable[[], Mapping[str, Any]] | None = None  # one row per slice just read; simulations only
+    holding_ma: float = 0.0  # the current that holds the object stably
     drawn: str = ""  # JSON of what a simulation drew for this trial
 
     def close(self) -> None:

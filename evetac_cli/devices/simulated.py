@@ -7,22 +7,24 @@ import numpy as np
 
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.events import SLICE_US, Events
+from evetac_cli.sim.pressing import Pressing
 from evetac_cli.sim.world import World
 
 
 class SimulatedCamera:
     """A camera that looks at a world, and the clock of that world."""
 
-    def __init__(self, world: World, individual: str, individual_row: Mapping[str, Any]) -> None:
-        self._world: World | None = world
+    def __init__(self, world: World | Pressing, individual: str, individual_row: Mapping[str, Any]) -> None:
+        self._world: World | Pressing | None = world
         self._now_us = 0
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array(individual_row["frame_px"], np.int32),
             "sensor/individual": individual,
-            "sensor/dot_xy_px": world.grid_xy_px,
+            "sensor/dot_xy_px": world.eye.grid_xy_px,
             "sensor/dot_radius_px": np.float64(individual_row["dot_radius_px"]),
-            "sensor/window_px": np.array(individual_row["window_px"], np.int32),
         }
+        if world.eye.window_px is not None:
+            self.sensor = {**self.sensor, "sensor/window_px": np.array(world.eye.window_px, np.int32)}
 
     def read(self) -> Events | None:
         """Advance the world by 1 ms and return what the camera saw; None once the scene has ended."""
@@ -67,6 +69,11 @@ class SimulatedGripper:
 def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: float) -> Rig:
     """Build the devices of a simulated trial; each part draws from a stream of its own."""
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
+    named = plan["individual"], plan["individual_row"]
+    if plan["scene"]["kind"] == "press":
+        pressing = Pressing(plan, mechanics, optics)
+        camera = SimulatedCamera(pressing, *named)
+        return Rig(camera, None, camera, pressing.truth, drawn=pressing.drawn.as_json())
     world = World(plan, mechanics, optics, **durations)
-    camera = SimulatedCamera(world, plan["individual"], plan["individual_row"])
-    return Rig(camera, SimulatedGripper(world), camera, world.truth, world.drawn.as_json())
+    camera = SimulatedCamera(world, *named)
+    return Rig(camera, SimulatedGripper(world), camera, world.truth, world.holding_ma(), world.drawn.as_json())

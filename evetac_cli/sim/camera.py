@@ -48,8 +48,9 @@ class CameraModel:
     """One camera individual; ValueError where a value is out of range.
 
     Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. The noise rate is
-    per pixel; every hot pixel has a rate of its own, uniform within `hot_rate_hz`. A slice holds at most `max_events`;
-    what is beyond is lost, as on a full bus (the pixels have fired nevertheless), and counted.
+    per pixel; every hot pixel has a rate of its own, whose distribution has the evenly spaced quantiles `hot_rate_hz`
+    (two: uniform between them). A slice holds at most `max_events`; what is beyond is lost, as on a full bus (the
+    pixels have fired nevertheless), and counted.
     """
 
     frame_px: tuple[int, int] = FRAME_PX
@@ -58,7 +59,7 @@ class CameraModel:
     mismatch: float = 0.03
     noise_rate_hz: float = 0.03
     hot_pixels: int = 10
-    hot_rate_hz: tuple[float, float] = (20.0, 200.0)
+    hot_rate_hz: tuple[float, ...] = (20.0, 200.0)
     edge_sigma_px: float = optics.EDGE_SIGMA_PX
     log_contrast: float = optics.LOG_CONTRAST
     dot_radius_px: float = 15.0
@@ -73,8 +74,9 @@ class CameraModel:
         _check_range("mismatch", self.mismatch, 0.0, 1.0)
         _check_range("noise_rate_hz", self.noise_rate_hz, 0.0, 1e4)
         _check_whole("hot_pixels", self.hot_pixels, 0, width * height)
-        _check_range("hot_rate_hz, lowest", self.hot_rate_hz[0], 0.0, 1e5)
-        _check_range("hot_rate_hz, highest", self.hot_rate_hz[1], self.hot_rate_hz[0], 1e5)
+        _check_whole("hot_rate_hz, how many", len(self.hot_rate_hz), 2, 1000)
+        for lower, rate in zip((0.0, *self.hot_rate_hz), self.hot_rate_hz, strict=False):
+            _check_range("hot_rate_hz, rising", rate, lower, 1e5)
         _check_range("edge_sigma_px", self.edge_sigma_px, 0.01, 100.0)
         _check_range("log_contrast", self.log_contrast, 0.01, 20.0)
         _check_range("dot_radius_px", self.dot_radius_px, 0.01, 1000.0)
@@ -114,6 +116,7 @@ def start(
     window_px: tuple[int, int, int, int] | None,
     texture: NDArray[np.float32] | None,
     rng: np.random.Generator,
+    individual: np.random.Generator | None = None,
 ) -> CameraState:
     """Switch the camera on before dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
 
@@ -121,6 +124,7 @@ def start(
     fire at once. `dot_radius_px` None takes the model's. `window_px` is x0, y0, x1, y1, ends excluded: its pixels see
     the texture (sides powers of two, from `optics.texture`) and no dots. Their first level is the one from which the
     first `step` starts, so an object that is there already makes no flash. Without texture they see nothing.
+    `individual` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
     ValueError on non-finite positions, a window outside the frame, a texture that cannot be used or has no window.
     """
     width, height = model.frame_px
@@ -131,7 +135,8 @@ def start(
     x0, y0, x1, y1 = _window(window_px, model.frame_px)
     pattern = _texture(texture, window_px)
 
-    nominal = model.threshold * (1.0 + model.mismatch * rng.standard_normal((height, width)))
+    built = rng if individual is None else individual
+    nominal = model.threshold * (1.0 + model.mismatch * built.standard_normal((height, width)))
     threshold: NDArray[np.float32] = np.maximum(nominal, LOWEST_THRESHOLD * model.threshold).astype(np.float32)
     phase: NDArray[np.float32] = threshold * rng.uniform(-1.0, 1.0, (height, width)).astype(np.float32)
     strip_threshold = threshold[y0:y1, x0:x1].copy()
@@ -150,8 +155,8 @@ def start(
         strip_threshold=strip_threshold,
         strip_level=np.zeros_like(strip_reference),
         seen_object=np.full(3, np.nan),
-        hot_pixel=rng.choice(width * height, model.hot_pixels, replace=False),
-        hot_cumulative_hz=np.append(0.0, np.cumsum(rng.uniform(*model.hot_rate_hz, model.hot_pixels))),
+        hot_pixel=built.choice(width * height, model.hot_pixels, replace=False),
+        hot_cumulative_hz=np.append(0.0, np.cumsum(_hot_rates(model, built))),
         readout_us=columns * SLICE_US // columns.size,
         keys=np.empty(model.max_events, np.int64),
     )
@@ -412,6 +417,12 @@ def _add_noise(state: CameraState, rng: np.random.Generator, made: int) -> int:
     uniform = rng.random((rng.poisson(total_hz * SLICE_US * 1e-6), 2))
     hot = (state.hot_pixel, state.hot_cumulative_hz)
     return int(_place_noise(uniform, total_hz, background_hz, *hot, width, height, state.keys, made))
+
+
+def _hot_rates(model: CameraModel, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Rate of every hot pixel, drawn by the inverse of its distribution."""
+    share = np.linspace(0.0, 1.0, len(model.hot_rate_hz))
+    return np.interp(rng.random(model.hot_pixels), share, model.hot_rate_hz)
 
 
 @njit(cache=True)

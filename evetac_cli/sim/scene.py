@@ -66,24 +66,29 @@ def _check_ranges(scene: dict[str, Any], where: str) -> None:
                 raise SceneError(f"{group}.{key}: the lower end comes first", where=where, found=str(value))
 
 
-def plan(scene_name: str, object_number: int, individual: str, kind: str) -> dict[str, Any]:
-    """What a trial is made from, resolved: it goes into the header, so that a changed table is another recipe."""
-    resolved: dict[str, Any] = {
-        "scene": load(scene_name),
-        "object": object_number,
-        "object_row": object_row(object_number),
-        "individual": individual,
-        "individual_row": individual_row(individual),
-    }
-    if resolved["scene"]["kind"] != kind:
+def plan(
+    scene_name: str, objects: str, individual: str, kinds: tuple[str, ...], gel: str | None = None
+) -> list[dict[str, Any]]:
+    """What trials are made from, resolved, one plan an object (one in all where the scene has none).
+
+    It goes into the header, so that a changed table is another recipe. `gel` cut or closed overrides the scene's.
+    """
+    resolved = load(scene_name)
+    if gel is not None:
+        resolved["gel"]["cut"] = gel == "cut"
+    if resolved["kind"] not in kinds:
         raise SceneError(
             "this scene is for another command",
             where=scene_name,
-            expected=f"kind = {json.dumps(kind)}",
-            found=f"kind = {json.dumps(resolved['scene']['kind'])}",
-            hint="ramp scenes are recorded, lift scenes are grasped",
+            expected=f"kind {' or '.join(kinds)}",
+            found=f"kind {resolved['kind']}",
+            hint="lift scenes are grasped, all others are recorded",
         )
-    return resolved
+    common = {"scene": resolved, "individual": individual, "individual_row": individual_row(individual)}
+    if resolved["kind"] == "press":
+        face = {"static_friction": resolved["face"]["static_friction"], "mass_g": 1.0}
+        return [{**common, "object": None, "object_row": face}]
+    return [{**common, "object": number, "object_row": object_row(number)} for number in numbers(objects)]
 
 
 def object_row(number: int) -> dict[str, Any]:

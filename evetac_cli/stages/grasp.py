@@ -34,7 +34,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
         raise InputError(
             "which slip detector?", where="--model", expected="a model file", hint="evetac train makes one"
         )
-    return trials("lift", params, out)
+    return trials(("lift",), params, out)
 
 
 @dataclass

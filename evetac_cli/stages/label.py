@@ -77,7 +77,6 @@ def ramp_start(recording: Recording) -> int:
     if not recording.has("gripper"):
         return 0
     target_ma = recording.read("gripper/current_target_ma")
-    if not np.isfinite(target_ma).all():  # position mode
-        return 0
-    changed = np.flatnonzero(target_ma[1:] != target_ma[:-1])
+    change = np.diff(target_ma)  # NaN in position mode
+    changed = np.flatnonzero(np.isfinite(change) & (change != 0))
     return int(recording.read("gripper/t_us")[changed[0] + 1] // SLICE_US) if len(changed) else 0

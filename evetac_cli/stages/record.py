@@ -1,15 +1,17 @@
 """record: events of one trial into a file, from a simulated scene or from a foreign event file.
 
-In a ramp scene the object is held by motor current, which is lowered at random until the object slips out
-(paper, "Experimental Setup and Data Collection Procedure").
+Where the scene has a gripper, the object is held by motor current, which is lowered at random until the object slips
+out (paper, "Experimental Setup and Data Collection Procedure").
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evetac_cli.devices import Rig
+from evetac_cli.devices import Gripper, Rig
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.params import Record
@@ -25,6 +27,7 @@ OUTPUT = "recording"
 METHOD = 1
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
 RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
+CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
 
 
 def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
@@ -33,16 +36,16 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
         if params.source.is_dir():
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
         return [Job((params.source,), output_path(params.source, OUTPUT, out))]
-    return trials("ramp", params, out)
+    return trials(("ramp", "hold", "press"), params, out)
 
 
-def trials(kind: str, params: Any, out: Path | None) -> list[Job]:
-    """`count` trials of every object in a scene of a kind: <scene>-obj<number>-s<seed>-<trial>.recording.h5."""
+def trials(kinds: tuple[str, ...], params: Any, out: Path | None) -> list[Job]:
+    """`count` trials of every object in a scene of a kind: <scene>[-obj<number>]-s<seed>-<trial>.recording.h5."""
     found = []
-    for number in scene.numbers(params.objects):
-        plan = scene.plan(params.scene, number, params.individual, kind)
+    for plan in scene.plan(params.scene, params.objects, params.individual, kinds, params.gel):
+        thing = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
         for trial in range(params.count):
-            name = f"{plan['scene']['name']}-obj{number:02d}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
+            name = f"{plan['scene']['name']}{thing}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
             output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
             found.append(Job((), output, {"plan": plan, "trial": trial}))
     one_file(found, out)
@@ -51,7 +54,7 @@ def trials(kind: str, params: Any, out: Path | None) -> list[Job]:
 
 def seeds(params: Any, job: Job) -> np.random.SeedSequence:
     """The seeds of one trial: reproducible alone, whatever else is recorded."""
-    return np.random.SeedSequence([params.seed, job.choice["plan"]["object"], job.choice["trial"]])
+    return np.random.SeedSequence([params.seed, job.choice["plan"]["object"] or 0, job.choice["trial"]])
 
 
 def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -67,12 +70,11 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     drawing = seeds(params, job)
     ramp = np.random.default_rng(drawing.spawn(1)[0])
     devices = rig(parameters, drawing)
-    time = parameters["scene"]["time"]
-    still_ms = round(1000 * (time["rest_s"] + time["load_s"] + time["hold_s"]))
-    longest_ms = round(1000 * time["longest_s"])
+    scene_ = parameters["scene"]
+    longest_ms = round(1000 * scene_["time"].get("longest_s", 100.0))
     writer = RecordingWriter(job.output, {**devices.camera.sensor, "t_offset": np.int64(0)}, discard_leftover=True)
     try:
-        slices, events = _ramp_down(devices, writer, ramp, still_ms, lambda done: progress(done, longest_ms))
+        slices, events = _follow(devices, writer, Handling.of(scene_), ramp, lambda done: progress(done, longest_ms))
         writer.finish(recipe, {"truth/drawn": devices.drawn})
     except BaseException:
         writer.discard()  # a simulation can be made again
@@ -82,37 +84,61 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     return outcome(job, made=True, simulated=True, slices=slices, events=events)
 
 
-def _ramp_down(
-    devices: Rig, writer: RecordingWriter, rng: np.random.Generator, still_ms: int, progress: Any
+@dataclass(frozen=True)
+class Handling:
+    """When the gripper does what, in slices: closes to touch, grips with the holding current, lowers it."""
+
+    close_ms: int
+    grip_ms: int
+    ramp_ms: int
+
+    @classmethod
+    def of(cls, scene_: Mapping[str, Any]) -> "Handling":
+        """As the scene says; in a ramp scene the object is held from the start."""
+        if scene_["kind"] == "ramp":
+            time = scene_["time"]
+            return cls(0, 0, round(1000 * (time["rest_s"] + time["load_s"] + time["hold_s"])))
+        return cls(
+            *(round(1000 * scene_.get("gripper", {}).get(name, 0.0)) for name in ("close_s", "grip_s", "ramp_s"))
+        )
+
+
+def _follow(
+    devices: Rig, writer: RecordingWriter, handling: Handling, rng: np.random.Generator, progress: Any
 ) -> tuple[int, int]:
-    """Hold for a while, then lower the target current by a random step every 2 ms, until the scene has ended."""
-    gripper = devices.gripper
-    assert gripper is not None
-    target_ma = 0.0
+    """Write every slice, and command the gripper, if there is one, every 2 ms, until the scene has ended."""
     slices = events = 0
+    target_ma = devices.holding_ma
     while (piece := devices.camera.read()) is not None:
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
-        if slices % COMMAND_MS == 0:
-            reading = gripper.read()
-            if slices == 0:
-                target_ma = reading.current_ma  # whatever holds the object stably is where the ramp starts
-            elif slices >= still_ms:
+        if devices.gripper is not None and slices % COMMAND_MS == 0:
+            if slices > handling.ramp_ms:
                 target_ma += rng.uniform(*RAMP_MA)
-            written_ma = round(target_ma)
-            gripper.write_current(written_ma)
-            rows |= {
-                "gripper/t_us": devices.clock.now_us(),
-                "gripper/current_target_ma": target_ma,
-                "gripper/current_written_ma": written_ma,
-                "gripper/current_ma": reading.current_ma,
-                "gripper/position_ticks": reading.position_ticks,
-            }
+            now_us = devices.clock.now_us()
+            rows |= _command(devices.gripper, now_us, target_ma, slices, handling)
         writer.append(piece, rows)
         slices += 1
         events += piece.size
         if slices % 100 == 0:
             progress(slices)
     return slices, events
+
+
+def _command(gripper: Gripper, now_us: int, target_ma: float, now_ms: int, handling: Handling) -> dict[str, Any]:
+    """One command to the gripper, and its row: position mode until it grips, current mode from then on."""
+    reading = gripper.read()
+    gripping = now_ms >= handling.grip_ms
+    if gripping:
+        gripper.write_current(round(target_ma))
+    else:
+        gripper.write_position(reading.position_ticks + (CLOSING_TICKS if now_ms >= handling.close_ms else 0))
+    return {
+        "gripper/t_us": now_us,
+        "gripper/current_target_ma": target_ma if gripping else float("nan"),
+        "gripper/current_written_ma": round(target_ma) if gripping else 0,
+        "gripper/current_ma": reading.current_ma,
+        "gripper/position_ticks": reading.position_ticks,
+    }
 
 
 def _import(job: Job, params: Record, force: bool) -> Outcome:
