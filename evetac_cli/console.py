@@ -10,6 +10,9 @@ from typing import Any
 from evetac_cli.stages import Progress, silent
 
 
+FEW_ROWS = 3
+
+
 def say(text: str) -> None:
     """A message to the user, on stderr."""
     print(text, file=sys.stderr)
@@ -71,13 +74,22 @@ def print_table(title: str, rows: list[dict[str, Any]], summary: dict[str, Any],
     # What is printed is text, not markup: a path may hold [brackets] or :colons:.
     console = Console(soft_wrap=not sys.stdout.isatty(), markup=False, emoji=False)
     if rows:
-        table = Table(title=title + (" (simulated)" if simulated else ""), title_justify="left")
         names = list(dict.fromkeys(name for row in rows for name in row))
-        for name in names:
-            numeric = all(isinstance(row.get(name), (int, float, type(None))) for row in rows)
-            table.add_column(name, justify="right" if numeric else "left", overflow="fold")
-        for row in rows:
-            table.add_row(*(format_value(row.get(name)) for name in names))
+        cells = [[format_value(row.get(name)) for name in names] for row in rows]
+        table = Table(title=title + (" (simulated)" if simulated else ""), title_justify="left")
+        widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
+        if len(rows) <= FEW_ROWS and sum(widths) + 3 * len(names) > console.width:  # too wide: one line a figure
+            table.show_header = False
+            for _ in range(1 + len(rows)):
+                table.add_column(overflow="fold")
+            for column in zip(names, *cells, strict=True):
+                table.add_row(*column)
+        else:
+            for name in names:
+                numeric = all(isinstance(row.get(name), (int, float, type(None))) for row in rows)
+                table.add_column(name, justify="right" if numeric else "left", overflow="fold")
+            for line in cells:
+                table.add_row(*line)
         console.print(table)
     for name, value in summary.items():
         console.print(f"{name}: {format_value(value)}", highlight=False, soft_wrap=True)

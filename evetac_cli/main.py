@@ -6,8 +6,6 @@ is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
 
 import importlib
 import inspect
-import os
-import signal
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -17,9 +15,9 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from evetac_cli import __version__, console, params
+from evetac_cli import __version__, console, params, workers
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.stages import Job, Outcome, Progress, silent
+from evetac_cli.stages import Job, Outcome
 
 
 @dataclass(frozen=True)
@@ -46,6 +44,8 @@ EVALUATE = (
     Command("labels", params.EvaluateLabels, "evaluate.labels", "Labels of simulated recordings.", "files"),
     Command("tracking", params.EvaluateTracking, "evaluate.tracking", "Tracks of simulated recordings.", "files"),
     Command("grasp", params.EvaluateGrasp, "evaluate.grasp", "Recordings made by grasp.", "files"),
+    Command("cost", params.EvaluateCost, "evaluate.cost", "", "rows"),
+    Command("stability", params.EvaluateStability, "evaluate.stability", "", "rows"),
 )
 
 app = typer.Typer(
@@ -102,10 +102,12 @@ def _add(group: typer.Typer, command: Command, title: str, panel: str) -> None:
         flag = params.flag_of(item)
         told = item.default is not None and item.default is not False and item.default != ""
         default = f" \\[default: {item.default}]" if told else ""
-        option = typer.Option(
-            flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}",
-            help=item.metadata["help"] + choices + unit + default,
-        )
+        help_ = item.metadata["help"] + choices + unit + default
+        option: Any  # typer's own types of arguments and options
+        if flag.startswith("--"):
+            option = typer.Option(flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}", help=help_)
+        else:
+            option = typer.Argument(metavar=flag, help=help_, show_default=False)
         # Every flag defaults to None, so that a config file can tell what was not given.
         signature.append(
             inspect.Parameter(item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option])
@@ -132,12 +134,16 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             raise InputError(
                 "out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"])
             )
+        if getattr(chosen, "dry_run", False):
+            shown: Outcome = stage.dry_run(jobs, chosen)
+            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=True, as_json=running["as_json"])
+            return
         started = time.monotonic()
         results = _run(command, jobs, chosen, running)
         outcomes = [result for result in results if isinstance(result, Outcome)]
         errors = [result for result in results if isinstance(result, EvetacError)]
         if outcomes or running["as_json"]:
-            summary = outcomes[0].summary if len(outcomes) == 1 else _count(outcomes)
+            summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else _count(outcomes)
             simulated = any(outcome.simulated for outcome in outcomes)
             rows = [row for outcome in outcomes for row in outcome.rows]
             if not running["quiet"] or running["as_json"]:
@@ -179,64 +185,14 @@ def _run(command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any]
     at_once = min(running["number_of_jobs"], len(waiting))
     if at_once > 1:
         with console.progress_bar(command.name, "files", quiet=quiet) as progress:
-            results |= _run_parallel(command, waiting, chosen, force, at_once, progress)
+            done = workers.run_parallel(command.module, waiting, chosen, force, at_once, progress)
+            results |= {job.output: result for job, result in zip(waiting, done, strict=True)}
     for number, job in enumerate(jobs):
         if job.output not in results:
             name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")
             with console.progress_bar(name, command.unit, quiet=quiet) as progress:
-                results[job.output] = _run_one(command.module, job, chosen, force, progress)
+                results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
     return [results[job.output] for job in jobs]
-
-
-def _run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
-    """Run one job; also the entry point of a worker process."""
-    stage = importlib.import_module(f".stages.{module}", __package__)
-    try:
-        result: Outcome = stage.run(job, chosen, force=force, progress=progress)
-        return result
-    except EvetacError as error:
-        return error
-
-
-def _run_in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | EvetacError | None:
-    """As _run_one, but a Ctrl-C ends the job quietly: the parent process reports it."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        return _run_one(module, job, chosen, force)
-    except KeyboardInterrupt:
-        return None
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _ignore_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _run_parallel(
-    command: Command, jobs: list[Job], chosen: Any, force: bool, at_once: int, progress: Progress
-) -> dict[Path, Outcome | EvetacError]:
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-
-    # Each worker computes on one core: threads of numerical libraries would fight over the cores. Spawned, not forked:
-    # HDF5 and a fork do not mix.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(at_once, mp_context=spawn, initializer=_ignore_interrupts) as pool:
-        futures = [pool.submit(_run_in_worker, command.module, job, chosen, force) for job in jobs]
-        try:
-            progress(0, len(jobs))
-            for done, _ in enumerate(as_completed(futures), start=1):
-                progress(done, len(jobs))
-        except KeyboardInterrupt:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-        results = {job.output: future.result() for job, future in zip(jobs, futures, strict=True)}
-    if any(result is None for result in results.values()):
-        raise KeyboardInterrupt
-    return {output: result for output, result in results.items() if result is not None}
 
 
 class _errors_in_words:  # noqa: N801 - reads as a phrase in a with statement
@@ -259,6 +215,9 @@ class _errors_in_words:  # noqa: N801 - reads as a phrase in a with statement
                 traceback.print_exception(error)
             console.say(f"error: {error}")
             raise typer.Exit(error.exit_code) from None
+        if isinstance(error, OSError) and not self.verbose:  # a disk or a path that failed where nobody looked
+            console.say(f"error: {error.filename or 'output'}: {error.strerror or error}")
+            raise typer.Exit(InputError.exit_code) from None
 
 
 def _inspector(name: str, help_: str) -> Callable[..., None]:
@@ -299,4 +258,5 @@ app.command("validate", rich_help_panel="Inspect")(
 
 def main() -> None:
     """Entry point of the command `evetac`."""
+    workers.catch_interrupts()
     app()

@@ -45,6 +45,7 @@ class Record:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     individual: str = parameter("evetac", "Sensor individual: evetac, second, bare-dvxplorer.")
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
+    dry_run: bool = parameter(False, "Show what would be built, left out and paid; write nothing.", recipe=False)
     source: Path | None = parameter(
         None,
         "Import this event file instead of simulating: AEDAT4, text `t x y p`, DSEC HDF5.",
@@ -179,6 +180,7 @@ class Grasp:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     individual: str = parameter("evetac", "Sensor individual: evetac, second, bare-dvxplorer.")
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
+    dry_run: bool = parameter(False, "Show what would be built, left out and paid; write nothing.", recipe=False)
     controller: str = parameter(
         "paper",
         "paper: the paper's lift and balance law; none: contact alone, without the detector.",

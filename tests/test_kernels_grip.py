@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.kernels.grip import PAPER, GripLaw, GripState, Phase, start, step
@@ -208,6 +208,7 @@ steps = st.tuples(st.booleans(), st.integers(0, 660))
 
 
 @given(st.lists(steps, min_size=1, max_size=20), st.lists(steps, max_size=40), st.lists(steps, max_size=40))
+@settings(deadline=None)
 def test_bounds(contact: list[tuple[bool, int]], lift: list[tuple[bool, int]], balance: list[tuple[bool, int]]) -> None:
     """Assert, whatever comes, that u_ff keeps its range, x_ref is a position that was there, and goals are near it."""
     state, positions = start(), set()

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels import features, training
 from evetac_cli.kernels.networks import from_weights
-from evetac_cli.kernels.slip import ARCHITECTURES
-from evetac_cli.kernels.training import RECIPES, Batch, Samples, Training, Trajectory
+from evetac_cli.kernels.slip import ARCHITECTURES, Trajectory
+from evetac_cli.kernels.training import RECIPES, Batch, Samples, Training
 
 HIST10 = ARCHITECTURES["hist10"]
 PAPER = RECIPES["paper"]

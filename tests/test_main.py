@@ -139,11 +139,6 @@ def test_help_says_everything(path: list[str], command: main.Command) -> None:
         assert flag in text
 
 
-def test_tables_of_a_config_file_are_the_commands() -> None:
-    """Assert that what params calls a command is one here, under the same name."""
-    assert {" ".join(path) for path, _ in COMMANDS} == set(params.COMMANDS)
-
-
 def test_stage_modules_exist() -> None:
     """Assert that every command names a module of the package (imported only when it runs)."""
     for _, command in COMMANDS:

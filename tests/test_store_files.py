@@ -217,11 +217,10 @@ def test_header_without_a_key(made: Path, key: str) -> None:
 @pytest.mark.parametrize("key", KEYS)
 @pytest.mark.parametrize("value", [[1], {"a": 1}, 0.5, "1", "1.x", "-1.0", "1.0.0"])
 def test_header_with_a_wrong_value(made: Path, key: str, value: Any) -> None:
-    """Assert that a header value of another type, or a version that is none, never gets past opening as an error."""
+    """Assert that a header value of another type, or of the right type but edited, is refused by name."""
     edit_header(made, **{key: value})
-    right = {"parents": [1], "parameters": {"a": 1}, "history": {"a": 1}}.get(key)
-    if right == value or (key in ("id", "content") and isinstance(value, str)):
-        StageFile(made).close()
+    if (key == "parameters" and value == {"a": 1}) or (key in ("id", "content") and isinstance(value, str)):
+        assert "its header was edited" in refusal(made)
     elif key == "kind" and isinstance(value, str):
         assert "unknown kind" in refusal(made)
     else:
@@ -495,7 +494,7 @@ def test_target_is_a_folder(tmp_path: Path) -> None:
     assert everything(tmp_path) == ["a.labels.h5", "a.labels.h5/precious"]
 
 
-@pytest.mark.parametrize("length", [245, 255, 300])
+@pytest.mark.parametrize("length", [255, 300])
 def test_name_too_long(tmp_path: Path, length: int) -> None:
     """Assert that a name the file system does not take is an error in words."""
     with pytest.raises(InputError, match="File name too long"):

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import Events, concatenate, empty, slice_starts
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import segments
+from evetac_cli.store import schema, segments
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.read import open_recording
@@ -48,39 +48,32 @@ def some_events(k: int, count: int) -> Events:
     )
 
 
+# What a recording may have of every slice (truth) and of every gripper command, whatever the schema says today.
+TRUTH, GRIPPER = (
+    [row for row in schema.load("recording").datasets if row.path.startswith(group + "/") and row.dims]
+    for group in ("truth", "gripper")
+)
+
+
 def rows_of(k: int, every: int) -> dict[str, Any]:
-    """Truth in every slice, the gripper in every so-manieth, as plain Python numbers and as arrays."""
-    rows: dict[str, Any] = {
-        "truth/dot_xy_px": np.full((4, 2), k + 0.5, np.float32),
-        "truth/object_xy_px": (k, 2.5),
-        "truth/slid_px": 0.1 * k,
-        "truth/slip": k % 3 == 0,
-        "truth/slip_fraction": np.float64(k) / 7,
-        "truth/normal_force_n": 1,
-        "truth/closing_ticks": float("nan"),
-    }
-    if k % every == 0:
-        rows |= {
-            "gripper/t_us": 1000 * k,
-            "gripper/current_target_ma": 100.0 - k / 3,
-            "gripper/current_written_ma": round(100 - k / 3),
-            "gripper/current_ma": 99,
-            "gripper/position_ticks": k,
-        }
+    """Truth in every slice, the gripper in every so-manieth; scalars as plain Python numbers."""
+    rows: dict[str, Any] = {}
+    for number, row in enumerate(TRUTH + (GRIPPER if k % every == 0 else [])):
+        value = (k + number) % 200 if "int" in row.dtype else k / 7 + number
+        shape = [4 if isinstance(dim, str) else dim for dim in (row.dims or ())[1:]]
+        rows[row.path] = np.full(shape, value) if shape else value
     return rows
 
 
 def expected(counts: list[int], every: int) -> dict[str, Any]:
     """The datasets of a recording of these slices, made without a writer."""
-    pieces = [some_events(k, count) for k, count in enumerate(counts)]
-    events = concatenate(pieces)
+    events = concatenate([some_events(k, count) for k, count in enumerate(counts)])
     rows = [rows_of(k, every) for k in range(len(counts))]
     arrays = {f"events/{name}": getattr(events, name) for name in Events._fields}
     arrays |= {"ms_to_idx": slice_starts(events.t, len(counts)), **STATIC, "truth/drawn": "{}"}
-    dtypes = {"gripper/t_us": np.int64, "gripper/current_target_ma": np.float64, "truth/slip": np.uint8}
-    dtypes |= dict.fromkeys(("gripper/current_written_ma", "gripper/position_ticks"), np.int32)
-    for name in dict.fromkeys(name for row in rows for name in row):
-        arrays[name] = np.array([row[name] for row in rows if name in row], dtypes.get(name, np.float32))
+    for described in (*TRUTH, *GRIPPER):
+        column = [row[described.path] for row in rows if described.path in row]
+        arrays[described.path] = np.array(column, described.dtype)
     return arrays
 
 
@@ -201,7 +194,7 @@ import os, sys
 from pathlib import Path
 import numpy as np
 from evetac_cli.events import Events
-from evetac_cli.store import segments
+from evetac_cli.store import schema, segments
 segments.SEGMENT_S = 1e9
 static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "e", "t_offset": np.int64(0)}
 writer = segments.RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False)
@@ -306,7 +299,7 @@ def incomplete(writer: RecordingWriter) -> None:
 
 def a_row_too_few(writer: RecordingWriter) -> None:
     writer.append(some_events(0, 3), rows_of(0, 1))
-    writer.append(some_events(1, 3), {**rows_of(1, 1), "gripper/t_us": 1000, "truth/slip": 0})
+    writer.append(some_events(1, 3), rows_of(1, 1))
     writer.append(some_events(2, 3), {})
 
 
@@ -350,7 +343,7 @@ from pathlib import Path
 import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.store import segments
+from evetac_cli.store import schema, segments
 from evetac_cli.store.provenance import Recipe
 segments.SEGMENT_S = 1e9
 static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "e", "t_offset": np.int64(0)}
@@ -368,7 +361,7 @@ for attempt in (writer.close_segment, writer.close_segment):
     try:
         attempt()
     except InputError as error:
-        print("segment", "File too large" in str(error), "safe in this folder" in str(error))
+        print("segment", "File too large" in str(error), "free some space" in str(error))
 print(sorted(path.name for path in writer.folder.iterdir()))
 resource.setrlimit(resource.RLIMIT_FSIZE, limit)
 writer.close_segment()

@@ -48,8 +48,9 @@ def _faults(file: StageFile) -> list[str]:
     error = jsonschema.exceptions.best_match(jsonschema.Draft202012Validator(rules).iter_errors(file.header))
     if error is not None:
         return [f"header: {error.message}"]
-    if id_of(file.header) != file.header["id"]:
-        faults.append("the recipe id does not fit the header: it was edited")
+    for id_, ancestor in file.header["history"].items():
+        if ancestor.get("id") != id_ or id_of(ancestor) != id_:
+            faults.append(f"the history of {id_[:12]} was edited")
     missing = [parent[:12] for parent in file.header["parents"] if parent not in file.header["history"]]
     if missing:
         faults.append(f"the history lacks the parents {', '.join(missing)}")
@@ -85,8 +86,6 @@ def _recording(file: StageFile) -> list[str]:
     with Recording(file.path) as recording:
         starts = recording.starts
         width, height = recording.frame_px
-        if starts[0] != 0 or (np.diff(starts) < 0).any() or starts[-1] != recording.length("events/t"):
-            return ["ms_to_idx does not count the events"]
         previous = 0
         for first in range(0, recording.event_count, BLOCK):
             last = min(first + BLOCK, recording.event_count)

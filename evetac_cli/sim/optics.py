@@ -19,6 +19,7 @@ EDGE_SIGMA_PX = 1.2
 INNER_SIGMAS = 3.5
 OUTER_SIGMAS = 3.0
 PROFILE_STEPS = 1024
+LEVEL_BINS = 1024
 
 
 class DotProfile(NamedTuple):
@@ -70,6 +71,61 @@ def profile_level(position: np.float32, level: NDArray[np.float32]) -> np.float3
     index = np.int32(position)
     below = level[index]
     return below + (position - np.float32(index)) * (level[index + 1] - below)  # type: ignore[no-any-return]
+
+
+@njit(cache=True)
+def level_at(distance_px: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32]) -> float:
+    """Log brightness at a distance from the nearest dot's centre, in double precision."""
+    position = min(max((distance_px - inner_px) * steps_per_px, 0.0), np.float64(PROFILE_STEPS))
+    index = int(position)
+    below = np.float64(level[index])
+    return below + (position - index) * (np.float64(level[index + 1]) - below)
+
+
+def level_index(profile: DotProfile) -> NDArray[np.int64]:
+    """Where to look for a level in a profile: entry k is the last place at or below the k-th of LEVEL_BINS + 1 levels.
+
+    The levels are equally spaced from ink to gel. It saves most of the bisection in `squared_radius`.
+    """
+    ink = np.float64(profile.level[0])
+    levels = ink * (1.0 - np.arange(LEVEL_BINS + 1) / LEVEL_BINS)
+    found = np.searchsorted(profile.level[: PROFILE_STEPS + 1].astype(np.float64), levels, side="right") - 1
+    return found.astype(np.int64)
+
+
+@njit(cache=True)
+def squared_radius(
+    target: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32], index: NDArray[np.int64]
+) -> float:
+    """The square of the distance at which a dot has the level `target`, the exact inverse of the table.
+
+    -1 if the dot is brighter even in its centre, infinite if bare gel is darker. `index` is from `level_index`.
+    """
+    ink = np.float64(level[0])
+    if target < ink:
+        return -1.0
+    if target > 0.0:
+        return np.inf
+    if math.isnan(target):
+        return np.nan
+    guess = min(int((target - ink) / -ink * LEVEL_BINS), LEVEL_BINS - 1)
+    first = index[guess]
+    last = min(index[guess + 1] + 1, PROFILE_STEPS)
+    while first > 0 and level[first] > target:
+        first -= 1
+    while last < PROFILE_STEPS and level[last] <= target:
+        last += 1
+    while last - first > 1:
+        middle = (first + last) // 2
+        if level[middle] <= target:
+            first = middle
+        else:
+            last = middle
+    below = np.float64(level[first])
+    rise = np.float64(level[last]) - below
+    part = min(max((target - below) / rise, 0.0), 1.0) if rise > 0.0 else 0.0
+    radius = inner_px + (first + part) / steps_per_px
+    return radius * radius if radius >= 0.0 else -1.0
 
 
 def gel_level(frame_px: tuple[int, int], dot_xy_px: NDArray[np.float64], profile: DotProfile) -> NDArray[np.float32]:

@@ -5,6 +5,8 @@ against schemas/scene.v1.json). Objects are rows of the paper's table (objects.t
 """
 
 import json
+import math
+import re
 import tomllib
 from dataclasses import asdict, dataclass
 from difflib import get_close_matches
@@ -37,8 +39,9 @@ def load(name_or_path: str) -> dict[str, Any]:
         scene = tomllib.loads(path.read_text())
     except OSError as error:
         raise SceneError(f"cannot be read: {error.strerror}", where=str(path)) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise SceneError(f"not valid TOML: {error}", where=str(path)) from None
+    _check_finite(scene, str(path), "")
     _check(scene, str(path))
     return scene
 
@@ -56,6 +59,18 @@ def _check(scene: dict[str, Any], where: str) -> None:
         near = get_close_matches(unknown[0], known, n=1)
         hint = f"did you mean `{near[0]}`?" if near else f"known keys: {', '.join(known)}"
     raise SceneError(f"{place}: {error.message}", where=where, hint=hint)
+
+
+def _check_finite(value: Any, where: str, place: str) -> None:
+    """Refuse nan and inf, which TOML can write and JSON Schema does not see."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _check_finite(item, where, f"{place}.{key}" if place else key)
+    elif isinstance(value, list):
+        for item in value:
+            _check_finite(item, where, place)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise SceneError(f"{place}: not a finite number", where=where, found=str(value))
 
 
 def _check_ranges(scene: dict[str, Any], where: str) -> None:
@@ -118,12 +133,11 @@ def numbers(text: str) -> list[int]:
     """Object numbers from `8` or `1-3,10`, in their order, each once; InputError if it is anything else."""
     found: list[int] = []
     for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()):
-            raise InputError("not a list of objects", where="--object", expected="as in 8 or 1-3,10", found=text)
-        found += range(int(first), int(last if dash else first) + 1)
-    if not found:
-        raise InputError("no object", where="--object", expected="as in 8 or 1-3,10", found=text)
+        match = re.fullmatch("([0-9]{1,2})(?:-([0-9]{1,2}))?", part.strip())
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if first > last:
+            raise InputError("not a list of objects", where="--object", expected="as in 8 or 1-3,10", found=text[:60])
+        found += range(first, last + 1)
     return list(dict.fromkeys(found))
 
 
@@ -168,3 +182,30 @@ def draw(scene: dict[str, Any], thing: dict[str, Any], rng: np.random.Generator)
         texture_log_sd=between("texture", "log_sd", (0.06, 0.06)),
         texture_half_correlation_px=between("texture", "half_correlation_px", (12, 12)),
     )
+
+
+def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
+    """What a plan builds and what it leaves out, a row a part: a scene pays only for what it names."""
+    resolved, individual = plan["scene"], plan["individual_row"]
+    cut, kind = resolved["gel"]["cut"], resolved["kind"]
+    columns, rows = resolved["gel"]["nodes"]
+    gripped = kind != "press"
+    dots = len(individual["dot_rows_px"]) * (len(individual["dot_columns_px"]) - cut)
+    pressed = f"a face, {resolved['motion']['kind']}" if kind == "press" else f"object {plan['object']}"
+    mode = {"ramp": "current", "hold": "position, then current", "lift": "position"}.get(kind, "")
+    noise = f"{individual['noise_hz']:g} Hz a pixel, {individual['hot_pixels']} hot pixels"
+    window = "texture of the object, moved with it" if cut and "texture" in resolved else ""
+    left_out = "closed gel: the gel is there" if not cut else "nothing behind it has texture"
+    table = [
+        ("gel and friction", f"{columns} x {rows} nodes, 1 ms steps", ""),
+        ("what touches", pressed, ""),
+        ("gripper", f"{mode} mode" if gripped else "", "a hand drives the face"),
+        ("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
+        ("table and hand", "lift" if kind == "lift" else "", "nothing is lifted"),
+        ("pushes", f"{len(resolved['push']['at_s'])} half sines" if "push" in resolved else "", "none named"),
+        ("falling weight", f"{resolved['drop']['mass_g']} g" if "drop" in resolved else "", "none named"),
+        ("dots", f"{dots}, evaluated while they move", ""),
+        ("window", window, left_out),
+        ("noise", noise, ""),
+    ]
+    return [{"part": part, "built": built or None, "left_out": None if built else why} for part, built, why in table]

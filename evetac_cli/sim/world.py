@@ -235,7 +235,7 @@ class World:
             for at, share in zip(push["at_s"], push["share"], strict=True)
             if at <= now < at + push["lasts_s"]
         ]
-        return sum(shares) * self._mass_kg * GRAVITY_M_S2
+        return float(sum(shares)) * self._mass_kg * GRAVITY_M_S2
 
     def _catch_weight(self) -> None:
         """A weight lands on the object and stays: inelastic."""

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.kernels import features, grip, slip, tracker
+from evetac_cli.kernels import features, grip, tracker
 from evetac_cli.kernels.detector import Detector
 from evetac_cli.params import Grasp
 from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
-from evetac_cli.stages.record import COMMAND_MS, seeds, trials
+from evetac_cli.stages.record import COMMAND_MS, dry_run, seeds, trials
+from evetac_cli.stages.train import detector_of
 from evetac_cli.store.files import StageFile, up_to_date
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.segments import RecordingWriter
@@ -26,6 +27,7 @@ from evetac_cli.store.segments import RecordingWriter
 INPUTS = ("model",)
 OUTPUT = "recording"
 METHOD = 1
+__all__ = ["dry_run", "jobs", "run"]  # a grasp shows its plan as a recording does
 
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
@@ -60,11 +62,11 @@ class SlipSense:
                 found=str(model.read("dot_shape").tolist()),
             )
         rest = dot_xy_px.reshape(-1, 2)
-        architecture = slip.ARCHITECTURES[model.read("architecture")]
+        detector = detector_of(model)
         return cls(
             tracker.start(rest, constants),
-            features.start(rest, architecture.history),
-            Detector(model.read("onnx").tobytes(), architecture),
+            features.start(rest, detector.architecture.history),
+            detector,
             float(model.read("threshold")),
         )
 

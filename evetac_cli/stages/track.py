@@ -29,7 +29,10 @@ def constants(preset: str, **overrides: Any) -> tuple[str, tracker.TrackerConsta
     """The constants of a preset, and its name; overridden by hand it is `custom from` that preset."""
     chosen = {name: value for name, value in overrides.items() if value is not None}
     base = tracker.PRESETS[preset]
-    custom = dataclasses.replace(base, **chosen)
+    try:
+        custom = dataclasses.replace(base, **chosen)
+    except ValueError as error:
+        raise InputError(f"the tracker refuses its constants: {error}") from error
     return (preset if custom == base else f"custom from {preset}"), custom
 
 

@@ -139,6 +139,18 @@ def predict(detector: Detector, trajectory: slip.Trajectory, header: Header) -> 
     return slip.Prediction(probability, trajectory.label, trajectory.onset, object_of(header))
 
 
+def detector_of(model: StageFile) -> Detector:
+    """The detector in a model file; InputError if its architecture is unknown or its graph damaged."""
+    name = model.read("architecture")
+    if name not in slip.ARCHITECTURES:
+        known = ", ".join(slip.ARCHITECTURES)
+        raise InputError("unknown architecture", where=str(model.path), expected=known, found=str(name))
+    try:
+        return Detector(model.read("onnx").tobytes(), slip.ARCHITECTURES[name])
+    except ValueError as error:
+        raise InputError(str(error), where=str(model.path), hint="the file is damaged; train it again") from error
+
+
 def object_of(header: Header) -> str:
     """The object of the recording that a file descends from, or `unknown`."""
     for ancestor in (header, *header["history"].values()):

@@ -20,7 +20,7 @@ import numpy as np
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import schema
 from evetac_cli.store.disk import new_file
-from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference
+from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, id_of
 
 CHUNK_ROWS = 65536
 CHUNK_BYTES = 1 << 20
@@ -36,6 +36,8 @@ class StageFile:
         try:
             self.header = _read_header(self.path, self._h5)
             _check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
+            if id_of(self.header) != self.header["id"]:
+                raise SchemaError("its header was edited: the recipe id does not fit it", where=str(self.path))
             with _damage_in_words(self.path, "its contents"):
                 found = self.contents()
             lines = schema.problems(schema.load(self.kind), found)
@@ -169,6 +171,10 @@ def _read_header(path: Path, h5: h5py.File) -> Header:
         raise SchemaError("its header is incomplete", where=str(path), found=f"no {', '.join(missing)}")
     wrong = [key for key, types in HEADER.items() if not isinstance(header[key], types)]
     wrong += [] if version or "version" in wrong else ["version"]
+    if not wrong:
+        ancestors = header["history"].values()
+        wrong += [] if all(isinstance(parent, str) for parent in header["parents"]) else ["parents"]
+        wrong += [] if all(isinstance(ancestor, dict) and "kind" in ancestor for ancestor in ancestors) else ["history"]
     if wrong:
         raise SchemaError(
             f"its header is not valid: {', '.join(wrong)}", where=str(path), expected="schemas/header.v1.json"

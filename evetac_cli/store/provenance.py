@@ -51,8 +51,14 @@ class Recipe:
             "parameters": self.parameters,
             "seed": self.seed,
             "content": self.content,
+            "simulated": self.simulated,
             "parents": [parent["id"] for parent in self.parents],
         }
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the file, or any of its ancestors, comes from a simulation."""
+        return self.simulated_source or any(parent["simulated"] for parent in self.parents)
 
     @property
     def id(self) -> str:
@@ -74,7 +80,7 @@ class Recipe:
             "parents": [parent["id"] for parent in self.parents],
             "content": self.content,
             "id": self.id,
-            "simulated": self.simulated_source or any(parent["simulated"] for parent in self.parents),
+            "simulated": self.simulated,
             "history": history,
             "made": made(),
         }
@@ -82,7 +88,7 @@ class Recipe:
 
 def id_of(header: Header) -> str:
     """Recompute the id from a header, to see whether somebody edited it."""
-    identity = {key: header[key] for key in ("kind", "method", "parameters", "seed", "content", "parents")}
+    identity = {key: header[key] for key in ("kind", "method", "parameters", "seed", "content", "simulated", "parents")}
     identity["major"] = int(header["version"].split(".")[0])
     return hashlib.sha256(canonical(identity).encode()).hexdigest()
 

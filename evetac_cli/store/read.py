@@ -23,6 +23,7 @@ from evetac_cli.events import Events
 from evetac_cli.store.files import StageFile
 
 BLOCK_SLICES = 1000
+LARGEST_PX = 65535  # what an event's uint16 can say
 
 
 class Recording(StageFile):
@@ -35,11 +36,26 @@ class Recording(StageFile):
             first, last = self.starts[0], self.starts[-1]
             if first != 0 or last != self.length("events/t") or (self.starts[1:] < self.starts[:-1]).any():
                 raise SchemaError("ms_to_idx does not count the events", where=str(self.path))
+            self._check_sensor()
         except BaseException:
             self.close()
             raise
         self._block = (0, 0)
         self._events: Events | None = None
+
+    def _check_sensor(self) -> None:
+        """Refuse a frame, window or dots that no sensor has, before anybody computes with them."""
+        width, height = self.frame_px
+        x0, y0, x1, y1 = self.window_px or (0, 0, width, height)
+        dots = self.dot_xy_px
+        faults = {
+            "sensor/frame_px": 1 <= width <= LARGEST_PX and 1 <= height <= LARGEST_PX,
+            "sensor/window_px": 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height,
+            "sensor/dot_xy_px": dots is None or bool(np.isfinite(dots).any()),
+        }
+        for name, fine in faults.items():
+            if not fine:
+                raise SchemaError(f"{name} is impossible", where=str(self.path), found=str(self.read(name).tolist()))
 
     def __len__(self) -> int:
         return len(self.starts) - 1

@@ -138,7 +138,7 @@ class RecordingWriter:
             raise InputError(
                 f"a segment cannot be written: {error.strerror or error}",
                 where=str(path.parent),
-                hint="what was recorded before is safe in this folder; free some space",
+                hint="free some space on this disk",
             ) from error
 
 

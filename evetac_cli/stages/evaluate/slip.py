@@ -5,11 +5,10 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels import slip
-from evetac_cli.kernels.detector import Detector
 from evetac_cli.params import EvaluateSlip, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, report, report_job
-from evetac_cli.stages.train import check_disjoint, predict, read_trajectory
+from evetac_cli.stages.train import check_disjoint, detector_of, predict, read_trajectory
 from evetac_cli.store.files import StageFile
 
 INPUTS = ("features", "model")
@@ -28,11 +27,7 @@ def run(job: Job, params: EvaluateSlip, *, force: bool = False, progress: Progre
     """A row for every trajectory and one for every object; figures over all in the summary."""
     *features_paths, model_path = job.inputs
     with StageFile(model_path, "model") as model:
-        architecture = slip.ARCHITECTURES[model.read("architecture")]
-        try:
-            detector = Detector(model.read("onnx").tobytes(), architecture)
-        except ValueError as error:
-            raise InputError(str(error), where=str(model_path)) from error
+        detector = detector_of(model)
         threshold = float(model.read("threshold")) if params.threshold is None else params.threshold
         dot_shape = model.read("dot_shape").tolist()
         model_header = model.header

@@ -1,0 +1,739 @@
+"""An ideal event camera: every pixel fires at the very moment its log brightness has changed by its threshold.
+
+The counterpart of the scanning camera in camera.py, which shares its optics, individuals, noise and interface. Here a
+pixel fires as often as its level passes a threshold, several times a slice if need be, and an event's time is that of
+the crossing, rounded down to a microsecond. Use it to tell what a scanning camera loses, or as a camera without scans.
+
+Crossings are solved, not stepped through. A pixel's level depends only on its distance rho to the nearest dot, so its
+reference +- threshold are two radii: it gets darker when rho falls below `lower` and brighter when rho exceeds `upper`.
+On a straight piece of a dot's path rho meets a radius at the root of a quadratic. What is not straight the caller cuts
+into pieces: the time error falls with the square of their number.
+
+Most pixels are asleep (why so: of the 25,000 ring pixels of 63 dots some 400 fire in a busy millisecond):
+- the box of a dot's path within the slice bounds rho from both sides; while both bounds stay between the two radii the
+  pixel cannot fire and costs a comparison. Unlike a bound on path length alone this knows the direction of motion, and
+  a dot that shakes to and fro does not use it up;
+- a pixel that may fire has a slack, rho's distance to the nearer radius, and jumps along the dot's cumulative path
+  length to the first piece in which the slack can be used up.
+
+The window's texture is bilinear, so along a straight path a pixel's level is a quadratic in time until the object has
+moved on by a whole texel, which happens to all pixels at once. The slice is cut there; each part is solved exactly.
+
+Left out: bandwidth (a low pass has no closed form for the crossing), and what camera.py leaves out.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.sim import camera, optics
+from evetac_cli.sim.camera import CameraModel, CameraState
+
+MOST_PIECES = 1000
+# An object faster than this many texels a slice (8 m/s) is sampled at as many equal parts instead of at each texel.
+MOST_TEXELS = 256
+
+
+@dataclass
+class IdealState:
+    """What an ideal camera remembers from slice to slice; `step` changes it in place.
+
+    `shared` has what both cameras have; its references and those of the strip are NaN while a pixel is refractory.
+    `lower2_px2` and `upper2_px2` are the squares of a pixel's two radii, -1 and infinity where there is none; single
+    precision keeps a radius to 1e-6 px. `level_index` helps to find them. `solved_in` is the last slice in which a pixel
+    near several dots was solved, so that it is solved once. `*_release_us` is the time at which a refractory pixel sees
+    again; without a refractory time both are empty.
+    """
+
+    shared: CameraState
+    refractory_us: float
+    level_index: NDArray[np.int64]
+    lower2_px2: NDArray[np.float32]
+    upper2_px2: NDArray[np.float32]
+    solved_in: NDArray[np.int64]
+    release_us: NDArray[np.float64]
+    strip_release_us: NDArray[np.float64]
+    slices: int = 0
+
+    @property
+    def dropped(self) -> int:
+        """Events lost so far because a slice was full."""
+        return self.shared.dropped
+
+
+def start(
+    model: CameraModel,
+    dot_xy_px: ArrayLike,
+    dot_radius_px: float | None,
+    window_px: tuple[int, int, int, int] | None,
+    texture: NDArray[np.float32] | None,
+    rng: np.random.Generator,
+    individual: np.random.Generator | None = None,
+    refractory_us: float = 0.0,
+) -> IdealState:
+    """Switch the camera on; arguments, draws and errors are those of `camera.start`.
+
+    Equal generators give both cameras the same thresholds, phases and hot pixels. After an event a pixel is held in
+    reset for `refractory_us` (0 to 1 s): it is blind, and its next reference is the level at the end of that time.
+    """
+    if not 0.0 <= refractory_us <= 1e6:
+        raise ValueError(f"refractory_us: expected 0 to 1e+06, found {refractory_us}")
+    shared = camera.start(model, dot_xy_px, dot_radius_px, window_px, texture, rng, individual)
+    return from_references(shared, refractory_us)
+
+
+def from_references(shared: CameraState, refractory_us: float = 0.0) -> IdealState:
+    """An ideal camera that goes on from the references in `shared`, which it owns from now on."""
+    shape = shared.reference.shape
+    state = IdealState(
+        shared=shared,
+        refractory_us=float(refractory_us),
+        level_index=optics.level_index(shared.profile),
+        lower2_px2=np.empty(shape, np.float32),
+        upper2_px2=np.empty(shape, np.float32),
+        solved_in=np.zeros(shape, np.int64),
+        release_us=np.empty(shape if refractory_us > 0.0 else (0, 0)),
+        strip_release_us=np.empty(shared.strip_reference.shape if refractory_us > 0.0 else (0, 0)),
+    )
+    inner, _, steps_per_px, profile = shared.profile
+    table = (inner, steps_per_px, profile, state.level_index)
+    _all_radii(shared.reference, shared.threshold, *table, state.lower2_px2, state.upper2_px2)
+    return state
+
+
+def step(
+    state: IdealState,
+    dot_xy_px_start: ArrayLike,
+    dot_xy_px_end: ArrayLike,
+    object_xy_px_start: ArrayLike,
+    object_xy_px_end: ArrayLike,
+    texture_contrast: float,
+    t0_us: int,
+    rng: np.random.Generator,
+    dot_path_px: ArrayLike | None = None,
+) -> Events:
+    """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
+
+    Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end, in px, the contrast
+    holds for the whole slice. Dots on curved paths come with `dot_path_px` (k + 1, dots, 2): where they are at k + 1
+    equally spaced times, from their start to their end. What lies elsewhere than at the end of the last slice, or has
+    another contrast, has jumped there at t0_us. ValueError on values that are not finite, farther than 1e6 px, of
+    another shape than at `start`, or a path with other ends; the state is then as before.
+    """
+    shared = state.shared
+    t0_us = int(t0_us)
+    dots = len(shared.seen_dot_xy_px)
+    dots_start = camera._positions("dot_xy_px_start", dot_xy_px_start, dots)
+    dots_end = camera._positions("dot_xy_px_end", dot_xy_px_end, dots)
+    path = _path(dot_path_px, dots_start, dots_end)
+    object_start = camera._positions("object_xy_px_start", np.atleast_2d(object_xy_px_start), 1)[0]
+    object_end = camera._positions("object_xy_px_end", np.atleast_2d(object_xy_px_end), 1)[0]
+    camera._check_range("texture_contrast", texture_contrast, 0.0, 1e3)
+
+    state.slices += 1
+    made = _solve_dots(
+        path,
+        shared.seen_dot_xy_px,
+        *shared.profile,
+        state.level_index,
+        shared.reference,
+        shared.threshold,
+        state.lower2_px2,
+        state.upper2_px2,
+        state.solved_in,
+        state.slices,
+        state.refractory_us,
+        state.release_us,
+        t0_us,
+        shared.keys,
+    )
+    if shared.strip_level.size:
+        made = _solve_window(
+            object_start,
+            object_end,
+            float(texture_contrast),
+            shared.seen_object,
+            shared.texture,
+            shared.window_px[0],
+            shared.window_px[1],
+            shared.strip_reference,
+            shared.strip_threshold,
+            state.refractory_us,
+            state.strip_release_us,
+            t0_us,
+            shared.keys,
+            made,
+        )
+    made = camera._add_noise(shared, rng, made)
+    kept = min(made, len(shared.keys))
+    shared.dropped += made - kept
+    return Events(*camera._sorted_columns(shared.keys[:kept], t0_us))
+
+
+def _path(
+    given: ArrayLike | None, dots_start: NDArray[np.float64], dots_end: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Vertices of every dot's path, shape (dots, k + 1, 2)."""
+    if given is None:
+        return np.ascontiguousarray(np.stack([dots_start, dots_end], axis=1))
+    dots = len(dots_start)
+    path = np.asarray(given, np.float64)
+    if path.ndim != 3 or path.shape[1:] != (dots, 2) or not 2 <= len(path) <= MOST_PIECES + 1:
+        raise ValueError(f"dot_path_px: expected (2 to {MOST_PIECES + 1}, {dots}, 2), found shape {path.shape}")
+    camera._positions("dot_path_px", path.reshape(-1, 2))
+    if not (np.array_equal(path[0], dots_start) and np.array_equal(path[-1], dots_end)):
+        raise ValueError("dot_path_px: expected dot_xy_px_start first and dot_xy_px_end last, found other positions")
+    return np.ascontiguousarray(path.transpose(1, 0, 2))
+
+
+@njit(cache=True)
+def _all_radii(
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    inner: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    index: NDArray[np.int64],
+    lower2: NDArray[np.float32],
+    upper2: NDArray[np.float32],
+) -> None:
+    height, width = reference.shape
+    for y in range(height):
+        for x in range(width):
+            level = np.float64(reference[y, x])
+            step = np.float64(threshold[y, x])
+            lower2[y, x] = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
+            upper2[y, x] = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
+
+
+@njit(cache=True)
+def _solve_dots(
+    path: NDArray[np.float64],
+    seen_xy: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    index: NDArray[np.int64],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    lower2: NDArray[np.float32],
+    upper2: NDArray[np.float32],
+    solved_in: NDArray[np.int64],
+    this_slice: int,
+    refractory_us: float,
+    release_us: NDArray[np.float64],
+    t0_us: int,
+    keys: NDArray[np.int64],
+) -> int:
+    """Wake the pixels that may fire in the rings of dots that move; returns the number of events, kept or not.
+
+    The rings of a slice are all pixels that are ever between `inner` and `outer` from a dot on its path. The others
+    have one and the same level throughout.
+    """
+    height, width = reference.shape
+    dots, vertices, _ = path.shape
+    box = _boxes(path, seen_xy)
+    near_path = np.empty((dots, vertices, 2))
+    near_box = np.empty((dots, 4))
+    travelled = np.empty(vertices)
+    made = 0
+    for dot in range(dots):
+        centre_x = box[dot, 0]
+        centre_y = box[dot, 1]
+        half_x = box[dot, 2]
+        half_y = box[dot, 3]
+        if half_x == 0.0 and half_y == 0.0:
+            continue
+        near = _dots_near(dot, path, box, outer, near_path, near_box)
+        _travel(near_path[:near], travelled)
+        for y in range(
+            max(0, math.ceil(centre_y - half_y - outer)), min(height, math.floor(centre_y + half_y + outer) + 1)
+        ):
+            down = abs(y - centre_y)
+            nearest_down = max(down - half_y, 0.0)
+            farthest_down = down + half_y
+            rim_half = half_x + math.sqrt(max(0.0, outer * outer - nearest_down * nearest_down))
+            left = max(0, math.ceil(centre_x - rim_half))
+            right_end = min(width, math.floor(centre_x + rim_half) + 1)
+            left_end = right_end
+            right = right_end
+            if inner > farthest_down:
+                hole_half = math.sqrt(inner * inner - farthest_down * farthest_down) - half_x
+                if hole_half > 0.0:
+                    left_end = min(right_end, math.floor(centre_x - hole_half) + 1)
+                    right = max(left, math.ceil(centre_x + hole_half))
+            for first, end in ((left, left_end), (right, right_end)):
+                for x in range(first, end):
+                    across = abs(x - centre_x)
+                    nearest_across = max(across - half_x, 0.0)
+                    farthest_across = across + half_x
+                    nearest2 = nearest_across * nearest_across + nearest_down * nearest_down
+                    farthest2 = farthest_across * farthest_across + farthest_down * farthest_down
+                    if near == 1:
+                        if nearest2 >= lower2[y, x] and farthest2 <= upper2[y, x]:
+                            continue
+                    else:
+                        if solved_in[y, x] == this_slice:
+                            continue
+                        nearest2, farthest2 = _bounds(x, y, near_box[:near])
+                        if nearest2 >= lower2[y, x] and farthest2 <= upper2[y, x]:
+                            continue
+                        solved_in[y, x] = this_slice
+                    made = _solve_pixel(
+                        x,
+                        y,
+                        near_path[:near],
+                        travelled,
+                        inner,
+                        steps_per_px,
+                        profile,
+                        index,
+                        reference,
+                        threshold,
+                        lower2,
+                        upper2,
+                        refractory_us,
+                        release_us,
+                        t0_us,
+                        keys,
+                        made,
+                    )
+    seen_xy[:] = path[:, vertices - 1]
+    return made
+
+
+@njit(cache=True)
+def _boxes(path: NDArray[np.float64], seen_xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Centre and half sides of the box round each dot's path and where it was last, shape (dots, 4)."""
+    dots, vertices, _ = path.shape
+    box = np.empty((dots, 4))
+    for dot in range(dots):
+        for axis in range(2):
+            low = seen_xy[dot, axis]
+            high = low
+            for vertex in range(vertices):
+                low = min(low, path[dot, vertex, axis])
+                high = max(high, path[dot, vertex, axis])
+            box[dot, axis] = 0.5 * (low + high)
+            box[dot, 2 + axis] = 0.5 * (high - low)
+    return box
+
+
+@njit(cache=True)
+def _dots_near(
+    dot: int,
+    path: NDArray[np.float64],
+    box: NDArray[np.float64],
+    outer: float,
+    near_path: NDArray[np.float64],
+    near_box: NDArray[np.float64],
+) -> int:
+    """Collect the dots that may be the nearest one of a pixel in this dot's ring; returns their number.
+
+    A dot is one of them if it may darken a pixel that this one may darken; farther ones show bare gel there.
+    """
+    near = 0
+    for other in range(len(path)):
+        reach_x = box[dot, 2] + box[other, 2] + 2.0 * outer
+        reach_y = box[dot, 3] + box[other, 3] + 2.0 * outer
+        if abs(box[dot, 0] - box[other, 0]) <= reach_x and abs(box[dot, 1] - box[other, 1]) <= reach_y:
+            near_path[near] = path[other]
+            near_box[near] = box[other]
+            near += 1
+    return near
+
+
+@njit(cache=True)
+def _travel(near_path: NDArray[np.float64], travelled: NDArray[np.float64]) -> None:
+    """Path length up to each vertex, in every piece that of the fastest dot: a pixel's rho changes by no more."""
+    near, vertices, _ = near_path.shape
+    travelled[0] = 0.0
+    for vertex in range(1, vertices):
+        longest2 = 0.0
+        for dot in range(near):
+            across = near_path[dot, vertex, 0] - near_path[dot, vertex - 1, 0]
+            down = near_path[dot, vertex, 1] - near_path[dot, vertex - 1, 1]
+            longest2 = max(longest2, across * across + down * down)
+        travelled[vertex] = travelled[vertex - 1] + math.sqrt(longest2)
+
+
+@njit(cache=True)
+def _bounds(x: int, y: int, near_box: NDArray[np.float64]) -> tuple[float, float]:
+    """Least and greatest square of a pixel's distance to the nearest dot, each anywhere in its box."""
+    least2 = np.inf
+    greatest2 = np.inf
+    for dot in range(len(near_box)):
+        across = abs(x - near_box[dot, 0])
+        down = abs(y - near_box[dot, 1])
+        least2 = min(least2, max(across - near_box[dot, 2], 0.0) ** 2 + max(down - near_box[dot, 3], 0.0) ** 2)
+        greatest2 = min(greatest2, (across + near_box[dot, 2]) ** 2 + (down + near_box[dot, 3]) ** 2)
+    return least2, greatest2
+
+
+@njit(cache=True)
+def _solve_pixel(
+    x: int,
+    y: int,
+    near_path: NDArray[np.float64],
+    travelled: NDArray[np.float64],
+    inner: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    index: NDArray[np.int64],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    lower2: NDArray[np.float32],
+    upper2: NDArray[np.float32],
+    refractory_us: float,
+    release_us: NDArray[np.float64],
+    t0_us: int,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """All crossings of one pixel within the slice; returns the number of events so far.
+
+    The pixel stands at `vertex` + `part` of the path; nothing is left to report before it.
+    """
+    pieces = len(travelled) - 1
+    piece_us = SLICE_US / pieces
+    step = np.float64(threshold[y, x])
+    level = np.float64(reference[y, x])
+    darker_below2 = np.float64(lower2[y, x])
+    brighter_above2 = np.float64(upper2[y, x])
+    vertex = 0
+    part = 0.0
+    blind = math.isnan(level)
+    # Released before the slice, it has seen no change since: the pixels that may are visited in every slice.
+    blind_until_us = max(0.0, release_us[y, x] - t0_us) if blind else 0.0
+    while True:
+        if blind:
+            if blind_until_us >= SLICE_US:
+                break
+            vertex = min(int(blind_until_us / piece_us), pieces - 1)
+            part = min(max(blind_until_us / piece_us - vertex, 0.0), 1.0)
+            rho = math.sqrt(_distance2(x, y, near_path, vertex, part))
+            level = optics.level_at(rho, inner, steps_per_px, profile)
+            darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
+            brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
+            blind = False
+        rho2 = _distance2(x, y, near_path, vertex, part)
+        if rho2 < darker_below2 or rho2 > brighter_above2:
+            # It jumped between slices, or lies on a radius but for rounding.
+            brighter = rho2 > brighter_above2
+        else:
+            if part == 0.0:
+                if vertex == pieces:
+                    break
+                rho = math.sqrt(rho2)
+                slack = min(rho - math.sqrt(max(darker_below2, 0.0)), math.sqrt(brighter_above2) - rho)
+                safe = _last_within(travelled, vertex, slack)
+                if safe > vertex:
+                    vertex = safe
+                    continue
+            darker_at = _first_inside(x, y, near_path, vertex, part, darker_below2)
+            brighter_at = _first_outside(x, y, near_path, vertex, part, brighter_above2)
+            if min(darker_at, brighter_at) > 1.0:
+                vertex += 1
+                part = 0.0
+                continue
+            brighter = brighter_at < darker_at
+            part = min(darker_at, brighter_at)
+        time_us = (vertex + part) * piece_us
+        if made < len(keys):
+            keys[made] = camera._key(min(int(time_us), SLICE_US - 1), x, y, brighter)
+        made += 1
+        if refractory_us > 0.0:
+            blind = True
+            blind_until_us = time_us + refractory_us
+            release_us[y, x] = t0_us + blind_until_us
+        else:
+            level += step if brighter else -step
+            darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
+            brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
+    reference[y, x] = np.nan if blind else level
+    lower2[y, x] = np.inf if blind else darker_below2  # infinite: awake at every visit
+    upper2[y, x] = brighter_above2
+    return made
+
+
+@njit(cache=True)
+def _distance2(x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float) -> float:
+    """Squared distance of a pixel to the nearest dot at a point of the path."""
+    least2 = np.inf
+    for dot in range(len(near_path)):
+        across = x - near_path[dot, vertex, 0]
+        down = y - near_path[dot, vertex, 1]
+        if part > 0.0:
+            across -= part * (near_path[dot, vertex + 1, 0] - near_path[dot, vertex, 0])
+            down -= part * (near_path[dot, vertex + 1, 1] - near_path[dot, vertex, 1])
+        least2 = min(least2, across * across + down * down)
+    return least2
+
+
+@njit(cache=True)
+def _last_within(travelled: NDArray[np.float64], vertex: int, slack: float) -> int:
+    """The last vertex up to which no more than `slack` is travelled: gallop, then bisect."""
+    last = len(travelled) - 1
+    limit = travelled[vertex] + slack
+    within = vertex
+    stride = 1
+    while within + stride <= last and travelled[within + stride] < limit:
+        within += stride
+        stride *= 2
+    beyond = min(within + stride, last + 1)
+    while beyond - within > 1:
+        middle = (within + beyond) // 2
+        if travelled[middle] < limit:
+            within = middle
+        else:
+            beyond = middle
+    return within
+
+
+@njit(cache=True)
+def _within_circle(
+    x: int, y: int, near_path: NDArray[np.float64], dot: int, vertex: int, radius2: float
+) -> tuple[float, float]:
+    """From which to which part of a piece a dot is within a radius of the pixel; (inf, inf) if never."""
+    velocity_x = near_path[dot, vertex + 1, 0] - near_path[dot, vertex, 0]
+    velocity_y = near_path[dot, vertex + 1, 1] - near_path[dot, vertex, 1]
+    across = x - near_path[dot, vertex, 0]
+    down = y - near_path[dot, vertex, 1]
+    speed2 = velocity_x * velocity_x + velocity_y * velocity_y
+    beyond2 = across * across + down * down - radius2
+    if speed2 == 0.0:
+        return (-np.inf, np.inf) if beyond2 <= 0.0 else (np.inf, np.inf)
+    approach = across * velocity_x + down * velocity_y
+    discriminant = approach * approach - speed2 * beyond2
+    if discriminant < 0.0:
+        return np.inf, np.inf
+    root = math.sqrt(discriminant)
+    # The root that does not cancel first, the other from their product.
+    if approach > 0.0:
+        later = (approach + root) / speed2
+        return beyond2 / (approach + root), later
+    if approach == root:
+        return 0.0, 0.0
+    return (approach - root) / speed2, beyond2 / (approach - root)
+
+
+@njit(cache=True)
+def _first_inside(
+    x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float, radius2: float
+) -> float:
+    """Part of the piece, from `part` on, at which the first dot comes within a radius; inf if none."""
+    first = np.inf
+    if radius2 > 0.0:
+        for dot in range(len(near_path)):
+            enter, leave = _within_circle(x, y, near_path, dot, vertex, radius2)
+            if leave > part:
+                first = min(first, max(enter, part))
+    return first
+
+
+@njit(cache=True)
+def _first_outside(
+    x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float, radius2: float
+) -> float:
+    """Part of the piece, from `part` on, from which no dot is within a radius; inf if that lies beyond its end."""
+    if radius2 == np.inf:
+        return np.inf
+    outside = part
+    found = True
+    while found:
+        found = False
+        for dot in range(len(near_path)):
+            enter, leave = _within_circle(x, y, near_path, dot, vertex, radius2)
+            if enter <= outside < leave:
+                outside = leave
+                found = outside <= 1.0
+    return outside if outside <= 1.0 else np.inf
+
+
+@njit(cache=True)
+def _solve_window(
+    start_xy: NDArray[np.float64],
+    end_xy: NDArray[np.float64],
+    contrast: float,
+    seen: NDArray[np.float64],
+    texture: NDArray[np.float32],
+    first_x: int,
+    first_y: int,
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    refractory_us: float,
+    release_us: NDArray[np.float64],
+    t0_us: int,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Crossings of the window's pixels; returns the number of events so far.
+
+    Within a part of the slice in which the object stays between whole texels, a level is the parabola through its
+    values at start, middle and end.
+    """
+    across = end_xy[0] - start_xy[0]
+    down = end_xy[1] - start_xy[1]
+    first_look = math.isnan(seen[2])
+    jumped = contrast != seen[2] or (contrast > 0.0 and (start_xy[0] != seen[0] or start_xy[1] != seen[1]))
+    moves = contrast > 0.0 and (across != 0.0 or down != 0.0)
+    seen[0] = end_xy[0]
+    seen[1] = end_xy[1]
+    seen[2] = contrast
+    if not (jumped or moves):
+        return made
+    now = np.empty_like(reference)
+    half_way = np.empty_like(reference)
+    then = np.empty_like(reference)
+    optics.sample_texture(texture, first_x, first_y, start_xy[0], start_xy[1], contrast, now)
+    if first_look:
+        reference += now
+    else:
+        made = _solve_parabolas(
+            now, now, now, 0.0, 0.0, first_x, first_y, reference, threshold, refractory_us, release_us, t0_us, keys, made
+        )
+    at = 0.0
+    while moves and at < 1.0:
+        until = _next_texel(start_xy[0], across, start_xy[1], down, at)
+        middle = 0.5 * (at + until)
+        optics.sample_texture(
+            texture, first_x, first_y, start_xy[0] + middle * across, start_xy[1] + middle * down, contrast, half_way
+        )
+        optics.sample_texture(
+            texture, first_x, first_y, start_xy[0] + until * across, start_xy[1] + until * down, contrast, then
+        )
+        made = _solve_parabolas(
+            now,
+            half_way,
+            then,
+            at * SLICE_US,
+            until * SLICE_US,
+            first_x,
+            first_y,
+            reference,
+            threshold,
+            refractory_us,
+            release_us,
+            t0_us,
+            keys,
+            made,
+        )
+        now, then = then, now
+        at = until
+    return made
+
+
+@njit(cache=True)
+def _next_texel(start_x: float, across: float, start_y: float, down: float, at: float) -> float:
+    """The part of the slice, after `at`, at which the object has next moved to a whole texel; at most 1."""
+    if abs(across) + abs(down) > MOST_TEXELS:
+        return min(at + 1.0 / MOST_TEXELS, 1.0)
+    until = 1.0
+    for begin, whole_way in ((start_x, across), (start_y, down)):
+        if whole_way != 0.0:
+            # Beyond `at` by more than rounding, or a part could have no length.
+            here = begin + (at + 1e-9) * whole_way
+            texel = math.floor(here) + 1.0 if whole_way > 0.0 else math.ceil(here) - 1.0
+            until = min(until, max((texel - begin) / whole_way, at + 1e-9))
+    return until
+
+
+@njit(cache=True)
+def _solve_parabolas(
+    now: NDArray[np.float32],
+    half_way: NDArray[np.float32],
+    then: NDArray[np.float32],
+    from_us: float,
+    until_us: float,
+    first_x: int,
+    first_y: int,
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    refractory_us: float,
+    release_us: NDArray[np.float64],
+    t0_us: int,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Crossings of levels that run on parabolas through three pictures; returns the number of events so far.
+
+    With equal times the three are one picture, to which the pixels have jumped.
+    """
+    rows, columns = reference.shape
+    for row in range(rows):
+        # Most rows have nothing to report, and counting vectorises. A parabola leaves its chord by a quarter of its
+        # square term, |now - 2 half_way + then| / 2. NaN, a refractory pixel, counts.
+        may_fire = 0
+        for column in range(columns):
+            bulge = np.float32(0.5) * abs(
+                now[row, column] - np.float32(2.0) * half_way[row, column] + then[row, column]
+            )
+            change = max(
+                abs(now[row, column] - reference[row, column]), abs(then[row, column] - reference[row, column])
+            )
+            may_fire += int(not (change + bulge < threshold[row, column]))
+        if may_fire == 0:
+            continue
+        for column in range(columns):
+            at_start = np.float64(now[row, column])
+            at_end = np.float64(then[row, column])
+            square = 2.0 * (at_start - 2.0 * np.float64(half_way[row, column]) + at_end)
+            slope = at_end - at_start - square
+            level = np.float64(reference[row, column])
+            step = np.float64(threshold[row, column])
+            part = 0.0
+            while True:
+                if math.isnan(level):
+                    blind_until_us = release_us[row, column] - t0_us
+                    if blind_until_us > until_us:
+                        break
+                    if blind_until_us > from_us:
+                        part = (blind_until_us - from_us) / (until_us - from_us)
+                    level = at_start + part * (slope + part * square)
+                value = at_start + part * (slope + part * square)
+                if abs(value - level) >= step:
+                    brighter = value > level
+                else:
+                    brighter_at = _first_root(square, slope, at_start - level - step, part, at_end >= level + step)
+                    darker_at = _first_root(-square, -slope, level - step - at_start, part, at_end <= level - step)
+                    brighter = brighter_at < darker_at
+                    if min(brighter_at, darker_at) > 1.0:
+                        break
+                    part = min(brighter_at, darker_at)
+                time_us = from_us + part * (until_us - from_us)
+                if made < len(keys):
+                    keys[made] = camera._key(
+                        min(int(time_us), SLICE_US - 1), first_x + column, first_y + row, brighter
+                    )
+                made += 1
+                if refractory_us > 0.0:
+                    release_us[row, column] = t0_us + time_us + refractory_us
+                    level = np.nan
+                else:
+                    level += step if brighter else -step
+            reference[row, column] = level
+    return made
+
+
+@njit(cache=True)
+def _first_root(square: float, slope: float, rest: float, part: float, by_the_end: bool) -> float:
+    """Where square u^2 + slope u + rest, negative at `part`, first gets to 0; inf if it does not up to 1.
+
+    `by_the_end` says that it is not negative at 1, so that rounding loses no crossing.
+    """
+    discriminant = slope * slope - 4.0 * square * rest
+    first = np.inf
+    if discriminant >= 0.0:
+        half_sum = -0.5 * (slope + math.copysign(math.sqrt(discriminant), slope))
+        if square != 0.0 and part < half_sum / square <= 1.0:
+            first = half_sum / square
+        if half_sum != 0.0 and part < rest / half_sum <= 1.0:
+            first = min(first, rest / half_sum)
+    if first > 1.0 and by_the_end:
+        first = 1.0
+    return first

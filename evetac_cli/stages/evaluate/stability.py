@@ -1,0 +1,39 @@
+"""evaluate stability: what a part does where it is stiff, extreme, or handed nonsense; a row for every case."""
+
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.params import EvaluateStability, recipe_of
+from evetac_cli.sim import gel_stability
+from evetac_cli.stages import Job, Outcome, Progress, silent
+from evetac_cli.stages.evaluate import Rows
+from evetac_cli.stages.evaluate.cost import own_report, report_of_simulation
+
+INPUTS = ()
+OUTPUT = "report"
+METHOD = 1
+
+
+def jobs(files: list[Path], params: EvaluateStability, out: Path | None) -> list[Job]:
+    """One report on the part: `<part>.stability.report.h5`, in the present folder if no other is given."""
+    return [Job((), own_report(params.part, "stability", out))]
+
+
+def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """A row for every case; how many are ok in the summary."""
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        cases = gel_stability.suite(params.seed, full=params.full)
+        rows: Rows = []
+        for case in cases:
+            rows.append(case())
+            progress(len(rows), len(cases))
+        return rows, {
+            "cases": len(rows),
+            "ok": sum(row["ok"] for row in rows),
+            "refused": sum(row["outcome"].startswith("refused") for row in rows),
+            "not_ok": ", ".join(row["case"] for row in rows if not row["ok"]) or None,
+            "residual_most": max(row["residual_most"] for row in rows if row["residual_most"] is not None),
+        }
+
+    return report_of_simulation(job, "evaluate stability", METHOD, recipe_of(params), measure, force=force)

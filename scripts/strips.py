@@ -1,0 +1,96 @@
+"""Make one PNG strip of a simulated recording: 5 ms event images at telling moments, events, forces and slip under them.
+
+    python scripts/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]
+"""
+
+import argparse
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from evetac_cli.store.read import Recording, open_recording
+
+SHOWN_MS = 5  # the paper's images show 5 ms
+MOMENTS = 4
+INK, QUIET, WARM, COOL = "#22303f", "#8a95a1", "#b5502a", "#2f6690"
+
+
+def moments(recording: Recording) -> list[int]:
+    """Slices worth seeing: about the onset where there is one, else the busiest of each quarter."""
+    slip = np.flatnonzero(recording.read("truth/slip")) if recording.has("truth") else []
+    if len(slip) and recording.header["parameters"]["scene"]["kind"] == "ramp":
+        return [max(int(slip[0]) + away, 0) for away in (-200, -20, 8, 40)]
+    per_slice = np.convolve(np.diff(recording.starts), np.ones(SHOWN_MS), "valid")
+    return [int(part[np.argmax(per_slice[part])]) for part in np.array_split(np.arange(len(per_slice)), MOMENTS)]
+
+
+def image(recording: Recording, start: int) -> np.ndarray:
+    """Events of 5 ms as the paper draws them: white brighter, black darker, grey nothing."""
+    events = recording.between(start, min(start + SHOWN_MS, len(recording)))
+    width, height = recording.frame_px
+    drawn = np.full((height, width), 0.5)
+    drawn[events.y, events.x] = events.p
+    return drawn
+
+
+def strip(path: Path, out: Path) -> Path:
+    """Draw one recording."""
+    with open_recording(path) as recording:
+        chosen = moments(recording)
+        figure = plt.figure(figsize=(11, 5.6), dpi=110, layout="constrained")
+        grid = figure.add_gridspec(3, MOMENTS, height_ratios=(2.6, 1, 1))
+        for place, start in enumerate(chosen):
+            axes = figure.add_subplot(grid[0, place])
+            axes.imshow(image(recording, start), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+            axes.set_title(f"{start / 1000:.3f} s", fontsize=10, color=INK)
+            axes.set_xticks([])
+            axes.set_yticks([])
+        seconds = np.arange(len(recording)) / 1000
+        rate = figure.add_subplot(grid[1, :])
+        rate.fill_between(seconds, np.maximum(np.diff(recording.starts), 1), 1, color=COOL, linewidth=0, step="mid")
+        rate.set_yscale("log")
+        rate.set_ylabel("events / ms", color=INK)
+        force = figure.add_subplot(grid[2, :], sharex=rate)
+        if recording.has("truth"):
+            force.plot(seconds, recording.read("truth/normal_force_n"), color=INK, label="normal force")
+            shear = np.linalg.norm(recording.read("truth/shear_force_n"), axis=1)
+            force.plot(seconds, shear, color=WARM, label="shear force")
+            slip = recording.read("truth/slip") > 0
+            force.fill_between(seconds, 0, 1, where=slip, color=WARM, alpha=0.2, linewidth=0, label="slip",
+                               transform=force.get_xaxis_transform())  # fmt: skip
+            force.legend(loc="lower left", bbox_to_anchor=(0, 0.98), ncols=3, frameon=False, fontsize=9)
+        force.set_ylabel("N", color=INK)
+        force.set_xlabel("s", color=INK)
+        for axes in (rate, force):
+            axes.spines[["top", "right"]].set_visible(False)
+            axes.tick_params(colors=INK)
+            for start in chosen:
+                axes.axvline(start / 1000, color=QUIET, linewidth=0.8, linestyle=":")
+        rate.set_xlim(0, seconds[-1])
+        rate.tick_params(labelbottom=False)
+        what = recording.header["parameters"]["scene"]
+        thing = recording.header["parameters"]["object"]
+        name = what["name"] + (f", object {thing}" if thing else "")
+        figure.suptitle(f"{name} (simulated): {what['summary']}", fontsize=11, color=INK, x=0.01, ha="left")
+        out.mkdir(parents=True, exist_ok=True)
+        target = out / f"{what['name']}.png"
+        figure.savefig(target)
+        plt.close(figure)
+    return target
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recordings", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("docs"))
+    chosen = parser.parse_args()
+    for path in chosen.recordings:
+        print(strip(path, chosen.out))
+
+
+if __name__ == "__main__":
+    main()
