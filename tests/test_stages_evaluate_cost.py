@@ -18,6 +18,7 @@ from evetac_cli.stages.evaluate import cost, stability
 from evetac_cli.store.files import StageFile
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
+DRAW = cost._draw
 SMALL = gel_cost.Extent((10_000, 5_000), (1_000, 100), 500.0, ((6, 4),), (10, 8))
 CAMERA = [
     {"part": "camera", "setting": f"ideal, tone, {n} sub-steps", "error_us_median": late, "error_count_share": 0.0,
@@ -30,13 +31,20 @@ each = pytest.mark.parametrize(("name", "stage", "cls"), STAGES, ids=[stage[0] f
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch, tmp_path):
-    """In a folder of its own, the least that the commands can measure."""
+    """In a folder of its own, the least that the commands can measure, and no pictures: those take longer."""
     whole, trial = gel_stability.suite, gel_cost.draw_trial
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cost, "_draw", lambda rows, path: True)
     monkeypatch.setattr(gel_cost, "USUAL", SMALL)
     monkeypatch.setattr(gel_cost, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6, seconds=0.05))
     monkeypatch.setattr(cost.camera_cost, "camera_cost", lambda seed: [dict(row) for row in CAMERA])
     monkeypatch.setattr(gel_stability, "suite", lambda seed, full: whole(seed, full=full, steps=2)[::9])
+
+
+@pytest.fixture
+def pictures(small, monkeypatch):
+    """With pictures after all."""
+    monkeypatch.setattr(cost, "_draw", DRAW)
 
 
 def make(stage, chosen, out=None, **how):
@@ -146,7 +154,7 @@ def test_what_the_implicit_step_saves():
 
 
 @needs_matplotlib
-def test_the_picture_lies_beside_the_report(tmp_path):
+def test_the_picture_lies_beside_the_report(pictures, tmp_path):
     """Assert that the picture has the report's name, is drawn again only where it is missing, and leaves no trace."""
     output, outcome = make(cost, params.EvaluateCost(), tmp_path / "here.h5")
     picture = tmp_path / "here.png"
@@ -159,6 +167,16 @@ def test_the_picture_lies_beside_the_report(tmp_path):
     make(cost, params.EvaluateCost(), output)
     assert picture.exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["here.h5", "here.png"]
+
+
+@needs_matplotlib
+def test_a_picture_that_cannot_be_written(tmp_path):
+    """Assert that this is an error in words, and leaves nothing behind."""
+    (tmp_path / "sim.cost.report.png").mkdir()
+    (tmp_path / "sim.cost.report.png" / "x").touch()
+    with pytest.raises(InputError, match="sim.cost.report.png: cannot be written"):
+        DRAW(CAMERA, tmp_path / "sim.cost.report.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["sim.cost.report.png"]
 
 
 @needs_matplotlib
@@ -182,7 +200,7 @@ def test_lines_of_the_picture():
     assert axes.get_legend_handles_labels()[1] == ["real time"]
 
 
-def test_without_matplotlib(monkeypatch, tmp_path):
+def test_without_matplotlib(pictures, monkeypatch, tmp_path):
     """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     output, outcome = make(cost, params.EvaluateCost())

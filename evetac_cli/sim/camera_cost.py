@@ -253,7 +253,7 @@ def play_scans(state: CameraState, load: Workload) -> tuple[FineEvents, NDArray[
 
 
 def workloads() -> list[Workload]:
-    """Twelve dots for 20 ms: a slow shear, a turning slip, and a tone. No noise, so that every error is the method's."""
+    """Twelve dots for 20 ms: a slow shear, a turning slip, a tone. Without noise every error is the method's."""
     model = CameraModel(frame_px=(320, 240), noise_rate_hz=0.0, hot_pixels=0)
     column, row = np.meshgrid(np.arange(4), np.arange(3))
     xy = np.stack([40.3 + 62.5 * column.ravel(), 45.6 + 62.5 * row.ravel()], axis=1)
@@ -291,8 +291,10 @@ def camera_cost(seed: int = 0, loads: list[Workload] | None = None) -> list[dict
         if number == 0:  # compile
             play_ideal(state, load, 1)
             play_scans(state, load)
-        for substeps in SUBSTEPS:
-            rows.append(_row(f"ideal, {load.name}, {substeps} sub-steps", truth, *play_ideal(state, load, substeps)))
+        rows += [
+            _row(f"ideal, {load.name}, {substeps} sub-steps", truth, *play_ideal(state, load, substeps))
+            for substeps in SUBSTEPS
+        ]
         scans = f"dvxplorer, {load.name}, {load.model.scans_per_ms} scans"
         rows.append(_row(scans, truth, *play_scans(state, load)))
     return rows

@@ -44,9 +44,9 @@ class IdealState:
 
     `shared` has what both cameras have; its references and those of the strip are NaN while a pixel is refractory.
     `lower2_px2` and `upper2_px2` are the squares of a pixel's two radii, -1 and infinity where there is none; single
-    precision keeps a radius to 1e-6 px. `level_index` helps to find them. `solved_in` is the last slice in which a pixel
-    near several dots was solved, so that it is solved once. `*_release_us` is the time at which a refractory pixel sees
-    again; without a refractory time both are empty.
+    precision keeps a radius to 1e-6 px. `level_index` helps to find them. `solved_in` is the last slice in which a
+    pixel near several dots was solved, so that it is solved once. `*_release_us` is the time at which a refractory
+    pixel sees again; without a refractory time both are empty.
     """
 
     shared: CameraState
@@ -241,6 +241,7 @@ def _solve_dots(
     near_path = np.empty((dots, vertices, 2))
     near_box = np.empty((dots, 4))
     travelled = np.empty(vertices)
+    awake = np.empty(reference.size, np.int64)
     made = 0
     for dot in range(dots):
         centre_x = box[dot, 0]
@@ -250,7 +251,7 @@ def _solve_dots(
         if half_x == 0.0 and half_y == 0.0:
             continue
         near = _dots_near(dot, path, box, outer, near_path, near_box)
-        _travel(near_path[:near], travelled)
+        wakes = 0
         for y in range(
             max(0, math.ceil(centre_y - half_y - outer)), min(height, math.floor(centre_y + half_y + outer) + 1)
         ):
@@ -284,25 +285,27 @@ def _solve_dots(
                         if nearest2 >= lower2[y, x] and farthest2 <= upper2[y, x]:
                             continue
                         solved_in[y, x] = this_slice
-                    made = _solve_pixel(
-                        x,
-                        y,
-                        near_path[:near],
-                        travelled,
-                        inner,
-                        steps_per_px,
-                        profile,
-                        index,
-                        reference,
-                        threshold,
-                        lower2,
-                        upper2,
-                        refractory_us,
-                        release_us,
-                        t0_us,
-                        keys,
-                        made,
-                    )
+                    awake[wakes] = y * width + x
+                    wakes += 1
+        _travel(near_path[:near], travelled)
+        made = _solve_pixels(
+            awake[:wakes],
+            near_path[:near],
+            travelled,
+            inner,
+            steps_per_px,
+            profile,
+            index,
+            reference,
+            threshold,
+            lower2,
+            upper2,
+            refractory_us,
+            release_us,
+            t0_us,
+            keys,
+            made,
+        )
     seen_xy[:] = path[:, vertices - 1]
     return made
 
@@ -376,9 +379,8 @@ def _bounds(x: int, y: int, near_box: NDArray[np.float64]) -> tuple[float, float
 
 
 @njit(cache=True)
-def _solve_pixel(
-    x: int,
-    y: int,
+def _solve_pixels(
+    awake: NDArray[np.int64],
     near_path: NDArray[np.float64],
     travelled: NDArray[np.float64],
     inner: float,
@@ -395,69 +397,72 @@ def _solve_pixel(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """All crossings of one pixel within the slice; returns the number of events so far.
+    """All crossings of some pixels within the slice; returns the number of events so far.
 
-    The pixel stands at `vertex` + `part` of the path; nothing is left to report before it.
+    A pixel stands at `vertex` + `part` of the path; nothing is left to report before it.
     """
+    width = reference.shape[1]
     pieces = len(travelled) - 1
     piece_us = SLICE_US / pieces
-    step = np.float64(threshold[y, x])
-    level = np.float64(reference[y, x])
-    darker_below2 = np.float64(lower2[y, x])
-    brighter_above2 = np.float64(upper2[y, x])
-    vertex = 0
-    part = 0.0
-    blind = math.isnan(level)
-    # Released before the slice, it has seen no change since: the pixels that may are visited in every slice.
-    blind_until_us = max(0.0, release_us[y, x] - t0_us) if blind else 0.0
-    while True:
-        if blind:
-            if blind_until_us >= SLICE_US:
-                break
-            vertex = min(int(blind_until_us / piece_us), pieces - 1)
-            part = min(max(blind_until_us / piece_us - vertex, 0.0), 1.0)
-            rho = math.sqrt(_distance2(x, y, near_path, vertex, part))
-            level = optics.level_at(rho, inner, steps_per_px, profile)
-            darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
-            brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
-            blind = False
-        rho2 = _distance2(x, y, near_path, vertex, part)
-        if rho2 < darker_below2 or rho2 > brighter_above2:
-            # It jumped between slices, or lies on a radius but for rounding.
-            brighter = rho2 > brighter_above2
-        else:
-            if part == 0.0:
-                if vertex == pieces:
+    for pixel in awake:
+        y, x = divmod(pixel, width)
+        step = np.float64(threshold[y, x])
+        level = np.float64(reference[y, x])
+        darker_below2 = np.float64(lower2[y, x])
+        brighter_above2 = np.float64(upper2[y, x])
+        vertex = 0
+        part = 0.0
+        blind = math.isnan(level)
+        # Released before the slice, it has seen no change since: the pixels that may are visited in every slice.
+        blind_until_us = max(0.0, release_us[y, x] - t0_us) if blind else 0.0
+        while True:
+            if blind:
+                if blind_until_us >= SLICE_US:
                     break
-                rho = math.sqrt(rho2)
-                slack = min(rho - math.sqrt(max(darker_below2, 0.0)), math.sqrt(brighter_above2) - rho)
-                safe = _last_within(travelled, vertex, slack)
-                if safe > vertex:
-                    vertex = safe
+                vertex = min(int(blind_until_us / piece_us), pieces - 1)
+                part = min(max(blind_until_us / piece_us - vertex, 0.0), 1.0)
+                rho = math.sqrt(_distance2(x, y, near_path, vertex, part))
+                level = optics.level_at(rho, inner, steps_per_px, profile)
+                darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
+                brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
+                blind = False
+            rho2 = _distance2(x, y, near_path, vertex, part)
+            if rho2 < darker_below2 or rho2 > brighter_above2:
+                # It jumped between slices, or lies on a radius but for rounding.
+                brighter = rho2 > brighter_above2
+            else:
+                if part == 0.0:
+                    if vertex == pieces:
+                        break
+                    rho = math.sqrt(rho2)
+                    slack = min(rho - math.sqrt(max(darker_below2, 0.0)), math.sqrt(brighter_above2) - rho)
+                    safe = _last_within(travelled, vertex, slack)
+                    if safe > vertex:
+                        vertex = safe
+                        continue
+                darker_at = _first_inside(x, y, near_path, vertex, part, darker_below2)
+                brighter_at = _first_outside(x, y, near_path, vertex, part, brighter_above2)
+                if min(darker_at, brighter_at) > 1.0:
+                    vertex += 1
+                    part = 0.0
                     continue
-            darker_at = _first_inside(x, y, near_path, vertex, part, darker_below2)
-            brighter_at = _first_outside(x, y, near_path, vertex, part, brighter_above2)
-            if min(darker_at, brighter_at) > 1.0:
-                vertex += 1
-                part = 0.0
-                continue
-            brighter = brighter_at < darker_at
-            part = min(darker_at, brighter_at)
-        time_us = (vertex + part) * piece_us
-        if made < len(keys):
-            keys[made] = camera._key(min(int(time_us), SLICE_US - 1), x, y, brighter)
-        made += 1
-        if refractory_us > 0.0:
-            blind = True
-            blind_until_us = time_us + refractory_us
-            release_us[y, x] = t0_us + blind_until_us
-        else:
-            level += step if brighter else -step
-            darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
-            brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
-    reference[y, x] = np.nan if blind else level
-    lower2[y, x] = np.inf if blind else darker_below2  # infinite: awake at every visit
-    upper2[y, x] = brighter_above2
+                brighter = brighter_at < darker_at
+                part = min(darker_at, brighter_at)
+            time_us = (vertex + part) * piece_us
+            if made < len(keys):
+                keys[made] = camera._key(min(int(time_us), SLICE_US - 1), x, y, brighter)
+            made += 1
+            if refractory_us > 0.0:
+                blind = True
+                blind_until_us = time_us + refractory_us
+                release_us[y, x] = t0_us + blind_until_us
+            else:
+                level += step if brighter else -step
+                darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
+                brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
+        reference[y, x] = np.nan if blind else level
+        lower2[y, x] = np.inf if blind else darker_below2  # infinite: awake at every visit
+        upper2[y, x] = brighter_above2
     return made
 
 
@@ -523,9 +528,7 @@ def _within_circle(
 
 
 @njit(cache=True)
-def _first_inside(
-    x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float, radius2: float
-) -> float:
+def _first_inside(x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float, radius2: float) -> float:
     """Part of the piece, from `part` on, at which the first dot comes within a radius; inf if none."""
     first = np.inf
     if radius2 > 0.0:
@@ -537,9 +540,7 @@ def _first_inside(
 
 
 @njit(cache=True)
-def _first_outside(
-    x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float, radius2: float
-) -> float:
+def _first_outside(x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float, radius2: float) -> float:
     """Part of the piece, from `part` on, from which no dot is within a radius; inf if that lies beyond its end."""
     if radius2 == np.inf:
         return np.inf
@@ -595,7 +596,20 @@ def _solve_window(
         reference += now
     else:
         made = _solve_parabolas(
-            now, now, now, 0.0, 0.0, first_x, first_y, reference, threshold, refractory_us, release_us, t0_us, keys, made
+            now,
+            now,
+            now,
+            0.0,
+            0.0,
+            first_x,
+            first_y,
+            reference,
+            threshold,
+            refractory_us,
+            release_us,
+            t0_us,
+            keys,
+            made,
         )
     at = 0.0
     while moves and at < 1.0:
@@ -707,9 +721,7 @@ def _solve_parabolas(
                     part = min(brighter_at, darker_at)
                 time_us = from_us + part * (until_us - from_us)
                 if made < len(keys):
-                    keys[made] = camera._key(
-                        min(int(time_us), SLICE_US - 1), first_x + column, first_y + row, brighter
-                    )
+                    keys[made] = camera._key(min(int(time_us), SLICE_US - 1), first_x + column, first_y + row, brighter)
                 made += 1
                 if refractory_us > 0.0:
                     release_us[row, column] = t0_us + time_us + refractory_us

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.console import plain
+from evetac_cli.errors import InputError
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.sim import camera_cost, gel_cost
 from evetac_cli.stages import Job, Outcome, Progress, silent
@@ -125,12 +126,17 @@ def _draw(rows: Rows, path: Path) -> bool:
         panels = place.subplots(1, len(names), squeeze=False)[0]
         for axes, name in zip(panels, names, strict=True):
             _draw_panel(axes, chosen, name)
-        shown = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
+        shown = {}
+        for axes in panels:
+            handles, labels = axes.get_legend_handles_labels()
+            shown |= dict(zip(labels, handles, strict=True))
         place.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3, fontsize=9, frameon=False)
     temporary = path.with_name(f".{path.name}.tmp")
     try:
         figure.savefig(temporary, format="png", dpi=120)
         temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
     return True
@@ -153,7 +159,8 @@ def _draw_panel(axes: Any, rows: Rows, name: str) -> None:
             knobs = [row["setting"].rpartition(", ")[2] for row in every]
             label = f"{line}, {_range(knobs[len(lost)], knobs[-1])}"
             label += f"; blows up from {knobs[len(lost) - 1]} on" if lost else ""
-            axes.loglog(times, errors, marker="osD^vP*X"[number % 8], markersize=5, label=label)
+            look = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "markersize": 5}
+            axes.loglog(times, errors, label=label, **look)
     axes.axvline(REAL_TIME_US, color="0.3", linewidth=1, linestyle="--", label="real time")
     first, *what = name.removeprefix("error_").split("_")
     title, unit = (" ".join(what), f" [{first}]") if first in UNITS else (" ".join((first, *what)), "")
