@@ -1,5 +1,6 @@
 """What people see: progress on stderr while it lasts, one table or one JSON object on stdout at the end."""
 
+import itertools
 import json
 import math
 import sys
@@ -8,7 +9,6 @@ from contextlib import contextmanager
 from typing import Any
 
 from evetac_cli.stages import Progress, silent
-
 
 FEW_ROWS = 3
 
@@ -39,7 +39,7 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
         """Units a second."""
 
         def render(self, task: Any) -> Text:
-            return Text(f"{task.speed:.3g} {unit}/s" if task.speed else "")
+            return Text(f"{task.speed:,.{0 if task.speed >= 10 else 1}f} {unit}/s" if task.speed else "")
 
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -69,30 +69,37 @@ def show(command: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, s
 def print_table(title: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool) -> None:
     """Print rows as a table; figures from simulation say so."""
     from rich.console import Console
-    from rich.table import Table
 
     # What is printed is text, not markup: a path may hold [brackets] or :colons:.
     console = Console(soft_wrap=not sys.stdout.isatty(), markup=False, emoji=False)
-    if rows:
-        names = list(dict.fromkeys(name for row in rows for name in row))
-        cells = [[format_value(row.get(name)) for name in names] for row in rows]
-        table = Table(title=title + (" (simulated)" if simulated else ""), title_justify="left")
-        widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
-        if len(rows) <= FEW_ROWS and sum(widths) + 3 * len(names) > console.width:  # too wide: one line a figure
-            table.show_header = False
-            for _ in range(1 + len(rows)):
-                table.add_column(overflow="fold")
-            for column in zip(names, *cells, strict=True):
-                table.add_row(*column)
-        else:
-            for name in names:
-                numeric = all(isinstance(row.get(name), (int, float, type(None))) for row in rows)
-                table.add_column(name, justify="right" if numeric else "left", overflow="fold")
-            for line in cells:
-                table.add_row(*line)
-        console.print(table)
+    heading = title + (" (simulated)" if simulated else "")
+    for _, group in itertools.groupby(rows, key=tuple):  # rows of other columns are a table of their own
+        console.print(_table(heading, list(group), console.width))
     for name, value in summary.items():
         console.print(f"{name}: {format_value(value)}", highlight=False, soft_wrap=True)
+
+
+def _table(title: str, rows: list[dict[str, Any]], width: int) -> Any:
+    """Rows of the same columns as a table; a few rows that are too wide get a line for every figure."""
+    from rich.table import Table
+
+    cells = [[format_value(value) for value in row.values()] for row in rows]
+    table = Table(title=title, title_justify="left")
+    names = list(rows[0])
+    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
+    if len(rows) <= FEW_ROWS and sum(widths) + 3 * len(names) > width:
+        table.show_header = False
+        for _ in range(1 + len(rows)):
+            table.add_column(overflow="fold")
+        for column in zip(names, *cells, strict=True):
+            table.add_row(*column)
+        return table
+    for name in names:
+        numeric = all(isinstance(row[name], (int, float, type(None))) for row in rows)
+        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
+    for line in cells:
+        table.add_row(*line)
+    return table
 
 
 def format_value(value: Any) -> str:

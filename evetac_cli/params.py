@@ -155,7 +155,7 @@ class EvaluateCost:
 
     part: str = parameter("sim", "What is measured; sim: the simulator.", choices=("sim",), flag="PART")
     seed: int = parameter(0, "Seed of the scenes that are simulated.", low=0, high=2**31 - 1)
-    full: bool = parameter(False, "Finer steps and grids too; takes several minutes.")
+    full: bool = parameter(False, "Finer steps and grids too; takes a few minutes.")
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class EvaluateStability:
 
     part: str = parameter("sim", "What is tried; sim: the simulator.", choices=("sim",), flag="PART")
     seed: int = parameter(0, "Seed of the cases that are drawn.", low=0, high=2**31 - 1)
-    full: bool = parameter(False, "Every theta, longer runs and many more drawn cases; takes several minutes.")
+    full: bool = parameter(False, "Every theta, longer runs and many more drawn cases; takes a few minutes.")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Any
 from evetac_cli.errors import EvetacError
 from evetac_cli.stages import Job, Outcome, Progress, silent
 
+_INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
 _came = False
 
 
@@ -24,7 +25,7 @@ def catch_interrupts() -> None:
         _came = True
         raise KeyboardInterrupt
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _INTERRUPTS:
         signal.signal(number, remember)
 
 
@@ -48,11 +49,12 @@ def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | Eve
     """As run_one, but Ctrl-C ends the job quietly: the parent process reports it."""
     catch_interrupts()
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)  # one that came while the process started, comes up now
         return run_one(module, job, chosen, force)
     except KeyboardInterrupt:
         return None
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
 
 
 def run_parallel(
@@ -69,12 +71,10 @@ def run_parallel(
         os.environ.setdefault(name, "1")
     results: list[Outcome | EvetacError | None] = []
     with ProcessPoolExecutor(at_once, mp_context=multiprocessing.get_context("spawn")) as pool:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # what workers inherit until they take a job
+        signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)  # workers inherit this, and lift it while they work
+        futures = [pool.submit(_in_worker, module, job, chosen, force) for job in jobs]
         try:
-            futures = [pool.submit(_in_worker, module, job, chosen, force) for job in jobs]
-        finally:
-            signal.signal(signal.SIGINT, before)
-        try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
             progress(0, len(jobs))
             for done, _ in enumerate(as_completed(futures), start=1):
                 progress(done, len(jobs))

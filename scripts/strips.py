@@ -1,4 +1,4 @@
-"""Make one PNG strip of a simulated recording: 5 ms event images at telling moments, events, forces and slip under them.
+"""Make a PNG strip of a simulated recording: 5 ms event images at telling moments, events, forces and slip below.
 
     python scripts/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]
 """

@@ -81,7 +81,10 @@ def test_directions(path: Path) -> None:
 
 
 def test_no_module_of_ours_is_imported_by_name() -> None:
-    """Assert that import_module, which the tests above do not see, gets only names of other libraries; main and workers may."""
+    """Assert that import_module, which the tests above do not see, gets only names of other libraries.
+
+    main and workers choose a stage by name.
+    """
     for path in MODULES:
         calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
         by_name = [call for call in calls if ast.unparse(call.func).split(".")[-1] in ("import_module", "__import__")]

@@ -217,7 +217,8 @@ def _pair(
 
 def fine(events: Events) -> FineEvents:
     """Events of a camera, whose times are rounded down, at the middle of their microsecond."""
-    return FineEvents(events.t + 0.5, *(column.astype(np.int64) for column in events[1:]))
+    x, y, p = (column.astype(np.int64) for column in events[1:])
+    return FineEvents(events.t.astype(np.float64) + 0.5, x, y, p)
 
 
 def play_ideal(state: CameraState, load: Workload, substeps: int) -> tuple[FineEvents, NDArray[np.float64]]:
@@ -253,9 +254,9 @@ def play_scans(state: CameraState, load: Workload) -> tuple[FineEvents, NDArray[
 
 
 def workloads() -> list[Workload]:
-    """Twelve dots for 20 ms: a slow shear, a turning slip, a tone. Without noise every error is the method's."""
-    model = CameraModel(frame_px=(320, 240), noise_rate_hz=0.0, hot_pixels=0)
-    column, row = np.meshgrid(np.arange(4), np.arange(3))
+    """Eight dots for 20 ms: a slow shear, a turning slip, a tone. Without noise every error is the method's."""
+    model = CameraModel(frame_px=(320, 180), noise_rate_hz=0.0, hot_pixels=0)
+    column, row = np.meshgrid(np.arange(4), np.arange(2))
     xy = np.stack([40.3 + 62.5 * column.ravel(), 45.6 + 62.5 * row.ravel()], axis=1)
     return [
         Workload("shear 3 px at 5 Hz", model, xy, lambda t: _shaken(t, 3.0, 5.0), 20),

@@ -87,7 +87,9 @@ def start(
 
 
 def from_references(shared: CameraState, refractory_us: float = 0.0) -> IdealState:
-    """An ideal camera that goes on from the references in `shared`, which it owns from now on."""
+    """An ideal camera that goes on from the references in `shared`, which it owns from now on; ValueError on NaN."""
+    if np.isnan(shared.reference).any() or np.isnan(shared.strip_reference).any():
+        raise ValueError("reference: expected finite levels, found those of refractory pixels")
     shape = shared.reference.shape
     state = IdealState(
         shared=shared,
@@ -725,9 +727,9 @@ def _solve_parabolas(
                 made += 1
                 if refractory_us > 0.0:
                     release_us[row, column] = t0_us + time_us + refractory_us
-                    level = np.nan
+                    level = np.float64(np.nan)
                 else:
-                    level += step if brighter else -step
+                    level = level + step if brighter else level - step
             reference[row, column] = level
     return made
 

@@ -32,17 +32,27 @@ def report(
     measure: Callable[[], tuple[Rows, dict[str, Any]]],
     *,
     force: bool,
+    simulated_source: bool = False,
 ) -> Outcome:
     """Measure and keep the report, or read it if it is up to date already."""
-    recipe = Recipe("report", method, {"command": command, **parameters}, parents=tuple(parents))
-    simulated = any(parent["simulated"] for parent in parents)
+    recipe = Recipe(
+        "report", method, {"command": command, **parameters}, parents=tuple(parents), simulated_source=simulated_source
+    )
     if up_to_date(job.output, recipe, force=force):
         with StageFile(job.output, "report") as file:
-            return Outcome(json.loads(file.read("rows")), simulated, json.loads(file.read("summary")), made=False)
+            rows, summary = json.loads(file.read("rows")), json.loads(file.read("summary"))
+        return Outcome(rows, recipe.simulated, summary, made=False)
     rows, summary = measure()
     arrays = {"command": command, "rows": json.dumps(plain(rows)), "summary": json.dumps(plain(summary))}
     write_stage(job.output, recipe, arrays)
-    return Outcome(rows, simulated, {**summary, "report": str(job.output)})
+    return Outcome(rows, recipe.simulated, {**summary, "report": str(job.output)})
+
+
+def own_report(part: str, subject: str, out: Path | None) -> Path:
+    """Where the report of a command without inputs goes: `<part>.<subject>.report.h5` here, or `out`."""
+    if out is not None and out.suffix == ".h5":
+        return out
+    return (out or Path()) / f"{part}.{subject}.report.h5"
 
 
 @contextmanager

@@ -5,21 +5,16 @@ exists is kept: delete it to measure again.
 """
 
 import dataclasses
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.sim import camera_cost, gel_cost
 from evetac_cli.stages import Job, Outcome, Progress, silent
-from evetac_cli.stages.evaluate import Rows
-from evetac_cli.store.files import StageFile, up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.stages.evaluate import Rows, own_report, report
 
 INPUTS = ()
 OUTPUT = "report"
@@ -46,40 +41,13 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
         progress(extent.rows + 1, extent.rows + 1)
         return rows, _summary(rows)
 
-    outcome = report_of_simulation(job, "evaluate cost", METHOD, recipe_of(params), measure, force=force)
+    outcome = report(job, "evaluate cost", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
     picture = job.output.with_suffix(".png")
     if outcome.made or not picture.exists():
         drawn = _draw(outcome.rows, picture)
         shown = str(picture) if drawn else "none: needs matplotlib, pip install 'evetac[plot]'"
         outcome = dataclasses.replace(outcome, summary={**outcome.summary, "plot": shown})
     return outcome
-
-
-def own_report(part: str, subject: str, out: Path | None) -> Path:
-    """Where the report of a command without inputs goes."""
-    if out is not None and out.suffix == ".h5":
-        return out
-    return (out or Path()) / f"{part}.{subject}.report.h5"
-
-
-def report_of_simulation(
-    job: Job,
-    command: str,
-    method: int,
-    parameters: dict[str, Any],
-    measure: Callable[[], tuple[Rows, dict[str, Any]]],
-    *,
-    force: bool,
-) -> Outcome:
-    """Measure and keep a report that has no parents and whose figures are simulated, or read it if it is up to date."""
-    recipe = Recipe("report", method, {"command": command, **parameters}, simulated_source=True)
-    if up_to_date(job.output, recipe, force=force):
-        with StageFile(job.output, "report") as file:
-            return Outcome(json.loads(file.read("rows")), True, json.loads(file.read("summary")), made=False)
-    rows, summary = measure()
-    arrays = {"command": command, "rows": json.dumps(plain(rows)), "summary": json.dumps(plain(summary))}
-    write_stage(job.output, recipe, arrays)
-    return Outcome(rows, True, {**summary, "report": str(job.output)})
 
 
 def _summary(rows: Rows) -> dict[str, Any]:
@@ -126,7 +94,7 @@ def _draw(rows: Rows, path: Path) -> bool:
         panels = place.subplots(1, len(names), squeeze=False)[0]
         for axes, name in zip(panels, names, strict=True):
             _draw_panel(axes, chosen, name)
-        shown = {}
+        shown: dict[str, Any] = {}
         for axes in panels:
             handles, labels = axes.get_legend_handles_labels()
             shown |= dict(zip(labels, handles, strict=True))
@@ -167,7 +135,11 @@ def _draw_panel(axes: Any, rows: Rows, name: str) -> None:
     axes.set(title=title, xlabel="run time of a simulated millisecond, median [us]", ylabel=f"error{unit}")
     axes.grid(which="major", color="0.9")
     axes.set_axisbelow(True)
-    axes.margins(0.08)
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        # whole decades, and labels at these alone: those between would lie on each other
+        axis.set_minor_formatter("")
+        if axis.get_scale() == "log":
+            axis.set_view_interval(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)), ignore=True)
 
 
 def _range(first: str, last: str) -> str:

@@ -6,8 +6,7 @@ from typing import Any
 from evetac_cli.params import EvaluateStability, recipe_of
 from evetac_cli.sim import gel_stability
 from evetac_cli.stages import Job, Outcome, Progress, silent
-from evetac_cli.stages.evaluate import Rows
-from evetac_cli.stages.evaluate.cost import own_report, report_of_simulation
+from evetac_cli.stages.evaluate import Rows, own_report, report
 
 INPUTS = ()
 OUTPUT = "report"
@@ -36,4 +35,4 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
             "residual_most": max(row["residual_most"] for row in rows if row["residual_most"] is not None),
         }
 
-    return report_of_simulation(job, "evaluate stability", METHOD, recipe_of(params), measure, force=force)
+    return report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
