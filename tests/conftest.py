@@ -80,7 +80,11 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     for job in record.jobs([], recipe, folder):
         record.run(job, recipe)
         made.recordings.append(job.output)
-    for path in made.recordings:
+    # A trial that no model is trained on; its name keeps it apart from the others.
+    alone = params.Record(scene=str(short_scene), objects="8", seed=77)
+    (job,) = record.jobs([], alone, folder / "apart.recording.h5")
+    record.run(job, alone)
+    for path in (*made.recordings, job.output):
         for stage, chosen in (
             (track, params.Track()),
             (label, params.Label(after_ms=25)),

@@ -209,7 +209,10 @@ def test_matcher() -> None:
 
 
 LATCHED: dict[str, tuple[Callable[[float], float], int, float, float]] = {
-    # Displacement in px over time in ms, pieces a ms, share and its tolerance.
+    # Displacement in px over time in ms, pieces a ms, share and its tolerance. The known shares are for references that
+    # start at the level. Pixels of bare gel or ink then end each passage at the limit itself, which a scan of the table
+    # reaches and an edge never does; where dots come and go, at 100 Hz, that is 3 % of all events, so that case starts
+    # from random phases.
     "creep": (lambda t: 0.05 * t, 1, 0.99, 0.01),
     "slip": (lambda t: 0.3 * t + 0.02 * t * t, 8, 0.90, 0.01),
     "100 Hz, 4 px": (lambda t: 4.0 * math.sin(0.2 * math.pi * t), 32, 0.82, 0.015),
@@ -222,7 +225,7 @@ LATCHED: dict[str, tuple[Callable[[float], float], int, float, float]] = {
 def test_scans_lose_a_known_share(motion: str) -> None:
     """Assert the share of the ideal events that 5 scans a ms see: 0.99 creep, 0.90 slip, 0.82 at 100, 0.72 at 498 Hz.
 
-    63 dots, C 0.25, mismatch 0.03, references at the level, 20 ms. A scan each 0.2 ms of the true path is one slice of
+    63 dots, C 0.25, mismatch 0.03, 20 ms. A scan each 0.2 ms of the true path is one slice of
     a camera with one scan a slice.
     """
     way, pieces, share, tolerance = LATCHED[motion]
@@ -235,7 +238,8 @@ def test_scans_lose_a_known_share(motion: str) -> None:
         return moved
 
     shared = camera.start(model, path(0), None, None, None, np.random.default_rng(1))
-    shared.reference[:] = optics.gel_level(model.frame_px, path(0), shared.profile)
+    if motion != "100 Hz, 4 px":
+        shared.reference[:] = optics.gel_level(model.frame_px, path(0), shared.profile)
     scanning = copy.deepcopy(shared)
     every = play(ideal.from_references(shared), path, 20, pieces=pieces).size
     rng = np.random.default_rng(0)
@@ -310,6 +314,17 @@ def test_jump_between_slices() -> None:
     assert (found.t == 0).all()
     assert np.count_nonzero(counts != expected) <= 2  # a change of whole thresholds but for rounding
     assert expected.sum() > 2000
+
+
+def test_bare_gel_is_never_quite_reached() -> None:
+    """Assert that a dot that passes pixels at the level of bare gel ends one threshold short of it everywhere."""
+    state = on_gel(QUIET, reference=0.0)
+    found = play(state, line([-30.3, 40.2], (5.0, 0.3)), 40)
+    darker, brighter = np.count_nonzero(found.p == 0), np.count_nonzero(found.p == 1)
+    passed = state.shared.reference[state.shared.reference != 0.0]
+    assert passed.size > 2000
+    np.testing.assert_allclose(passed, -0.2, atol=1e-6)
+    assert darker - brighter == passed.size
 
 
 def test_polarity_tells_the_direction() -> None:
@@ -578,17 +593,17 @@ def test_start_refuses(refractory_us: float) -> None:
 
 
 def test_squared_radius_inverts_the_profile() -> None:
-    """Assert that the radius of a level has that level, and that none is found beyond ink and gel."""
+    """Assert that the radius of a level has that level, and that ink, gel and beyond have none."""
     for radius_px, sigma_px in ((15.0, 1.2), (15.0, 0.01), (0.5, 2.0)):
         profile = optics.dot_profile(radius_px, sigma_px)
         table = (profile.inner_px, profile.steps_per_px, profile.level)
         index = optics.level_index(profile)
-        for target in np.random.default_rng(0).uniform(-1.61, 0.0, 2000).tolist():
+        for target in np.random.default_rng(0).uniform(-1.60998, -2e-5, 2000).tolist():
             radius2 = optics.squared_radius(target, *table, index)
             if radius2 >= 0.0:
                 assert optics.level_at(math.sqrt(radius2), *table) == pytest.approx(target, abs=1e-9)
             else:
                 assert optics.level_at(0.0, *table) > target
-        assert optics.squared_radius(-1.62, *table, index) == -1.0
-        assert optics.squared_radius(1e-9, *table, index) == math.inf
+        for never, targets in ((-1.0, (-1.62, -1.61, -1.61 + 1e-7)), (math.inf, (1e-9, 0.0, -1e-7))):
+            assert all(optics.squared_radius(target, *table, index) == never for target in targets)
         assert math.isnan(optics.squared_radius(math.nan, *table, index))

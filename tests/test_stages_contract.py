@@ -99,27 +99,6 @@ def folder(made: Made, tmp_path: Path) -> Path:
     return work
 
 
-@pytest.fixture
-def with_apart(folder: Path) -> Path:
-    """The same, with features of a trial that no model was trained on."""
-    recipe = params.Record(scene=scene(folder), objects="8", seed=77)
-    (job,) = record.jobs([], recipe, folder / "apart.recording.h5")
-    record.run(job, recipe)
-    for module, chosen in (
-        (track, params.Track()),
-        (label, params.Label(after_ms=15)),
-        (featurize, params.Featurize()),
-    ):
-        (job,) = module.jobs([folder / "apart.recording.h5"], chosen, None)
-        module.run(job, chosen)
-    return folder
-
-
-def prepare(stage: Stage, request: pytest.FixtureRequest) -> Path:
-    name = "with_apart" if stage.name == "evaluate slip" else "folder"
-    return request.getfixturevalue(name)  # type: ignore[no-any-return]
-
-
 def run(stage: Stage, folder: Path, out: Path, *, chosen: Any = None, **how: Any) -> tuple[Path, Any]:
     chosen = stage.params(folder) if chosen is None else chosen
     (job,) = stage.module.jobs(stage.inputs(folder), chosen, out)
@@ -141,9 +120,9 @@ def files(folder: Path) -> set[Path]:
 
 
 @each(STAGES)
-def test_output_is_valid(stage: Stage, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_output_is_valid(stage: Stage, folder: Path, tmp_path: Path) -> None:
     """Assert that the output is of the stage's kind, and that validate finds no fault in it."""
-    output, outcome = run(stage, prepare(stage, request), tmp_path / "out")
+    output, outcome = run(stage, folder, tmp_path / "out")
     assert header(output)["kind"] == stage.module.OUTPUT
     assert [row["faults"] for row in validate.run([output]).rows] == [None]
     assert outcome.made
@@ -151,9 +130,8 @@ def test_output_is_valid(stage: Stage, request: pytest.FixtureRequest, tmp_path:
 
 
 @each(STAGES)
-def test_output_carries_its_history(stage: Stage, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_output_carries_its_history(stage: Stage, folder: Path, tmp_path: Path) -> None:
     """Assert that the header holds every ancestor once, down to what has no parents, and says simulated."""
-    folder = prepare(stage, request)
     output, _ = run(stage, folder, tmp_path / "out")
     made = header(output)
     assert made["simulated"]
@@ -169,9 +147,8 @@ def test_output_carries_its_history(stage: Stage, request: pytest.FixtureRequest
 
 
 @each(STAGES)
-def test_same_recipe_same_arrays(stage: Stage, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_same_recipe_same_arrays(stage: Stage, folder: Path, tmp_path: Path) -> None:
     """Assert that two runs of one recipe give one id and the same arrays, bit for bit."""
-    folder = prepare(stage, request)
     one, _ = run(stage, folder, tmp_path / "one")
     other, _ = run(stage, folder, tmp_path / "other")
     assert header(one)["id"] == header(other)["id"]
@@ -179,9 +156,8 @@ def test_same_recipe_same_arrays(stage: Stage, request: pytest.FixtureRequest, t
 
 
 @each(STAGES)
-def test_output_is_skipped_when_up_to_date(stage: Stage, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_output_is_skipped_when_up_to_date(stage: Stage, folder: Path, tmp_path: Path) -> None:
     """Assert that a second run of the same recipe does nothing and says so."""
-    folder = prepare(stage, request)
     output, _ = run(stage, folder, tmp_path / "out")
     written = output.stat().st_mtime_ns
     _, outcome = run(stage, folder, tmp_path / "out")
@@ -190,9 +166,8 @@ def test_output_is_skipped_when_up_to_date(stage: Stage, request: pytest.Fixture
 
 
 @each(TWO_RECIPES)
-def test_another_recipe_is_refused(stage: Stage, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_another_recipe_is_refused(stage: Stage, folder: Path, tmp_path: Path) -> None:
     """Assert that an output of another recipe is left alone, is named, and is replaced only by force."""
-    folder = prepare(stage, request)
     target = tmp_path / "target.h5"
     run(stage, folder, target)
     before = target.read_bytes()
@@ -206,9 +181,8 @@ def test_another_recipe_is_refused(stage: Stage, request: pytest.FixtureRequest,
 
 @each(FROM_FILES)
 @pytest.mark.parametrize("fault", ["wrong kind", "truncated", "foreign", "text", "newer"])
-def test_bad_input_is_refused(stage: Stage, fault: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_bad_input_is_refused(stage: Stage, fault: str, folder: Path, tmp_path: Path) -> None:
     """Assert that an input that is not what the stage eats is refused in words, and that nothing is written."""
-    folder = prepare(stage, request)
     victim = stage.inputs(folder)[0]
     if fault == "wrong kind":
         kind = header(victim)["kind"]
@@ -230,13 +204,12 @@ def test_bad_input_is_refused(stage: Stage, fault: str, request: pytest.FixtureR
 
 
 @each(STAGES)
-def test_interruption_leaves_nothing_behind(stage: Stage, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_interruption_leaves_nothing_behind(stage: Stage, folder: Path, tmp_path: Path) -> None:
     """Assert that Ctrl-C in the middle of the work leaves no file and no folder."""
 
     def interrupt(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
-    folder = prepare(stage, request)
     before = files(tmp_path)
     with pytest.raises(KeyboardInterrupt):
         run(stage, folder, tmp_path / "out", progress=interrupt)

@@ -20,6 +20,9 @@ INNER_SIGMAS = 3.5
 OUTER_SIGMAS = 3.0
 PROFILE_STEPS = 1024
 LEVEL_BINS = 1024
+# Ink and bare gel are limits that the edge's formula never reaches; the table does. Levels this close to one, far more
+# than rounding, count as the limit itself, or a dot's return would end with an event that no edge makes.
+LIMIT_MARGIN = 1e-5
 
 
 class DotProfile(NamedTuple):
@@ -99,12 +102,13 @@ def squared_radius(
 ) -> float:
     """The square of the distance at which a dot has the level `target`, the exact inverse of the table.
 
-    -1 if the dot is brighter even in its centre, infinite if bare gel is darker. `index` is from `level_index`.
+    -1 if the dot is brighter even in its centre or the target is ink, infinite if bare gel is darker or the target.
+    `index` is from `level_index`.
     """
     ink = np.float64(level[0])
-    if target < ink:
+    if target < ink + LIMIT_MARGIN:
         return -1.0
-    if target > 0.0:
+    if target > -LIMIT_MARGIN:
         return np.inf
     if math.isnan(target):
         return np.nan
