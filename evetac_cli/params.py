@@ -36,16 +36,24 @@ def parameter(
 
 
 @dataclass(frozen=True)
-class Record:
-    """Record events: simulate a scene, or import a foreign event file."""
+class Trials:
+    """Trials to simulate: what `record` and `grasp` have in common."""
 
-    scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, or a TOML file.")
-    objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
-    count: int = parameter(1, "Trajectories for each object.", low=1, high=100000, recipe=False)
+    scene: str
+    objects: str
+    count: int = parameter(1, "Trials of each object.", low=1, high=100000, recipe=False)
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     individual: str = parameter("evetac", "Sensor individual: evetac, second, bare-dvxplorer.")
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     dry_run: bool = parameter(False, "Show what would be built, left out and paid; write nothing.", recipe=False)
+
+
+@dataclass(frozen=True)
+class Record(Trials):
+    """Record events: simulate a scene, or import a foreign event file."""
+
+    scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, or a TOML file.")
+    objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     source: Path | None = parameter(
         None,
         "Import this event file instead of simulating: AEDAT4, text `t x y p`, DSEC HDF5.",
@@ -168,19 +176,14 @@ class EvaluateStability:
 
 
 @dataclass(frozen=True)
-class Grasp:
+class Grasp(Trials):
     """Grasp by feel: detect slip at 1000 Hz, control the gripper at 500 Hz."""
 
+    scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
+    objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
     model: Path | None = parameter(
         None, "Model file of the slip detector; needed by the paper's controller.", recipe=False
     )
-    scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
-    objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
-    count: int = parameter(1, "Trials for each object.", low=1, high=100000, recipe=False)
-    seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
-    individual: str = parameter("evetac", "Sensor individual: evetac, second, bare-dvxplorer.")
-    gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
-    dry_run: bool = parameter(False, "Show what would be built, left out and paid; write nothing.", recipe=False)
     controller: str = parameter(
         "paper",
         "paper: the paper's lift and balance law; none: contact alone, without the detector.",

@@ -15,7 +15,7 @@ import numpy as np
 from evetac_cli.devices import Gripper, Rig
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
-from evetac_cli.params import Record
+from evetac_cli.params import Record, Trials
 from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
 from evetac_cli.store.calibration import read_calibration
@@ -42,7 +42,7 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
     return trials(("ramp", "hold", "press"), params, out)
 
 
-def trials(kinds: tuple[str, ...], params: Any, out: Path | None) -> list[Job]:
+def trials(kinds: tuple[str, ...], params: Trials, out: Path | None) -> list[Job]:
     """`count` trials of every object in a scene of a kind: <scene>[-obj<number>]-s<seed>-<trial>.recording.h5."""
     found = []
     for plan in scene.plan(params.scene, params.objects, params.individual, kinds, params.gel):
@@ -55,12 +55,12 @@ def trials(kinds: tuple[str, ...], params: Any, out: Path | None) -> list[Job]:
     return found
 
 
-def seeds(params: Any, job: Job) -> np.random.SeedSequence:
+def seeds(params: Trials, job: Job) -> np.random.SeedSequence:
     """The seeds of one trial: reproducible alone, whatever else is recorded."""
     return np.random.SeedSequence([params.seed, job.choice["plan"]["object"] or 0, job.choice["trial"]])
 
 
-def dry_run(jobs: list[Job], params: Any) -> Outcome:
+def dry_run(jobs: list[Job], params: Trials) -> Outcome:
     """What the first trial builds and leaves out, and what its slices cost here: measured on 0.2 s of it."""
     if "plan" not in jobs[0].choice:
         raise InputError("an import has no plan to show", where="--dry-run", hint="leave out --from, or --dry-run")
