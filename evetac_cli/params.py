@@ -45,6 +45,9 @@ class Trials:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     individual: str = parameter("evetac", "Sensor individual: evetac, second, bare-dvxplorer.")
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
+    readout: str = parameter(
+        "dvxplorer", "Camera: scanned 5000 times a second, or every event to the us.", choices=("dvxplorer", "ideal")
+    )
     dry_run: bool = parameter(False, "Show what would be built, left out and paid; write nothing.", recipe=False)
 
 

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import Events
-from evetac_cli.sim import camera
+from evetac_cli.sim import camera, ideal
+from evetac_cli.sim.camera import CameraState
+from evetac_cli.sim.ideal import IdealState
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +42,7 @@ class Eye:
         cut: bool,
         texture: NDArray[np.float32] | None,
         rng: np.random.Generator,
+        readout: str = "dvxplorer",
     ) -> None:
         self.grid_xy_px = dot_grid(individual, cut)
         x0, y0, x1, y1 = individual["window_px"]
@@ -64,22 +67,22 @@ class Eye:
         self.object_xy_px = np.zeros(2)
         window = self.window_px if texture is not None else None
         built = np.random.default_rng([individual["seed"], 1])
-        self._camera = camera.start(model, self.dot_xy_px, None, window, texture, rng, built)
+        if readout == "ideal":
+            self._camera: CameraState | IdealState = ideal.start(
+                model, self.dot_xy_px, None, window, texture, rng, built
+            )
+        else:
+            self._camera = camera.start(model, self.dot_xy_px, None, window, texture, rng, built)
 
     def see(self, shift_m: Floats, object_m: Floats, contrast: float, t0_us: int) -> Events:
         """Events of a slice in which the dots come to be displaced by shift_m (dots, 2), and the object by object_m."""
         to_px = 1e3 / self.mm_per_px
         dots = self.grid_xy_px.reshape(-1, 2) + shift_m * to_px
         thing = object_m * to_px
-        events = camera.step(
-            self._camera,
-            self.dot_xy_px,
-            dots,
-            self._texture_at_px + self.object_xy_px,
-            self._texture_at_px + thing,
-            contrast,
-            t0_us,
-            self._rng,
-        )
+        ends = (self.dot_xy_px, dots, self._texture_at_px + self.object_xy_px, self._texture_at_px + thing)
+        if isinstance(self._camera, CameraState):
+            events = camera.step(self._camera, *ends, contrast, t0_us, self._rng)
+        else:
+            events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng)
         self.dot_xy_px, self.object_xy_px = dots, thing
         return events

@@ -47,7 +47,7 @@ class Pressing:
         """Build what a plan names: scene, individual_row."""
         self._scene = plan["scene"]
         individual = plan["individual_row"]
-        self.eye = Eye(individual, cut=self._scene["gel"]["cut"], texture=None, rng=optics_rng)
+        self.eye = Eye(individual, cut=self._scene["gel"]["cut"], texture=None, rng=optics_rng, readout=plan["readout"])
         self.drawn = scene.draw(self._scene, plan["object_row"], mechanics)
         nodes = pad(self._scene, individual)
         self._material = gel.GelMaterial(shear_modulus_pa=float(individual["shear_modulus_pa"]))

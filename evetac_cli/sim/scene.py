@@ -82,7 +82,12 @@ def _check_ranges(scene: dict[str, Any], where: str) -> None:
 
 
 def plan(
-    scene_name: str, objects: str, individual: str, kinds: tuple[str, ...], gel: str | None = None
+    scene_name: str,
+    objects: str,
+    individual: str,
+    kinds: tuple[str, ...],
+    gel: str | None = None,
+    readout: str = "dvxplorer",
 ) -> list[dict[str, Any]]:
     """What trials are made from, resolved, one plan an object (one in all where the scene has none).
 
@@ -99,7 +104,8 @@ def plan(
             found=f"kind {resolved['kind']}",
             hint="lift scenes are grasped, all others are recorded",
         )
-    common = {"scene": resolved, "individual": individual, "individual_row": individual_row(individual)}
+    named = {"individual": individual, "individual_row": individual_row(individual), "readout": readout}
+    common = {"scene": resolved, **named}
     if resolved["kind"] == "press":
         face = {"static_friction": resolved["face"]["static_friction"], "mass_g": 1.0}
         return [{**common, "object": None, "object_row": face}]
@@ -193,6 +199,7 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
     dots = len(individual["dot_rows_px"]) * (len(individual["dot_columns_px"]) - cut)
     pressed = f"a face, {resolved['motion']['kind']}" if kind == "press" else f"object {plan['object']}"
     mode = {"ramp": "current", "hold": "position, then current", "lift": "position"}.get(kind, "")
+    readout = {"dvxplorer": "5000 scans/s, global hold", "ideal": "every event to the us"}[plan["readout"]]
     noise = f"{individual['noise_hz']:g} Hz a pixel, {individual['hot_pixels']} hot pixels"
     window = "texture of the object, moved with it" if cut and "texture" in resolved else ""
     left_out = "closed gel: the gel is there" if not cut else "nothing behind it has texture"
@@ -206,6 +213,7 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
         ("falling weight", f"{resolved['drop']['mass_g']} g" if "drop" in resolved else "", "none named"),
         ("dots", f"{dots}, evaluated while they move", ""),
         ("window", window, left_out),
+        ("camera", readout, ""),
         ("noise", noise, ""),
     ]
     return [{"part": part, "built": built or None, "left_out": None if built else why} for part, built, why in table]

@@ -97,7 +97,13 @@ class World:
         thing, individual = plan["object_row"], plan["individual_row"]
         self.drawn = scene.draw(self._scene, thing, mechanics)
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
-        self.eye = Eye(individual, cut=self._scene["gel"]["cut"], texture=self._texture(plan["object"]), rng=optics_rng)
+        self.eye = Eye(
+            individual,
+            cut=self._scene["gel"]["cut"],
+            texture=self._texture(plan["object"]),
+            rng=optics_rng,
+            readout=plan["readout"],
+        )
         self._build_mechanics(thing, individual)
         self.slices = 0
         self.finished = False

@@ -45,7 +45,7 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
 def trials(kinds: tuple[str, ...], params: Trials, out: Path | None) -> list[Job]:
     """`count` trials of every object in a scene of a kind: <scene>[-obj<number>]-s<seed>-<trial>.recording.h5."""
     found = []
-    for plan in scene.plan(params.scene, params.objects, params.individual, kinds, params.gel):
+    for plan in scene.plan(params.scene, params.objects, params.individual, kinds, params.gel, params.readout):
         thing = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
         for trial in range(params.count):
             name = f"{plan['scene']['name']}{thing}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
