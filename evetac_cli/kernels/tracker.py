@@ -14,9 +14,6 @@ Why so:
 - Whether an event lies in a ring is close to a coin toss, and a wrong guess of the processor costs more than the pull.
   So every event adds its pull, times 0 or 1; and empty buckets list one dot more, "nobody", far outside the frame, so
   that nearly every bucket has one entry. Nobody is the last row of the arrays with n + 1 rows.
-- A hot pixel in a ring would pull its dot for ever; a DVXplorer has hundreds, some above 1000 events/s. So the events
-  of every pixel are counted (rows are halved in turn, each once in 480 slices), and a pixel that is ahead of all its
-  neighbours by far is not listened to. Edges keep their say, also when they vibrate: there neighbours fire alike.
 """
 
 from dataclasses import dataclass
@@ -28,15 +25,12 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.grid import pitch
+from evetac_cli.kernels.hot_pixels import keep_cool
 
 MAX_NEIGHBOURS = 8
-HOT_RATIO = 4
 LOST_PX = 40.0  # with the paper's constants, no event of a dot's own edge is in its ring from 35 px on
 NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one (2)
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
-
-_COUNT = np.uint16(0x7FFF)  # of a pixel's entry in `fired`: its recent events
-_HOT = np.uint16(0x8000)  # ... and whether it is hot
 
 _PULL_UNITS_PER_PX = 2.0**36
 _BUCKET_BITS = 4
@@ -74,7 +68,7 @@ class TrackerConstants:
     min_events: int = 10  # a dot moves only if more ring events than this pull it
     gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px a slice; from the authors' published code
     carry: bool = False  # keep the pulls of slices with too few events until there are enough, else forget them
-    hot_pixel_events: int = 16  # a pixel with more, and with HOT_RATIO times those of any neighbour, is hot; 0: none is
+    hot_pixel_events: int = 16  # a pixel with more, far ahead of its neighbours, is hot (hot_pixels.py); 0: none is
 
     def __post_init__(self) -> None:
         """Refuse what cannot be tracked with."""
@@ -221,7 +215,7 @@ def _without_hot_pixels(
         state.cool_xy = np.zeros((2, 2 * len(x)), np.uint16)
     row = 1 + state.slices % FRAME_PX[1]
     state.slices += 1
-    kept = _keep_cool(x, y, state.fired, row, state.constants.hot_pixel_events, state.cool_xy[0], state.cool_xy[1])
+    kept = keep_cool(x, y, state.fired, row, state.constants.hot_pixel_events, state.cool_xy[0], state.cool_xy[1])
     return (x, y) if kept < 0 else (state.cool_xy[0, :kept], state.cool_xy[1, :kept])
 
 
@@ -343,70 +337,6 @@ def _step(
     )
     if moved:
         _find_lost(centre_xy_px, rest_xy_px, neighbours, lost)
-
-
-@njit(cache=True)
-def _keep_cool(
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    fired: NDArray[np.uint16],
-    halved_row: int,
-    limit: int,
-    cool_x: NDArray[np.uint16],
-    cool_y: NDArray[np.uint16],
-) -> int:
-    """Count the events of every pixel, copy those of pixels that are not hot, and return how many; -1 if all may stay.
-
-    A pixel is judged when its count passes the limit, and with its row: so nearly every event costs one look at its
-    pixel. All are counted before any is judged, so that the order of events within the slice does not matter.
-    """
-    busiest = np.uint16(0)
-    row = fired[halved_row]
-    for column in range(row.shape[0]):
-        row[column] = (row[column] & _COUNT) >> np.uint16(1)
-        busiest = max(busiest, row[column])
-    if busiest > limit:
-        for column in range(1, row.shape[0] - 1):
-            if _is_hot(fired, halved_row, column, limit):
-                row[column] |= _HOT
-    seen = np.uint16(0)
-    passed = 0
-    for k in range(x.shape[0]):
-        if x[k] < FRAME_PX[0] and y[k] < FRAME_PX[1]:
-            before = fired[y[k] + 1, x[k] + 1]
-            seen |= before
-            if before & _COUNT == limit:
-                cool_x[passed] = x[k]
-                cool_y[passed] = y[k]
-                passed += 1
-            if before & _COUNT != _COUNT:
-                fired[y[k] + 1, x[k] + 1] = before + 1
-    for k in range(passed):
-        if _is_hot(fired, cool_y[k] + 1, cool_x[k] + 1, limit):
-            fired[cool_y[k] + 1, cool_x[k] + 1] |= _HOT
-            seen |= _HOT
-    if not seen & _HOT:
-        return -1
-    kept = 0
-    for k in range(x.shape[0]):
-        if x[k] < FRAME_PX[0] and y[k] < FRAME_PX[1] and not fired[y[k] + 1, x[k] + 1] & _HOT:
-            cool_x[kept] = x[k]
-            cool_y[kept] = y[k]
-            kept += 1
-    return kept
-
-
-@njit(cache=True)
-def _is_hot(fired: NDArray[np.uint16], row: int, column: int, limit: int) -> bool:
-    """Whether a pixel has more events than the limit and is far ahead of its eight neighbours."""
-    count = fired[row, column] & _COUNT
-    if count <= limit:
-        return False
-    for r in range(row - 1, row + 2):
-        for c in range(column - 1, column + 2):
-            if (r != row or c != column) and HOT_RATIO * (fired[r, c] & _COUNT) > count:
-                return False
-    return True
 
 
 @njit(cache=True)
