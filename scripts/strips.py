@@ -12,6 +12,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from evetac_cli.kernels.features import event_image
 from evetac_cli.store.read import Recording, open_recording
 
 SHOWN_MS = 5  # the paper's images show 5 ms
@@ -31,10 +32,7 @@ def moments(recording: Recording) -> list[int]:
 def image(recording: Recording, start: int) -> np.ndarray:
     """Events of 5 ms as the paper draws them: white brighter, black darker, grey nothing."""
     events = recording.between(start, min(start + SHOWN_MS, len(recording)))
-    width, height = recording.frame_px
-    drawn = np.full((height, width), 0.5)
-    drawn[events.y, events.x] = events.p
-    return drawn
+    return event_image(events.x, events.y, events.p, recording.frame_px)
 
 
 def strip(path: Path, out: Path) -> Path:
@@ -45,7 +43,7 @@ def strip(path: Path, out: Path) -> Path:
         grid = figure.add_gridspec(3, MOMENTS, height_ratios=(2.6, 1, 1))
         for place, start in enumerate(chosen):
             axes = figure.add_subplot(grid[0, place])
-            axes.imshow(image(recording, start), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+            axes.imshow(image(recording, start), cmap="gray", vmin=-1, vmax=1, interpolation="nearest")
             axes.set_title(f"{start / 1000:.3f} s", fontsize=10, color=INK)
             axes.set_xticks([])
             axes.set_yticks([])

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from evetac_cli.events import Events
 
 GREY = 128
-FARNEBACK = {"pyr_scale": 0.5, "levels": 3, "winsize": 31, "iterations": 3, "poly_n": 5, "poly_sigma": 1.2, "flags": 0}
 
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
 Between = Callable[[int, int], Events]  # events of the slices [start, stop)
@@ -68,7 +67,9 @@ def region_flow(now: NDArray[np.uint8], later: NDArray[np.uint8]) -> NDArray[np.
     lit = now != GREY
     if not lit.any():
         return np.zeros(2)
-    flow = cv2.calcOpticalFlowFarneback(now, later, None, **FARNEBACK)  # type: ignore[call-overload]
+    flow = cv2.calcOpticalFlowFarneback(
+        now, later, None, pyr_scale=0.5, levels=3, winsize=31, iterations=3, poly_n=5, poly_sigma=1.2, flags=0
+    )
     return np.asarray(flow[lit].mean(axis=0), np.float64)
 
 

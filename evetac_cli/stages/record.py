@@ -183,15 +183,7 @@ def _import(job: Job, params: Record, force: bool) -> Outcome:
         "sensor/individual": "unknown",
     }
     if params.calibration is not None:
-        calibration = read_calibration(params.calibration)
-        if calibration.frame_px != imported.frame_px:
-            raise InputError(
-                "the calibration is for another frame",
-                where=str(params.calibration),
-                expected="{} x {} px".format(*imported.frame_px),
-                found="{} x {} px".format(*calibration.frame_px),
-            )
-        arrays |= calibration.arrays()
+        arrays |= read_calibration(params.calibration, imported.frame_px).arrays()
     notes = list(imported.notes)
     lost = sum(imported.counts.values())
     if lost > LOSS_WORTH_A_WORD * (lost + events.size):

@@ -91,15 +91,7 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
 def _calibration(recording: Recording, given: Path | None) -> Calibration:
     """The dot grid given by hand, or the one in the recording."""
     if given is not None:
-        calibration = read_calibration(given)
-        if calibration.frame_px != recording.frame_px:
-            raise InputError(
-                "the calibration is for another frame",
-                where=str(given),
-                expected="{} x {} px".format(*recording.frame_px),
-                found="{} x {} px".format(*calibration.frame_px),
-            )
-        return calibration
+        return read_calibration(given, recording.frame_px)
     dots = recording.dot_xy_px
     if dots is None:
         raise InputError(

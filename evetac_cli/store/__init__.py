@@ -6,6 +6,6 @@ disk        new HDF5 files whose disk may be full
 files       open, check, skip, write all-or-nothing
 segments    recordings that grow: closed segments, joined at the end
 read        the documented reading API: recordings as slices, features as a data set
-imports     foreign event files -> our columns
+imports     foreign event files -> our columns; import_* are its formats and the one door they all go through
 calibration dot grids as JSON
 """

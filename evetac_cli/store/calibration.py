@@ -41,8 +41,8 @@ class Calibration:
         return content_digest(self.arrays())
 
 
-def read_calibration(path: Path) -> Calibration:
-    """Read a calibration; InputError names the key that is missing or wrong."""
+def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Calibration:
+    """Read a calibration; InputError names the key that is missing or wrong, or the frame if another is wanted."""
     try:
         table = json.loads(path.read_text())
         width, height = _whole(table, "frame_px", 2)
@@ -77,6 +77,13 @@ def read_calibration(path: Path) -> Calibration:
             where=str(path),
             expected=f"dot_xy_px as (x, y) within {width} x {height} px",
             found=f"x up to {np.nanmax(arranged[..., 0]):.4g}, y up to {np.nanmax(arranged[..., 1]):.4g}",
+        )
+    if frame_px is not None and frame_px != (width, height):
+        raise InputError(
+            "the calibration is for another frame",
+            where=str(path),
+            expected=f"{frame_px[0]} x {frame_px[1]} px",
+            found=f"{width} x {height} px",
         )
     return Calibration((width, height), arranged, float(radius), (x0, y0, x1, y1) if window else None)
 
