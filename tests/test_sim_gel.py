@@ -5,10 +5,11 @@ import math
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.integrate import solve_ivp
 
 from evetac_cli.sim.contact import cell_area, gap_profile, pad_nodes, pressure
-from evetac_cli.sim.gel import Friction, GelMaterial, displacement_at, energy, interpolation, start, step
+from evetac_cli.sim.gel import Friction, GelMaterial, displacement_at, energy, interpolation, shrink, start, step
 
 GRAVITY = 9.81
 X_RANGE_M, Y_RANGE_M = (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)
@@ -59,6 +60,75 @@ def test_partial_slip_on_a_winkler_layer():
         # the stuck disc has shrunk to radius^2 (1 - part), counted to within two rings of nodes
         stick_m = math.sqrt(state.stuck.sum() * state.cell_area_m2 / math.pi)
         assert stick_m == pytest.approx(radius_m * math.sqrt(1 - part), abs=2 * radius_m / 40)
+
+
+def cerruti(x_m, y_m, pitch_m, shear_modulus_pa, poisson):
+    """Displacement (2 m, 2 m) of a half space at m places by unit tractions on the square cells around them.
+
+    Integrals of Cerruti's solution over a cell (Kalker, Three-Dimensional Elastic Bodies in Rolling Contact, 1990).
+    """
+
+    def over_cell(primitive, x, y):
+        half = pitch_m / 2
+        upper = primitive(x + half, y + half) - primitive(x - half, y + half)
+        return (upper - primitive(x + half, y - half) + primitive(x - half, y - half)) / (2 * np.pi * shear_modulus_pa)
+
+    def along(x, y):
+        radius = np.hypot(x, y)
+        return (1 - poisson) * x * np.log(y + radius) + y * np.log(x + radius)
+
+    across_x, across_y = x_m[:, None] - x_m, y_m[:, None] - y_m
+    influence = np.empty((len(x_m), 2, len(x_m), 2))
+    influence[:, 0, :, 0] = over_cell(along, across_x, across_y)
+    influence[:, 1, :, 1] = over_cell(lambda x, y: along(y, x), across_x, across_y)
+    influence[:, 0, :, 1] = over_cell(lambda x, y: -poisson * np.hypot(x, y), across_x, across_y)
+    influence[:, 1, :, 0] = influence[:, 0, :, 1]
+    return influence.reshape(2 * len(x_m), -1)
+
+
+@njit
+def drag(influence, traction, bound, along_x_m, sweeps):
+    """Projected Gauss-Seidel sweeps over the tractions under a rigid body dragged along x, by the projection of `gel`.
+
+    Returns the largest change of a traction in the last sweep, as a share of the largest bound.
+    """
+    change = 0.0
+    for _ in range(sweeps):
+        change = 0.0
+        for node in range(len(bound)):
+            ease = 1.0 / influence[2 * node, 2 * node]
+            x = traction[2 * node] + ease * (along_x_m - influence[2 * node] @ traction)
+            y = traction[2 * node + 1] - ease * (influence[2 * node + 1] @ traction)
+            held = 1.0 - shrink(x, y, bound[node])
+            change = max(change, abs(held * x - traction[2 * node]), abs(held * y - traction[2 * node + 1]))
+            traction[2 * node] = held * x
+            traction[2 * node + 1] = held * y
+    return change / bound.max()
+
+
+def test_partial_slip_on_a_half_space():
+    """Assert that a sphere dragged over a half space obeys Cattaneo and Mindlin: force to 0.3 %, stick radius to 1 %.
+
+    The projection is the gel's, the layer is not: a dense influence matrix. The theory leaves out the small friction
+    across the drag, which is solved for here, so that the two do not meet exactly.
+    """
+    count, poisson, mu, load_n, radius_m, modulus_pa = 40, 0.48, 0.8, 5.0, 5e-3, 145e3
+    pitch_m = 2 * radius_m / count
+    line = (np.arange(count) + 0.5) * pitch_m - radius_m
+    x, y = (side.ravel() for side in np.meshgrid(line, line))
+    x, y = x[np.hypot(x, y) < radius_m], y[np.hypot(x, y) < radius_m]
+    influence = cerruti(x, y, pitch_m, modulus_pa, poisson)
+    nodal_pa = np.sqrt(1 - (x**2 + y**2) / radius_m**2)
+    nodal_pa *= load_n / (nodal_pa.sum() * pitch_m**2)
+    traction = np.zeros(2 * len(x))
+    for part in (0.3, 0.6, 0.9):  # of the force at which all slips
+        slide_m = 3 * mu * load_n * (2 - poisson) / (16 * modulus_pa * radius_m) * (1 - (1 - part) ** (2 / 3))
+        assert drag(influence, traction, mu * nodal_pa, slide_m, 100) < 1e-6
+        force_n = traction[::2].sum() * pitch_m**2
+        assert force_n == pytest.approx(part * mu * load_n, rel=3e-3)
+        stuck = np.hypot(traction[::2], traction[1::2]) < mu * nodal_pa * (1 - 1e-6)
+        stick_m = math.sqrt(stuck.sum() * pitch_m**2 / math.pi)
+        assert stick_m == pytest.approx(radius_m * (1 - part) ** (1 / 3), abs=0.01 * radius_m)
 
 
 def test_linear_stick_against_radau():

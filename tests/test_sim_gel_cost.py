@@ -97,6 +97,40 @@ def test_order_in_a_smooth_phase(theta, least):
     assert slope(steps_us, [error[1] for error in errors]) >= least
 
 
+def pushed(dt_s, theta):
+    """COARSE, held fast, pushed and let go within 0.2 s: position and displacement of the gel every 20 ms.
+
+    The push begins with its first five derivatives at zero, so that nothing rings which a step of 2 ms cannot follow.
+    """
+    state = COARSE.start()
+    nodal_n = 50.0 * COARSE.shares(state)
+    rows = []
+    for k in range(round(0.2 / dt_s)):
+        push_n = 0.981 * math.sin(math.pi * (k + theta) * dt_s / 0.2) ** 6
+        force = (push_n, 0.3 * push_n, 0.0)
+        gel.step(state, nodal_n, force, STICK.friction, dt_s, theta=theta, tolerance=1e-11, max_sweeps=4000)
+        if (k + 1) % round(0.02 / dt_s) == 0:
+            rows.append((state.pose[:2].copy(), state.displacement_m.copy()))
+    return [np.array(column) for column in zip(*rows, strict=True)]
+
+
+def test_order_under_a_slow_push():
+    """Assert the slopes over 2 to 0.25 ms where all that moves is resolved, and that 0.55 beats 1 up to 1 ms."""
+    reference = pushed(5e-5, 0.5)
+    steps_us = (2000, 1000, 500, 250)
+    errors = {}
+    for theta in (1.0, 0.55, 0.5):
+        runs = [pushed(1e-6 * dt_us, theta) for dt_us in steps_us]
+        square = [
+            [((ours - true) ** 2).sum(-1).mean() for ours, true in zip(run, reference, strict=True)] for run in runs
+        ]
+        errors[theta] = np.sqrt(square)
+    for theta, least in ((1.0, 0.9), (0.55, 0.9), (0.5, 1.8)):
+        for column in range(2):
+            assert slope(steps_us, errors[theta][:, column]) >= least
+    assert (errors[0.55][1:] < errors[1.0][1:]).all()
+
+
 def test_theta_055_is_better_than_1(falling):
     """Assert that theta 0.55 has the smaller error at every time step of 1 ms or less, slipping or not."""
     smooth = simulate(STICK, 2.5e-6, 0.5, tolerance=1e-10)

@@ -10,7 +10,10 @@ Two effects of an indentation s (metres), both small against shear and the only 
 The shape of the first is derived; its share under a sticking face and Z are guesses, not to be trusted.
 """
 
+import math
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel import DECAY_M
@@ -29,18 +32,44 @@ def dilation(
 
     at_points_m (points,): indentation at the points themselves, for the lens. Zero where nothing is pressed.
     """
-    pressed = indentation_m > 0
-    if not pressed.any():
-        return np.zeros_like(points_m)
-    place = node_xy_m[pressed]
-    depth = indentation_m[pressed]
-    low, high = place.min(axis=0), place.max(axis=0)
-    pitch = np.array([node_xy_m[0, 1, 0] - node_xy_m[0, 0, 0], node_xy_m[1, 0, 1] - node_xy_m[0, 0, 1]])
-    centre, half = (low + high) / 2, (high - low + pitch) / 2
-    across = half[::-1] ** 2 / np.sum(half**2)  # gel leaves by the shorter way; 1/2 each on a disc
-    inside = np.clip(points_m - centre, -half, half)
-    beyond = np.hypot(*(np.abs(points_m - centre) - np.abs(inside)).T)
-    strength = STICKING_SHARE * SQUEEZE / height_m * depth.mean()
-    squeeze = strength * across * inside * np.exp(-beyond / DECAY_M)[:, None]
-    shift_m: Floats = squeeze + points_m * (at_points_m / CAMERA_DISTANCE_M)[:, None]
+    shift_m: Floats = _shift(
+        np.asarray(points_m, np.float64), node_xy_m, indentation_m, np.asarray(at_points_m, np.float64), float(height_m)
+    )
     return shift_m
+
+
+@njit(cache=True)
+def _shift(points: Floats, nodes: Floats, indentation: Floats, at_points: Floats, height: float) -> Floats:
+    rows, columns = indentation.shape
+    shift = np.zeros((len(points), 2))
+    pressed = 0
+    depth = 0.0
+    low = np.full(2, np.inf)
+    high = np.full(2, -np.inf)
+    for row in range(rows):
+        for column in range(columns):
+            if indentation[row, column] > 0.0:
+                pressed += 1
+                depth += indentation[row, column]
+                for axis in range(2):
+                    low[axis] = min(low[axis], nodes[row, column, axis])
+                    high[axis] = max(high[axis], nodes[row, column, axis])
+    if pressed == 0:
+        return shift
+    centre = (low + high) / 2
+    half_x = (high[0] - low[0] + nodes[0, 1, 0] - nodes[0, 0, 0]) / 2
+    half_y = (high[1] - low[1] + nodes[1, 0, 1] - nodes[0, 0, 1]) / 2
+    strength = STICKING_SHARE * SQUEEZE / height * depth / pressed
+    # gel leaves by the shorter way; 1/2 each on a disc
+    across_x = strength * half_y * half_y / (half_x * half_x + half_y * half_y)
+    across_y = strength * half_x * half_x / (half_x * half_x + half_y * half_y)
+    for point in range(len(points)):
+        x = points[point, 0] - centre[0]
+        y = points[point, 1] - centre[1]
+        inside_x = min(max(x, -half_x), half_x)
+        inside_y = min(max(y, -half_y), half_y)
+        decay = math.exp(-math.hypot(x - inside_x, y - inside_y) / DECAY_M)
+        lens = at_points[point] / CAMERA_DISTANCE_M
+        shift[point, 0] = across_x * inside_x * decay + points[point, 0] * lens
+        shift[point, 1] = across_y * inside_y * decay + points[point, 1] * lens
+    return shift

@@ -46,6 +46,7 @@ DECAY_M = 2.3e-3  # lateral decay of the motion of a layer 4 mm high outside a c
 SWEEPS_A_ROUND = 3  # 1, 2 and 3 took 120, 94 and 81 us a step
 REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,
 WORTHWHILE = 0.1  # and the first step is taken of which at least this part leads down, else the last
+ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
 
 
 @dataclass(frozen=True)
@@ -186,12 +187,12 @@ class GelState:
     maxwell_n: Floats
     slip_m_s: Floats
     stuck: Flags
+    _mean_m_s: Floats
     _layer: _Layer
-    _work: _Work
     _info: Floats
 
     def copy(self) -> "GelState":
-        """The state as it is now, independent of what happens to this one (the memory for a step is shared)."""
+        """The state as it is now, independent of what happens to this one."""
         twin = copy.copy(self)
         for name in _CHANGING:
             setattr(twin, name, getattr(self, name).copy())
@@ -203,7 +204,17 @@ class GelState:
             getattr(self, name)[...] = getattr(earlier, name)
 
 
-_CHANGING = ("inertia", "pose", "twist", "displacement_m", "velocity_m_s", "maxwell_n", "slip_m_s", "stuck")
+_CHANGING = (
+    "inertia",
+    "pose",
+    "twist",
+    "displacement_m",
+    "velocity_m_s",
+    "maxwell_n",
+    "slip_m_s",
+    "stuck",
+    "_mean_m_s",
+)
 
 
 def start(
@@ -255,18 +266,6 @@ def start(
         pads=float(pads),
     )
     grid = (rows, columns)
-    work = _Work(
-        velocity=np.zeros((rows + 2, columns + 2, 2)),
-        right=np.zeros((*grid, 2)),
-        lever=np.zeros((*grid, 2)),
-        bound=np.zeros(grid),
-        diagonal=np.zeros(grid),
-        pull=np.zeros((*grid, 2)),
-        slip=np.zeros((*grid, 2)),
-        speed=np.zeros(grid),
-        loose=np.zeros((rows + 2, columns + 2)),
-        way=np.zeros((*grid, 2)),
-    )
     return GelState(
         node_xy_m=nodes,
         material=material,
@@ -280,8 +279,8 @@ def start(
         maxwell_n=np.zeros((*grid, 2)),
         slip_m_s=np.zeros(grid),
         stuck=np.zeros(grid, dtype=np.bool_),
+        _mean_m_s=np.zeros((*grid, 2)),
         _layer=layer,
-        _work=work,
         _info=np.zeros(12),
     )
 
@@ -325,6 +324,7 @@ def step(
         state.displacement_m,
         state.velocity_m_s,
         state.maxwell_n,
+        state._mean_m_s,
         state.slip_m_s,
         state.stuck,
         state.pose,
@@ -343,7 +343,6 @@ def step(
         float(tolerance),
         max_sweeps,
         state._layer,
-        state._work,
         state._info,
     )
     if fault:
@@ -417,9 +416,21 @@ def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY
 
 def displacement_at(state: GelState, indices: NDArray[np.intp], weights: Floats) -> Floats:
     """Displacement in m, (points, 2), of the points for which `interpolation` gave these indices and weights."""
-    nodes = state.displacement_m.reshape(-1, 2)
-    displacement: Floats = (nodes[indices] * weights[:, :, None]).sum(axis=1)
+    displacement: Floats = field_at(state.displacement_m, indices, weights)
     return displacement
+
+
+@njit(cache=True)
+def field_at(field: Floats, indices: NDArray[np.intp], weights: Floats) -> Floats:
+    """Values (points, parts) of a field of the nodes, (rows, columns, parts), where `interpolation` says."""
+    parts = field.shape[2]
+    nodes = field.reshape(field.shape[0] * field.shape[1], parts)
+    found = np.zeros((len(indices), parts))
+    for point in range(len(indices)):
+        for corner in range(indices.shape[1]):
+            for part in range(parts):
+                found[point, part] += nodes[indices[point, corner], part] * weights[point, corner]
+    return found
 
 
 @njit(cache=True)
@@ -449,6 +460,16 @@ def _links(index: int, count: int) -> int:
 
 
 @njit(cache=True)
+def shrink(x: float, y: float, by: float) -> float:
+    """The share of a vector that is left when its length is made less by `by`; 0 where it is not longer than that.
+
+    This is all there is of Coulomb's law in the search: what a node would slip, less what its friction holds.
+    """
+    square = x * x + y * y
+    return 1.0 - by / math.sqrt(square) if square > by * by else 0.0
+
+
+@njit(cache=True)
 def _relax(work: _Work, stencil: _Stencil, twist: Floats, stuck: Flags, factor: float) -> None:
     """One sweep of projected over-relaxation over the nodes, the object's twist held.
 
@@ -471,10 +492,11 @@ def _relax(work: _Work, stencil: _Stencil, twist: Floats, stuck: Flags, factor: 
                 ease = factor / work.diagonal[row, column]
                 slip_x = (1.0 - factor) * velocity[row + 1, column + 1, 0] + ease * sum_x - body_x
                 slip_y = (1.0 - factor) * velocity[row + 1, column + 1, 1] + ease * sum_y - body_y
-                speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
                 hold = ease * work.bound[row, column]
-                left = 1.0 - hold / speed if speed > hold else 0.0
-                stuck[row, column] = hold > 0.0 and speed <= hold
+                left = shrink(slip_x, slip_y, hold)
+                if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
+                    left = 0.0
+                stuck[row, column] = hold > 0.0 and left == 0.0
                 velocity[row + 1, column + 1, 0] = body_x + left * slip_x
                 velocity[row + 1, column + 1, 1] = body_y + left * slip_y
 
@@ -733,6 +755,7 @@ def _step(
     displacement: Floats,
     velocity: Floats,
     maxwell: Floats,
+    mean: Floats,
     slip_speed: Floats,
     stuck: Flags,
     pose: Floats,
@@ -751,7 +774,6 @@ def _step(
     tolerance: float,
     max_sweeps: int,
     layer: _Layer,
-    work: _Work,
     info: Floats,
 ) -> int:
     """One time step in place; returns 0, or the number of what is wrong, before anything is changed."""
@@ -776,6 +798,19 @@ def _step(
         layer.pitch_y,
         layer.pads,
     )
+    grid = (rows, columns)
+    work = _Work(  # made anew: ten arrays handed over from Python took 5 us more, of 12 for a step of one node
+        np.zeros((rows + 2, columns + 2, 2)),
+        np.empty((rows, columns, 2)),
+        np.empty((rows, columns, 2)),
+        np.empty(grid),
+        np.empty(grid),
+        np.empty((rows, columns, 2)),
+        np.empty((rows, columns, 2)),
+        np.empty(grid),
+        np.zeros((rows + 2, columns + 2)),
+        np.empty((rows, columns, 2)),
+    )
     _spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.right)
     scale = abs(force[0]) + abs(force[1])
     square = 0.0
@@ -784,8 +819,10 @@ def _step(
             load = nodal[row, column]
             if not (load >= 0.0 and load < np.inf):
                 return 1
-            ratio = slip_speed[row, column] / stribeck
-            mu = mu_kinetic + (mu_static - mu_kinetic) * math.exp(-ratio * ratio)
+            mu = mu_static
+            if slip_speed[row, column] > 0.0:
+                ratio = slip_speed[row, column] / stribeck
+                mu = mu_kinetic + (mu_static - mu_kinetic) * math.exp(-ratio * ratio)
             links_x = _links(column, columns) * stencil.link_x
             links_y = _links(row, rows) * stencil.link_y
             work.bound[row, column] = mu * load
@@ -801,7 +838,7 @@ def _step(
                 lever = nodes[row, column, axis] - pose[axis]
                 square += lever * lever
                 work.lever[row, column, axis] = lever
-                work.velocity[row + 1, column + 1, axis] = velocity[row, column, axis]
+                work.velocity[row + 1, column + 1, axis] = mean[row, column, axis]
     # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
     reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
     scale = max(scale + abs(force[2]) / reach, 1e-300)
@@ -830,7 +867,7 @@ def _step(
     info[:] = 0.0
     info[0] = sweeps
     info[1] = worst / scale
-    _advance(displacement, velocity, maxwell, slip_speed, stuck, nodes, nodal, dt, theta, layer, work, info)
+    _advance(displacement, velocity, maxwell, mean, slip_speed, stuck, nodes, nodal, dt, theta, layer, work, info)
     for axis in range(3):
         pose[axis] += dt * body[axis]
         twist[axis] = body[axis] if prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
@@ -842,6 +879,7 @@ def _advance(
     displacement: Floats,
     velocity: Floats,
     maxwell: Floats,
+    mean: Floats,
     slip_speed: Floats,
     stuck: Flags,
     nodes: Floats,
@@ -854,7 +892,7 @@ def _advance(
 ) -> None:
     """Move the gel on by dt with the velocities found, and sum up what happened in info[2:]."""
     rows, columns = nodal.shape
-    mean = work.velocity[1:-1, 1:-1]
+    mean[:] = work.velocity[1:-1, 1:-1]
     _spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.way)
     fade = math.exp(-dt / layer.maxwell_time)
     build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)
