@@ -141,6 +141,35 @@ def test_against_the_closed_form(speed: float, missing: float, same: float) -> N
     assert len(found & expected) >= same * len(expected)
 
 
+def test_pieces_of_a_straight_path() -> None:
+    """Assert that a straight path cut into pieces, more or fewer than scans, gives the very events of its ends."""
+    path = line([[20.25, 40.5], [60.0, 30.25]], (1.25, 0.5))  # binary fractions: equal positions, not nearly equal
+    whole = play(start(path(0)), path, 12)
+    for pieces in (2, 5, 8, 16):
+        state, rng = start(path(0)), np.random.default_rng(1)
+        cut = []
+        for k in range(12):
+            vertices = np.array([path(k + piece / pieces) for piece in range(pieces + 1)])
+            cut.append(camera.step(state, vertices[0], vertices[-1], STILL, STILL, 0.0, 1000 * k, rng, vertices))
+        found, expected = as_set(cut), as_set(whole)
+        assert len(expected) > 2000
+        # The positions at scans are equal but for rounding, which may turn the odd comparison.
+        assert len(found ^ expected) <= 2
+
+
+def test_scans_follow_a_curved_path() -> None:
+    """Assert that a dot's path between start and end is seen at the scans: a tone of one period a slice is not lost."""
+    turn = 2 * math.pi * np.arange(6) / 5
+    cut = np.array([40.3, 40.6]) + 3.0 * np.stack([np.sin(turn), np.sin(turn)], axis=1)
+    cut[-1] = cut[0]
+    state, by_scans = start(cut[:1]), start(cut[:1], dataclasses.replace(QUIET, scans_per_ms=1))
+    rng = np.random.default_rng(0)
+    whole = camera.step(state, cut[:1], cut[-1:], STILL, STILL, 0.0, 0, rng, cut[:, None])
+    single = [camera.step(by_scans, cut[k : k + 1], cut[k : k + 1], STILL, STILL, 0.0, 0, rng) for k in range(5)]
+    assert whole.size == total(single) > 200
+    np.testing.assert_array_equal(state.reference, by_scans.reference)
+
+
 def test_expected_count_from_random_phase() -> None:
     """Assert the closed form: a slow change of n thresholds gives sum_k clip((n - k) / 2, 0, 1) events in the mean.
 
@@ -455,6 +484,9 @@ GOOD: dict[str, Any] = {
         ("dot_xy_px_end", [[40.0, 40.0], [50.0, 50.0]]),
         ("dot_xy_px_end", [40.0, 40.0]),
         ("dot_xy_px_end", []),
+        ("dot_path_px", [[[40.0, 40.0]]]),
+        ("dot_path_px", [[[40.0, 40.0]], [[40.0, math.nan]], [[41.0, 40.0]]]),
+        ("dot_path_px", [[[40.0, 40.0]], [[41.5, 40.0]]]),
         ("object_xy_px_start", (math.nan, 0.0)),
         ("object_xy_px_end", (0.0, 0.0, 0.0)),
         ("object_xy_px_end", (-math.inf, 0.0)),
@@ -516,6 +548,10 @@ def test_start_refuses(dots: Any, radius: Any, window: Any, texture: Any, named:
         {"edge_sigma_px": 0.0},
         {"log_contrast": -1.0},
         {"dot_radius_px": math.inf},
+        {"leak_hz": -0.1},
+        {"leak_hz": 11.0},
+        {"refractory_us": math.nan},
+        {"refractory_us": 2e6},
         {"max_events": 0},
     ],
 )
@@ -523,3 +559,65 @@ def test_model_refuses(change: dict[str, Any]) -> None:
     """Assert that a model out of range is refused by the name of the field."""
     with pytest.raises(ValueError, match=next(iter(change))):
         CameraModel(**change)
+
+
+@pytest.mark.parametrize("window", [None, STRIP])
+def test_leak_makes_its_rate(window: Any) -> None:
+    """Assert sum_k clip((n - k) / 2, 0, 1) ON events a pixel after n / leak_hz seconds, from random phases."""
+    model = dataclasses.replace(QUIET, leak_hz=10.0)
+    state = start([[40.0, 40.0]], model, window=window, texture=TEXTURE if window else None)
+    rng = np.random.default_rng(0)
+    still = [[40.0, 40.0]]
+    found = [camera.step(state, still, still, STILL, STILL, 1.0, 1000 * k, rng) for k in range(400)]
+    steps = 400 * 1e-3 * 10.0
+    expected = sum(np.clip((steps - k) / 2, 0, 1) for k in range(6)) * FRAME[0] * FRAME[1]
+    assert all((part.p == 1).all() for part in found)
+    assert total(found) == pytest.approx(expected, rel=0.01)
+    per_slice = np.array([part.size for part in found[200:]])
+    assert per_slice.mean() == pytest.approx(FRAME[0] * FRAME[1] * 10.0 * 1e-3, rel=0.02)
+    in_window = np.concatenate([part.x for part in found]) >= STRIP[0]
+    assert in_window.mean() == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.parametrize("refractory_us", [700.0, 2500.0])
+def test_refractory_time(refractory_us: float) -> None:
+    """Assert every pixel of every scan blind for a time after its event, then going on from the level it is shown."""
+    path, slices = line([[20.2, 40.7]], (2.1, 0.3)), 25
+    model = dataclasses.replace(QUIET, refractory_us=refractory_us)
+    state = start(path(0), model)
+    reference, threshold = state.reference.copy(), state.threshold
+    release = np.zeros(reference.shape)
+    expected = set()
+    for k in range(slices):
+        for scan in range(5):
+            now = 1000 * k + 200 * scan
+            level = table_picture(path(k) + scan / 5 * (path(k + 1) - path(k)), model)
+            reference = np.where(release > now, level, reference)
+            change = level - reference
+            fired = np.abs(change) >= threshold
+            reference[fired] = level[fired]
+            release[fired] = now + refractory_us
+            for y, x in np.argwhere(fired).tolist():
+                expected.add((now + x * 200 // FRAME[0], x, y, int(change[y, x] > 0)))
+    found = as_set(play(state, path, slices))
+    assert len(expected) > 500
+    assert found == expected
+    assert total(play(start(path(0)), path, slices)) > 1.2 * len(found)
+
+
+def test_short_refractory_time_is_free() -> None:
+    """Assert that a refractory time no longer than a scan changes nothing, and that the window keeps a longer one."""
+    path = line([[20.2, 40.7]], (2.1, 0.3))
+    short = play(start(path(0), dataclasses.replace(QUIET, refractory_us=200.0)), path, 10)
+    assert as_set(short) == as_set(play(start(path(0)), path, 10))
+    sizes = []
+    for refractory_us in (0.0, 3000.0):
+        state = start([], dataclasses.replace(QUIET, refractory_us=refractory_us), window=STRIP, texture=TEXTURE)
+        rng = np.random.default_rng(0)
+        parts = [camera.step(state, [], [], (2 * k, 0), (2 * k + 2, 0), 1.0, 1000 * k, rng) for k in range(20)]
+        t, x, y = (np.concatenate([part[axis].astype(np.int64) for part in parts]) for axis in range(3))
+        order = np.lexsort((t, x, y))
+        same = np.diff(y[order] * 1000 + x[order]) == 0
+        assert np.diff(t[order])[same].min() >= max(refractory_us, 200.0) - 1
+        sizes.append(len(t))
+    assert 100 < sizes[1] < sizes[0]

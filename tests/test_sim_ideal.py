@@ -401,7 +401,7 @@ def test_refractory_time(refractory_us: float) -> None:
     def path(t_ms: float) -> NDArray[np.float64]:
         return np.array([[40.2 + 2.0 * min(max(t_ms - 1.0, 0.0), 6.0), 40.4]])
 
-    state = start(path(0), refractory_us=refractory_us)
+    state = start(path(0), dataclasses.replace(QUIET, refractory_us=refractory_us))
     reference = state.shared.reference.astype(float)
     threshold = state.shared.threshold.astype(float)
     found = fine(play(state, path, 12))
@@ -435,7 +435,8 @@ def test_refractory_window() -> None:
     """Assert that the window's pixels keep the refractory time too, and lose events by it."""
     sizes = []
     for refractory_us in (0.0, 1700.0):
-        state = start([[30.0, 30.0]], window=STRIP, texture=TEXTURE, refractory_us=refractory_us)
+        model = dataclasses.replace(QUIET, refractory_us=refractory_us)
+        state = start([[30.0, 30.0]], model, window=STRIP, texture=TEXTURE)
         rng = np.random.default_rng(1)
         still = [[30.0, 30.0]]
         parts = [ideal.step(state, still, still, (2.0 * k, 0.0), (2.0 * k + 2.0, 0.0), 1.0, 1000 * k, rng)
@@ -579,17 +580,17 @@ def test_step_refuses(named: str, value: Any) -> None:
 
 def test_goes_on_only_from_known_references() -> None:
     """Assert that references of pixels that are still refractory are refused."""
-    state = start([[40.0, 40.0]], refractory_us=5000.0)
+    state = start([[40.0, 40.0]], dataclasses.replace(QUIET, refractory_us=5000.0))
     play(state, line([40.0, 40.0], (0.5, 0.0)), 2)
     with pytest.raises(ValueError, match="reference"):
         ideal.from_references(state.shared)
 
 
-@pytest.mark.parametrize("refractory_us", [-1.0, math.nan, math.inf, 2e6])
-def test_start_refuses(refractory_us: float) -> None:
-    """Assert that a refractory time out of range is refused."""
-    with pytest.raises(ValueError, match="refractory_us"):
-        start([], refractory_us=refractory_us)
+@pytest.mark.parametrize("line_step_px", [0.0, -1.0, math.nan, 20.0])
+def test_start_refuses(line_step_px: float) -> None:
+    """Assert that a sub-step of lines out of range is refused."""
+    with pytest.raises(ValueError, match="line_step_px"):
+        start([], line_step_px=line_step_px)
 
 
 def test_squared_radius_inverts_the_profile() -> None:
@@ -607,3 +608,29 @@ def test_squared_radius_inverts_the_profile() -> None:
         for never, targets in ((-1.0, (-1.62, -1.61, -1.61 + 1e-7)), (math.inf, (1e-9, 0.0, -1e-7))):
             assert all(optics.squared_radius(target, *table, index) == never for target in targets)
         assert math.isnan(optics.squared_radius(math.nan, *table, index))
+
+
+@pytest.mark.parametrize("window", [None, STRIP])
+@pytest.mark.parametrize("refractory_us", [0.0, 1000.0])
+def test_leak_makes_its_rate(window: Any, refractory_us: float) -> None:
+    """Assert sum_k clip((n - k) / 2, 0, 1) ON events a pixel after n / leak_hz seconds, from random phases."""
+    model = dataclasses.replace(QUIET, leak_hz=10.0, refractory_us=refractory_us)
+    state = start([[40.0, 40.0]], model, window=window, texture=TEXTURE if window else None)
+    rng = np.random.default_rng(0)
+    still = [[40.0, 40.0]]
+    found = concatenate([ideal.step(state, still, still, STILL, STILL, 1.0, 1000 * k, rng) for k in range(400)])
+    steps = 400 * 1e-3 * 10.0
+    expected = sum(np.clip((steps - k) / 2, 0, 1) for k in range(6)) * FRAME[0] * FRAME[1]
+    assert (found.p == 1).all()
+    # With a refractory time what leaked since the crossing is forgotten: up to a visit, half of one in the mean.
+    assert found.size == pytest.approx(expected, rel=0.01 if refractory_us == 0.0 else 0.25)
+
+
+def test_dots_move_on_after_leak() -> None:
+    """Assert that dots whose references have leaked still fire as every pixel's reference and threshold demand."""
+    state = start([[40.0, 40.0]], dataclasses.replace(QUIET, leak_hz=5.0))
+    play(state, line([40.0, 40.0], (0.0, 0.0)), 50)
+    state.shared.model = QUIET
+    plain = ideal.from_references(copy.deepcopy(state.shared))
+    path = line([40.0, 40.0], (0.7, 0.2))
+    assert columns_equal(play(state, path, 10), play(plain, path, 10))

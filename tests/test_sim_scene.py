@@ -1,5 +1,6 @@
 """Scenes as TOML: what is accepted, and how what is wrong is said."""
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -7,14 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import as_toml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from evetac_cli.errors import InputError, SceneError
-from evetac_cli.resources import PACKAGE
-from evetac_cli.sim import scene
+from evetac_cli.resources import PACKAGE, table
+from evetac_cli.sim import individual, scene
+
+
+def named(name: str) -> dict[str, Any]:
+    return tomllib.loads((PACKAGE / "scenes" / f"{name}.toml").read_text())
 
 
 def slip() -> dict[str, Any]:
-    return tomllib.loads((PACKAGE / "scenes" / "slip.toml").read_text())
+    return named("slip")
+
+
+def random(seed: int) -> np.random.Generator:
+    return np.random.default_rng(seed)
 
 
 @pytest.mark.parametrize("path", sorted((PACKAGE / "scenes").glob("*.toml")), ids=lambda path: path.stem)
@@ -38,14 +49,17 @@ def test_objects_are_the_papers() -> None:
         ("randomise", "mass", "heavy", "randomise.mass"),
         ("texture", "focus_mm", -1.0, "focus_mm"),
         ("time", "step_ms", float("nan"), "step_ms"),
+        ("randomise", "touch_mm", -1.0, "touch_mm"),
+        ("push", "force_n", [1.0], "force_n"),
+        ("floor", "below_mm", [50.0, 40.0], "lower end"),
     ],
 )
 def test_what_is_wrong_is_said(group: str, key: str, value: Any, says: str, tmp_path: Path) -> None:
     """Assert that an unknown key, or a value of the wrong kind or range, is refused with its place."""
-    table = slip()
-    table[group][key] = value
+    odd = named("data-rate")
+    odd[group][key] = value
     path = tmp_path / "odd.toml"
-    path.write_text(as_toml(table))
+    path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=says):
         scene.load(str(path))
 
@@ -79,11 +93,99 @@ def test_bad_object_lists(text: str) -> None:
 
 def test_draws_stay_in_their_ranges() -> None:
     """Assert that 200 draws lie in the scene's ranges and fill them."""
-    table, thing = slip(), scene.object_row(8)
+    ramp, thing = slip(), scene.object_row(8)
     rng = np.random.default_rng(0)
-    drawn = [scene.draw(table, thing, rng) for _ in range(200)]
+    drawn = [scene.draw(ramp, thing, rng) for _ in range(200)]
     friction = np.array([one.static_friction for one in drawn]) / thing["static_friction"]
-    low, high = table["randomise"]["static_friction"]
+    low, high = ramp["randomise"]["static_friction"]
     assert low <= friction.min() < low + 0.02
     assert high - 0.02 < friction.max() <= high
     assert all(one.kinetic_friction < one.static_friction for one in drawn)
+
+
+def test_new_keys_leave_old_draws() -> None:
+    """Assert that touch, lever and kinetic spread change nothing else that is drawn, and are drawn in their ranges."""
+    plain, more, flat = slip(), slip(), scene.object_row(16)
+    more["randomise"] |= {"touch_mm": 3.0, "lever_mm": 3.0}
+    for seed in range(50):
+        old, new = scene.draw(plain, flat, random(seed)), scene.draw(more, flat, random(seed))
+        assert old.touch_m == (0.0, 0.0)
+        assert old.lever_m == 0.0
+        assert {**vars(old), "touch_m": 0, "lever_m": 0} == {**vars(new), "touch_m": 0, "lever_m": 0}
+        assert np.abs(new.touch_m).max() <= 3e-3
+    drawn = [scene.draw(more, flat, random(seed)) for seed in range(400)]
+    assert np.std([one.lever_m for one in drawn]) == pytest.approx(3e-3, rel=0.15)
+    assert np.std([one.touch_m for one in drawn]) == pytest.approx(3e-3 / math.sqrt(3), rel=0.1)
+    assert scene.draw(more, scene.object_row(8), random(0)).lever_m == 0.0  # round: touched on its axis
+
+
+def test_objects_keep_their_kinetic_share() -> None:
+    """Assert that with a spread the kinetic share of an object stays within it, and objects differ by more."""
+    spread = slip()
+    spread["randomise"]["kinetic_share_spread"] = 0.03
+
+    def shares(number: int) -> list[float]:
+        drawn = [scene.draw(spread, scene.object_row(number), random(seed), None, number) for seed in range(30)]
+        return [one.kinetic_friction / one.static_friction for one in drawn]
+
+    by_object = [shares(number) for number in range(1, 9)]
+    assert all(0.04 < max(own) - min(own) <= 0.06 + 1e-12 for own in by_object)
+    middles = [np.mean(own) for own in by_object]
+    assert max(middles) - min(middles) > 0.08
+
+
+def test_drawn_individuals_lie_in_their_ranges() -> None:
+    """Assert that 300 drawn individuals fill the ranges of the table, log-uniform ones evenly in the logarithm."""
+    ranges = table("individuals")["drawn"]
+    rows = [individual.draw(ranges, random(seed)) for seed in range(300)]
+    for group, low, high in (("mm_per_px", 0.029, 0.034), ("hot_pixels", 0, 20), ("loss_tangent", 0.08, 0.2)):
+        values = np.array([row[group] for row in rows])
+        assert low <= values.min() <= low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) <= values.max() <= high
+    moduli = np.log([row["normal_modulus_pa"] for row in rows])
+    assert moduli.mean() == pytest.approx(np.log([0.6e6, 1.7e6]).mean(), abs=0.06)
+    assert len({type(row["hot_pixels"]) for row in rows} | {int}) == 1
+    shifts = np.array([np.subtract(row["dot_columns_px"], ranges["dot_columns_px"]) for row in rows])
+    assert np.ptp(shifts, axis=1).max() < 1e-9
+    assert 5 < np.abs(shifts).max() <= 6
+
+
+def test_a_range_more_leaves_the_others() -> None:
+    """Assert that a range added at the front of the table, or a table turned round, changes no other value."""
+    ranges = table("individuals")["drawn"]
+    row = individual.draw(ranges, random(3))
+    more = individual.draw({"another": {"uniform": [0, 1]}, **dict(reversed(ranges.items()))}, random(3))
+    assert 0 <= more.pop("another") <= 1
+    assert more == row
+
+
+def test_who_is_drawn() -> None:
+    """Assert that drawn:N is one individual wherever it is named, and drawn another for every trial and seed."""
+    (slipping,) = scene.plan("slip", "8", "drawn:7", ("ramp",))
+    (lifting,) = scene.plan("lift", "11", "drawn:7", ("lift",))
+    assert slipping["individual_row"] == lifting["individual_row"] != scene.individual_row("drawn:8")
+    assert scene.for_trial(slipping, (0, 8, 1)) is slipping
+    (each,) = scene.plan("slip", "8", "drawn", ("ramp",))
+    trials = [scene.for_trial(each, seeds) for seeds in ((0, 8, 0), (0, 8, 1), (1, 8, 0), (0, 8, 0))]
+    rows = [trial["individual_row"] for trial in trials]
+    assert rows[0] == rows[3]
+    assert len({row["seed"] for row in rows}) == 3
+    assert all(trial["individual_ranges"] == table("individuals")["drawn"] for trial in trials)
+    for wrong in ("drawn:", "drawn:x", "drawn:-1", "drawn:1.5"):
+        with pytest.raises(InputError, match="no such individual"):
+            scene.individual_row(wrong)
+
+
+@given(
+    ends=st.one_of(
+        st.tuples(st.floats(1, 10), st.floats(-10, 0.5)).map(list),
+        st.lists(st.floats(0, 1), max_size=1),
+        st.just([0.0, math.inf]),
+        st.just([math.nan, 1.0]),
+        st.just("much"),
+    )
+)
+def test_ranges_that_are_none(ends: Any) -> None:
+    """Assert that a range with its ends turned round, missing or not finite is refused with its key."""
+    with pytest.raises(InputError, match=r"gripper\.mass_kg"):
+        individual.draw({"gripper": {"mass_kg": {"uniform": ends}}}, random(0))

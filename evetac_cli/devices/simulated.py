@@ -8,14 +8,18 @@ import numpy as np
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.pressing import Pressing
+from evetac_cli.sim.rubbing import Rubbing
+from evetac_cli.sim.vibration import Vibration
 from evetac_cli.sim.world import World
+
+DRIVEN = {"press": Pressing, "rub": Rubbing, "tone": Vibration}  # kinds of scene without a gripper
 
 
 class SimulatedCamera:
     """A camera that looks at a world, and the clock of that world."""
 
-    def __init__(self, world: World | Pressing, individual: str, individual_row: Mapping[str, Any]) -> None:
-        self._world: World | Pressing | None = world
+    def __init__(self, world: World | Pressing | Vibration, individual: str, individual_row: Mapping[str, Any]) -> None:
+        self._world: World | Pressing | Vibration | None = world
         self._now_us = 0
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array(individual_row["frame_px"], np.int32),
@@ -70,10 +74,11 @@ def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: flo
     """Build the devices of a simulated trial; each part draws from a stream of its own."""
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
     named = plan["individual"], plan["individual_row"]
-    if plan["scene"]["kind"] == "press":
-        pressing = Pressing(plan, mechanics, optics)
-        camera = SimulatedCamera(pressing, *named)
-        return Rig(camera, None, camera, pressing.truth, drawn=pressing.drawn.as_json())
+    driven = DRIVEN.get(plan["scene"]["kind"])
+    if driven is not None:
+        trial = driven(plan, mechanics, optics)
+        camera = SimulatedCamera(trial, *named)
+        return Rig(camera, None, camera, trial.truth, drawn=trial.drawn.as_json())
     world = World(plan, mechanics, optics, **durations)
     camera = SimulatedCamera(world, *named)
     return Rig(camera, SimulatedGripper(world), camera, world.truth, world.holding_ma(), world.drawn.as_json())

@@ -13,8 +13,9 @@ is monotone in the speed, so a bracketed Newton search always ends, for any stif
 """
 
 import math
-from dataclasses import dataclass, fields
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
@@ -64,6 +65,23 @@ class Drive:
             raise ValueError(f"friction_share must be < 1 (the finger could never open), found {self.friction_share}")
         if self.open_ticks >= self.closed_ticks:
             raise ValueError(f"open_ticks must be < closed_ticks, found {self.open_ticks} and {self.closed_ticks}")
+
+
+def drive_of(individual: Mapping[str, Any], friction_factor: float = 1.0) -> Drive:
+    """The drive of an individual: `Drive` but for what its row's `gripper` names, friction times a factor.
+
+    servo_n_tick (force_per_current * gain) and two_ticks_n (what two ticks push beyond the friction) stand for
+    gain_ma_tick and friction_n, because they are what a gripper shows; ValueError as from `Drive`.
+    """
+    named = dict(individual.get("gripper", {}))
+    named.pop("finger_stiffness_n_m", None)
+    if "servo_n_tick" in named:
+        servo_n_tick = named.pop("servo_n_tick")
+        force_per_current = named.get("force_per_current_n_ma", Drive.force_per_current_n_ma)
+        named["gain_ma_tick"] = servo_n_tick / force_per_current
+        named["friction_n"] = 2 * servo_n_tick - named.pop("two_ticks_n")
+    drive = Drive(**named)
+    return replace(drive, friction_n=drive.friction_n * friction_factor)
 
 
 @dataclass

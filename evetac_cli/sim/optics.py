@@ -162,6 +162,33 @@ def _draw_dots(
                 picture[y, x] = min(picture[y, x], profile_level(position, level))
 
 
+@njit(cache=True)
+def dot_row(
+    dot_xy_px: NDArray[np.float64],
+    inner_px: float,
+    outer_px: float,
+    steps_per_px: float,
+    level: NDArray[np.float32],
+    y: int,
+    first: int,
+    end: int,
+    line: NDArray[np.float32],
+) -> None:
+    """Fill line[: end - first] with the log brightness of pixels first to end of row y; the nearest dot counts."""
+    line[: end - first] = 0.0
+    for dot in range(len(dot_xy_px)):
+        down = y - dot_xy_px[dot, 1]
+        if abs(down) > outer_px:
+            continue
+        dot_x = dot_xy_px[dot, 0]
+        half = math.sqrt(outer_px * outer_px - down * down)
+        down2 = np.float32(down) * np.float32(down)
+        for x in range(max(first, math.ceil(dot_x - half)), min(end, math.floor(dot_x + half) + 1)):
+            across = np.float32(x - dot_x)
+            position = profile_position(across * across + down2, np.float32(inner_px), np.float32(steps_per_px))
+            line[x - first] = min(line[x - first], profile_level(position, level))
+
+
 def texture(
     rng: np.random.Generator, shape: tuple[int, int], half_correlation_px: float, log_sd: float
 ) -> NDArray[np.float32]:

@@ -15,7 +15,8 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim import gel, scene
 from evetac_cli.sim.dilation import dilation
 from evetac_cli.sim.eye import Eye
-from evetac_cli.sim.world import STEP_S, THETA, SlipAccount, pad
+from evetac_cli.sim.rims import Outline
+from evetac_cli.sim.world import STEP_S, THETA, SlipAccount, material, pad
 
 Floats = NDArray[np.float64]
 
@@ -41,22 +42,37 @@ class Timeline(NamedTuple):
 class Pressing:
     """A trial of pressing: `step` makes a slice, `truth` tells of it."""
 
+    follows = False  # whether what is pressed is where the face is, or stays while the face shears it
+
     def __init__(
-        self, plan: Mapping[str, Any], mechanics: np.random.Generator, optics_rng: np.random.Generator
+        self,
+        plan: Mapping[str, Any],
+        mechanics: np.random.Generator,
+        optics_rng: np.random.Generator,
+        outline: Outline | None = None,
+        outline_at_px: Floats | None = None,
     ) -> None:
-        """Build what a plan names: scene, individual_row."""
+        """Build what a plan names: scene, individual_row. The camera sees the face's outline, if there is one."""
         self._scene = plan["scene"]
         individual = plan["individual_row"]
-        self.eye = Eye(individual, cut=self._scene["gel"]["cut"], texture=None, rng=optics_rng, readout=plan["readout"])
-        self.drawn = scene.draw(self._scene, plan["object_row"], mechanics)
+        self.eye = Eye(
+            individual,
+            cut=self._scene["gel"]["cut"],
+            texture=None,
+            rng=optics_rng,
+            readout=plan["readout"],
+            outline=outline,
+            outline_at_px=outline_at_px,
+        )
+        self.drawn = scene.draw(self._scene, plan["object_row"], mechanics, individual)
         nodes = pad(self._scene, individual)
-        self._material = gel.GelMaterial(shear_modulus_pa=float(individual["shear_modulus_pa"]))
+        self._material = material(individual)
         self._stiffness_n_m3 = float(individual["normal_modulus_pa"]) / self._material.height_m
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
         drawn = self.drawn
         self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
         self._at_dots = gel.interpolation(nodes, self.eye.rest_m)
-        self._face = self._scene["face"]
+        self._at_cut = gel.interpolation(nodes, self.eye.cut_rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
         self._account = SlipAccount(self.eye.mm_per_px)
         self._xy_m, self._force_n = self.timeline.at(0.0)
@@ -66,6 +82,8 @@ class Pressing:
 
     def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
         motion = self._scene["motion"]
+        self._face = self._scene["face"]
+        self.follows = motion["kind"] == "strokes"
         if motion["kind"] == "waypoints":
             return self._plan_waypoints(motion, rng)
         return np.zeros(2), self._plan_strokes(motion)
@@ -82,7 +100,7 @@ class Pressing:
             place = radius * np.array([np.cos(angle), np.sin(angle)])
             arrives = entries[-1][0] + rng.uniform(*motion["move_s"])
             entries += [(arrives, place, motion["normal_n"]), (arrives + motion["pause_s"], place, motion["normal_n"])]
-        return offset_m, _timeline(entries)
+        return offset_m, timeline(entries)
 
     def _plan_strokes(self, motion: Mapping[str, Any]) -> Timeline:
         """Lines along x, there and back, then along y, over the whole pad, never over its edge."""
@@ -99,7 +117,7 @@ class Pressing:
                 done = there + np.linalg.norm(last - first) / (motion["speed_mm_s"] * 1e-3)
                 entries += [(start, first, 0.0), (there, first, motion["normal_n"]), (done, last, motion["normal_n"])]
                 entries.append((done + motion["press_s"], last, 0.0))
-        return _timeline(entries)
+        return timeline(entries)
 
     def _weights(self, centre_m: Floats) -> Floats:
         """Share of each node's cell that the face covers, (rows, columns); soft over one cell."""
@@ -117,9 +135,10 @@ class Pressing:
         now = (self.slices + THETA) * STEP_S
         xy_m, force_n = self.timeline.at(now + (1 - THETA) * STEP_S)
         _, balance_n = self.timeline.at(now)
-        moving = self._scene["motion"]["kind"] == "strokes"
-        weights = self._weights(self._centre_m + (xy_m if moving else 0.0))
+        weights = self._weights(self._centre_m + (xy_m if self.follows else 0.0))
         covered = weights.sum()
+        borne = self._borne(covered)
+        force_n, balance_n = borne * force_n, borne * balance_n
         nodal_n = weights * (balance_n / covered) if covered > 0 else np.zeros_like(weights)
         velocity = (xy_m - self._xy_m) / STEP_S
         info = gel.step(
@@ -134,10 +153,20 @@ class Pressing:
         self._xy_m, self._force_n, self._shear_n = xy_m, force_n if covered > 0 else 0.0, info.friction_n[:2]
         self._account.follow(info, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated(weights)
-        events = self.eye.see(shift_m, self._xy_m, 0.0, self.slices * SLICE_US)
+        cut_m = gel.displacement_at(self._gel, *self._at_cut)
+        events = self.eye.see(shift_m, self._xy_m, 0.0, self.slices * SLICE_US, cut_m=cut_m, strength=self._strength())
         self.slices += 1
-        self.finished = self.slices * STEP_S >= self.timeline.time_s[-1] + self._scene["time"]["rest_s"]
+        time = self._scene["time"]
+        self.finished = self.slices * STEP_S >= self.timeline.time_s[-1] + time.get("after_s", time["rest_s"])
         return events
+
+    def _borne(self, covered: float) -> float:
+        """Share of the hand's force that the pad bears where it covers so many cells: all of it."""
+        return 1.0
+
+    def _strength(self) -> float:
+        """How clearly the camera sees the face's outline, 0 to 1."""
+        return 0.0
 
     def _dilated(self, weights: Floats) -> Floats:
         """Shift of the dots by pressure alone."""
@@ -162,6 +191,7 @@ class Pressing:
         }
 
 
-def _timeline(entries: list[tuple[float, Floats, float]]) -> Timeline:
+def timeline(entries: list[tuple[float, Floats, float]]) -> Timeline:
+    """The timeline through (time in s, place in m, force in N)."""
     time_s, xy_m, force_n = zip(*entries, strict=True)
     return Timeline(np.array(time_s), np.array(xy_m), np.array(force_n))

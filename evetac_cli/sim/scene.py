@@ -8,6 +8,7 @@ import json
 import math
 import re
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -18,6 +19,14 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import PACKAGE, schemas, table
+from evetac_cli.sim import individual as drawing
+
+OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
+INDIVIDUAL_SEED = 104729  # with those of a trial: keeps what draws its individual apart from what draws the trial
+NUMBERED_SEED = 1299709  # with the number of an individual
+FLOOR_MM = (250.0, 250.0)
+LOWEST_TONE_HZ = 1.0
+HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
 
 
 def load(name_or_path: str) -> dict[str, Any]:
@@ -75,10 +84,33 @@ def _check_finite(value: Any, where: str, place: str) -> None:
 
 def _check_ranges(scene: dict[str, Any], where: str) -> None:
     """What JSON Schema cannot say: a range's ends are in order."""
-    for group in ("gripper", "randomise", "texture"):
+    for group in ("gripper", "randomise", "texture", "floor", "rub"):
         for key, value in scene.get(group, {}).items():
-            if isinstance(value, list) and value[0] > value[1]:
+            if isinstance(value, list) and not isinstance(value[0], str) and value[0] > value[1]:
                 raise SceneError(f"{group}.{key}: the lower end comes first", where=where, found=str(value))
+    push = scene.get("push")
+    if push is not None and len(push["at_s"]) != len(push["force_n"]):
+        expected, found = f"one force for each of the {len(push['at_s'])} in at_s", str(push["force_n"])
+        raise SceneError("push.force_n: of another length", where=where, expected=expected, found=found)
+    _check_tone(scene.get("tone", {}), where)
+
+
+def _check_tone(tone: dict[str, Any], where: str) -> None:
+    """The table over frequency has columns of one length, rising frequencies, and h2's least is not above its most."""
+    for key in ("tangential_share", "amplitude_factor", "drift_s"):
+        if key in tone and tone[key][0] > tone[key][1]:
+            raise SceneError(f"tone.{key}: the lower end comes first", where=where, found=str(tone[key]))
+    if "at_hz" not in tone:
+        return
+    at_hz = tone["at_hz"]
+    if any(after <= before for before, after in zip(at_hz, at_hz[1:], strict=False)):
+        raise SceneError("tone.at_hz: expected rising frequencies", where=where, found=str(at_hz))
+    for key in ("dot_motion_px", "second_harmonic_least", "second_harmonic_most", "modulation_most"):
+        if len(tone[key]) != len(at_hz):
+            expected = f"one value for each of the {len(at_hz)} in at_hz"
+            raise SceneError(f"tone.{key}: of another length", where=where, expected=expected, found=str(tone[key]))
+    if any(low > high for low, high in zip(tone["second_harmonic_least"], tone["second_harmonic_most"], strict=True)):
+        raise SceneError("tone.second_harmonic_least: above its most", where=where)
 
 
 def plan(
@@ -88,10 +120,12 @@ def plan(
     kinds: tuple[str, ...],
     gel: str | None = None,
     readout: str = "dvxplorer",
+    tones: str | None = None,
 ) -> list[dict[str, Any]]:
-    """What trials are made from, resolved, one plan an object (one in all where the scene has none).
+    """What trials are made from, resolved, one plan an object or tone (one in all where the scene has neither).
 
-    It goes into the header, so that a changed table is another recipe. `gel` cut or closed overrides the scene's.
+    It goes into the header, so that a changed table is another recipe. `gel` cut or closed overrides the scene's, and
+    `tones` (as in 200,300) picks from them.
     """
     resolved = load(scene_name)
     if gel is not None:
@@ -106,8 +140,15 @@ def plan(
         )
     named = {"individual": individual, "individual_row": individual_row(individual), "readout": readout}
     common = {"scene": resolved, **named}
-    if resolved["kind"] == "press":
-        face = {"static_friction": resolved["face"]["static_friction"], "mass_g": 1.0}
+    if resolved["kind"] == "tone":
+        wanted = resolved["tone"].pop("frequency_hz")
+        picked = wanted if tones is None else tones_hz(tones)
+        return [{**common, "object": None, "tone_hz": float(tone)} for tone in picked]
+    if tones is not None:
+        raise InputError("this scene has no tones", where="--tone", expected="--scene vibration", found=scene_name)
+    if resolved["kind"] in ("press", "rub"):
+        driven = resolved["face" if resolved["kind"] == "press" else "rub"]
+        face = {"static_friction": driven["static_friction"], "mass_g": 1.0}
         return [{**common, "object": None, "object_row": face}]
     return [{**common, "object": number, "object_row": object_row(number)} for number in numbers(objects)]
 
@@ -121,18 +162,31 @@ def object_row(number: int) -> dict[str, Any]:
 
 
 def individual_row(name: str) -> dict[str, Any]:
-    """The row of a sensor individual; InputError if there is no such individual."""
+    """The row of a sensor individual, `drawn:7` drawn by its number; InputError if there is no such individual."""
     rows = table("individuals")
+    number = re.fullmatch(f"{drawing.FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
+    if number is not None:
+        rng = np.random.default_rng([NUMBERED_SEED, int(number[1])])
+        return drawing.draw(rows[drawing.FOR_EACH_TRIAL], rng)
     if name not in rows:
         near = get_close_matches(name, rows, n=1)
         raise InputError(
             "no such individual",
             where="--individual",
-            expected=", ".join(rows),
+            expected=", ".join(rows) + ", drawn:NUMBER",
             found=name,
             hint=f"did you mean {near[0]}?" if near else "",
         )
     return dict(rows[name])
+
+
+def for_trial(plan: dict[str, Any], seeds: Sequence[int]) -> dict[str, Any]:
+    """The plan of one trial: where each has an individual of its own, that is drawn; its ranges stay beside it."""
+    if plan["individual"] != drawing.FOR_EACH_TRIAL:
+        return plan
+    ranges = plan["individual_row"]
+    row = drawing.draw(ranges, np.random.default_rng([INDIVIDUAL_SEED, *seeds]))
+    return {**plan, "individual_row": row, "individual_ranges": ranges}
 
 
 def numbers(text: str) -> list[int]:
@@ -144,6 +198,21 @@ def numbers(text: str) -> list[int]:
         if first > last:
             raise InputError("not a list of objects", where="--object", expected="as in 8 or 1-3,10", found=text[:60])
         found += range(first, last + 1)
+    return list(dict.fromkeys(found))
+
+
+def tones_hz(text: str) -> list[float]:
+    """Frequencies from `200` or `200,300`, in their order, each once; InputError if it is anything else."""
+    found = []
+    for part in text.split(","):
+        try:
+            tone = float(part)
+        except ValueError:
+            tone = math.nan
+        if not LOWEST_TONE_HZ <= tone <= HIGHEST_TONE_HZ:
+            expected = f"{LOWEST_TONE_HZ:g} to {HIGHEST_TONE_HZ:g} Hz, as in 200 or 200,300"
+            raise InputError("not a list of tones", where="--tone", expected=expected, found=text[:60])
+        found.append(tone)
     return list(dict.fromkeys(found))
 
 
@@ -160,33 +229,62 @@ class Drawn:
     start_factor: float
     texture_log_sd: float
     texture_half_correlation_px: float
+    touch_m: tuple[float, float]  # middle of the object from that of the pad where it is touched: along gravity, across
+    lever_m: float  # centre of mass from there, across gravity
+    floor_m: float  # where an object that fell comes to rest, below where it was held
 
     def as_json(self) -> str:
         """For the truth of a recording."""
         return json.dumps(asdict(self))
 
 
-def draw(scene: dict[str, Any], thing: dict[str, Any], rng: np.random.Generator) -> Drawn:
-    """Draw a trajectory's parameters; always in the same order, so that a key of one scene does not shift another's."""
+def draw(
+    scene: Mapping[str, Any],
+    thing: Mapping[str, Any],
+    rng: np.random.Generator,
+    individual: Mapping[str, Any] | None = None,
+    number: int | None = None,
+) -> Drawn:
+    """Draw a trajectory's parameters; always in the same order, so that a key of one scene does not shift another's.
+
+    Where the scene names kinetic_share_spread, an object (by its number) has a kinetic share of its own, about which
+    its trajectories spread; else the share is drawn for each trajectory from the whole range.
+    """
+    place = rng.spawn(1)[0]  # a stream of its own, so that scenes without these keys stay as they were
 
     def between(group: str, key: str, default: tuple[float, float]) -> float:
         low, high = scene.get(group, {}).get(key, default)
         return float(rng.uniform(low, high))
 
-    static = float(thing["static_friction"]) * between("randomise", "static_friction", (1, 1))
+    factor = float((individual or {}).get("static_friction_factor", 1.0))
+    static = factor * float(thing["static_friction"]) * between("randomise", "static_friction", (1, 1))
     tilt_deg = between("randomise", "tilt_deg", (0, 0))
     if "tilt_deg" in thing:  # the shape itself is slanted, so a finger's misalignment hardly matters
         tilt_deg = float(rng.uniform(*thing["tilt_deg"]))
+    mass_kg = float(thing["mass_g"]) * 1e-3 * between("randomise", "mass", (1, 1))
+    kinetic_share = between("randomise", "kinetic_share", (1, 1))
+    varied = scene["randomise"]
+    off_share = place.uniform(-1, 1) * varied.get("kinetic_share_spread", 0.0)
+    if "kinetic_share_spread" in varied and number is not None:
+        own = np.random.default_rng([OBJECT_SEED, number]).uniform(*varied["kinetic_share"])
+        kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
+    touch_m = place.uniform(-1e-3, 1e-3, 2) * varied.get("touch_mm", 0.0)
+    lever_m = float(place.normal()) * varied.get("lever_mm", 0.0) * 1e-3
+    if thing.get("shape") != "flat":
+        lever_m = 0.0  # the weight of a round object acts on its axis, and there it is touched
     return Drawn(
-        mass_kg=float(thing["mass_g"]) * 1e-3 * between("randomise", "mass", (1, 1)),
+        mass_kg=mass_kg,
         static_friction=static,
-        kinetic_friction=static * between("randomise", "kinetic_share", (1, 1)),
+        kinetic_friction=static * kinetic_share,
         stribeck_m_s=between("randomise", "stribeck_mm_s", (10, 10)) * 1e-3,
         tilt_rad=float(np.deg2rad(tilt_deg)),
         gear_friction_factor=between("gripper", "friction_factor", (1, 1)),
         start_factor=between("gripper", "start_factor", (2, 2)),
         texture_log_sd=between("texture", "log_sd", (0.06, 0.06)),
         texture_half_correlation_px=between("texture", "half_correlation_px", (12, 12)),
+        touch_m=(float(touch_m[0]), float(touch_m[1])),
+        lever_m=lever_m,
+        floor_m=float(place.uniform(*scene.get("floor", {}).get("below_mm", FLOOR_MM))) * 1e-3,
     )
 
 
@@ -194,17 +292,23 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
     """What a plan builds and what it leaves out, a row a part: a scene pays only for what it names."""
     resolved, individual = plan["scene"], plan["individual_row"]
     cut, kind = resolved["gel"]["cut"], resolved["kind"]
-    columns, rows = resolved["gel"]["nodes"]
-    gripped = kind != "press"
+    solved = "{} x {} nodes, 1 ms steps".format(*resolved["gel"].get("nodes", (0, 0)))
+    gripped = kind in ("ramp", "lift", "hold")
     dots = len(individual["dot_rows_px"]) * (len(individual["dot_columns_px"]) - cut)
     pressed = f"a face, {resolved['motion']['kind']}" if kind == "press" else f"object {plan['object']}"
+    if kind == "tone":
+        pressed = f"a speaker, {plan['tone_hz']:g} Hz for {resolved['time']['tone_s']:g} s"
+    if kind == "rub":
+        pressed = f"a {' or a '.join(resolved['rub']['objects'])}, rubbed"
+    edge = "moves with the gel" if cut and individual.get("cut_contrast") else ""
     mode = {"ramp": "current", "hold": "position, then current", "lift": "position"}.get(kind, "")
     readout = {"dvxplorer": "5000 scans/s, global hold", "ideal": "every event to the us"}[plan["readout"]]
+    bandwidth_hz = individual.get("bandwidth_hz", 0.0)
     noise = f"{individual['noise_hz']:g} Hz a pixel, {individual['hot_pixels']} hot pixels"
     window = "texture of the object, moved with it" if cut and "texture" in resolved else ""
     left_out = "closed gel: the gel is there" if not cut else "nothing behind it has texture"
     table = [
-        ("gel and friction", f"{columns} x {rows} nodes, 1 ms steps", ""),
+        ("gel and friction", solved if kind != "tone" else "", "nothing slips: a closed form for each wave"),
         ("what touches", pressed, ""),
         ("gripper", f"{mode} mode" if gripped else "", "a hand drives the face"),
         ("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
@@ -213,7 +317,9 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
         ("falling weight", f"{resolved['drop']['mass_g']} g" if "drop" in resolved else "", "none named"),
         ("dots", f"{dots}, evaluated while they move", ""),
         ("window", window, left_out),
-        ("camera", readout, ""),
+        ("object rims", "where they move" if kind == "rub" else "", "none named"),
+        ("cut edge", edge, "closed gel: no cut" if not cut else "the individual's cut is not seen"),
+        ("camera", readout + (f", pixels of {bandwidth_hz:g} Hz" if bandwidth_hz else ""), ""),
         ("noise", noise, ""),
     ]
     return [{"part": part, "built": built or None, "left_out": None if built else why} for part, built, why in table]

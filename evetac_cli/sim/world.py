@@ -9,6 +9,7 @@ Why so: down is +x of the image in a grasp from the top, +y in one from the side
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,8 @@ SLIP_PX = 0.5  # an object that slid further than this in gross slip slips (scen
 EPISODE_MS = 3  # gross slip is over after so many slices with a stuck node
 CONTACT_N = 0.01
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
+LOSS_AT_HZ = 100.0  # where an individual's loss tangent is meant
 GONE_M = 0.02  # an object that slid this far is lost
-FLOOR_M = 0.25  # below the gripper, where an object that fell comes to rest
 PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
 APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
 TEXTURE_PX = (1024, 1024)
@@ -45,6 +46,23 @@ def pad(scene_: Mapping[str, Any], individual: Mapping[str, Any]) -> NDArray[np.
     return contact.pad_nodes(
         round(columns * (1 + more)), rows, (cut_m - PAD_M[0], end_m), (-PAD_M[1] / 2, PAD_M[1] / 2)
     )
+
+
+def material(individual: Mapping[str, Any]) -> gel.GelMaterial:
+    """The gel of an individual: `GelMaterial` but for its shear modulus, and its loss_tangent where the row names one.
+
+    The loss tangent of spring, dashpot tau and Maxwell arm (share g, time t) at w is
+    (w tau + g wt / (1 + wt^2)) / (1 + g wt^2 / (1 + wt^2)); it is met by the choice of tau.
+    """
+    usual = gel.GelMaterial(shear_modulus_pa=float(individual["shear_modulus_pa"]))
+    if "loss_tangent" not in individual:
+        return usual
+    omega = 2 * np.pi * LOSS_AT_HZ
+    turn = omega * usual.maxwell_time_s
+    stored = 1 + usual.maxwell_share * turn**2 / (1 + turn**2)
+    lost_in_arm = usual.maxwell_share * turn / (1 + turn**2)
+    viscous_time_s = (float(individual["loss_tangent"]) * stored - lost_in_arm) / omega
+    return replace(usual, viscous_time_s=viscous_time_s)
 
 
 class SlipAccount:
@@ -95,7 +113,7 @@ class World:
         self._kind = self._scene["kind"]
         self._drop = self._scene.get("drop")
         thing, individual = plan["object_row"], plan["individual_row"]
-        self.drawn = scene.draw(self._scene, thing, mechanics)
+        self.drawn = scene.draw(self._scene, thing, mechanics, individual, plan["object"])
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
         self.eye = Eye(
             individual,
@@ -138,18 +156,18 @@ class World:
         drawn = self.drawn
         width_m = float(thing.get("grasped_width_mm", thing["width_mm"])) * 1e-3
         upright = nodes if self._down == 0 else np.ascontiguousarray(nodes[..., ::-1])
-        self._gap = contact.gap_profile(upright, thing["shape"], float(thing["width_mm"]) * 0.5e-3, drawn.tilt_rad)
-        self._material = gel.GelMaterial(shear_modulus_pa=float(individual["shear_modulus_pa"]))
+        radius_m = float(thing["width_mm"]) * 0.5e-3
+        self._gap = contact.gap_profile(upright - drawn.touch_m, thing["shape"], radius_m, drawn.tilt_rad)
+        self._material = material(individual)
         self._curve = contact.force_curve(
             self._gap,
             contact.cell_area(nodes),
             float(individual["normal_modulus_pa"]),
             self._material.height_m,
-            FINGER_STIFFNESS_N_M,
+            float(individual.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
         )
-        base = gripper.Drive()
-        self.drive = gripper.Drive(friction_n=base.friction_n * drawn.gear_friction_factor)
+        self.drive = gripper.drive_of(individual, drawn.gear_friction_factor)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
         self.command: tuple[gripper.Mode, float]
         if self._kind == "ramp":
@@ -161,24 +179,46 @@ class World:
             self.command = ("position", self.finger.position_ticks)
         height_m = float(thing["height_mm"]) * 1e-3
         inertia = drawn.mass_kg * (height_m**2 + width_m**2) / 12
-        self._gel = gel.start(nodes, self._material, drawn.mass_kg, inertia)
+        along, across = drawn.touch_m[0], drawn.touch_m[1] + drawn.lever_m
+        middle_m = (along, across) if self._down == 0 else (across, along)
+        self._gel = gel.start(nodes, self._material, drawn.mass_kg, inertia, body_xy_m=middle_m)
+        self._middle_m = np.array(middle_m)  # the centre of mass at the start
         self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
         self._at_dots = gel.interpolation(nodes, self.eye.rest_m)
+        self._at_cut = gel.interpolation(nodes, self.eye.cut_rest_m)
+        self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
+        self._on_table = self._kind == "lift"
 
     def holding_ma(self) -> float:
-        """The current that closes to the drawn multiple of the force at the slip limit."""
+        """The current that closes to the drawn multiple of the force at the slip limit, and a little more if named."""
         limit_n = self.drawn.mass_kg * GRAVITY_M_S2 / (2 * self.drawn.static_friction)
-        push_n = self.drawn.start_factor * limit_n * (1 + self.drive.friction_share) + self.drive.friction_n
+        force_n = self.drawn.start_factor * limit_n + float(self._scene.get("gripper", {}).get("start_more_n", 0.0))
+        push_n = force_n * (1 + self.drive.friction_share) + self.drive.friction_n
         return float(np.ceil(push_n / self.drive.force_per_current_n_ma))
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
         self._move()
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
-        events = self.eye.see(shift_m, self._gel.pose[:2], self._contrast(), self.slices * SLICE_US)
+        cut_m = gel.displacement_at(self._gel, *self._at_cut)
+        events = self.eye.see(shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, cut_m=cut_m)
         self.slices += 1
         self.finished = self.slices >= self._last_slice or self._over()
         return events
+
+    def _fallen_m(self) -> float:
+        """How far the object has moved along gravity since the start."""
+        return float(self._gel.pose[self._down] - self._middle_m[self._down])
+
+    def _seen_m(self) -> NDArray[np.float64]:
+        """Displacement of the object where the window shows it: an object held off its middle turns, too."""
+        moved_m: NDArray[np.float64] = self._gel.pose[:2] - self._middle_m
+        if self.eye.window_px is not None and self._middle_m.any():
+            window_px = np.array(self.eye.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
+            from_middle_m = window_px * self.eye.mm_per_px * 1e-3 - self._middle_m
+            cosine, sine = np.cos(self._gel.pose[2]), np.sin(self._gel.pose[2])
+            moved_m += np.array([[cosine - 1, -sine], [sine, cosine - 1]]) @ from_middle_m
+        return moved_m
 
     def _contrast(self) -> float:
         """How clearly the window shows the object: it blurs once it is away from the pad."""
@@ -193,7 +233,7 @@ class World:
             self._shift_indentation_m = self.finger.indentation_m
             depth = np.maximum(self.finger.indentation_m - self._gap, 0.0)
             indices, weights = self._at_dots
-            at_dots = (depth.reshape(-1)[indices] * weights).sum(axis=1)
+            at_dots = gel.field_at(depth[..., None], indices, weights)[:, 0]
             nodes = self._gel.node_xy_m
             self._dilation_m = dilation(self.eye.rest_m, nodes, depth, at_dots, self._material.height_m)
         return self._dilation_m
@@ -209,7 +249,7 @@ class World:
             self._catch_weight()
         if self._kind == "lift":
             info = self._move_over_table(nodal_n)
-        elif self._kind == "hold" and (self._load() == 0.0 or self._gel.pose[self._down] > FLOOR_M):
+        elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.drawn.floor_m):
             info = self._solve(nodal_n, 0.0, held=True)  # something else still carries the object, or the floor does
         else:
             info = self._solve(nodal_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
@@ -228,7 +268,7 @@ class World:
     def _load(self) -> float:
         """Share of the weight that hangs on the gripper: handed over smoothly after the rest."""
         done = (self.slices * STEP_S - self._time["rest_s"]) / max(self._time["load_s"], STEP_S)
-        return float(0.5 - 0.5 * np.cos(np.pi * np.clip(done, 0.0, 1.0)))
+        return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
 
     def _push(self) -> float:
         """Force of whoever pushes the object down at this moment, in N."""
@@ -236,12 +276,12 @@ class World:
         if push is None:
             return 0.0
         now = self.slices * STEP_S
-        shares = [
-            share * float(np.sin(np.pi * (now - at) / push["lasts_s"]))
-            for at, share in zip(push["at_s"], push["share"], strict=True)
+        forces = [
+            force_n * float(np.sin(np.pi * (now - at) / push["lasts_s"]))
+            for at, force_n in zip(push["at_s"], push["force_n"], strict=True)
             if at <= now < at + push["lasts_s"]
         ]
-        return float(sum(shares)) * self._mass_kg * GRAVITY_M_S2
+        return float(sum(forces))
 
     def _catch_weight(self) -> None:
         """A weight lands on the object and stays: inelastic."""
@@ -254,16 +294,29 @@ class World:
         self._gel.inertia[:2] = self._mass_kg
 
     def _move_over_table(self, nodal_n: NDArray[np.float64]) -> Any:
-        """With the table under the object: where it would sink into the table, the table carries it."""
+        """With the table under the object: where it would sink into the table, the table carries it.
+
+        Both ways are tried at most, first that of the slice before: an object that stands on the table goes on doing so
+        while the table has to push (else it would hang on it), one that hangs while it does not sink into the table.
+        """
         hand_m_s = self._hand_speed((self.slices + 1) * STEP_S - self._lift_starts_s)
         acceleration = (hand_m_s - self._hand_m_s) / STEP_S
         self._hand_m_s = hand_m_s
         self._table_m += hand_m_s * STEP_S
-        before = self._gel.copy()
-        info = self._solve(nodal_n, self._mass_kg * (GRAVITY_M_S2 + acceleration))
-        if self._gel.pose[self._down] > self._table_m:
-            self._gel.restore(before)
-            info = self._solve(nodal_n, 0.0, held=True, speed=(self._table_m - before.pose[self._down]) / STEP_S)
+        weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration)
+        speed, falling = (self._table_m - self._fallen_m()) / STEP_S, self._gel.twist[self._down]
+        self._before.restore(self._gel)
+        if self._on_table:
+            info = self._solve(nodal_n, 0.0, held=True, speed=speed)
+            inertial_n = self._mass_kg * (speed - falling) / (THETA * STEP_S)
+            if weight_n - 2 * info.friction_n[self._down] - inertial_n >= 0.0:
+                return info
+            self._gel.restore(self._before)
+        info = self._solve(nodal_n, weight_n)
+        self._on_table = bool(self._fallen_m() > self._table_m)
+        if self._on_table:
+            self._gel.restore(self._before)
+            info = self._solve(nodal_n, 0.0, held=True, speed=speed)
         return info
 
     def _hand_speed(self, since_s: float) -> float:
@@ -271,24 +324,25 @@ class World:
         hand = self._scene["hand"]
         speed, acceleration = hand["speed_mm_s"] * 1e-3, hand["acceleration_mm_s2"] * 1e-3
         ramp_s, cruise_s = speed / acceleration, hand["height_mm"] * 1e-3 / speed
-        return float(speed * np.clip(min(since_s, cruise_s + ramp_s - since_s) / ramp_s, 0.0, 1.0))
+        return float(speed * min(max(min(since_s, cruise_s + ramp_s - since_s) / ramp_s, 0.0), 1.0))
 
     def _over(self) -> bool:
         """A ramp ends some time after contact is lost or the object slid away; a grasp when the object fell."""
         if self._kind == "hold":
             return False
-        fallen = self._gel.pose[self._down] > GONE_M
+        fallen = self._fallen_m() > GONE_M
         gone = self.finger.force_n <= 0.0 or fallen
         if self._kind == "lift":
-            gone = fallen and self._table_m - self._gel.pose[self._down] > GONE_M and self.finger.force_n <= 0.0
+            gone = fallen and self._table_m - self._fallen_m() > GONE_M and self.finger.force_n <= 0.0
         self._lost_for = self._lost_for + 1 if gone else 0
         return bool(self._lost_for > self._time.get("after_lost_s", 0.15) / STEP_S)
 
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""
+        moved_m = self._gel.pose[:2] - self._middle_m
         row = {
             "truth/dot_xy_px": self.eye.dot_xy_px.astype(np.float32),
-            "truth/object_xy_px": self.eye.object_xy_px.astype(np.float32),
+            "truth/object_xy_px": (moved_m * 1e3 / self.eye.mm_per_px).astype(np.float32),
             "truth/slid_px": self._account.slid_px,
             "truth/slip": self._account.slips,
             "truth/slip_fraction": self._account.fraction,
@@ -297,5 +351,5 @@ class World:
             "truth/closing_ticks": self.finger.closing_ticks,
         }
         if self._kind == "lift":
-            row["truth/table_gap_mm"] = (self._table_m - self._gel.pose[self._down]) * 1e3
+            row["truth/table_gap_mm"] = (self._table_m - self._fallen_m()) * 1e3
         return row

@@ -39,25 +39,32 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
         if params.source.is_dir():
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
         return [Job((params.source,), output_path(params.source, OUTPUT, out))]
-    return trials(("ramp", "hold", "press"), params, out)
+    return trials(("ramp", "hold", "press", "rub", "tone"), params, out, params.tones)
 
 
-def trials(kinds: tuple[str, ...], params: Trials, out: Path | None) -> list[Job]:
-    """`count` trials of every object in a scene of a kind: <scene>[-obj<number>]-s<seed>-<trial>.recording.h5."""
+def trials(kinds: tuple[str, ...], params: Trials, out: Path | None, tones: str | None = None) -> list[Job]:
+    """`count` trials of every object or tone in a scene of a kind.
+
+    They are named <scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
+    """
     found = []
-    for plan in scene.plan(params.scene, params.objects, params.individual, kinds, params.gel, params.readout):
+    for plan in scene.plan(params.scene, params.objects, params.individual, kinds, params.gel, params.readout, tones):
         thing = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
+        thing += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
         for trial in range(params.count):
             name = f"{plan['scene']['name']}{thing}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
             output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
-            found.append(Job((), output, {"plan": plan, "trial": trial}))
+            built = scene.for_trial(plan, (params.seed, plan["object"] or 0, trial))
+            found.append(Job((), output, {"plan": built, "trial": trial}))
     one_file(found, out)
     return found
 
 
 def seeds(params: Trials, job: Job) -> np.random.SeedSequence:
     """The seeds of one trial: reproducible alone, whatever else is recorded."""
-    return np.random.SeedSequence([params.seed, job.choice["plan"]["object"] or 0, job.choice["trial"]])
+    plan = job.choice["plan"]
+    tone_mhz = [round(1000 * plan["tone_hz"])] if "tone_hz" in plan else []
+    return np.random.SeedSequence([params.seed, plan["object"] or 0, job.choice["trial"], *tone_mhz])
 
 
 def dry_run(jobs: list[Job], params: Trials) -> Outcome:
@@ -99,7 +106,7 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     ramp = np.random.default_rng(drawing.spawn(1)[0])
     devices = rig(parameters, drawing)
     scene_ = parameters["scene"]
-    longest_ms = round(1000 * scene_["time"].get("longest_s", 100.0))
+    longest_ms = round(1000 * _longest_s(scene_["time"]))
     writer = RecordingWriter(job.output, {**devices.camera.sensor, "t_offset": np.int64(0)}, discard_leftover=True)
     try:
         slices, events = _follow(devices, writer, Handling.of(scene_), ramp, lambda done: progress(done, longest_ms))
@@ -110,6 +117,11 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     finally:
         devices.close()
     return outcome(job, made=True, simulated=True, slices=slices, events=events)
+
+
+def _longest_s(time: Mapping[str, float]) -> float:
+    """How long a scene takes at most, for the progress shown."""
+    return time["tone_at_s"] + time["tone_s"] + time["after_s"] if "tone_s" in time else time.get("longest_s", 100.0)
 
 
 @dataclass(frozen=True)

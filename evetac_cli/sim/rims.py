@@ -1,0 +1,337 @@
+"""Lines in the picture that are not dots: the rims of an object that dents the gel, and the edge of a cut gel.
+
+Both add to the log brightness of a pixel. An object is a picture drawn once, since it only moves and fades; it adds
+strength * picture(pixel - corner), bilinear. The cut edge is a dark line whose place in every row is given; it moves
+with the gel and lies over pixels of the gel and of the window alike.
+
+Why so: a camera that knows how far these levels have changed since it last looked can add the change to its references
+instead (with the other sign), and needs no other picture than that of its dots. So lines that rest cost nothing, and
+only pixels whose level can have changed are visited: in a row of the picture those before and after its flat middle.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+# A rim ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
+RIM_SIGMAS = 3.5
+# Looked at again once a level can have changed by this, as with dots (RESOLUTION_PX at their steepest slope).
+LEVEL_RESOLUTION = 0.005
+# A line (1 - (d / h)^2)^2 is half as deep at d = 0.541 h, and steepest there where (d / h)^2 = 1 / 3.
+HALF_DEPTH = math.sqrt(1.0 - math.sqrt(0.5))
+STEEPEST = 8.0 / (3.0 * math.sqrt(3.0))
+FARTHEST_PX = 1e6
+NONE = 1 << 40  # of a row without any pixel to visit: beyond every column
+
+Floats = NDArray[np.float64]
+
+
+class Outline(NamedTuple):
+    """Log brightness of an object that dents the gel (rows, columns), drawn once; 0 on its border.
+
+    `runs` (rows, 4) says which pixels of a row are not like all their neighbours: from the first column up to the
+    second, and from the third up to the fourth. `slope` is its steepest, per px, `height` its greatest level.
+    """
+
+    picture: NDArray[np.float32]
+    runs: NDArray[np.int64]
+    slope: float
+    height: float
+
+
+class Place(NamedTuple):
+    """Where the lines are at a moment.
+
+    `corner_px` (x, y): where in the frame the outline's first pixel lies; `strength` 0 (not there) to 1;
+    `cut_x_px` (height,): where the cut edge crosses each row, empty without one.
+    """
+
+    corner_px: Floats
+    strength: float
+    cut_x_px: Floats
+
+
+@dataclass
+class Rims:
+    """The lines before one camera, and what it last saw of them; a camera's `step` changes it in place.
+
+    `seen_level` and `seen_cut_level` (height, width) are the levels that an outline and the cut edge add at
+    `seen_corner` (x, y, strength) and `seen_cut_x`. `dot_level` (height, width) is the picture of the dots, kept by the
+    scanning camera. `events` counts those of the last slice that no moving dot and no texture made. `rested` is the
+    place at which all lines were for a whole slice, and were looked at: there, nothing is left to do.
+    """
+
+    outline: Outline
+    cut_contrast: float
+    cut_half_px: float
+    seen_corner: Floats
+    seen_cut_x: Floats
+    seen_level: NDArray[np.float32]
+    seen_cut_level: NDArray[np.float32]
+    dot_level: NDArray[np.float32]
+    rested: Place | None = None
+    events: int = 0
+
+    def still(self, start: Place, end: Place, cut_px: float = 0.0) -> bool:
+        """Whether nothing moves from start to end or has since it was last seen; the cut may have by `cut_px`."""
+        x, y, strength = self.seen_corner
+        outline_still = start.strength == end.strength == strength and (
+            strength == 0.0 or (start.corner_px == (x, y)).all() and (end.corner_px == (x, y)).all()
+        )
+        if not outline_still:
+            return False
+        moved = [np.abs(place.cut_x_px - self.seen_cut_x).max(initial=0.0) for place in (start, end)]
+        return bool(moved[0] <= cut_px and moved[1] <= cut_px)
+
+    @property
+    def cut_resolution_px(self) -> float:
+        """How far the cut edge may move before some level has changed by LEVEL_RESOLUTION."""
+        return LEVEL_RESOLUTION * self.cut_half_px / (self.cut_contrast * STEEPEST) if self.cut_contrast else 0.0
+
+
+def start(
+    frame_px: tuple[int, int],
+    place: Place,
+    outline: Outline | None = None,
+    cut_contrast: float = 0.0,
+    cut_width_px: float = 3.0,
+) -> Rims:
+    """Lines that are already there, in full view, when a camera is switched on.
+
+    The cut edge is a line `cut_contrast` log units darker than the gel and `cut_width_px` wide at half its depth.
+    ValueError on values out of range.
+    """
+    width, height = frame_px
+    if not 0.0 <= cut_contrast <= 20.0:
+        raise ValueError(f"cut_contrast: expected 0 to 20, found {cut_contrast}")
+    if not 0.01 <= cut_width_px <= 1000.0:
+        raise ValueError(f"cut_width_px: expected 0.01 to 1000, found {cut_width_px}")
+    drawn = Outline(np.zeros((0, 0), np.float32), np.empty((0, 4), np.int64), 0.0, 0.0) if outline is None else outline
+    cut = len(place.cut_x_px) > 0
+    rims = Rims(
+        outline=drawn,
+        cut_contrast=float(cut_contrast),
+        cut_half_px=0.5 * cut_width_px / HALF_DEPTH,
+        seen_corner=np.zeros(3),
+        seen_cut_x=np.empty(height if cut else 0),
+        seen_level=np.zeros((height, width) if drawn.picture.size else (0, 0), np.float32),
+        seen_cut_level=np.zeros((height, width) if cut else (0, 0), np.float32),
+        dot_level=np.zeros((height, width), np.float32),
+    )
+    checked = check_place("place", rims, place)
+    rims.seen_corner[:] = *checked.corner_px, checked.strength
+    rims.seen_cut_x[:] = checked.cut_x_px
+    for y in range(len(rims.seen_level)):
+        sample_row(drawn.picture, *checked.corner_px, checked.strength, y, 0, width, rims.seen_level[y])
+    for y in range(len(rims.seen_cut_level)):
+        sample_cut(rims.cut_contrast, rims.cut_half_px, checked.cut_x_px[y], 0, width, rims.seen_cut_level[y])
+    return rims
+
+
+def check_place(name: str, rims: Rims, place: Place) -> Place:
+    """The place as arrays of the right kind; ValueError on values that are not finite, or of another shape."""
+    corner = np.ascontiguousarray(place.corner_px, np.float64)
+    cut_x = np.ascontiguousarray(place.cut_x_px, np.float64)
+    if corner.shape != (2,) or cut_x.shape != rims.seen_cut_x.shape:
+        expected = f"corner_px (2,) and cut_x_px {rims.seen_cut_x.shape}"
+        raise ValueError(f"{name}: expected {expected}, found {corner.shape} and {cut_x.shape}")
+    if not (np.abs(corner) <= FARTHEST_PX).all() or not (np.abs(cut_x) <= FARTHEST_PX).all():
+        raise ValueError(f"{name}: expected finite places within {FARTHEST_PX:g} px")
+    if not 0.0 <= place.strength <= 1.0:
+        raise ValueError(f"{name}: expected a strength of 0 to 1, found {place.strength}")
+    return Place(corner, float(place.strength), cut_x)
+
+
+def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float | None = None) -> Outline:
+    """The outline of an ellipse of a size (across, down): L = level * Phi(d / width), d the depth inside the rim.
+
+    With `thick_px` it is a ring with a second rim that far inside the first: L = level * (Phi(d_outer / width) -
+    Phi(d_inner / width)). ValueError unless sizes, level and width are positive and a ring has a hole.
+    """
+    size = np.asarray(size_px, np.float64)
+    if size.shape != (2,) or not (np.isfinite(size).all() and (size > 0).all()):
+        raise ValueError(f"size_px: expected two positive numbers, found {size.tolist()}")
+    if not (0.0 < level < math.inf and 0.0 < width_px < math.inf):
+        raise ValueError(f"level and width_px: expected positive finite numbers, found {level} and {width_px}")
+    if thick_px is not None and not 0.0 < 2.0 * thick_px < size.min():
+        raise ValueError(f"thick_px: expected above 0 and below {0.5 * size.min():g}, found {thick_px}")
+    half = np.ceil(0.5 * size + RIM_SIGMAS * width_px) + 2
+    x, y = np.meshgrid(np.arange(-half[0], half[0] + 1), np.arange(-half[1], half[1] + 1))
+    shade = _rim(_depth(x, y, 0.5 * size) / width_px)
+    if thick_px is not None:
+        shade -= _rim(_depth(x, y, 0.5 * size - thick_px) / width_px)
+    picture = (level * shade).astype(np.float32)
+    down, across = np.gradient(picture)
+    slope = float(np.hypot(down, across).max())
+    return Outline(np.ascontiguousarray(picture), _runs(picture), slope, float(picture.max()))
+
+
+def _depth(x: Floats, y: Floats, half: Floats) -> Floats:
+    """Distance of points to an ellipse about the origin, positive inside (Eberly, Distance from a Point to an Ellipse).
+
+    The nearest point on the rim is (a^2 x / (t + a^2), b^2 y / (t + b^2)), where t makes it a point of the rim.
+    """
+    turned = half[0] < half[1]
+    long, short = (half[1], half[0]) if turned else (half[0], half[1])
+    across, down = (np.abs(y), np.abs(x)) if turned else (np.abs(x), np.abs(y))
+    down = np.maximum(down, 1e-9)  # on the long axis the nearest point need not be: this finds it as a limit
+    low = short * down - short**2
+    high = np.hypot(long * across, short * down) - short**2
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        outside = (long * across / (middle + long**2)) ** 2 + (short * down / (middle + short**2)) ** 2 > 1.0
+        low = np.where(outside, middle, low)
+        high = np.where(outside, high, middle)
+    near_x = long**2 * across / (high + long**2)
+    near_y = short**2 * down / (high + short**2)
+    inside = (across / long) ** 2 + (down / short) ** 2 < 1.0
+    depth: Floats = np.where(inside, 1.0, -1.0) * np.hypot(across - near_x, down - near_y)
+    return depth
+
+
+def _rim(sigmas: Floats) -> Floats:
+    """Phi, scaled to reach 0 and 1 at RIM_SIGMAS on either side."""
+    places = np.linspace(-RIM_SIGMAS, RIM_SIGMAS, 2049)
+    lit = np.array([0.5 * math.erfc(-place / math.sqrt(2.0)) for place in places])
+    shade: Floats = np.interp(sigmas, places, (lit - lit[0]) / (lit[-1] - lit[0]))
+    return shade
+
+
+def _runs(picture: NDArray[np.float32]) -> NDArray[np.int64]:
+    """First and last pixels of each row that differ from a neighbour, without the longest gap between them."""
+    rows, columns = picture.shape
+    padded = np.pad(picture, 1)
+    around = np.stack([padded[r : r + rows, c : c + columns] for r in range(3) for c in range(3)])
+    differs = around.max(axis=0) != around.min(axis=0)
+    runs = np.tile(np.array([NONE, -NONE, NONE, -NONE], np.int64), (rows, 1))
+    for row in range(rows):
+        found = np.flatnonzero(differs[row])
+        if len(found):
+            gaps = np.diff(found)
+            widest = int(np.argmax(gaps)) if len(gaps) else 0
+            runs[row] = found[0], found[widest] + 1, found[min(widest + 1, len(found) - 1)], found[-1] + 1
+    return runs
+
+
+@njit(cache=True)
+def outline_moved(
+    outline_slope: float, outline_height: float, seen: Floats, x: float, y: float, strength: float
+) -> bool:
+    """Whether an outline has moved or faded by so much that some level can have changed by LEVEL_RESOLUTION."""
+    if strength == 0.0 and seen[2] == 0.0:
+        return False
+    faded = abs(strength - seen[2]) * outline_height
+    moved = math.hypot(x - seen[0], y - seen[1]) * outline_slope * max(strength, seen[2])
+    gone = strength == 0.0
+    return gone or faded + moved >= LEVEL_RESOLUTION
+
+
+@njit(cache=True)
+def outline_rows(rows: int, height: int, y_a: float, y_b: float) -> tuple[int, int]:
+    """The rows of a frame that an outline of so many rows touches with its corner at y_a or y_b: from, up to."""
+    first = max(0, math.floor(min(y_a, y_b)) - 1)
+    end = min(height, math.ceil(max(y_a, y_b)) + rows + 1)
+    return first, max(first, end)
+
+
+@njit(cache=True)
+def outline_runs(
+    runs: NDArray[np.int64],
+    columns: int,
+    width: int,
+    y: int,
+    x_a: float,
+    y_a: float,
+    x_b: float,
+    y_b: float,
+    faded: bool,
+) -> tuple[int, int, int, int]:
+    """The pixels of row y whose level can differ while an outline's corner goes from (x_a, y_a) to (x_b, y_b).
+
+    From the first column up to the second, and from the third up to the fourth, within the frame. If it also `faded`,
+    its flat middle is among them.
+    """
+    left = NONE
+    left_end = -NONE
+    right = NONE
+    right_end = -NONE
+    low = max(0, math.floor(y - max(y_a, y_b)) - 1)
+    high = min(len(runs) - 1, math.ceil(y - min(y_a, y_b)) + 1)
+    for row in range(low, high + 1):
+        left = min(left, runs[row, 0])
+        left_end = max(left_end, runs[row, 1])
+        right = min(right, runs[row, 2])
+        right_end = max(right_end, runs[row, 3])
+    if left >= right_end:
+        return 0, 0, 0, 0
+    before = math.floor(min(x_a, x_b)) - 1
+    beyond = math.ceil(max(x_a, x_b)) + 1
+    left = min(max(left + before, 0), width)
+    right_end = min(max(right_end + beyond, left), width)
+    left_end = min(max(left_end + beyond, left), right_end)
+    right = min(max(right + before, left), right_end)
+    if faded or left_end >= right:
+        return left, right_end, right_end, right_end
+    return left, left_end, right, right_end
+
+
+@njit(cache=True)
+def sample_row(
+    picture: NDArray[np.float32],
+    corner_x: float,
+    corner_y: float,
+    strength: float,
+    y: int,
+    first: int,
+    end: int,
+    line: NDArray[np.float32],
+) -> None:
+    """Fill line[: end - first] with what an outline adds to pixels first to end of row y; 0 beyond its picture."""
+    rows, columns = picture.shape
+    row = math.floor(y - corner_y)
+    column = math.floor(first - corner_x)
+    if strength == 0.0 or not 0 <= row < rows - 1:
+        line[: end - first] = 0.0
+        return
+    begin = min(max(-column, 0), end - first)
+    stop = max(begin, min(columns - 1 - column, end - first))
+    line[:begin] = 0.0
+    line[stop : end - first] = 0.0
+    part_x = first - corner_x - column
+    part_y = y - corner_y - row
+    upper_left = np.float32(strength * (1.0 - part_y) * (1.0 - part_x))
+    upper_right = np.float32(strength * (1.0 - part_y) * part_x)
+    lower_left = np.float32(strength * part_y * (1.0 - part_x))
+    lower_right = np.float32(strength * part_y * part_x)
+    above = picture[row, column + begin : column + stop + 1]
+    below = picture[row + 1, column + begin : column + stop + 1]
+    out = line[begin:stop]
+    for k in range(stop - begin):
+        out[k] = upper_left * above[k] + upper_right * above[k + 1] + lower_left * below[k] + lower_right * below[k + 1]
+
+
+@njit(cache=True)
+def cut_moved(contrast: float, half: float, seen_x: float, x: float) -> bool:
+    """Whether the cut edge has moved in a row by so much that some level can have changed by LEVEL_RESOLUTION."""
+    return abs(x - seen_x) * contrast * STEEPEST >= LEVEL_RESOLUTION * half
+
+
+@njit(cache=True)
+def cut_run(half: float, width: int, x_a: float, x_b: float) -> tuple[int, int]:
+    """The pixels of a row whose level can differ while the cut edge goes from x_a to x_b: from, up to."""
+    first = min(max(math.ceil(min(x_a, x_b) - half), 0), width)
+    end = min(max(math.floor(max(x_a, x_b) + half) + 1, first), width)
+    return first, end
+
+
+@njit(cache=True)
+def sample_cut(contrast: float, half: float, cut_x: float, first: int, end: int, line: NDArray[np.float32]) -> None:
+    """Fill line[: end - first] with what the cut edge, where it crosses the row at cut_x, adds to those pixels."""
+    for k in range(end - first):
+        away = (first + k - cut_x) / half
+        depth = max(1.0 - away * away, 0.0)
+        line[k] = np.float32(-contrast * depth * depth)
