@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.grid import arrange, pitch
+from evetac_cli.kernels.grid import arrange, lattice, pitch
 
 Grid = NDArray[np.float64]
 
@@ -133,3 +133,64 @@ def test_pitch() -> None:
     grid[2, 2] += 4.0
     assert pitch(grid) == pytest.approx(31.5, rel=1e-12)
     assert pitch(grid[1:2, 1:2]) == np.inf
+
+
+@given(shapes, st.integers(0, 2**32 - 1), st.floats(-0.25, 0.25))
+@settings(deadline=None)
+def test_lattice_of_a_tilted_grid(shape: tuple[int, int], seed: int, angle: float) -> None:
+    """Assert that unsteady dots in any order, tilted by up to 14 degrees, come back in rows and columns."""
+    assume(min(shape) > 1)
+    rng = np.random.default_rng(seed)
+    grid = tilted(regular(*shape), angle) + rng.uniform(-4, 4, (*shape, 2))
+    np.testing.assert_array_equal(lattice(rng.permutation(grid.reshape(-1, 2))), grid)
+
+
+def test_lattice_with_holes_and_strangers() -> None:
+    """Assert that missing dots become NaN in their places, and that places off the lattice are left out."""
+    grid = tilted(regular(7, 9), 0.05)
+    holes = [(0, 0), (2, 3), (2, 4), (6, 8), (3, 0)]
+    for hole in holes:
+        grid[hole] = np.nan
+    dots = grid.reshape(-1, 2)
+    strangers = np.array([[83.0, 70.0], [900.0, 20.0], [300.0, -55.0]])
+    found = lattice(np.random.default_rng(0).permutation(np.concatenate([dots[np.isfinite(dots[:, 0])], strangers])))
+    np.testing.assert_array_equal(found, grid)
+
+
+def test_lattice_takes_the_better_of_two() -> None:
+    """Assert that of two places for one dot the one that fits the lattice stays."""
+    grid = regular(5, 5)
+    found = lattice(np.concatenate([grid.reshape(-1, 2), [grid[2, 2] + (12.0, 9.0)]]))
+    np.testing.assert_array_equal(found, grid)
+
+
+def test_lattice_without_weak_borders() -> None:
+    """Assert that a row of few dots at the border is no row."""
+    grid = regular(5, 6)
+    weak = grid[0, 1:3] - (0, 60)
+    np.testing.assert_array_equal(lattice(np.concatenate([grid.reshape(-1, 2), weak])), grid)
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        np.empty((0, 2)),
+        regular(1, 3)[0],
+        regular(1, 9)[0],
+        regular(9, 1)[:, 0],
+        np.tile([[5.0, 5.0]], (9, 1)),
+        np.array([[0.0, 0.0], [1.0, 0.0], [500.0, 3.0], [3.0, 700.0]]),
+    ],
+    ids=["none", "three", "a row", "a column", "one place", "scattered"],
+)
+def test_no_lattice(places: Grid) -> None:
+    """Assert that too few dots, one row, one column, and places anywhere are refused."""
+    with pytest.raises(ValueError, match="at least two rows and two columns"):
+        lattice(places)
+
+
+@pytest.mark.parametrize("places", [np.zeros((3, 3)), np.zeros(4), np.full((5, 2), np.nan)])
+def test_lattice_wants_finite_places(places: Grid) -> None:
+    """Assert that other shapes and places that are nowhere are refused."""
+    with pytest.raises(ValueError, match="expected finite places"):
+        lattice(places)

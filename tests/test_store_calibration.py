@@ -9,7 +9,14 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.store import schema
-from evetac_cli.store.calibration import Calibration, read_calibration
+from evetac_cli.store.calibration import (
+    Calibration,
+    read_calibration,
+    read_quality,
+    up_to_date,
+    write_calibration,
+)
+from evetac_cli.store.provenance import Recipe
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "evetac_base_calibration.json"
 GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(4), 40.0 + 60 * np.arange(3)), axis=-1)
@@ -77,6 +84,68 @@ def test_missing_dots(tmp_path: Path) -> None:
         read(tmp_path, {**GOOD, "dot_xy_px": [*GOOD["dot_xy_px"], [None, None]]})
 
 
+def test_mask(tmp_path: Path) -> None:
+    """Assert that a dot is missing where the mask is false, also in a list in any order, or its centre null."""
+    mask = np.ones((3, 4), bool)
+    mask[2, 1] = mask[0, 0] = False
+    shuffled = np.random.default_rng(0).permutation(GRID.reshape(-1, 2)).tolist()
+    dots = read(tmp_path, {**GOOD, "dot_xy_px": shuffled, "mask": mask.tolist(), "rows": 3, "columns": 4}).dot_xy_px
+    np.testing.assert_array_equal(np.isnan(dots[..., 0]), ~mask)
+    np.testing.assert_array_equal(dots[mask], GRID[mask])
+    rows = GRID.tolist()
+    rows[1][2] = [None, 100.0]
+    dots = read(tmp_path, {**GOOD, "dot_xy_px": rows, "mask": mask.tolist()}).dot_xy_px
+    assert np.argwhere(np.isnan(dots).all(axis=2)).tolist() == [[0, 0], [1, 2], [2, 1]]
+
+
+def test_written_is_read(tmp_path: Path) -> None:
+    """Assert that what is written is read again to 0.001 px, holes and window included, and nothing else is left."""
+    dots = GRID + np.random.default_rng(0).uniform(-3, 3, GRID.shape)
+    dots[1, 1] = np.nan
+    path = tmp_path / "new" / "grid.json"
+    for window in (None, (540, 0, 640, 480)):
+        write_calibration(path, Calibration((640, 480), dots, 14.4321, window), [[1], [0]], {"a_px": 1.0}, {"id": "x"})
+        again = read_calibration(path)
+        np.testing.assert_allclose(again.dot_xy_px, dots, atol=5.1e-4)
+        assert again.window_px == window
+        assert again.dot_radius_px == 14.432
+        assert read_quality(path) == {"a_px": 1.0}
+    assert [file.name for file in path.parent.iterdir()] == ["grid.json"]
+    assert json.loads(path.read_text())["mask"][1] == [True, False, True, True]
+
+
+def test_writing_that_fails(tmp_path: Path) -> None:
+    """Assert that a folder that is a file, and a target that is a folder, are errors that leave nothing behind."""
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.json").mkdir()
+    calibration = Calibration((640, 480), GRID, 15.0, None)
+    for target in (tmp_path / "file" / "grid.json", tmp_path / "folder.json"):
+        with pytest.raises(InputError):
+            write_calibration(target, calibration, [], {}, {})
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["file", "folder.json"]
+
+
+def test_up_to_date(tmp_path: Path) -> None:
+    """Assert that only the same recipe is up to date, another refused with the first difference unless forced."""
+    path = tmp_path / "grid.json"
+    recipe, other = (Recipe("calibration", 1, {"gel": gel}) for gel in ("cut", "closed"))
+    assert not up_to_date(path, recipe)
+    provenance = recipe.identity | {"id": recipe.id}
+    write_calibration(path, Calibration((640, 480), GRID, 15.0, None), [], {}, provenance)
+    assert up_to_date(path, recipe)
+    assert up_to_date(path, recipe, force=True)
+    assert not up_to_date(path, other, force=True)
+    with pytest.raises(InputError, match="parameters.gel is cut in the file, closed wanted"):
+        up_to_date(path, other)
+    for content in ("", "{}", "[]", '{"provenance": {}}', '{"provenance": {"id": 3}}', json.dumps(GOOD)):
+        path.write_text(content)
+        assert not up_to_date(path, recipe, force=True)
+        with pytest.raises(InputError, match="no calibration made by evetac"):
+            up_to_date(path, recipe)
+    with pytest.raises(InputError, match="is a folder"):
+        up_to_date(tmp_path, recipe, force=True)
+
+
 FLAT = GOOD["dot_xy_px"]
 FAULTS: dict[str, tuple[Any, str]] = {
     "empty file": ("", "not a calibration"),
@@ -120,6 +189,14 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "window outside": ({**GOOD, "window_px": [540, 0, 641, 480]}, "window_px is not valid"),
     "window negative": ({**GOOD, "window_px": [-1, 0, 640, 480]}, "window_px is not valid"),
     "window beyond int32": ({**GOOD, "window_px": [0, 0, 640, 2**40]}, "window_px is not valid"),
+    "rows of others": ({**GOOD, "rows": 4, "columns": 3}, "rows and columns do not fit"),
+    "rows alone": ({**GOOD, "rows": 3}, "rows and columns do not fit"),
+    "mask of one": ({**GOOD, "mask": True}, "expected a mask of 3 rows"),
+    "mask of dots": ({**GOOD, "mask": [True] * 12}, "expected a mask of 3 rows"),
+    "mask too short": ({**GOOD, "mask": [[True] * 4] * 2}, "expected a mask of 3 rows"),
+    "mask of numbers": ({**GOOD, "mask": [[1] * 4] * 3}, "expected a mask of 3 rows"),
+    "mask of none": ({**GOOD, "mask": [[False] * 4] * 3}, "all missing"),
+    "all dots null": ({**GOOD, "dot_xy_px": [[[None, None]] * 2] * 2}, "all missing"),
     "no dots": ({**GOOD, "dot_xy_px": []}, "do not form a grid"),
     "no rows": ({**GOOD, "dot_xy_px": [[]]}, "do not form a grid"),
     "dots null": ({**GOOD, "dot_xy_px": None}, "do not form a grid"),

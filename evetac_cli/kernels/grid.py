@@ -1,7 +1,15 @@
-"""The dot grid: which row and column every dot belongs to."""
+"""The dot grid: which row and column every dot belongs to.
+
+`arrange` takes all dots of a grid and refuses anything else; `lattice` makes out a grid among places where dots were
+found, of which some may be missing and others no dots at all.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
+
+NEXT_DOOR = 0.3  # how far a step to the next dot may be from the usual one, in pitches
+OFF_LATTICE = 0.35  # ... and a dot from the plane of all
+TURNED = 0.8  # cosine of the most that a step to the right may point up or down
 
 
 def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -34,6 +42,96 @@ def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
         raise ValueError("expected dots of a row further apart; rows run into each other (tilted?), or dots come twice")
     if (np.abs(np.diff(grid[..., 0], axis=0)) > half).any():
         raise ValueError("expected dots below each other; every row lacks dots, or has too many, in another place")
+    return grid
+
+
+def lattice(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Make out the grid in places (n, 2) given in any order: (rows, columns, 2) like `arrange`, NaN for a missing dot.
+
+    Steps from dot to dot lead through the largest connected piece of a grid that is tilted by up to about 20 degrees; a
+    plane through that says which row and column every place belongs to. Places off the lattice are left out, and so is
+    a first or last row or column with less than half of its dots. ValueError if there are not two rows and two columns.
+    """
+    places = np.asarray(places_xy_px, dtype=np.float64)
+    if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
+        raise ValueError(f"expected finite places (n, 2), found shape {places.shape}")
+    too_few = ValueError(f"expected dots in at least two rows and two columns, found {len(places)} places without them")
+    if len(places) < 4:
+        raise too_few
+    step_px = pitch(places)
+    offset = places[None] - places[:, None]
+    distance = np.linalg.norm(offset, axis=2)
+    next_door = np.abs(distance - step_px) < NEXT_DOOR * step_px
+    right = next_door & (offset[..., 0] > TURNED * distance)
+    below = next_door & (offset[..., 1] > TURNED * distance)
+    if not right.any() or not below.any():
+        raise too_few
+    steps = [(near, np.median(offset[near], axis=0), cell) for near, cell in ((right, (0, 1)), (below, (1, 0)))]
+    cells = _largest_piece(steps, offset, step_px)
+    members = np.array(list(cells))
+    index = np.array([cells[member] for member in members])
+    if (np.ptp(index, axis=0) < 1).any():
+        raise too_few
+    plane = np.linalg.lstsq(np.column_stack([index, np.ones(len(index))]), places[members], rcond=None)[0]
+    exact = (places - plane[2]) @ np.linalg.inv(plane[:2])
+    cell = np.round(exact).astype(np.int64)
+    off = np.linalg.norm((cell - exact) @ plane[:2], axis=1)
+    on_lattice = np.flatnonzero(off < OFF_LATTICE * step_px)
+    cell -= cell[on_lattice].min(axis=0)
+    grid = np.full((*(cell[on_lattice].max(axis=0) + 1), 2), np.nan)
+    for place in on_lattice[np.argsort(-off[on_lattice], kind="stable")]:  # of two in one cell the better one stays
+        grid[tuple(cell[place])] = places[place]
+    grid = _without_weak_borders(grid)
+    if min(grid.shape[:2]) < 2:
+        raise too_few
+    return grid
+
+
+def _largest_piece(
+    steps: list[tuple[NDArray[np.bool_], NDArray[np.float64], tuple[int, int]]],
+    offset: NDArray[np.float64],
+    step_px: float,
+) -> dict[int, tuple[int, int]]:
+    """Place -> (row, column) for the most places that single steps to the right or down connect."""
+    links: dict[int, list[tuple[int, int, int]]] = {place: [] for place in range(len(offset))}
+    for near, step, (down, right) in steps:
+        fits = near & (np.linalg.norm(offset - step, axis=2) < NEXT_DOOR * step_px)
+        for first, second in np.argwhere(fits).tolist():
+            links[first].append((second, down, right))
+            links[second].append((first, -down, -right))
+    best: dict[int, tuple[int, int]] = {}
+    seen: set[int] = set()
+    for place in links:
+        if place in seen:
+            continue
+        piece = {place: (0, 0)}
+        waiting = [place]
+        while waiting:
+            here = waiting.pop()
+            row, column = piece[here]
+            for other, down, right in links[here]:
+                if other not in piece:
+                    piece[other] = (row + down, column + right)
+                    waiting.append(other)
+        seen |= piece.keys()
+        best = max(best, piece, key=len)
+    return best
+
+
+def _without_weak_borders(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cut off first and last rows and columns with less than half of their dots, until there are none."""
+    while grid.size:
+        there = np.isfinite(grid[..., 0])
+        if there[0].mean() < 0.5:
+            grid = grid[1:]
+        elif there[-1].mean() < 0.5:
+            grid = grid[:-1]
+        elif there[:, 0].mean() < 0.5:
+            grid = grid[:, 1:]
+        elif there[:, -1].mean() < 0.5:
+            grid = grid[:, :-1]
+        else:
+            break
     return grid
 
 

@@ -1,8 +1,14 @@
 """Dot grids as JSON: the keys of the official base calibration (frame_px, radius_px, dot_xy_px), and optionally
-window_px. The dots may come in any order; rows and columns are found from their centres.
+rows, columns, mask and window_px. The dots may come in any order; rows and columns are found from their centres.
+
+A dot is missing where its centre is null or the mask, one list a row, is false: so a damaged dot is taken out of use
+by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.tracker); files
+that `evetac calibrate` writes list them for other programs, and nothing here reads them.
 """
 
 import json
+import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +18,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels import grid
-from evetac_cli.store.provenance import content_digest
+from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 
 MOST_PX = 65536  # events count columns and rows in uint16
 
@@ -49,6 +55,8 @@ def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Cal
         dots = _dots(table["dot_xy_px"])
         radius = table["radius_px"]
         window = None if table.get("window_px") is None else _whole(table, "window_px", 4)
+        mask = table.get("mask")
+        shape = [table[key] for key in ("rows", "columns") if key in table]
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
     except KeyError as error:
@@ -68,9 +76,16 @@ def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Cal
         if not holds:
             raise InputError(f"{key} is not valid", where=str(path), expected=expected, found=str(table[key]))
     try:
-        arranged = grid.arrange(dots)
+        arranged = _masked(grid.arrange(dots), mask)
     except ValueError as error:
         raise InputError(f"the dots do not form a grid: {error}", where=str(path)) from None
+    if shape and shape != list(arranged.shape[:2]):
+        raise InputError(
+            "rows and columns do not fit the dots",
+            where=str(path),
+            expected=f"rows {arranged.shape[0]}, columns {arranged.shape[1]}, or neither",
+            found=str(shape)[:60],
+        )
     if (arranged < 0).any() or (arranged >= (width, height)).any():
         raise InputError(
             "a dot lies outside the frame",
@@ -86,6 +101,104 @@ def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Cal
             found=f"{width} x {height} px",
         )
     return Calibration((width, height), arranged, float(radius), (x0, y0, x1, y1) if window else None)
+
+
+def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
+    """Whether `path` is already what this recipe makes; InputError if it is anything else, unless `force`.
+
+    The counterpart of store.files.up_to_date, for JSON.
+    """
+    if path.is_dir():
+        raise InputError("the output is a folder", where=str(path))
+    if not path.exists():
+        return False
+    try:
+        made = json.loads(path.read_text())["provenance"]
+        found = "" if made["id"] == recipe.id else first_difference(recipe, made)
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        found = "no calibration made by evetac"
+    if not found or force:
+        return not found
+    raise InputError(
+        "the output exists and was made by another recipe",
+        where=str(path),
+        found=found,
+        hint="--force replaces it, -o NAME writes elsewhere",
+    )
+
+
+def write_calibration(
+    path: Path,
+    calibration: Calibration,
+    neighbours: list[list[int]],
+    quality: dict[str, Any],
+    provenance: dict[str, Any],
+) -> None:
+    """Write a calibration as JSON, all or nothing.
+
+    neighbours: indices of dots, counted row by row, a list for each dot. quality: how well the dots were found, as
+    flat figures with units in their names. provenance: the recipe's identity, its id, when and where it was made.
+    """
+    dots = calibration.dot_xy_px
+    there = np.isfinite(dots).all(axis=2)
+    table = {
+        "frame_px": list(calibration.frame_px),
+        "radius_px": round(calibration.dot_radius_px, 3),
+        "rows": dots.shape[0],
+        "columns": dots.shape[1],
+        "window_px": None if calibration.window_px is None else list(calibration.window_px),
+        "dot_xy_px": [[_rounded(dot) for dot in row] for row in dots],
+        "mask": there.tolist(),
+        "neighbours": neighbours,
+        "quality": quality,
+        "provenance": provenance,
+    }
+    lines = ",\n".join(f'  "{key}": {_in_lines(value)}' for key, value in table.items())
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(f"{{\n{lines}\n}}\n")
+        temporary.replace(path)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError("the output folder is a file", where=str(path.parent)) from None
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def read_quality(path: Path) -> dict[str, Any]:
+    """How well the dots of a calibration that `write_calibration` wrote were found."""
+    return dict(json.loads(path.read_text())["quality"])
+
+
+def _rounded(dot: NDArray[np.float64]) -> list[float | None]:
+    """A centre to 0.001 px, or nulls; nobody knows it better, and people read these files."""
+    return [round(float(value), 3) if np.isfinite(value) else None for value in dot]
+
+
+def _in_lines(value: Any) -> str:
+    """JSON with one line for every row."""
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return "[\n" + ",\n".join(f"    {json.dumps(row)}" for row in value) + "\n  ]"
+    return json.dumps(value)
+
+
+def _masked(dots: NDArray[np.float64], mask: Any) -> NDArray[np.float64]:
+    """The grid with NaN where the mask is false; a dot is missing in both coordinates, and not all are."""
+    masked = dots.copy()
+    masked[np.isnan(dots).any(axis=2)] = np.nan
+    if mask is not None:
+        rows, columns = dots.shape[:2]
+        fits = isinstance(mask, list) and len(mask) == rows
+        fits = fits and all(isinstance(row, list) and len(row) == columns for row in mask)
+        if not fits or not all(isinstance(there, bool) for row in mask for there in row):
+            raise ValueError(f"expected a mask of {rows} rows of {columns} times true or false, found another")
+        masked[~np.array(mask)] = np.nan
+    if np.isnan(masked).all():
+        raise ValueError("expected at least one dot, found all missing")
+    return masked
 
 
 def _is_number(value: Any) -> bool:

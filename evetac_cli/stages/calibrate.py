@@ -1,0 +1,263 @@
+"""calibrate: where the dots of a gel are at rest, from a press recording, or imported; a JSON file for --calibration.
+
+A press recording shows a stylus that strokes the whole gel, lifted off between the strokes; `--scene press` simulates
+one. Nothing is known beforehand of where dots are, how large they are or how many (kernels.rest_image, dot_search,
+grid). What an Evetac's gel must look like is only used to refuse a grid of which a part was never pressed.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels import dot_search, grid, rest_image
+from evetac_cli.kernels.rest_image import RestImage
+from evetac_cli.kernels.tracker import grid_neighbours
+from evetac_cli.params import Calibrate, recipe_of
+from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
+from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
+from evetac_cli.store.files import stem
+from evetac_cli.store.import_pickle import read_pickle
+from evetac_cli.store.provenance import Recipe, made
+from evetac_cli.store.read import Recording, open_recording
+
+INPUTS = ("recording",)
+OUTPUT = "calibration"
+METHOD = 1
+BLOCK_SLICES = 200
+LONGEST_STROKE = 5000  # slices; a first run is over long before that
+ROWS, CLOSED_COLUMNS, CUT_COLUMNS = 7, 9, 8  # of an Evetac's gel
+WINDOW_PX = (540, 0, 640, 480)  # of an Evetac's cut gel
+MOST_MISSING = 0.25  # of the dots; with more, a part of the gel was not pressed
+LEAST_DOTS = 4
+WORST_JITTER_PX = 1.0
+PRESS = "press over the whole gel, and lift off between strokes"
+
+Grid = NDArray[np.float64]
+
+
+def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
+    """One calibration for every recording, `<name>.calibration.json`, or one for the file that is imported."""
+    if params.source is not None and (files or params.refine):
+        raise InputError("an import needs no recording and no default", where="--import", found=str(params.source))
+    if params.source is None and not files:
+        raise InputError("nothing to calibrate from", expected="a press recording, or --import FILE")
+    sources = [params.source] if params.source is not None else files
+    if out is not None and out.suffix == ".h5":
+        raise InputError("a calibration is JSON", where="--out", expected="a name that ends in .json", found=str(out))
+    if out is not None and out.suffix == ".json":
+        if len(sources) > 1:
+            raise InputError("one output file cannot hold several results", where="--out", found=str(out))
+        return [Job((sources[0],), out)]
+    return [Job((file,), (out or file.parent) / f"{stem(file)}.{OUTPUT}.json") for file in sources]
+
+
+def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Find the dots of one recording, or import them, and write them down."""
+    if params.source is not None:
+        return _import(job, params, force)
+    default = None
+    with open_recording(job.inputs[0]) as recording:
+        parameters = recipe_of(params)
+        if params.refine is not None:
+            default = read_calibration(params.refine, recording.frame_px)
+            parameters["default"] = default.digest()
+        recipe = Recipe(OUTPUT, METHOD, parameters, parents=(recording.header,))
+        if up_to_date(job.output, recipe, force=force):
+            return _outcome(job, recipe, made_now=False)
+        where = str(recording.path)
+        halves = rest_images(recording, progress)
+        picture = halves[0].joined(halves[1])
+        found = dot_search.find(picture)
+        if len(found.radius_px) < LEAST_DOTS:
+            raise InputError(f"no dots were seen to move: {len(found.radius_px)} found", where=where, hint=PRESS)
+        radius = float(np.median(found.radius_px))
+        if default is None:
+            try:
+                dots = grid.lattice(found.centre_xy_px)
+            except ValueError as error:
+                raise InputError(f"the dots do not form a grid: {error}", where=where, hint=PRESS) from None
+            window = _window(dots, radius, recording.frame_px, params, where)
+            kept = 0
+        else:
+            dots, kept = _refined(default.dot_xy_px, found.centre_xy_px, where)
+            window = default.window_px
+        jitter = _jitter_px(halves, dots, radius)
+        if not jitter <= WORST_JITTER_PX:
+            raise InputError(
+                "the dots rest elsewhere from stroke to stroke",
+                where=where,
+                expected=f"jitter of at most {WORST_JITTER_PX:g} px rms",
+                found=f"{jitter:.2f} px" if np.isfinite(jitter) else "too few strokes to tell",
+                hint=PRESS,
+            )
+        figures = {"jitter_px_rms": jitter, "kept_from_default": kept, **_against_stored(recording, dots)}
+        calibration = Calibration(recording.frame_px, dots, radius, window)
+    _write(job.output, calibration, recipe, figures)
+    return _outcome(job, recipe, made_now=True)
+
+
+def rest_images(recording: Recording, progress: Progress = silent) -> tuple[RestImage, RestImage]:
+    """The gel at rest as seen by every other pair of strokes, and by the other pairs; InputError without strokes."""
+    counts = np.diff(recording.starts)
+    rests = [(first + stop) // 2 for first, stop in rest_image.quiet_spells(counts)]
+    if len(rests) < 2:
+        moved = dot_search.contrast(_seen(recording, 0, len(counts))) > 0
+        message = "the gel is not at rest before and after a stroke" if moved else "no dot was seen to move"
+        raise InputError(message, where=str(recording.path), hint=PRESS)
+    nothing = np.zeros(recording.frame_px[::-1], np.uint8)
+    halves = [RestImage(nothing, nothing), RestImage(nothing, nothing)]
+    for stroke, (start, stop) in enumerate(zip(rests, rests[1:], strict=False)):
+        half = stroke // 2 % 2  # two strokes each: there and back
+        for backwards in (False, True):
+            halves[half] = halves[half].joined(_seen(recording, start, stop, backwards=backwards))
+        progress(stop, len(counts))
+    return halves[0], halves[1]
+
+
+def _seen(recording: Recording, start: int, stop: int, *, backwards: bool = False) -> RestImage:
+    """What the slices [start, stop) tell of the rest before them, or, backwards, of the rest after them."""
+    if backwards:
+        edges = range(stop, max(start, stop - LONGEST_STROKE), -BLOCK_SLICES)
+        blocks = [(max(start, edge - BLOCK_SLICES), edge) for edge in edges]
+    else:
+        edges = range(start, min(stop, start + LONGEST_STROKE), BLOCK_SLICES)
+        blocks = [(edge, min(stop, edge + BLOCK_SLICES)) for edge in edges]
+    state = rest_image.start(recording.frame_px)
+    for first, last in blocks:
+        events = recording.between(first, last)
+        rest_image.step(state, events.x, events.y, events.p, backwards=backwards)
+    return rest_image.image(state)
+
+
+def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
+    """Read the official software's pickle, or JSON, and write it as ours."""
+    (source,) = job.inputs
+    if source.suffix == ".json":
+        calibration = read_calibration(source)
+    else:
+        centres, radius = read_pickle(source)
+        try:
+            dots = grid.lattice(centres)
+        except ValueError as error:
+            raise InputError(f"the dots do not form a grid: {error}", where=str(source)) from None
+        if np.isfinite(dots[..., 0]).sum() != len(centres):
+            raise InputError(
+                "the dots do not form a grid",
+                where=str(source),
+                expected=f"{len(centres)} dots in rows and columns",
+                found=f"{np.isfinite(dots[..., 0]).sum()} that are",
+            )
+        if (centres < 0).any() or (centres > np.array(FRAME_PX) - 1).any():
+            raise InputError(
+                "a dot lies outside the frame", where=str(source), expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px"
+            )
+        calibration = Calibration(FRAME_PX, dots, radius, _window(dots, radius, FRAME_PX, params, str(source)))
+    recipe = Recipe(OUTPUT, METHOD, recipe_of(params) | {"source": source.name}, content=calibration.digest())
+    if up_to_date(job.output, recipe, force=force):
+        return _outcome(job, recipe, made_now=False)
+    _write(job.output, calibration, recipe, {})
+    return _outcome(job, recipe, made_now=True)
+
+
+def _write(path: Path, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
+    pairs = grid_neighbours(calibration.dot_xy_px.reshape(-1, 2))
+    neighbours = [[int(other) for other in row if other >= 0] for row in pairs]
+    provenance = recipe.identity | {"id": recipe.id, "made": made()}
+    write_calibration(path, calibration, neighbours, figures, provenance)
+
+
+def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
+    """What the file says, whether it was made now or before."""
+    calibration = read_calibration(job.output)
+    rows, columns = calibration.dot_xy_px.shape[:2]
+    missing = int(np.isnan(calibration.dot_xy_px[..., 0]).sum())
+    return outcome(
+        job,
+        made=made_now,
+        simulated=recipe.simulated,
+        dots=rows * columns - missing,
+        missing=missing,
+        rows=rows,
+        columns=columns,
+        gel="closed" if calibration.window_px is None else "cut",
+        window_px=" ".join(map(str, calibration.window_px or ())) or None,
+        radius_px=calibration.dot_radius_px,
+        **read_quality(job.output),
+    )
+
+
+def _window(
+    dots: Grid, radius: float, frame_px: tuple[int, int], params: Calibrate, where: str
+) -> tuple[int, int, int, int] | None:
+    """Where the window lies, None for a closed gel; InputError if the grid is not that of a whole gel."""
+    rows, columns = dots.shape[:2]
+    missing = int(np.isnan(dots[..., 0]).sum())
+    gel = params.gel or ("cut" if (rows, columns) == (ROWS, CUT_COLUMNS) else "closed")
+    wanted = (ROWS, CUT_COLUMNS if gel == "cut" else CLOSED_COLUMNS)
+    step = grid.pitch(dots)
+    left = float(np.nanmin(dots[..., 0]))
+    right = float(np.nanmax(dots[..., 0])) + radius
+    whole = (rows, columns) == wanted and missing <= MOST_MISSING * dots[..., 0].size and left - step < radius
+    if not whole and not params.any_grid:
+        raise InputError(
+            "this is not the whole grid of an Evetac",
+            where=where,
+            expected=f"{ROWS} rows and {CLOSED_COLUMNS} columns, or {CUT_COLUMNS} left of the window of a cut gel",
+            found=f"{rows} rows and {columns} columns, {missing} dots missing, from x = {left:.0f} to {right:.0f} px",
+            hint=f"{PRESS}; --refine takes the rest from a default; --any-grid takes it as it is",
+        )
+    if gel == "closed":
+        return None
+    if frame_px == FRAME_PX and right <= WINDOW_PX[0]:
+        return WINDOW_PX
+    edge = round(min(right - radius + step / 2, frame_px[0] - 1))  # half way to the column that was cut away
+    return edge, 0, *frame_px
+
+
+def _refined(default: Grid, found: Grid, where: str) -> tuple[Grid, int]:
+    """The default's dots where they were found, and how many were not and keep their place in the shifted default.
+
+    The default must be within half a pitch of the truth: from there on, dots are taken for their neighbours.
+    """
+    reach = grid.pitch(default) / 2
+    shift = np.zeros(2)
+    for _ in range(2):  # the second time with the places of most dots
+        offset = found[None] - (default.reshape(-1, 2) + shift)[:, None]
+        distance = np.linalg.norm(offset, axis=2)
+        nearest = np.where(np.isnan(distance), np.inf, distance).argmin(axis=1)
+        of_dot = np.arange(len(offset))
+        near = np.flatnonzero(distance[of_dot, nearest] < reach)
+        if len(near) < LEAST_DOTS:
+            raise InputError(
+                "the default does not fit", where=where, expected=f"{LEAST_DOTS} of its dots", found=str(len(near))
+            )
+        shift = shift + np.median(offset[near, nearest[near]], axis=0)
+    refined = default.reshape(-1, 2) + shift
+    refined[near] = found[nearest[near]]
+    return refined.reshape(default.shape), int(np.isfinite(default[..., 0]).sum()) - len(near)
+
+
+def _jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
+    """How far from its mean a dot is found in one half of the strokes, rms over dots; NaN if the halves share none."""
+    there = dots[np.isfinite(dots[..., 0])]
+    if any(dot_search.contrast(half) == 0.0 for half in halves):
+        return float("nan")
+    first, second = (dot_search.fit(half, there, radius).centre_xy_px for half in halves)
+    apart = np.sum((first - second) ** 2, axis=1)
+    apart = apart[np.isfinite(apart)]
+    return float(np.sqrt(apart.mean() / 2)) if len(apart) else float("nan")
+
+
+def _against_stored(recording: Recording, dots: Grid) -> dict[str, float]:
+    """Distance to the grid stored in a simulated recording, the truth; nothing elsewhere."""
+    stored = recording.dot_xy_px
+    if stored is None or not recording.has("truth/dot_xy_px"):
+        return {}
+    there = dots[np.isfinite(dots[..., 0])]
+    true = stored[np.isfinite(stored[..., 0])]
+    error = np.linalg.norm(there[:, None] - true[None], axis=2).min(axis=1)
+    return {"error_px_rms": float(np.sqrt((error**2).mean())), "error_px_worst": float(error.max())}
