@@ -1,9 +1,12 @@
-"""Which events come from hot pixels, and are not worth listening to.
+"""Which pixels are hot, and not worth listening to.
 
 A hot pixel in the ring of a dot would pull it for ever; a DVXplorer has hundreds, some above 1000 events/s. So the
-events of every pixel are counted (rows are halved in turn, each once in as many slices as there are rows), and a pixel
-that is ahead of all its neighbours by far is left out. Edges keep their say, also when they vibrate: there neighbours
-fire alike.
+events of every pixel are counted, and a pixel that is ahead of all its neighbours by far is left out. Rows are halved
+in turn, one every FADE_SLICES: so a count halves every 1.9 s. Edges keep their say, also when they vibrate: there
+neighbours fire alike.
+
+Why so: counting in the loop that reads the events for the dots costs more than a loop of its own, whose looks at pixels
+all over the frame do not wait for each other.
 """
 
 import numpy as np
@@ -13,25 +16,16 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX
 
 HOT_RATIO = 4
+FADE_SLICES = 4
+FIRED_SHAPE = (FRAME_PX[1] + 2, FRAME_PX[0] + 2)  # of the counts: the frame, with zeros around
 _COUNT = np.uint16(0x7FFF)  # of a pixel's entry in `fired`: its recent events
 _HOT = np.uint16(0x8000)  # ... and whether it is hot
+_ONE = np.uint64(1)
 
 
 @njit(cache=True)
-def keep_cool(
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    fired: NDArray[np.uint16],
-    halved_row: int,
-    limit: int,
-    cool_x: NDArray[np.uint16],
-    cool_y: NDArray[np.uint16],
-) -> int:
-    """Count the events of every pixel, copy those of pixels that are not hot, and return how many; -1 if all may stay.
-
-    A pixel is judged when its count passes the limit, and with its row: so nearly every event costs one look at its
-    pixel. All are counted before any is judged, so that the order of events within the slice does not matter.
-    """
+def _fade(fired: NDArray[np.uint16], halved_row: int, limit: int) -> None:
+    """Halve the counts of one row of `fired`, FIRED_SHAPE, and judge its pixels anew."""
     busiest = np.uint16(0)
     row = fired[halved_row]
     for column in range(row.shape[0]):
@@ -41,18 +35,42 @@ def keep_cool(
         for column in range(1, row.shape[0] - 1):
             if _is_hot(fired, halved_row, column, limit):
                 row[column] |= _HOT
+
+
+@njit(cache=True)
+def keep_cool(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    fired: NDArray[np.uint16],
+    slices: int,
+    limit: int,
+    cool_x: NDArray[np.uint16],
+    cool_y: NDArray[np.uint16],
+    cool_p: NDArray[np.uint8],
+) -> int:
+    """Count the events of every pixel, copy those of pixels that are not hot, and return how many; -1 if all may stay.
+
+    A pixel is judged when its count passes the limit, and when its row fades: so nearly every event costs one look at
+    its pixel. All are counted before any is judged, so that the order of events within the slice does not matter.
+    p may be empty: then there is nothing to copy of it. slices: how many there were before, from 0.
+    """
+    if slices % FADE_SLICES == 0:
+        _fade(fired, 1 + slices // FADE_SLICES % FRAME_PX[1], limit)
     seen = np.uint16(0)
     passed = 0
     for k in range(x.shape[0]):
         if x[k] < FRAME_PX[0] and y[k] < FRAME_PX[1]:
-            before = fired[y[k] + 1, x[k] + 1]
+            row = np.uint64(y[k]) + _ONE
+            column = np.uint64(x[k]) + _ONE
+            before = fired[row, column]
             seen |= before
             if before & _COUNT == limit:
                 cool_x[passed] = x[k]
                 cool_y[passed] = y[k]
                 passed += 1
             if before & _COUNT != _COUNT:
-                fired[y[k] + 1, x[k] + 1] = before + 1
+                fired[row, column] = before + np.uint16(1)
     for k in range(passed):
         if _is_hot(fired, cool_y[k] + 1, cool_x[k] + 1, limit):
             fired[cool_y[k] + 1, cool_x[k] + 1] |= _HOT
@@ -61,9 +79,12 @@ def keep_cool(
         return -1
     kept = 0
     for k in range(x.shape[0]):
-        if x[k] < FRAME_PX[0] and y[k] < FRAME_PX[1] and not fired[y[k] + 1, x[k] + 1] & _HOT:
+        cool = x[k] < FRAME_PX[0] and y[k] < FRAME_PX[1]
+        if cool and not fired[np.uint64(y[k]) + _ONE, np.uint64(x[k]) + _ONE] & _HOT:
             cool_x[kept] = x[k]
             cool_y[kept] = y[k]
+            if p.shape[0]:
+                cool_p[kept] = p[k]
             kept += 1
     return kept
 
@@ -71,11 +92,11 @@ def keep_cool(
 @njit(cache=True)
 def _is_hot(fired: NDArray[np.uint16], row: int, column: int, limit: int) -> bool:
     """Whether a pixel has more events than the limit and is far ahead of its eight neighbours."""
-    count = fired[row, column] & _COUNT
-    if count <= limit:
+    events = fired[row, column] & _COUNT
+    if events <= limit:
         return False
     for r in range(row - 1, row + 2):
         for c in range(column - 1, column + 2):
-            if (r != row or c != column) and HOT_RATIO * (fired[r, c] & _COUNT) > count:
+            if (r != row or c != column) and HOT_RATIO * (fired[r, c] & _COUNT) > events:
                 return False
     return True

@@ -1,12 +1,14 @@
-"""Where the dots are: the paper's regularised dot tracker, one slice of events at a time.
+"""Where the dots are: one slice of events at a time, by the paper's descent or by fitting the rims of the dots.
 
-Every event near the edge of a dot pulls the dot's centre so that the edge passes through the event; an elastic term
-keeps dots at the distance from their neighbours that they had at the start (paper, "Signal Processing - Dot Tracking").
-`start` and `step` are the only way in, for a file and for a live camera alike.
+Every event near the rim of a dot says where the rim is. The paper's tracker and its relatives (presets `paper`,
+`official`, `unregularised`) add up a gradient step an event, and an elastic term keeps dots at the distance from their
+neighbours that they had at the start (paper, "Signal Processing - Dot Tracking"). The preset `stable` solves for the
+motion that the events of a slice speak of (tracker_fit.py). `start` and `step` are the only way in, for a file and for
+a live camera alike.
 
 Why so:
-- Pulls are summed as integers of 2**-36 px. Integer sums do not depend on the order of their terms, so the positions
-  are the same bits in whatever order the events of a slice arrive. A pull is cut off by less than 1.5e-11 px.
+- What events add up to is summed as integers of 2**-36. Integer sums do not depend on the order of their terms, so the
+  positions are the same bits in whatever order the events of a slice arrive. A term is cut off by less than 1.5e-11.
 - The paper moves a dot only "if more than 10 events are triggered at its location". We count the events in the ring,
   those that pull: events inside the dot say nothing about where it is.
 - Events find their dots through buckets of 16 x 16 px that list the dots within reach. The lists allow for 4 px of
@@ -14,6 +16,12 @@ Why so:
 - Whether an event lies in a ring is close to a coin toss, and a wrong guess of the processor costs more than the pull.
   So every event adds its pull, times 0 or 1; and empty buckets list one dot more, "nobody", far outside the frame, so
   that nearly every bucket has one entry. Nobody is the last row of the arrays with n + 1 rows.
+- The published code moves centres up the gradient of its data term, with an edge 1.25 times as wide as the dots it was
+  calibrated with and a ring inside them: sign, edge and ring hold each other up. So `official` is one setting, for dots
+  whose true radius is about 8 px; with dots of 15 px it loses them, as the code does.
+- A dot that has lost track finds no rim of its own. When few events have come for a while and its neighbours are back
+  where they began, its place is known without events: there it starts anew (only with `rest_slices`, so that the
+  paper's presets stay what they are).
 """
 
 from dataclasses import dataclass
@@ -24,15 +32,17 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels import hot_pixels, tracker_fit
 from evetac_cli.kernels.grid import pitch
-from evetac_cli.kernels.hot_pixels import keep_cool
 
-MAX_NEIGHBOURS = 8
+MAX_NEIGHBOURS = tracker_fit.MAX_NEIGHBOURS
 LOST_PX = 40.0  # with the paper's constants, no event of a dot's own edge is in its ring from 35 px on
+AT_REST_PX = 3.0  # neighbours displaced by less than this, in the mean, are at rest
 NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one (2)
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 
-_PULL_UNITS_PER_PX = 2.0**36
+_UNITS = tracker_fit.UNITS
+_NO_POLARITY = np.empty(0, np.uint8)
 _BUCKET_BITS = 4
 _BUCKET_PX = 1 << _BUCKET_BITS
 _BUCKET_COLUMNS = -(-FRAME_PX[0] // _BUCKET_PX)
@@ -57,6 +67,10 @@ class TrackerConstants:
     step_size * regulariser_weight = 2.25e-7 per px**2. The explicit step is stable near the rest grid while
     step_size * (4 N / 3 + 98.8 * regulariser_weight * pitch**2) < 2, N ring events per dot and slice; beyond that the
     clips keep it bounded. ValueError if a constant is out of range.
+
+    With `fit` (tracker_fit.py), a dot's rim is the middle of its ring, all its neighbours together weigh as much as
+    8 * regulariser_weight of its events, gradient_clip and ascend do not count, and the constants from `sweeps` on do.
+    The steps are bounded for any of them.
     """
 
     radius_px: float = 15.0  # of the dot's edge; also the furthest a dot moves in one slice, per axis
@@ -67,8 +81,15 @@ class TrackerConstants:
     regulariser_weight: float = 7.5e-5  # per px**2
     min_events: int = 10  # a dot moves only if more ring events than this pull it
     gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px a slice; from the authors' published code
-    carry: bool = False  # keep the pulls of slices with too few events until there are enough, else forget them
+    ascend: bool = False  # up the gradient of the data term, as the published code does, instead of down
     hot_pixel_events: int = 16  # a pixel with more, far ahead of its neighbours, is hot (hot_pixels.py); 0: none is
+    rest_slices: int = 0  # a lost dot is put back after as many slices of rest; 0: never
+    fit: bool = False  # solve for the motion, with polarity, instead of a gradient step
+    sweeps: int = 8  # of Gauss-Seidel over all dots
+    trust_px: float = 1.5  # most motion seen in a slice, and most correction of it
+    rim_lag_px: float = 0.2  # events come when the rim has gone so far beyond their pixel (hysteresis of the threshold)
+    event_px: float = 1.0 / 300.0  # how far a dot has moved for each of its ring events, as far as they agree
+    most_events: float = 20.0  # a dot's rim weighs no more than so many events, however many there are
 
     def __post_init__(self) -> None:
         """Refuse what cannot be tracked with."""
@@ -81,18 +102,49 @@ class TrackerConstants:
         _check("min_events", self.min_events, 0.0, 2.0**31 - 1)
         _check("gradient_clip", self.gradient_clip, 0.0, low_included=False)
         _check("hot_pixel_events", self.hot_pixel_events, 0.0, 2.0**14)
+        _check("rest_slices", self.rest_slices, 0.0, 2.0**31 - 1)
+        _check("sweeps", self.sweeps, 1.0, 1e4)
+        _check("trust_px", self.trust_px, 0.0, MAX_REACH_PX, low_included=False)
+        _check("rim_lag_px", self.rim_lag_px, 0.0, MAX_REACH_PX)
+        _check("event_px", self.event_px, 0.0, 1.0)
+        _check("most_events", self.most_events, 0.0, low_included=False)
         if self.ring_inner_px >= self.ring_outer_px:
             raise ValueError(
                 f"ring_inner_px: expected less than ring_outer_px = {self.ring_outer_px}, found {self.ring_inner_px}"
             )
-        if int(self.min_events) != self.min_events:
-            raise ValueError(f"min_events: expected a whole number, found {self.min_events}")
+        for name in ("min_events", "hot_pixel_events", "rest_slices", "sweeps"):
+            if int(getattr(self, name)) != getattr(self, name):
+                raise ValueError(f"{name}: expected a whole number, found {getattr(self, name)}")
+        if self.fit and abs(self.ring_inner_px + self.ring_outer_px - 2.0 * self.radius_px) > 1e-9 * self.radius_px:
+            raise ValueError(
+                f"radius_px: expected the middle of the ring, {(self.ring_inner_px + self.ring_outer_px) / 2},"
+                f" found {self.radius_px}"
+            )
 
+
+# What the published code was calibrated with; its ring is the outer 13.75 px of the dot, its edge 1.25 times as wide.
+_OFFICIAL_DOT_PX = 20.62
 
 PRESETS: dict[str, TrackerConstants] = {
     "paper": TrackerConstants(),
+    "official": TrackerConstants(
+        radius_px=1.25 * _OFFICIAL_DOT_PX,
+        ring_inner_px=_OFFICIAL_DOT_PX - 13.75,
+        ring_outer_px=_OFFICIAL_DOT_PX,
+        min_events=4,  # it asks for 10 table entries, and an event makes two
+        ascend=True,
+    ),
     "unregularised": TrackerConstants(regulariser_weight=0.0),
-    "carry": TrackerConstants(carry=True),
+    "stable": TrackerConstants(
+        ring_inner_px=11.0,
+        ring_outer_px=19.0,
+        step_size=0.1,
+        regulariser_weight=50.0,
+        min_events=0,
+        hot_pixel_events=8,  # without a gate, every event of a hot pixel counts
+        rest_slices=100,
+        fit=True,
+    ),
 }
 
 
@@ -103,18 +155,21 @@ class TrackerState:
     constants: TrackerConstants
     centre_xy_px: NDArray[np.float64]  # (n + 1, 2), see dot_xy_px
     events: NDArray[np.int32]  # (n + 1,), see events_per_dot
-    lost: NDArray[np.bool_]  # (n,), displacement more than LOST_PX from the mean displacement of the neighbours
+    lost: NDArray[np.bool_]  # (n,), displacement more than LOST_PX from the mean displacement of its neighbours
     rest_xy_px: NDArray[np.float64]  # (n, 2), centres at the start
     neighbours: NDArray[np.int32]  # (n, 8), indices first, then -1
     rest_distance_px2: NDArray[np.float64]  # (n, 8), squared distance to each neighbour at the start
-    pull: NDArray[np.int64]  # (n + 1, 2), sum of (1 - r / |d|) d over ring events, d from centre to event, in 2**-36 px
-    ring_events: NDArray[np.int32]  # (n + 1,), how many events that sum has
+    sums: NDArray[np.int64]  # (n + 1, 2), of pulls, or (n + 1, 7), see tracker_fit.py; in units of 2**-36
+    ring_events: NDArray[np.int32]  # (n + 1,), how many events those sums have
+    quiet: NDArray[np.int64]  # (1,), slices of rest up to now
     shift_px: NDArray[np.float64]  # (n, 2), work space
+    solver: NDArray[np.float64]  # (n, 8), work space
     lattice_xy_px: NDArray[np.float64]  # (n, 2), centres when the buckets were filled
     bucket_start: NDArray[np.uint32]  # (buckets + 1,), where each bucket's dots begin in bucket_dots
     bucket_dots: NDArray[np.uint32]
-    fired: NDArray[np.uint16]  # (height + 2, width + 2), recent events of every pixel and its hot flag, zeros around
+    fired: NDArray[np.uint16]  # recent events of every pixel, see hot_pixels.py
     cool_xy: NDArray[np.uint16]  # (2, at least as many as events in a slice), work space
+    cool_p: NDArray[np.uint8]  # (as many), work space
     slices: int = 0
 
     @property
@@ -150,47 +205,53 @@ def start(
         rest_xy_px=rest,
         neighbours=pairs,
         rest_distance_px2=np.where(pairs >= 0, np.sum((rest[:, None] - rest[pairs]) ** 2, axis=2), 0.0),
-        pull=np.zeros((n + 1, 2), np.int64),
+        sums=np.zeros((n + 1, tracker_fit.SUMS if constants.fit else 2), np.int64),
         ring_events=np.zeros(n + 1, np.int32),
+        quiet=np.zeros(1, np.int64),
         shift_px=np.zeros((n, 2)),
+        solver=np.zeros((n, tracker_fit.SOLVER)),
         lattice_xy_px=np.full((n, 2), -inf),  # far from everywhere: the first step fills the buckets
         bucket_start=np.zeros(buckets + 1, np.uint32),
         bucket_dots=np.zeros(buckets + n * min(buckets, buckets_across**2), np.uint32),
-        fired=np.zeros((FRAME_PX[1] + 2, FRAME_PX[0] + 2), np.uint16),
+        fired=np.zeros(hot_pixels.FIRED_SHAPE, np.uint16),
         cool_xy=np.zeros((2, 4096), np.uint16),
+        cool_p=np.zeros(4096, np.uint8),
     )
     nothing = np.empty(0, np.uint16)
-    step(state, nothing, nothing)  # compiles or loads the kernel now and not in the first slice
+    step(state, nothing, nothing, np.empty(0, np.uint8))  # compiles or loads the kernel now and not in the first slice
     return state
 
 
-def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16]) -> None:
-    """Move the dots by the events of one slice, given in any order as columns x and y in px; updates `state` in place.
+def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8] | None = None) -> None:
+    """Move the dots by the events of one slice, in any order, as columns x and y in px, p 0 or 1; updates `state`.
 
-    A dot with more than min_events ring events moves by -step_size * (gradient of the data term + regulariser_weight *
-    gradient of the distance term), all taken at the positions before the slice. The data gradient is clipped to
-    gradient_clip, the motion to radius_px, per axis, and the dot stays inside the frame. Events outside the frame are
-    ignored. Read-only or strided columns do, but the first of them costs a compilation. ValueError if x and y are not
-    uint16 columns of equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
+    A dot moves if it has more than min_events ring events. Without `fit` it moves by -step_size * (gradient of the data
+    term + regulariser_weight * gradient of the distance term), all taken at the positions before the slice. The data
+    gradient is clipped to gradient_clip, the motion to radius_px, per axis. With `fit` see tracker_fit.py: this needs
+    the polarities p, which the others ignore. A dot stays inside the frame. Events outside the frame are ignored.
+    Read-only or strided columns do, but the first of them costs a compilation. ValueError if x, y (uint16) and p
+    (uint8) are no columns of equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
     """
     if x.dtype != np.uint16 or y.dtype != np.uint16 or x.ndim != 1 or x.shape != y.shape:
         raise ValueError(
             f"expected two uint16 columns of equal length, found {x.dtype} {x.shape} and {y.dtype} {y.shape}"
         )
     constants = state.constants
+    if constants.fit and (p is None or p.dtype != np.uint8 or p.shape != x.shape):
+        found = "none" if p is None else f"{p.dtype} {p.shape}"
+        raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {found}")
+    polarity = p if constants.fit and p is not None else _NO_POLARITY
     if constants.hot_pixel_events:
-        x, y = _without_hot_pixels(state, x, y)
-    _step(
-        x,
-        y,
+        x, y, polarity = _without_hot_pixels(state, x, y, polarity)
+    common = (
         state.centre_xy_px,
         state.events,
         state.lost,
         state.rest_xy_px,
         state.neighbours,
-        state.rest_distance_px2,
-        state.pull,
+        state.sums,
         state.ring_events,
+        state.quiet,
         state.shift_px,
         state.lattice_xy_px,
         state.bucket_start,
@@ -202,21 +263,37 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16]) -> N
         constants.step_size,
         constants.regulariser_weight,
         constants.min_events,
-        constants.gradient_clip,
-        constants.carry,
+        constants.rest_slices,
     )
+    if constants.fit:
+        _step_by_fit(
+            x,
+            y,
+            polarity,
+            *common,
+            state.solver,
+            constants.sweeps,
+            constants.trust_px,
+            constants.rim_lag_px,
+            constants.event_px,
+            constants.most_events,
+        )
+    else:
+        _step_by_descent(x, y, *common, state.rest_distance_px2, constants.gradient_clip, constants.ascend)
 
 
 def _without_hot_pixels(
-    state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16]
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
     """Events of a slice from pixels that are not hot; views of the state's work space."""
-    if len(x) > state.cool_xy.shape[1]:
+    if len(x) > len(state.cool_p):
         state.cool_xy = np.zeros((2, 2 * len(x)), np.uint16)
-    row = 1 + state.slices % FRAME_PX[1]
+        state.cool_p = np.zeros(2 * len(x), np.uint8)
+    kept = hot_pixels.keep_cool(
+        x, y, p, state.fired, state.slices, state.constants.hot_pixel_events, *state.cool_xy, state.cool_p
+    )
     state.slices += 1
-    kept = keep_cool(x, y, state.fired, row, state.constants.hot_pixel_events, state.cool_xy[0], state.cool_xy[1])
-    return (x, y) if kept < 0 else (state.cool_xy[0, :kept], state.cool_xy[1, :kept])
+    return (x, y, p) if kept < 0 else (state.cool_xy[0, :kept], state.cool_xy[1, :kept], state.cool_p[:kept])
 
 
 def grid_neighbours(dot_xy_px: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -276,7 +353,7 @@ def _reach_px(ring_outer_px: float, count_radius_px: float) -> float:
 
 
 @njit(cache=True)
-def _step(
+def _step_by_descent(
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
     centre_xy_px: NDArray[np.float64],
@@ -284,9 +361,9 @@ def _step(
     lost: NDArray[np.bool_],
     rest_xy_px: NDArray[np.float64],
     neighbours: NDArray[np.int32],
-    rest_distance_px2: NDArray[np.float64],
-    pull: NDArray[np.int64],
+    sums: NDArray[np.int64],
     ring_events: NDArray[np.int32],
+    quiet: NDArray[np.int64],
     shift_px: NDArray[np.float64],
     lattice_xy_px: NDArray[np.float64],
     bucket_start: NDArray[np.uint32],
@@ -298,16 +375,22 @@ def _step(
     step_size: float,
     regulariser_weight: float,
     min_events: int,
+    rest_slices: int,
+    rest_distance_px2: NDArray[np.float64],
     gradient_clip: float,
-    carry: bool,
+    ascend: bool,
 ) -> None:
-    if _left_margin(centre_xy_px, lattice_xy_px):
-        reach_px = _reach_px(ring_outer_px, count_radius_px)
-        _fill_buckets(centre_xy_px, reach_px, lattice_xy_px, bucket_start, bucket_dots)
-    if not carry:
-        pull[:] = 0
-        ring_events[:] = 0
-    events[:] = 0
+    _prepare(
+        centre_xy_px,
+        ring_outer_px,
+        count_radius_px,
+        lattice_xy_px,
+        bucket_start,
+        bucket_dots,
+        sums,
+        ring_events,
+        events,
+    )
     _pull_dots(
         x,
         y,
@@ -318,7 +401,7 @@ def _step(
         ring_inner_px,
         ring_outer_px,
         count_radius_px,
-        pull,
+        sums,
         ring_events,
         events,
     )
@@ -326,7 +409,7 @@ def _step(
         centre_xy_px,
         neighbours,
         rest_distance_px2,
-        pull,
+        sums,
         ring_events,
         shift_px,
         radius_px,
@@ -334,9 +417,107 @@ def _step(
         regulariser_weight,
         min_events,
         gradient_clip,
+        ascend,
+    )
+    _look_after_lost(moved, rest_slices, centre_xy_px, rest_xy_px, neighbours, ring_events, quiet, lost)
+
+
+@njit(cache=True)
+def _step_by_fit(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    centre_xy_px: NDArray[np.float64],
+    events: NDArray[np.int32],
+    lost: NDArray[np.bool_],
+    rest_xy_px: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    sums: NDArray[np.int64],
+    ring_events: NDArray[np.int32],
+    quiet: NDArray[np.int64],
+    shift_px: NDArray[np.float64],
+    lattice_xy_px: NDArray[np.float64],
+    bucket_start: NDArray[np.uint32],
+    bucket_dots: NDArray[np.uint32],
+    radius_px: float,
+    ring_inner_px: float,
+    ring_outer_px: float,
+    count_radius_px: float,
+    step_size: float,
+    regulariser_weight: float,
+    min_events: int,
+    rest_slices: int,
+    solver: NDArray[np.float64],
+    sweeps: int,
+    trust_px: float,
+    rim_lag_px: float,
+    event_px: float,
+    most_events: float,
+) -> None:
+    _prepare(
+        centre_xy_px,
+        ring_outer_px,
+        count_radius_px,
+        lattice_xy_px,
+        bucket_start,
+        bucket_dots,
+        sums,
+        ring_events,
+        events,
+    )
+    _measure_rims(
+        x,
+        y,
+        p,
+        centre_xy_px,
+        bucket_start,
+        bucket_dots,
+        radius_px,
+        ring_outer_px - radius_px,
+        rim_lag_px,
+        count_radius_px,
+        sums,
+        ring_events,
+        events,
+    )
+    moved = tracker_fit.solve(
+        sums,
+        ring_events,
+        neighbours,
+        min_events,
+        step_size,
+        regulariser_weight,
+        sweeps,
+        trust_px,
+        event_px,
+        most_events,
+        solver,
+        shift_px,
     )
     if moved:
-        _find_lost(centre_xy_px, rest_xy_px, neighbours, lost)
+        _shift_dots(centre_xy_px, shift_px, ring_events, min_events)
+    _look_after_lost(moved, rest_slices, centre_xy_px, rest_xy_px, neighbours, ring_events, quiet, lost)
+
+
+@njit(cache=True)
+def _prepare(
+    centre_xy_px: NDArray[np.float64],
+    ring_outer_px: float,
+    count_radius_px: float,
+    lattice_xy_px: NDArray[np.float64],
+    bucket_start: NDArray[np.uint32],
+    bucket_dots: NDArray[np.uint32],
+    sums: NDArray[np.int64],
+    ring_events: NDArray[np.int32],
+    events: NDArray[np.int32],
+) -> None:
+    """Buckets that fit where the dots are, and sums at zero."""
+    if _left_margin(centre_xy_px, lattice_xy_px):
+        reach_px = _reach_px(ring_outer_px, count_radius_px)
+        _fill_buckets(centre_xy_px, reach_px, lattice_xy_px, bucket_start, bucket_dots)
+    sums[:] = 0
+    ring_events[:] = 0
+    events[:] = 0
 
 
 @njit(cache=True)
@@ -414,7 +595,7 @@ def _pull_dots(
     ring_inner_px: float,
     ring_outer_px: float,
     count_radius_px: float,
-    pull: NDArray[np.int64],
+    sums: NDArray[np.int64],
     ring_events: NDArray[np.int32],
     events: NDArray[np.int32],
 ) -> None:
@@ -434,10 +615,59 @@ def _pull_dots(
             distance_px2 = dx * dx + dy * dy
             in_ring = (distance_px2 > ring_inner_px2) & (distance_px2 < ring_outer_px2)
             # An event on the very centre has no direction and is in no ring: any finite stretch will do.
-            stretch = (1.0 - radius_px / sqrt(max(distance_px2, 1e-12))) * (in_ring * _PULL_UNITS_PER_PX)
-            pull[i, 0] += int(stretch * dx)
-            pull[i, 1] += int(stretch * dy)
+            stretch = (1.0 - radius_px / sqrt(max(distance_px2, 1e-12))) * (in_ring * _UNITS)
+            sums[i, 0] += int(stretch * dx)
+            sums[i, 1] += int(stretch * dy)
             ring_events[i] += in_ring
+            events[i] += distance_px2 < count_radius_px2
+
+
+@njit(cache=True)
+def _measure_rims(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    centre_xy_px: NDArray[np.float64],
+    bucket_start: NDArray[np.uint32],
+    bucket_dots: NDArray[np.uint32],
+    radius_px: float,
+    half_ring_px: float,
+    rim_lag_px: float,
+    count_radius_px: float,
+    sums: NDArray[np.int64],
+    ring_events: NDArray[np.int32],
+    events: NDArray[np.int32],
+) -> None:
+    """Give every event to the dots it is near: count it, and add what it says of the rim (tracker_fit.py)."""
+    per_half_ring = 1.0 / half_ring_px
+    count_radius_px2 = count_radius_px * count_radius_px
+    for k in range(x.shape[0]):
+        if x[k] >= FRAME_PX[0] or y[k] >= FRAME_PX[1]:
+            continue
+        # A leading rim makes events that get darker (p = 0), a trailing rim brighter ones, both too late.
+        leading = 1.0 if p[k] == 0 else -1.0
+        rim_px = radius_px - leading * rim_lag_px
+        b = np.uint64((y[k] >> _BUCKET_BITS) * _BUCKET_COLUMNS + (x[k] >> _BUCKET_BITS))
+        for entry in range(np.uint64(bucket_start[b]), np.uint64(bucket_start[b + np.uint64(1)])):
+            i = np.uint64(bucket_dots[entry])
+            dx = x[k] - centre_xy_px[i, 0]
+            dy = y[k] - centre_xy_px[i, 1]
+            distance_px2 = max(dx * dx + dy * dy, 1e-12)
+            distance_px = sqrt(distance_px2)
+            beyond_px = distance_px - rim_px
+            off = beyond_px * per_half_ring
+            shape = max(1.0 - off * off, 0.0)
+            weight = shape * shape * _UNITS
+            nx = dx / distance_px
+            ny = dy / distance_px
+            sums[i, 0] += int(weight * beyond_px * nx)
+            sums[i, 1] += int(weight * beyond_px * ny)
+            sums[i, 2] += int(weight * nx * nx)
+            sums[i, 3] += int(weight * nx * ny)
+            sums[i, 4] += int(weight * ny * ny)
+            sums[i, 5] += int(weight * leading * nx)
+            sums[i, 6] += int(weight * leading * ny)
+            ring_events[i] += shape > 0.0
             events[i] += distance_px2 < count_radius_px2
 
 
@@ -468,7 +698,7 @@ def _move_dots(
     centre_xy_px: NDArray[np.float64],
     neighbours: NDArray[np.int32],
     rest_distance_px2: NDArray[np.float64],
-    pull: NDArray[np.int64],
+    sums: NDArray[np.int64],
     ring_events: NDArray[np.int32],
     shift_px: NDArray[np.float64],
     radius_px: float,
@@ -476,35 +706,91 @@ def _move_dots(
     regulariser_weight: float,
     min_events: int,
     gradient_clip: float,
+    ascend: bool,
 ) -> bool:
     """Move the dots with enough events, all from the positions before; tell whether there was one."""
     moved = False
+    # The data term's gradient is -2 times the sum of pulls.
+    to_gradient = (2.0 if ascend else -2.0) / _UNITS
     for i in range(shift_px.shape[0]):
         if ring_events[i] <= min_events:
             continue
         moved = True
         elastic_x, elastic_y = _regulariser_gradient(i, centre_xy_px, neighbours, rest_distance_px2)
-        # The data term's gradient is -2 times the sum of pulls.
-        data_x = _clip(-2.0 * pull[i, 0] / _PULL_UNITS_PER_PX, gradient_clip)
-        data_y = _clip(-2.0 * pull[i, 1] / _PULL_UNITS_PER_PX, gradient_clip)
+        data_x = _clip(to_gradient * sums[i, 0], gradient_clip)
+        data_y = _clip(to_gradient * sums[i, 1], gradient_clip)
         shift_px[i, 0] = _clip(-step_size * (data_x + regulariser_weight * elastic_x), radius_px)
         shift_px[i, 1] = _clip(-step_size * (data_y + regulariser_weight * elastic_y), radius_px)
-    if not moved:
-        return False
+    if moved:
+        _shift_dots(centre_xy_px, shift_px, ring_events, min_events)
+    return moved
+
+
+@njit(cache=True)
+def _shift_dots(
+    centre_xy_px: NDArray[np.float64],
+    shift_px: NDArray[np.float64],
+    ring_events: NDArray[np.int32],
+    min_events: int,
+) -> None:
+    """Shift the dots with enough events, inside the frame."""
     for i in range(shift_px.shape[0]):
-        if ring_events[i] <= min_events:
-            continue
-        centre_xy_px[i, 0] = min(max(centre_xy_px[i, 0] + shift_px[i, 0], 0.0), FRAME_PX[0] - 1.0)
-        centre_xy_px[i, 1] = min(max(centre_xy_px[i, 1] + shift_px[i, 1], 0.0), FRAME_PX[1] - 1.0)
-        ring_events[i] = 0
-        pull[i, 0] = 0
-        pull[i, 1] = 0
-    return True
+        if ring_events[i] > min_events:
+            centre_xy_px[i, 0] = min(max(centre_xy_px[i, 0] + shift_px[i, 0], 0.0), FRAME_PX[0] - 1.0)
+            centre_xy_px[i, 1] = min(max(centre_xy_px[i, 1] + shift_px[i, 1], 0.0), FRAME_PX[1] - 1.0)
 
 
 @njit(cache=True)
 def _clip(value: float, bound: float) -> float:
     return min(max(value, -bound), bound)
+
+
+@njit(cache=True)
+def _look_after_lost(
+    moved: bool,
+    rest_slices: int,
+    centre_xy_px: NDArray[np.float64],
+    rest_xy_px: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    ring_events: NDArray[np.int32],
+    quiet: NDArray[np.int64],
+    lost: NDArray[np.bool_],
+) -> None:
+    """Flag the lost dots when something moved; put them back after `rest_slices` slices of rest."""
+    if moved:
+        _find_lost(centre_xy_px, rest_xy_px, neighbours, lost)
+    if rest_slices == 0:
+        return
+    total = 0
+    for i in range(lost.shape[0]):
+        total += ring_events[i]
+    quiet[0] = quiet[0] + 1 if 2 * total < lost.shape[0] else 0
+    if quiet[0] >= rest_slices:
+        _put_back(centre_xy_px, rest_xy_px, neighbours, lost)
+
+
+@njit(cache=True)
+def _mean_displacement(
+    i: int,
+    centre_xy_px: NDArray[np.float64],
+    rest_xy_px: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    without: NDArray[np.bool_],
+) -> tuple[float, float, int]:
+    """Mean displacement (x, y) of those neighbours of dot i that are not to be left out, and how many they are."""
+    away_x = 0.0
+    away_y = 0.0
+    count = 0
+    for entry in range(MAX_NEIGHBOURS):
+        j = neighbours[i, entry]
+        if j < 0:
+            break
+        if without[j]:
+            continue
+        away_x += centre_xy_px[j, 0] - rest_xy_px[j, 0]
+        away_y += centre_xy_px[j, 1] - rest_xy_px[j, 1]
+        count += 1
+    return away_x / max(count, 1), away_y / max(count, 1), count
 
 
 @njit(cache=True)
@@ -514,20 +800,30 @@ def _find_lost(
     neighbours: NDArray[np.int32],
     lost: NDArray[np.bool_],
 ) -> None:
-    """Flag the dots whose displacement is more than LOST_PX from the mean displacement of their neighbours."""
+    """Flag the dots whose displacement is more than LOST_PX from the mean displacement of all their neighbours."""
+    nobody = np.zeros_like(lost)
     for i in range(lost.shape[0]):
-        away_x = 0.0
-        away_y = 0.0
-        count = 0
-        for entry in range(MAX_NEIGHBOURS):
-            j = neighbours[i, entry]
-            if j < 0:
-                break
-            away_x += centre_xy_px[j, 0] - rest_xy_px[j, 0]
-            away_y += centre_xy_px[j, 1] - rest_xy_px[j, 1]
-            count += 1
+        away_x, away_y, count = _mean_displacement(i, centre_xy_px, rest_xy_px, neighbours, nobody)
         if count == 0:
             continue
-        away_x = centre_xy_px[i, 0] - rest_xy_px[i, 0] - away_x / count
-        away_y = centre_xy_px[i, 1] - rest_xy_px[i, 1] - away_y / count
+        away_x = centre_xy_px[i, 0] - rest_xy_px[i, 0] - away_x
+        away_y = centre_xy_px[i, 1] - rest_xy_px[i, 1] - away_y
         lost[i] = away_x * away_x + away_y * away_y > LOST_PX * LOST_PX
+
+
+@njit(cache=True)
+def _put_back(
+    centre_xy_px: NDArray[np.float64],
+    rest_xy_px: NDArray[np.float64],
+    neighbours: NDArray[np.int32],
+    lost: NDArray[np.bool_],
+) -> None:
+    """Put lost dots where their neighbours, if these are at rest, say that they are, and clear their flags."""
+    for i in range(lost.shape[0]):
+        if not lost[i]:
+            continue
+        away_x, away_y, count = _mean_displacement(i, centre_xy_px, rest_xy_px, neighbours, lost)
+        if count > 0 and away_x * away_x + away_y * away_y < AT_REST_PX * AT_REST_PX:
+            centre_xy_px[i, 0] = min(max(rest_xy_px[i, 0] + away_x, 0.0), FRAME_PX[0] - 1.0)
+            centre_xy_px[i, 1] = min(max(rest_xy_px[i, 1] + away_y, 0.0), FRAME_PX[1] - 1.0)
+            lost[i] = False

@@ -17,7 +17,7 @@ from evetac_cli.store.read import Recording, open_recording
 
 INPUTS = ("recording",)
 OUTPUT = "tracks"
-METHOD = 1
+METHOD = 2
 
 
 def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
@@ -61,7 +61,7 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
         events_per_dot = np.empty((slices, dots), np.int32)
         lost = np.empty((slices, dots), np.uint8)
         for index, events in enumerate(recording):
-            tracker.step(state, events.x, events.y)
+            tracker.step(state, events.x, events.y, events.p)
             dot_xy_px[index] = state.dot_xy_px
             events_per_dot[index] = state.events_per_dot
             lost[index] = state.lost

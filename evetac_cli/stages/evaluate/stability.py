@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.params import EvaluateStability, recipe_of
-from evetac_cli.sim import gel_stability
+from evetac_cli.sim import gel_stability, tracker_stability
 from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, own_report, report
 
@@ -22,7 +22,8 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
     """A row for every case; how many are ok in the summary."""
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        cases = gel_stability.suite(params.seed, full=params.full)
+        suite = tracker_stability.suite if params.part == "track" else gel_stability.suite
+        cases = suite(params.seed, full=params.full)
         rows: Rows = []
         for case in cases:
             rows.append(case())
@@ -32,7 +33,14 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
             "ok": sum(row["ok"] for row in rows),
             "refused": sum(row["outcome"].startswith("refused") for row in rows),
             "not_ok": ", ".join(row["case"] for row in rows if not row["ok"]) or None,
-            "residual_most": max(row["residual_most"] for row in rows if row["residual_most"] is not None),
+            **_worst(rows),
         }
 
     return report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
+
+
+def _worst(rows: Rows) -> dict[str, Any]:
+    """The largest residual of the mechanics, or the dots that the tracker lost in all cases together."""
+    if "dots_lost" in rows[0]:
+        return {"dots_lost": sum(row["dots_lost"] or 0 for row in rows)}
+    return {"residual_most": max(row["residual_most"] for row in rows if row["residual_most"] is not None)}
