@@ -1,5 +1,7 @@
 """Slip labels from flow: pictures, flow of known motion, and the search for the onset."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from evetac_cli.events import Events
 from evetac_cli.kernels import flow
 
 WINDOW, GEL = (540, 0, 640, 480), (0, 0, 540, 480)
-CONSTANTS = flow.FlowConstants(0.3, 4, 3, 20, 5, 20, 30)
+CONSTANTS = flow.FlowConstants(0.3, 4, 3, 20, 5, 20, 12)
 
 
 def columns(x: np.ndarray, y: np.ndarray, p: np.ndarray | None = None) -> Events:
@@ -69,8 +71,8 @@ def test_onset_is_found_to_the_slice(start: int) -> None:
     labels = flow.label(moving(start, 0.5, 0.0), 200, WINDOW, GEL, CONSTANTS)
     assert start - CONSTANTS.accumulate_ms <= labels.onset <= start + 1
     assert labels.label[: labels.onset].max() == 0
-    assert (labels.label[labels.onset : labels.onset + 30] == 1).mean() > 0.9
-    assert (labels.label[labels.onset + 30 :] == -1).all()
+    assert (labels.label[labels.onset : labels.onset + 12] == 1).mean() > 0.9
+    assert (labels.label[labels.onset + 12 :] == -1).all()
     assert labels.confidence > 0.9
 
 
@@ -110,3 +112,54 @@ def test_recordings_shorter_than_a_pair(slices: int) -> None:
     labels = flow.label(moving(0, 0.5, 0.0), slices, WINDOW, GEL, CONSTANTS)
     assert labels.onset == -1
     assert len(labels.label) == slices
+
+
+def test_flow_of_a_smaller_picture() -> None:
+    """Assert that flow is in px of the whole picture, however much smaller it was computed, within a third."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(560, 620, 300), rng.uniform(20, 460, 300)
+    now, later = flow.picture(columns(x, y), WINDOW), flow.picture(columns(x, y + 4), WINDOW)
+    assert flow.region_flow(now, later, shrink=2) == pytest.approx((0, 4), abs=4 / 3)
+    assert flow.region_flow(now, later, shrink=8).tolist() == [0, 0]  # 12 px wide: no flow
+
+
+def test_dis_is_another_flow() -> None:
+    """Assert that dis gives the direction of a shift by 4 px, and another figure than farneback."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(560, 620, 300), rng.uniform(20, 460, 300)
+    now, later = flow.picture(columns(x, y), WINDOW), flow.picture(columns(x, y + 4), WINDOW)
+    across, along = flow.region_flow(now, later, "dis")
+    assert along > 4 * abs(across)
+    assert along != flow.region_flow(now, later)[1]
+
+
+@pytest.mark.parametrize("threshold", [100, 3000])
+def test_event_count(threshold: int) -> None:
+    """Assert that counting finds motion where the window's events over the look-ahead pass the threshold, and only."""
+    constants = replace(CONSTANTS, method="event-count", threshold_events=threshold)
+    labels = flow.label(moving(100, 0.5, 0.0), 200, WINDOW, GEL, constants)
+    per_slice = 60 * 12
+    first = 100 - constants.look_ahead_ms + threshold // per_slice + 1
+    assert labels.onset == (first if threshold < constants.look_ahead_ms * per_slice else -1)
+    assert labels.pairs == 0
+
+
+def test_plain_computes_more_for_the_same_labels() -> None:
+    """Assert that computing every pair changes no onset, and that it is more work."""
+    given = (moving(60, 0.5, 0.2), 90, WINDOW, GEL)
+    short = replace(CONSTANTS, after_ms=0, coarse_ms=5)
+    quick = flow.label(*given, short, 45)
+    plain = flow.label(*given, replace(short, plain=True, coarse_ms=1), 45)
+    assert quick.onset == plain.onset > 45
+    assert quick.pairs < plain.pairs
+
+
+def test_a_window_without_texture_is_refused() -> None:
+    """Assert that a gel full of events beside an empty window is an error that says so."""
+
+    def between(first: int, last: int) -> Events:
+        x = np.arange(2000) % 500
+        return columns(x, np.arange(2000) // 5)
+
+    with pytest.raises(ValueError, match="texture: expected 20 events in a picture of the window"):
+        flow.label(between, 50, WINDOW, GEL, CONSTANTS)

@@ -2,14 +2,17 @@
 
 Slices are drawn as pictures (grey, white where it got brighter, black where darker), the flow from the picture at t to
 the one `look_ahead` later is Farneback's, in the window and in the marker region apart, and a slice is slip where the
-two differ by more than a threshold.
+two differ by more than a threshold. That is the paper's method, `farneback`. Its alternatives: `dis`, another flow, and
+`event-count`, the paper's "simpler approach": many events in the window. What they miss, event_flow counts.
 
 Why so, where the paper is silent:
 - A picture sums `accumulate` slices. One slice at the onset of slip has a few dozen events in the window, and of those
   the next picture shows others: single slices have nothing to correspond.
 - The flow of a region is its mean over the pixels with events. Elsewhere the picture is flat, and so is the flow.
-- Where the window itself does not move, the object does not, and nothing can slip: the flow of the gel, five times as
-  dear, is then left out, and so are pairs whose window has hardly any events.
+- Slip needs a window that moves by more than the threshold itself, too: gel that snaps back under an object at rest is
+  no slip of the object. The flow of the gel, five times as dear, is left out where that already fails, and so are pairs
+  whose window has hardly any events, which tell nothing. `plain` computes them all, for the same answer.
+- Slip holds for `confirm_ms` before it is an onset: a search in steps no longer than that cannot miss one.
 """
 
 from collections.abc import Callable
@@ -22,7 +25,10 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 
+METHODS = ("farneback", "dis", "event-count")
 GREY = 128
+LEAST_SIDE_PX = 32  # pictures smaller than this have no flow
+GEL_MOVES = 20  # times as many events in the gel as a window needs at least: something moves there
 
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
 Between = Callable[[int, int], Events]  # events of the slices [start, stop)
@@ -39,6 +45,18 @@ class FlowConstants:
     confirm_ms: int
     coarse_ms: int
     after_ms: int
+    method: str = "farneback"  # one of METHODS
+    threshold_events: int = 200  # of event-count: so many in the window over the look-ahead are slip
+    shrink: int = 1  # flow is computed on pictures so many times smaller
+    plain: bool = False  # compute the flow of both regions even where it cannot change the answer
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {self.method}")
+        if not self.threshold_px >= 0 or min(self.look_ahead_ms, self.accumulate_ms, self.confirm_ms) < 1:
+            raise ValueError(f"constants: expected a threshold >= 0 and times >= 1 ms, found {self}")
+        if min(self.coarse_ms, self.shrink) < 1 or self.after_ms < 0:
+            raise ValueError(f"constants: expected steps >= 1, and after_ms >= 0, found {self}")
 
 
 class Labels(NamedTuple):
@@ -48,7 +66,7 @@ class Labels(NamedTuple):
     relative_flow_px: NDArray[np.float32]  # (slices,) NaN where not computed
     onset: int  # first slice of slip, -1 if there is none
     confidence: float  # share of the slices in the `after_ms` from the onset that are slip; NaN without onset
-    pairs: int  # pairs of pictures whose flow was computed
+    pairs: int  # pairs of pictures of which flow was computed
 
 
 def picture(events: Events, region: Region) -> NDArray[np.uint8]:
@@ -62,15 +80,26 @@ def picture(events: Events, region: Region) -> NDArray[np.uint8]:
     return drawn.reshape(y1 - y0, x1 - x0).astype(np.uint8)
 
 
-def region_flow(now: NDArray[np.uint8], later: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Mean flow (x, y) in px from one picture to another, over the pixels with events in the first."""
+def region_flow(
+    now: NDArray[np.uint8], later: NDArray[np.uint8], method: str = "farneback", shrink: int = 1
+) -> NDArray[np.float64]:
+    """Mean flow (x, y) in px from one picture to another, over the pixels with events in the first.
+
+    By `farneback` or `dis`, on pictures `shrink` times smaller. Zero without events, or smaller than either can take.
+    """
+    if shrink > 1:
+        size = (now.shape[1] // shrink, now.shape[0] // shrink)
+        now, later = (cv2.resize(drawn, size, interpolation=cv2.INTER_AREA) for drawn in (now, later))
     lit = now != GREY
-    if not lit.any():
+    if not lit.any() or min(now.shape) < LEAST_SIDE_PX:
         return np.zeros(2)
-    flow = cv2.calcOpticalFlowFarneback(
-        now, later, None, pyr_scale=0.5, levels=3, winsize=31, iterations=3, poly_n=5, poly_sigma=1.2, flags=0
-    )
-    return np.asarray(flow[lit].mean(axis=0), np.float64)
+    if method == "dis":
+        flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST).calc(now, later, None)
+    else:
+        flow = cv2.calcOpticalFlowFarneback(
+            now, later, None, pyr_scale=0.5, levels=3, winsize=31, iterations=3, poly_n=5, poly_sigma=1.2, flags=0
+        )
+    return np.asarray(flow[lit].mean(axis=0) * shrink, np.float64)
 
 
 def label(
@@ -81,15 +110,19 @@ def label(
     `between(start, stop)` gives events of slices. The search looks at every `coarse_ms`-th slice; where one is slip it
     goes back to the slice before and on from there one by one, until a slice is found from which slip holds for
     `confirm_ms`. Slices before the onset are no slip; those before `start`, or later than `after_ms` after the onset,
-    are not examined.
+    are not examined. ValueError if the gel was seen to move and the window never showed enough: no texture.
     """
     search = _Search(between, slices, window, gel, constants)
     onset = search.onset(start)
+    if search.gel_moved and not search.textured and constants.method != "event-count":
+        raise ValueError(
+            f"texture: expected {constants.min_events} events in a picture of the window, found fewer in all"
+        )
     labels = np.zeros(slices, np.int8)
     labels[:start] = -1
     if onset < 0:
         return Labels(labels, search.relative_px, -1, float("nan"), search.pairs)
-    stop = min(onset + constants.after_ms, slices)
+    stop = min(onset + max(constants.after_ms, 1), slices)
     labels[stop:] = -1
     for index in range(onset, stop):
         labels[index] = search.slips(index)
@@ -107,6 +140,8 @@ class _Search:
         self.relative_px = np.full(slices, np.nan, np.float32)
         self._known: dict[int, bool] = {}
         self.pairs = 0
+        self.textured = False  # a picture of the window once had events enough
+        self.gel_moved = False  # the gel had many more while the window had hardly any
 
     def onset(self, start: int) -> int:
         """First slice from which slip holds for `confirm_ms`, or -1."""
@@ -136,16 +171,29 @@ class _Search:
         later = index + constants.look_ahead_ms
         if later + constants.accumulate_ms > self.slices:
             return False
+        if constants.method == "event-count":
+            return self._count(self._between(index, later), self._window) > constants.threshold_events
         now_events = self._between(index, index + constants.accumulate_ms)
         later_events = self._between(later, later + constants.accumulate_ms)
         now, then = picture(now_events, self._window), picture(later_events, self._window)
-        if min(np.count_nonzero(now != GREY), np.count_nonzero(then != GREY)) < constants.min_events:
+        lit = np.count_nonzero(now != GREY), np.count_nonzero(then != GREY)
+        few = bool(min(lit) < constants.min_events)
+        self.textured |= bool(max(lit) >= constants.min_events)
+        self.gel_moved |= few and self._count(now_events, self._gel) > GEL_MOVES * constants.min_events
+        if few and not constants.plain:
             return False
         self.pairs += 1
-        window_flow = region_flow(now, then)
-        if np.hypot(*window_flow) <= constants.threshold_px:
+        window_flow = region_flow(now, then, constants.method, constants.shrink)
+        still = bool(np.hypot(*window_flow) <= constants.threshold_px)
+        if still and not constants.plain:
             return False
-        gel_flow = region_flow(picture(now_events, self._gel), picture(later_events, self._gel))
+        gel_now, gel_then = picture(now_events, self._gel), picture(later_events, self._gel)
+        gel_flow = region_flow(gel_now, gel_then, constants.method, constants.shrink)
         relative = float(np.hypot(*(window_flow - gel_flow)))
         self.relative_px[index] = relative
-        return relative > constants.threshold_px
+        return relative > constants.threshold_px and not (few or still)
+
+    @staticmethod
+    def _count(events: Events, region: Region) -> int:
+        x0, y0, x1, y1 = region
+        return int(np.count_nonzero((events.x >= x0) & (events.x < x1) & (events.y >= y0) & (events.y < y1)))

@@ -1,17 +1,20 @@
-"""label: when the object slips, from optical flow in the window (paper, "Data Labelling - Slip Classifier").
+"""label: when the object slips, from what the window shows against the gel (paper, "Data Labelling - Slip Classifier").
 
 A trajectory begins where the object is held stably and the gripper's current starts to fall (paper, "Experimental
 Setup and Data Collection Procedure"); closing and loading before are not examined. Without a gripper it begins at 0.
+
+The methods: `event-flow` (default) counts motion from events, `farneback` is the paper's optical flow, `dis` and
+`event-count` are its alternatives, `truth` copies what a simulation knows; the header of the labels, and of all that is
+made from them, says which.
 """
 
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.kernels import flow
+from evetac_cli.kernels import event_flow, flow
 from evetac_cli.params import Label, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, outcome, per_file, silent
 from evetac_cli.store.files import up_to_date, write_stage
@@ -20,7 +23,10 @@ from evetac_cli.store.read import Recording, open_recording
 
 INPUTS = ("recording",)
 OUTPUT = "labels"
-METHOD = 1
+METHOD = 2
+# The border of the window is the gel's cut edge, which moves with the gel and is part of neither region.
+EDGE_LEFT_PX = 10
+EDGE_RIGHT_PX = 25
 
 
 def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
@@ -29,30 +35,14 @@ def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
 
 
 def run(job: Job, params: Label, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Compute the flow where it can matter, and label every slice."""
-    constants = flow.FlowConstants(**recipe_of(params))
+    """Find the onset by the method asked for, and label every slice."""
     with open_recording(job.inputs[0]) as recording:
-        recipe = Recipe(OUTPUT, METHOD, asdict(constants), parents=(recording.header,))
+        recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=(recording.header,))
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
-        window = recording.window_px
-        if window is None:
-            raise InputError(
-                "slip cannot be labelled: the gel has no window",
-                where=str(recording.path),
-                expected="a recording with sensor/window_px",
-                hint="record with a cut gel, or give window_px in the calibration",
-            )
+        labels = compute(recording, params, progress)
         slices = len(recording)
-        gel = (0, 0, window[0], recording.frame_px[1])
-
-        def between(start: int, stop: int) -> Events:
-            progress(start, slices)
-            return recording.between(start, stop)
-
-        start = ramp_start(recording)
-        labels = flow.label(between, slices, window, gel, constants, start)
     arrays = {
         "label": labels.label,
         "relative_flow_px": labels.relative_flow_px,
@@ -65,11 +55,84 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         job,
         made=True,
         simulated=simulated,
+        method=params.method,
         slices=slices,
         onset_ms=labels.onset,
         confidence=labels.confidence,
         pairs=labels.pairs,
     )
+
+
+def _event_flow(params: Label) -> event_flow.EventFlowConstants:
+    return event_flow.EventFlowConstants(slide_px=params.slide_px, crossings=params.crossings, after_ms=params.after_ms)
+
+
+def compute(recording: Recording, params: Label, progress: Progress = silent) -> flow.Labels:
+    """Labels of a recording by the method asked for; InputError where the recording cannot tell."""
+    if params.method == "truth":
+        return from_truth(recording, params.after_ms)
+    window, gel = regions(recording)
+    slices, start = len(recording), ramp_start(recording)
+
+    def between(first: int, last: int) -> Events:
+        progress(first, slices)
+        return recording.between(first, last)
+
+    try:
+        if params.method == "event-flow":
+            dots = recording.dot_xy_px
+            if dots is None:
+                raise InputError(
+                    "event-flow follows the dots, and the recording holds no dot grid",
+                    where=str(recording.path),
+                    hint="record with --calibration GRID.json, or label with --method farneback",
+                )
+            radius = float(recording.read("sensor/dot_radius_px"))
+            constants = _event_flow(params)
+            return event_flow.label(between, slices, window, gel, dots.reshape(-1, 2), radius, constants, start)
+        names = flow.FlowConstants.__dataclass_fields__
+        chosen = {name: value for name, value in recipe_of(params).items() if name in names}
+        return flow.label(between, slices, window, gel, flow.FlowConstants(**chosen), start)
+    except ValueError as error:
+        raise InputError(
+            f"slip cannot be labelled: {error}",
+            where=str(recording.path),
+            hint="the object needs a texture that the window shows",
+        ) from error
+
+
+def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
+    """The window and the gel, clear of the cut edge between them; InputError if the gel has no window."""
+    if recording.window_px is None:
+        raise InputError(
+            "slip cannot be labelled: the gel has no window",
+            where=str(recording.path),
+            expected="a recording with sensor/window_px",
+            hint="record with a cut gel, or give window_px in the calibration",
+        )
+    x0, y0, x1, y1 = recording.window_px
+    window = (min(x0 + EDGE_RIGHT_PX, x1 - 1), y0, x1, y1)
+    return window, (0, 0, max(x0 - EDGE_LEFT_PX, 0), recording.frame_px[1])
+
+
+def from_truth(recording: Recording, after_ms: int) -> flow.Labels:
+    """What a simulation knows: every slice up to `after_ms` after the first that slips; InputError without truth."""
+    if not recording.has("truth/slip"):
+        raise InputError(
+            "this recording has no truth: only a simulation knows it",
+            where=str(recording.path),
+            hint="label with another --method",
+        )
+    slips = recording.read("truth/slip")
+    labels = slips.astype(np.int8)
+    slipping = np.flatnonzero(slips)
+    onset = int(slipping[0]) if len(slipping) else -1
+    confidence = float("nan")
+    if onset >= 0:
+        stop = onset + max(after_ms, 1)
+        confidence = float(slips[onset:stop].mean())
+        labels[stop:] = -1
+    return flow.Labels(labels, np.full(len(slips), np.nan, np.float32), onset, confidence, 0)
 
 
 def ramp_start(recording: Recording) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.params import EvaluateCost, recipe_of
-from evetac_cli.sim import camera_cost, gel_cost
+from evetac_cli.sim import camera_cost, gel_cost, tracker_cost
 from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, own_report, report
 
@@ -32,6 +32,10 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
     """A row for every setting; the picture is drawn again where it is missing."""
 
     def measure() -> tuple[Rows, dict[str, Any]]:
+        if params.part == "label":
+            return _measure_label(params, progress)
+        if params.part == "track":
+            return _measure_track(params, progress)
         extent = gel_cost.FULL if params.full else gel_cost.USUAL
         rows: Rows = []
         for row in gel_cost.mechanics_cost(params.seed, extent):
@@ -48,6 +52,40 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
         shown = str(picture) if drawn else "none: needs matplotlib, pip install 'evetac[plot]'"
         outcome = dataclasses.replace(outcome, summary={**outcome.summary, "plot": shown})
     return outcome
+
+
+def _measure_label(params: EvaluateCost, progress: Progress) -> tuple[Rows, dict[str, Any]]:
+    """Rows of the methods of labelling, and how many times faster than the plain per-millisecond method each is."""
+    from evetac_cli.stages.evaluate import label_cost
+
+    rows: Rows = []
+    total = len(label_cost.methods())
+    for row in label_cost.label_cost(params.seed, label_cost.FULL if params.full else label_cost.USUAL):
+        rows.append(row)
+        progress(len(rows), total)
+    plain_us = rows[0]["time_us_median"]
+    for row in rows:
+        row["times_plain"] = plain_us / row["time_us_median"] if row["time_us_median"] else None
+    return rows, {"rows": len(rows)}
+
+
+def _measure_track(params: EvaluateCost, progress: Progress) -> tuple[Rows, dict[str, Any]]:
+    """Rows of the tracker's presets, sweeps and shares of the events, and which preset is the most accurate."""
+    extent = tracker_cost.FULL if params.full else tracker_cost.USUAL
+    rows: Rows = []
+    for row in tracker_cost.tracker_cost(params.seed, extent):
+        rows.append(row)
+        progress(len(rows), tracker_cost.rows(extent))
+    whole = [row for row in rows if row["setting"].endswith(", all events")]
+    worst_px: dict[str, float] = {}
+    for row in whole:
+        name = row["setting"].partition(",")[0]
+        worst_px[name] = max(worst_px.get(name, 0.0), row["error_px_rms"] / row["still_px_rms"])
+    return rows, {
+        "rows": len(rows),
+        "most_accurate": min(worst_px, key=lambda name: worst_px[name]),
+        **{f"{name}_error_over_still_most": share for name, share in worst_px.items()},
+    }
 
 
 def _summary(rows: Rows) -> dict[str, Any]:
