@@ -29,10 +29,12 @@ class Command:
     module: str
     files: str  # what the file arguments are; empty if the command takes none
     unit: str = "slices"
+    files_needed: bool = True
 
 
 PIPELINE = (
     Command("record", params.Record, "record", ""),
+    Command("calibrate", params.Calibrate, "calibrate", "Press recordings; none with --import.", files_needed=False),
     Command("label", params.Label, "label", "Recordings.", "pairs"),
     Command("track", params.Track, "track", "Recordings."),
     Command("featurize", params.Featurize, "featurize", "Recordings (tracks and labels lie beside them)."),
@@ -47,6 +49,8 @@ EVALUATE = (
     Command("cost", params.EvaluateCost, "evaluate.cost", "", "rows"),
     Command("stability", params.EvaluateStability, "evaluate.stability", "", "rows"),
 )
+# Of inspect/: a page for people, made again whenever asked for.
+VIEW = Command("view", params.View, "view", "Stage files of one trial; others of its name are found.", "images")
 
 app = typer.Typer(
     help="Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp.",
@@ -82,19 +86,32 @@ _RUNNING: dict[str, tuple[Any, Any, str, str]] = {
     "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
     "verbose": (bool, False, "-v/--verbose", "Print the traceback of an error."),
 }
+# view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
+_VIEWING = {name: entry for name, entry in _RUNNING.items() if name not in ("number_of_jobs", "config")} | {
+    "out": (Path | None, None, "-o/--out", "Page (ends in .html) or folder; default: beside the file."),
+    "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
+}
 
 
-def _add(group: typer.Typer, command: Command, title: str, panel: str) -> None:
+def _add(
+    group: typer.Typer,
+    command: Command,
+    title: str,
+    panel: str,
+    act: Callable[[Command, str, dict[str, Any]], None] | None = None,
+    running: dict[str, tuple[Any, Any, str, str]] = _RUNNING,
+) -> None:
     """Register a command whose signature is made from its parameters."""
 
     def call(**given: Any) -> None:
-        _execute(command, title, given)
+        (act or _execute)(command, title, given)
 
     keyword = inspect.Parameter.KEYWORD_ONLY
     signature = []
     if command.files:
         files = Annotated[list[Path], typer.Argument(help=command.files, show_default=False)]
-        signature.append(inspect.Parameter("files", keyword, annotation=files))
+        needed: Any = inspect.Parameter.empty if command.files_needed else []
+        signature.append(inspect.Parameter("files", keyword, default=needed, annotation=files))
     hints = get_type_hints(command.params)
     for item in fields(command.params):
         unit = f" \\[{item.metadata['unit']}]" if item.metadata["unit"] else ""
@@ -112,7 +129,7 @@ def _add(group: typer.Typer, command: Command, title: str, panel: str) -> None:
         signature.append(
             inspect.Parameter(item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option])
         )
-    for name, (kind, default, flags, help_) in _RUNNING.items():
+    for name, (kind, default, flags, help_) in running.items():
         option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=default == 1)
         signature.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
     call.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
@@ -156,6 +173,19 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             for error in errors[1:]:
                 console.say(f"error: {error}")
             raise errors[0]
+
+
+def _view(command: Command, title: str, given: dict[str, Any]) -> None:
+    """Make the page of one trial and say where it is."""
+    running = {name: given.pop(name) for name in _VIEWING}
+    files = given.pop("files")
+    with _errors_in_words(running["verbose"]):
+        chosen = params.resolve(command.params, title, given, None)
+        module = importlib.import_module(f".inspect.{command.module}", __package__)
+        with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
+            result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
+        if not running["quiet"] or running["as_json"]:
+            console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=running["as_json"])
 
 
 def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
@@ -251,6 +281,7 @@ _add(app, PIPELINE[-1], PIPELINE[-1].name, "Pipeline")
 app.command("info", rich_help_panel="Inspect")(
     _inspector("info", "What stage files hold: kind, duration, events, rates, history.")
 )
+_add(app, VIEW, VIEW.name, "Inspect", _view, _VIEWING)
 app.command("validate", rich_help_panel="Inspect")(
     _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")
 )

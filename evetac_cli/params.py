@@ -43,7 +43,11 @@ class Trials:
     objects: str
     count: int = parameter(1, "Trials of each object.", low=1, high=100000, recipe=False)
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
-    individual: str = parameter("evetac", "Sensor individual: evetac, second, bare-dvxplorer.")
+    individual: str = parameter(
+        "evetac",
+        "Sensor individual: evetac, second, bare-dvxplorer; drawn: another one, and another gripper, for every trial;"
+        " drawn:N: the N-th of these, the same wherever it is named.",
+    )
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     readout: str = parameter(
         "dvxplorer", "Camera: scanned 5000 times a second, or every event to the us.", choices=("dvxplorer", "ideal")
@@ -55,8 +59,11 @@ class Trials:
 class Record(Trials):
     """Record events: simulate a scene, or import a foreign event file."""
 
-    scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, or a TOML file.")
+    scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, vibration, or a TOML file.")
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
+    tones: str | None = parameter(
+        None, "Tones to play, of 1 to 2500, as in `200,300`; default: the scene's.", unit="Hz", flag="--tone"
+    )
     source: Path | None = parameter(
         None,
         "Import this event file instead of simulating: AEDAT4, text `t x y p`, DSEC HDF5.",
@@ -72,21 +79,63 @@ class Record(Trials):
 
 
 @dataclass(frozen=True)
-class Label:
-    """Label when the object slips, from optical flow in the window."""
+class Calibrate:
+    """Find the dot grid of a gel in a press recording, or import it, and write it as JSON for --calibration."""
 
+    refine: Path | None = parameter(
+        None, "Start from this default grid (JSON); dots that were not pressed keep its places.", recipe=False
+    )
+    source: Path | None = parameter(
+        None,
+        "Import this instead: the official software's pickle, which is not executed, or JSON.",
+        flag="--import",
+        recipe=False,
+    )
+    gel: str | None = parameter(
+        None, "What the gel is; default: as its columns say, 9 or 8, or the default grid.", choices=("cut", "closed")
+    )
+    any_grid: bool = parameter(False, "Take a grid that is not that of a whole Evetac, as it is.")
+
+
+@dataclass(frozen=True)
+class Label:
+    """Label when the object slips, from what the window shows against the gel."""
+
+    method: str = parameter(
+        "event-flow",
+        "How; event-flow: motion counted from events; farneback: the paper's optical flow; dis: another flow;"
+        " event-count: many events in the window; truth: what the simulation knows, for comparison.",
+        choices=("event-flow", "farneback", "dis", "event-count", "truth"),
+    )
+    slide_px: float = parameter(
+        0.5, "Slide of the object on the gel that is the onset of slip; event-flow.", unit="px", low=0.01
+    )
+    crossings: float = parameter(
+        6.9, "Thresholds that a pixel crosses when a dot's rim passes; event-flow.", unit="events", low=0.1
+    )
     threshold_px: float = parameter(
-        0.3, "Relative flow of window against gel over the look-ahead that counts as slip.", unit="px", low=0.0
+        0.3, "Flow methods: relative flow of window against gel over the look-ahead that is slip.", unit="px", low=0.0
+    )
+    threshold_events: int = parameter(
+        200, "Events of the window over the look-ahead that are slip; event-count.", unit="events", low=1
     )
     look_ahead_ms: int = parameter(
-        4, "Flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100
+        4, "Flow methods: flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100
     )
-    accumulate_ms: int = parameter(3, "Slices summed into one event image.", unit="ms", low=1, high=100)
+    accumulate_ms: int = parameter(3, "Flow methods: slices summed into one event image.", unit="ms", low=1, high=100)
     min_events: int = parameter(
-        20, "Window images with fewer events have no flow; their pair is left out.", unit="events", low=1
+        20, "Flow methods: window images with fewer events have no flow; their pair is left out.", unit="events", low=1
     )
-    confirm_ms: int = parameter(5, "Slip must hold for this long to be an onset.", unit="ms", low=1, high=1000)
-    coarse_ms: int = parameter(20, "Step of the coarse search for the onset.", unit="ms", low=1, high=1000)
+    confirm_ms: int = parameter(
+        5, "All but event-flow: slip must hold for this long to be an onset.", unit="ms", low=1, high=1000
+    )
+    coarse_ms: int = parameter(
+        5,
+        "All but event-flow: step of the coarse search for the onset; up to confirm_ms it misses none.",
+        unit="ms",
+        low=1,
+        high=1000,
+    )
     after_ms: int = parameter(60, "Slices labelled after the onset; later ones are not examined.", unit="ms", low=0)
 
 
@@ -94,7 +143,9 @@ class Label:
 class Track:
     """Track the dots of the gel, slice by slice."""
 
-    preset: str = parameter("paper", "Constants of the tracker.", choices=("paper", "unregularised", "carry"))
+    preset: str = parameter(
+        "paper", "Constants of the tracker.", choices=("paper", "official", "unregularised", "stable")
+    )
     step_size: float | None = parameter(None, "Gradient step alpha; overrides the preset.", low=0.0)
     regulariser: float | None = parameter(None, "Weight of the distance regulariser; overrides the preset.", low=0.0)
     min_events: int | None = parameter(
@@ -110,10 +161,12 @@ class Featurize:
     """Turn a recording and its tracks (and labels) into features for slip detection."""
 
     tracks: Path | None = parameter(
-        None, "Tracks of the recording; default: beside it, under the same name.", recipe=False
+        None, "Tracks of the recording, or their folder; default: beside it, under the same name.", recipe=False
     )
     labels: Path | None = parameter(
-        None, "Labels of the recording; default: beside it, under the same name, where there are any.", recipe=False
+        None,
+        "Labels of the recording, or their folder; default: beside it, under the same name, where there are any.",
+        recipe=False,
     )
 
 
@@ -164,7 +217,12 @@ class EvaluateGrasp:
 class EvaluateCost:
     """Measure error against run time of a part's numerical choices: table, report, plot."""
 
-    part: str = parameter("sim", "What is measured; sim: the simulator.", choices=("sim",), flag="PART")
+    part: str = parameter(
+        "sim",
+        "What is measured; sim: the simulator; label: slip labels; track: the dot tracker.",
+        choices=("sim", "label", "track"),
+        flag="PART",
+    )
     seed: int = parameter(0, "Seed of the scenes that are simulated.", low=0, high=2**31 - 1)
     full: bool = parameter(False, "Finer steps and grids too; takes a few minutes.")
 
@@ -173,7 +231,9 @@ class EvaluateCost:
 class EvaluateStability:
     """Run the stiff, extreme and nonsensical cases of a part: finite, or refused in words."""
 
-    part: str = parameter("sim", "What is tried; sim: the simulator.", choices=("sim",), flag="PART")
+    part: str = parameter(
+        "sim", "What is tried; sim: the simulator; track: the dot tracker.", choices=("sim", "track"), flag="PART"
+    )
     seed: int = parameter(0, "Seed of the cases that are drawn.", low=0, high=2**31 - 1)
     full: bool = parameter(False, "Every theta, longer runs and many more drawn cases; takes a few minutes.")
 
@@ -192,14 +252,28 @@ class Grasp(Trials):
         "paper: the paper's lift and balance law; none: contact alone, without the detector.",
         choices=("paper", "none"),
     )
-    tracker: str = parameter("paper", "Preset of the dot tracker.", choices=("paper", "unregularised", "carry"))
+    tracker: str = parameter("paper", "Preset of the dot tracker.", choices=("paper", "official", "unregularised"))
     lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0)
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0)
+
+
+@dataclass(frozen=True)
+class View:
+    """Look at a recording and what was computed from it: one HTML page that needs no network; an animation too."""
+
+    start_s: float = parameter(0.0, "Show from here on.", unit="s", low=0.0, recipe=False)
+    stop_s: float | None = parameter(None, "Show up to here; default: the end.", unit="s", low=0.0, recipe=False)
+    shown_ms: int = parameter(5, "Events summed into one image.", unit="ms", low=1, high=1000, recipe=False)
+    moments: int = parameter(
+        500, "Images in the page at most, dense near slip and where it is busiest.", low=1, high=3000, recipe=False
+    )
+    film: Path | None = parameter(None, "Write an animation too, to this GIF.", recipe=False)
 
 
 # A table of a config file for each: [track], [evaluate.slip].
 COMMANDS = (
     "record",
+    "calibrate",
     "label",
     "track",
     "featurize",

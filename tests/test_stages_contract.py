@@ -58,7 +58,7 @@ STAGES = [
         "label", label, some(params.Label, after_ms=15), some(params.Label, after_ms=15, confirm_ms=4),
         of("recording"),
     ),
-    Stage("track", track, some(params.Track), some(params.Track, preset="carry"), of("recording")),
+    Stage("track", track, some(params.Track), some(params.Track, preset="stable"), of("recording")),
     Stage("featurize", featurize, some(params.Featurize), some(params.Featurize), of("recording")),
     Stage(
         "train", train, some(params.Train, **TRAIN), some(params.Train, **TRAIN, seed=1),

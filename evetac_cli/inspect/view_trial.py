@@ -1,0 +1,158 @@
+"""The files of one trial, for view: those named, and what lies beside them and belongs to the same recording."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from evetac_cli.errors import InputError
+from evetac_cli.store.files import StageFile, stem
+from evetac_cli.store.read import Recording
+
+KINDS = ("recording", "tracks", "labels", "features")
+MOST_NEIGHBOURS = 200  # recordings of other names that are looked at for the one a file was made from
+
+
+@dataclass
+class Trial:
+    """A recording and what was computed from it, as far as found, all open; and what was left out."""
+
+    recording_id: str
+    recording: Recording | None = None
+    tracks: StageFile | None = None
+    labels: StageFile | None = None
+    features: StageFile | None = None
+    model: StageFile | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def files(self) -> list[StageFile]:
+        """All that are there."""
+        found = (self.recording, self.tracks, self.labels, self.features, self.model)
+        return [file for file in found if file is not None]
+
+    @property
+    def slices(self) -> int:
+        """Length of the trial in ms: that of the recording, else of what was computed from it."""
+        if self.recording is not None:
+            return len(self.recording)
+        rows = ((self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total"))
+        return max(file.length(path) for file, path in rows if file is not None)
+
+    def add(self, file: StageFile) -> None:
+        """Take in one more file."""
+        setattr(self, file.kind, file)
+
+
+@contextmanager
+def open_trial(paths: list[Path]) -> Iterator[Trial]:
+    """Open the files named and those beside them; InputError if those named are not of one trial.
+
+    A file beside them that is damaged or of another recording is left out, with a note.
+    """
+    with ExitStack() as stack:
+        named = [stack.enter_context(_open(path)) for path in dict.fromkeys(paths)]
+        trial = Trial(_one_recording(named))
+        for file in named:
+            if getattr(trial, file.kind) is not None:
+                raise InputError(
+                    f"two {file.kind} files",
+                    where=str(file.path),
+                    expected="files of one trial",
+                    found=str(getattr(trial, file.kind).path),
+                )
+            trial.add(file)
+        _check_model(trial)
+        for path in _beside(named):
+            if getattr(trial, _kind_of(path)) is not None:
+                continue
+            try:
+                file = stack.enter_context(_open(path))
+            except InputError as error:
+                trial.notes.append(f"Left out: {str(error).splitlines()[0].removeprefix(f'{path.parent}/')}")
+                continue
+            if file.kind == _kind_of(path) and _recording_id(file) == trial.recording_id:
+                trial.add(file)
+            else:
+                trial.notes.append(f"Left out: {path.name} was made from another recording.")
+        if trial.recording is None:
+            _search_recording(trial, named[0].path.parent, stack)
+        yield trial
+
+
+def _open(path: Path) -> StageFile:
+    file = StageFile(path, (*KINDS, "model"))
+    if file.kind != "recording":
+        return file
+    file.close()
+    return Recording(path)
+
+
+def _kind_of(path: Path) -> str:
+    return path.name.split(".")[-2]
+
+
+def _recording_id(file: StageFile) -> str | None:
+    """The id of the recording itself, or of the one a file was made from."""
+    if file.kind == "recording":
+        return str(file.header["id"])
+    history = file.header["history"]
+    parents = [id_ for id_ in file.header["parents"] if history.get(id_, {}).get("kind") == "recording"]
+    return str(parents[0]) if parents else None
+
+
+def _one_recording(named: list[StageFile]) -> str:
+    """The recording that all files named belong to (a model belongs to any)."""
+    of_trial = [file for file in named if file.kind != "model"]
+    if not of_trial:
+        raise InputError(
+            "a model alone has nothing to look at",
+            where=str(named[0].path),
+            expected=", ".join(KINDS),
+            hint="name features too, and the page shows what the model says of them",
+        )
+    first = _recording_id(of_trial[0])
+    for file in of_trial:
+        if _recording_id(file) != first:
+            raise InputError(
+                "these files are of two trials",
+                where=str(file.path),
+                expected=f"as {of_trial[0].path.name}, made from recording {(first or 'unknown')[:12]}",
+                found=f"recording {(_recording_id(file) or 'unknown')[:12]}",
+                hint="one page shows one trial: run evetac view once for each",
+            )
+    if first is None:
+        raise InputError("its header names no recording", where=str(of_trial[0].path))
+    return first
+
+
+def _check_model(trial: Trial) -> None:
+    if trial.model is None or trial.features is None:
+        return
+    wanted, found = (file.read("dot_shape").tolist() for file in (trial.model, trial.features))
+    if wanted != found:
+        raise InputError(
+            "the model is for another dot grid", where=str(trial.model.path), expected=str(found), found=str(wanted)
+        )
+
+
+def _beside(named: list[StageFile]) -> list[Path]:
+    """Files of the same name and another kind, beside those named."""
+    paths = [
+        file.path.with_name(f"{stem(file.path)}.{kind}.h5") for file in named if file.kind != "model" for kind in KINDS
+    ]
+    return [path for path in dict.fromkeys(paths) if path.is_file()]
+
+
+def _search_recording(trial: Trial, folder: Path, stack: ExitStack) -> None:
+    """Find the recording under another name in the same folder."""
+    for path in sorted(folder.glob("*.recording.h5"))[:MOST_NEIGHBOURS]:
+        try:
+            with StageFile(path, "recording") as file:
+                found = file.header["id"] == trial.recording_id
+            if found:
+                trial.recording = stack.enter_context(Recording(path))
+                return
+        except InputError:
+            continue
+    trial.notes.append(f"The recording {trial.recording_id[:12]} is not beside these files: no event images.")
