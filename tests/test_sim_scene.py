@@ -64,6 +64,17 @@ def test_what_is_wrong_is_said(group: str, key: str, value: Any, says: str, tmp_
         scene.load(str(path))
 
 
+def test_a_misspelt_key_that_is_needed(tmp_path: Path) -> None:
+    """Assert that a misspelling is named rather than the key that it stands for."""
+    odd = named("data-rate")
+    odd["randomise"]["masss"] = odd["randomise"].pop("mass")
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    with pytest.raises(SceneError, match="masss") as caught:
+        scene.load(str(path))
+    assert "did you mean `mass`" in str(caught.value)
+
+
 def test_files_that_are_no_scene(tmp_path: Path) -> None:
     """Assert that a missing file, a folder, broken TOML and binary are refused; a misspelt name gets the nearest."""
     (tmp_path / "broken.toml").write_text("name = ")
@@ -106,6 +117,8 @@ def test_draws_stay_in_their_ranges() -> None:
 def test_new_keys_leave_old_draws() -> None:
     """Assert that touch, lever and kinetic spread change nothing else that is drawn, and are drawn in their ranges."""
     plain, more, flat = slip(), slip(), scene.object_row(16)
+    for key in ("touch_mm", "kinetic_share_spread"):
+        del plain["randomise"][key]
     more["randomise"] |= {"touch_mm": 3.0, "lever_mm": 3.0}
     for seed in range(50):
         old, new = scene.draw(plain, flat, random(seed)), scene.draw(more, flat, random(seed))

@@ -57,7 +57,9 @@ def load(name_or_path: str) -> dict[str, Any]:
 
 def _check(scene: dict[str, Any], where: str) -> None:
     rules = json.loads((schemas() / "scene.v1.json").read_text())
-    error = jsonschema.exceptions.best_match(jsonschema.Draft202012Validator(rules).iter_errors(scene))
+    errors = list(jsonschema.Draft202012Validator(rules).iter_errors(scene))
+    misspelt = [error for error in errors if error.validator == "additionalProperties"]  # also why another is missing
+    error = jsonschema.exceptions.best_match(misspelt or errors)
     if error is None:
         return _check_ranges(scene, where)
     place = ".".join(str(step) for step in error.absolute_path) or "the scene"
@@ -272,6 +274,7 @@ def draw(
     lever_m = float(place.normal()) * varied.get("lever_mm", 0.0) * 1e-3
     if thing.get("shape") != "flat":
         lever_m = 0.0  # the weight of a round object acts on its axis, and there it is touched
+    lever_m += float(thing.get("lever_mm", 0.0)) * 1e-3
     return Drawn(
         mass_kg=mass_kg,
         static_friction=static,

@@ -25,7 +25,7 @@ from evetac_cli.store.segments import RecordingWriter
 
 INPUTS = ()
 OUTPUT = "recording"
-METHOD = 1
+METHOD = 2
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
 RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
 DRY_SLICES = 200
