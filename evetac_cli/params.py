@@ -122,7 +122,9 @@ class Label:
     look_ahead_ms: int = parameter(
         4, "Flow methods: flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100
     )
-    accumulate_ms: int = parameter(3, "Flow methods: slices summed into one event image.", unit="ms", low=1, high=100)
+    accumulate_ms: int = parameter(
+        3, "Flow methods: slices summed into one event image.", unit="ms", low=1, high=100
+    )
     min_events: int = parameter(
         20, "Flow methods: window images with fewer events have no flow; their pair is left out.", unit="events", low=1
     )
@@ -144,7 +146,9 @@ class Track:
     """Track the dots of the gel, slice by slice."""
 
     preset: str = parameter(
-        "paper", "Constants of the tracker.", choices=("paper", "official", "unregularised", "stable")
+        "stable",
+        "Tracker; stable: ours; paper; official: the authors' published code; unregularised: paper's without grid.",
+        choices=("stable", "paper", "official", "unregularised"),
     )
     step_size: float | None = parameter(None, "Gradient step alpha; overrides the preset.", low=0.0)
     regulariser: float | None = parameter(None, "Weight of the distance regulariser; overrides the preset.", low=0.0)
@@ -168,21 +172,49 @@ class Featurize:
         "Labels of the recording, or their folder; default: beside it, under the same name, where there are any.",
         recipe=False,
     )
+    images: bool = parameter(False, "Add event images, for the image baselines no-hist-img and hist10-img.")
 
 
 @dataclass(frozen=True)
 class Train:
     """Train a slip detector on labelled features."""
 
-    model: str = parameter("hist10", "Architecture, named as in the paper's table.", choices=("hist10",))
+    model: str = parameter(
+        "hist10",
+        "Architecture, named as in the paper's table; -6x6: event images summed over 6 x 6 px, for a CPU;"
+        " creep: ours, which sees directions and changes of displacements.",
+        choices=(
+            "no-hist",
+            "hist10",
+            "events-only",
+            "disp-only",
+            "hist20",
+            "down5",
+            "fast-slow",
+            "no-hist-img",
+            "hist10-img",
+            "no-hist-img-6x6",
+            "hist10-img-6x6",
+            "creep",
+        ),
+    )
+    ahead: int = parameter(0, "Predict slip so far ahead: labels are shifted by as much.", unit="ms", low=0, high=1000)
     recipe: str = parameter(
         "paper",
-        "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features.",
-        choices=("paper", "adam"),
+        "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; steady: AdamW 0.002 falling to 0"
+        " on normalised features, samples made stronger and weaker, and the mean of the weights on the way.",
+        choices=("paper", "adam", "steady"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
     max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
     seed: int = parameter(0, "Seed of weights, sampling and augmentation.", low=0, high=2**31 - 1)
+    seeds: int = parameter(
+        1, "Models to train, each with the next seed and in a file of its own.", low=1, high=1000, recipe=False
+    )
+    device: str = parameter("cpu", "Where it is computed; numbers depend on it.", choices=("cpu", "cuda"))
+    objects: str = parameter(
+        "", "Use the features of these objects only, as in `1-9` or `1-3,8`.", recipe=False, flag="--object"
+    )
     validate: str = parameter(
         "",
         "Folder or glob of features on which checkpoint and threshold are chosen; default: every 8th input.",
@@ -191,11 +223,71 @@ class Train:
 
 
 @dataclass(frozen=True)
-class EvaluateSlip:
-    """Measure slip timing and F1 of a model on trajectories it never saw."""
+class Rgb:
+    """Track the dots as an RGB sensor at 25 Hz sees them, by optical flow: a comparison (simulated recordings)."""
 
-    model: Path | None = parameter(None, "Model file.", recipe=False)
-    threshold: float | None = parameter(None, "Use this threshold instead of the model's own.", low=0.0, high=1.0)
+    seed: int = parameter(0, "Seed of the frames' noise.", low=0, high=2**31 - 1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fit shear force to the displacements of dots: a linear regression, and the paper's network."""
+
+    samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
+    noise_n: float = parameter(0.05, "Noise of the force sensor that is fitted to, sd.", unit="N", low=0.0, high=100.0)
+    epochs: int = parameter(50, "Passes over the samples; the best on the last file is kept.", low=1, high=100000)
+    seed: int = parameter(0, "Seed of the noise, the first weights and the order of samples.", low=0, high=2**31 - 1)
+
+
+@dataclass(frozen=True)
+class Force:
+    """Tell the shear force from tracked dots, slice by slice, by a force model."""
+
+    model: Path | None = parameter(None, "Force model, made by fit.", recipe=False)
+
+
+@dataclass(frozen=True)
+class EvaluateSlip:
+    """Measure slip timing and F1 of models on trajectories they never saw."""
+
+    model: Path | None = parameter(
+        None, "Model file, a folder of them, or a glob; the others of several stand among the files.", recipe=False
+    )
+    threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class EvaluateDataRate:
+    """Compare the bytes a second of recordings with those of an RGB sensor: whole, in contact, and about slip."""
+
+    event_bytes: int = parameter(5, "Size of an event: x, y and polarity.", unit="bytes", low=1, high=64)
+    rgb_frame: str = parameter("540x480x3", "Frame of the RGB sensor: width, height, bytes a pixel.")
+    rgb_hz: float = parameter(25.0, "Frames a second of the RGB sensor.", unit="Hz", low=0.001, high=1e6)
+    around_s: float = parameter(0.5, "How long about the onset is about slip, half of it before.", unit="s", low=0.002)
+
+
+@dataclass(frozen=True)
+class EvaluateVibration:
+    """Tell the frequency at which the gel vibrates, and how often windows of some lengths have it right."""
+
+    preset: str = parameter(
+        "default",
+        "default: how far the gel moves at each frequency, and the paper's method beside it; paper: only the strongest"
+        " line in the number of events a slice.",
+        choices=("default", "paper"),
+    )
+    windows: str = parameter("10,2,1", "Lengths of windows, 0.1 to 10.", unit="s")
+    expect: float | None = parameter(
+        None, "The tone that was played; default: the truth of a simulation.", unit="Hz", low=0.1, high=1e6
+    )
+    tolerance_hz: float = parameter(1.0, "A frequency so near to the tone is right.", unit="Hz", low=0.0, high=1e3)
+    lowest_hz: float = parameter(25.0, "Lower frequencies are left out.", unit="Hz", low=1.0, high=1e4)
+    rate: int = parameter(
+        1000, "Frequencies up to half of this; events are counted so often a second.", unit="Hz", low=100, high=20000
+    )
+    false_alarms: float = parameter(
+        0.01, "Probability that noise alone is taken for a vibration; default preset.", low=1e-9, high=0.5
+    )
 
 
 @dataclass(frozen=True)
@@ -219,9 +311,14 @@ class EvaluateCost:
 
     part: str = parameter(
         "sim",
-        "What is measured; sim: the simulator; label: slip labels; track: the dot tracker.",
-        choices=("sim", "label", "track"),
+        "What is measured; sim: the simulator; label: slip labels; track: the dot tracker; model: slip detectors.",
+        choices=("sim", "label", "track", "model"),
         flag="PART",
+    )
+    model: Path | None = parameter(
+        None,
+        "Part model: model file, a folder of them, or a glob, judged on the features given; without: untrained ones.",
+        recipe=False,
     )
     seed: int = parameter(0, "Seed of the scenes that are simulated.", low=0, high=2**31 - 1)
     full: bool = parameter(False, "Finer steps and grids too; takes a few minutes.")
@@ -239,6 +336,20 @@ class EvaluateStability:
 
 
 @dataclass(frozen=True)
+class EvaluateForce:
+    """Compare the shear force that force models tell from dots with the true one (simulated recordings)."""
+
+    model: str = parameter(
+        "", "Force model, folder or glob of several: each judges the tracks of its own sensor.", recipe=False
+    )
+    samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
+    noise_n: float = parameter(
+        0.05, "Noise of the force sensor that is compared with, sd.", unit="N", low=0.0, high=100.0
+    )
+    seed: int = parameter(0, "Seed of the force sensor's noise.", low=0, high=2**31 - 1)
+
+
+@dataclass(frozen=True)
 class Grasp(Trials):
     """Grasp by feel: detect slip at 1000 Hz, control the gripper at 500 Hz."""
 
@@ -252,7 +363,9 @@ class Grasp(Trials):
         "paper: the paper's lift and balance law; none: contact alone, without the detector.",
         choices=("paper", "none"),
     )
-    tracker: str = parameter("paper", "Preset of the dot tracker.", choices=("paper", "official", "unregularised"))
+    tracker: str = parameter(
+        "stable", "Preset of the dot tracker.", choices=("stable", "paper", "official", "unregularised")
+    )
     lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0)
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0)
 
@@ -278,10 +391,16 @@ COMMANDS = (
     "track",
     "featurize",
     "train",
+    "rgb",
+    "fit",
+    "force",
     "evaluate slip",
+    "evaluate vibration",
+    "evaluate data-rate",
     "evaluate labels",
     "evaluate tracking",
     "evaluate grasp",
+    "evaluate force",
     "evaluate cost",
     "evaluate stability",
     "grasp",

@@ -52,73 +52,65 @@ def test_stored_and_live_tracks_have_the_same_features() -> None:
     assert live.tobytes() == stored.tobytes()
 
 
+def test_directions_by_hand() -> None:
+    """Assert that right and down are positive, that a missing dot is at 0, and that their norm is the displacement."""
+    now = REST + (3, -4)
+    assert features.displacement_xy(now, REST).tolist() == [[3, -4], [3, -4], [0, 0]]
+    rest, tracks, _ = recording(4, 20, 56)
+    length = np.linalg.norm(features.displacement_xy(tracks, rest), axis=2)
+    assert length == pytest.approx(features.displacement(tracks, rest), abs=1e-4)
+
+
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 1000), history=st.sampled_from([1, 2, 3, 10, 20]), n=st.sampled_from([1, 2, 56, 63]))
 def test_live_equals_recording(seed: int, history: int, n: int) -> None:
-    """Assert that windows built slice by slice are the same bits as those cut from the recording."""
-    slices = history + 15
+    """Assert that the last slices taken one by one are the same bits as those of the recording."""
+    slices = 2 * history + 3
     rest, tracks, events = recording(seed, slices, n)
-    at = np.arange(history - 1, slices)
-    expected = features.windows(features.displacement(tracks, rest), events, history, at)
-    assert expected.shape == (len(at), n, 2 * history)
+    stored = tracks.astype(np.float32)
+    expected = features.series(features.displacement(stored, rest), events, features.displacement_xy(stored, rest))
+    assert expected.shape == (slices, n, 4)
     state = features.start(rest, history)
-    found = []
     for k in range(slices):
         features.step(state, tracks[k], events[k])
         assert state.full == (k >= history - 1)
         if state.full:
-            found.append(features.window(state))
-    assert np.stack(found).dtype == expected.dtype == np.float32
-    assert np.stack(found).tobytes() == expected.tobytes()
+            found = features.latest(state)
+            assert found.dtype == np.float32
+            assert found.tobytes() == expected[k - history + 1 : k + 1].tobytes()
 
 
-def test_newest_first_displacements_then_events() -> None:
-    """Assert the order [d(t), d(t-1), d(t-2), N(t), N(t-1), N(t-2)] for each dot."""
+def test_channels_by_hand() -> None:
+    """Assert the order of slices (oldest first) and of channels: distance, events, right, down."""
     rest = np.array([[10.0, 10.0], [20.0, 20.0]])
-    state = features.start(rest, 3)
+    state = features.start(rest, 2)
     for k in range(5):
-        features.step(state, rest + np.array([[k, 0], [0, 10 * k]]), np.array([100 + k, 200 + k], np.int32))
-    expected = [[4, 3, 2, 104, 103, 102], [40, 30, 20, 204, 203, 202]]
-    assert features.window(state).tolist() == expected
-    displacement_px = np.arange(5, dtype=np.float32)[:, None] * np.array([1, 10], np.float32)
-    events = np.arange(5, dtype=np.int32)[:, None] + np.array([100, 200], np.int32)
-    assert features.windows(displacement_px, events, 3, np.array([4, 2])).tolist() == [
-        expected,
-        [[2, 1, 0, 102, 101, 100], [20, 10, 0, 202, 201, 200]],
+        features.step(state, rest + np.array([[k, 0], [0, -10 * k]]), np.array([100 + k, 200 + k], np.int32))
+    assert features.latest(state).tolist() == [
+        [[3, 103, 3, 0], [30, 203, 0, -30]],
+        [[4, 104, 4, 0], [40, 204, 0, -40]],
     ]
 
 
-def test_a_window_stays_what_it_was() -> None:
-    """Assert that later slices do not change a window handed out before."""
-    rest, tracks, events = recording(2, 8, 5)
-    state = features.start(rest, 2)
-    for k in range(2):
-        features.step(state, tracks[k], events[k])
-    first = features.window(state)
-    copy = first.copy()
-    for k in range(2, 8):
-        features.step(state, tracks[k], events[k])
-    assert (first == copy).all()
-    assert (features.window(state) != copy).any()
+def test_series_without_directions() -> None:
+    """Assert that a recording whose features have no directions has zeros for them."""
+    found = features.series(np.ones((3, 2), np.float32), np.full((3, 2), 5, np.int32))
+    assert found.tolist() == [[[1, 5, 0, 0]] * 2] * 3
 
 
-def test_no_window_before_there_is_enough_history() -> None:
-    """Assert that a window is refused before `history` slices, live and from a recording, and past the end."""
+def test_not_enough_history() -> None:
+    """Assert that nothing is given before `history` slices."""
     state = features.start(REST, 2)
     features.step(state, REST, np.zeros(3, np.int32))
     with pytest.raises(ValueError, match="expected at least 2 slices, found 1"):
-        features.window(state)
-    table, events = np.zeros((6, 3), np.float32), np.zeros((6, 3), np.int32)
-    for at in ([1], [5, -1], [6]):
-        with pytest.raises(ValueError, match="expected slices from 2 to 5"):
-            features.windows(table, events, 3, np.array(at))
-    assert features.windows(table, events, 3, np.empty(0, np.int64)).shape == (0, 3, 6)
+        features.latest(state)
 
 
 def test_wrong_shapes_are_refused() -> None:
     """Assert that arrays that do not belong together, infinite places and no history are refused."""
     state = features.start(REST, 2)
     table, events = np.zeros((6, 3), np.float32), np.zeros((6, 3), np.int32)
+    columns = np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(2, np.uint8)
     for call in (
         lambda: features.start(np.zeros((3, 3)), 1),
         lambda: features.start(np.full((3, 2), np.inf), 1),
@@ -127,9 +119,11 @@ def test_wrong_shapes_are_refused() -> None:
         lambda: features.step(state, REST, np.zeros(2, np.int32)),
         lambda: features.displacement(REST[:2], REST),
         lambda: features.displacement(np.full((3, 2), -np.inf), REST),
-        lambda: features.windows(table, events[:5], 2, np.array([3])),
-        lambda: features.windows(table, events, 0, np.array([3])),
-        lambda: features.windows(table, events, 2, np.array([3.0])),
+        lambda: features.displacement_xy(REST[:2], REST),
+        lambda: features.series(table, events[:5]),
+        lambda: features.series(table, events, np.zeros((6, 3, 1), np.float32)),
+        lambda: features.gel_image(*columns, None, np.zeros((4, 5), np.int8)),
+        lambda: features.gel_image(*columns[:2], np.zeros(3, np.uint8), None, np.zeros((480, 540), np.int8)),
         lambda: features.rotate(np.zeros((7, 8, 2), np.float32), 1),
         lambda: features.rotate(np.zeros((1, 8, 7, 2), np.float32), 1),
         lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(3, np.uint16), None),
@@ -225,3 +219,33 @@ def test_event_image_shows_the_last_event() -> None:
     assert (image[4, 3], image[6, 5]) == (-1, 1)
     assert np.count_nonzero(image) == 2
     assert features.event_image(x, y, p, (4, 5)).tolist() == [[0] * 4] * 4 + [[0, 0, 0, -1]]
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), count=st.sampled_from([0, 1, 50, 3000]), window=st.booleans())
+def test_gel_image_is_the_event_image_without_the_window(seed: int, count: int, window: bool) -> None:
+    """Assert that its pixels put back give the event image of 540 x 480 px, 0 in the window, and none twice."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(0, 640, count, np.uint16), rng.integers(0, 480, count, np.uint16)
+    x[: count // 3], y[: count // 3] = x[: count // 3] % 4 + 530, y[: count // 3] % 3  # some pixels often
+    p = rng.integers(0, 2, count, np.uint8)
+    blank = np.zeros((480, 540), np.int8)
+    pixel, sign = features.gel_image(x, y, p, (532, 1, 640, 470) if window else None, blank)
+    expected = features.event_image(x, y, p, (540, 480))
+    if window:
+        expected[1:470, 532:] = 0
+    assert not blank.any()
+    assert len(np.unique(pixel)) == len(pixel)
+    blank.reshape(-1)[pixel] = sign
+    np.testing.assert_array_equal(blank, expected)
+
+
+def test_images_are_cut_and_joined() -> None:
+    """Assert that parts of images put end to end are the whole."""
+    rng = np.random.default_rng(3)
+    start = np.cumsum([0, *rng.integers(0, 5, 9)])
+    whole = features.EventImages(start, rng.integers(0, 9, start[-1]).astype(np.uint32), np.ones(start[-1], np.int8))
+    joined = features.join_images([whole.part(0, 4), whole.part(4, 4), whole.part(4, 9)])
+    for found, expected in zip(joined, whole, strict=True):
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected)

@@ -7,10 +7,11 @@ import torch
 from numpy.typing import NDArray
 
 from evetac_cli.kernels import networks
-from evetac_cli.kernels.networks import SlipNet
-from evetac_cli.kernels.slip import ARCHITECTURES, Architecture
+from evetac_cli.kernels.networks import ImageNet, Network, SlipNet
+from evetac_cli.kernels.slip import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture
 
 HIST10 = ARCHITECTURES["hist10"]
+assert isinstance(HIST10, DotArchitecture)
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def features(batch: int, seed: int = 0) -> NDArray[np.float32]:
     return np.random.default_rng(seed).normal(2, 5, (batch, 56, 20)).astype(np.float32)
 
 
-def probability(network: SlipNet, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+def probability(network: Network, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
     """Run the network in torch."""
     with torch.no_grad():
         return torch.sigmoid(network(torch.from_numpy(inputs))).numpy()
@@ -41,18 +42,44 @@ def session(graph: bytes) -> onnxruntime.InferenceSession:
 
 
 @pytest.mark.parametrize(
-    ("architecture", "count"),
+    ("name", "count"),
     [
-        (HIST10, 15_125),
-        (Architecture("nohist", 1, True, True, 1, 0, 10, 4), 14_895),
-        (Architecture("hist20", 20, True, True, 20, 0, 20, 8), 16_385),
-        (Architecture("fastslow", 50, True, True, 10, 10, 15, 8), 15_990),
+        ("no-hist", 14_895),
+        ("hist10", 15_125),
+        ("hist20", 16_385),
+        ("fast-slow", 15_990),
+        # by hand: 25 weights a pair of channels and a bias, then 32 x 10 + 10 and 10 + 1
+        ("no-hist-img", 25 * (1 * 15 + 15 * 20 + 20 * 25 + 25 * 32) + 92 + 341),
+        ("hist10-img", 25 * (10 * 15 + 15 * 20 + 20 * 25 + 25 * 32) + 92 + 341),
+        ("hist10-img-6x6", 25 * (10 * 15 + 15 * 20 + 20 * 25 + 25 * 32) + 92 + 341),
     ],
-    ids=lambda value: value.name if isinstance(value, Architecture) else "",
 )
-def test_parameter_count_is_the_papers(architecture: Architecture, count: int) -> None:
-    """Assert that layers have the sizes that the paper's table gives."""
-    assert networks.parameters(SlipNet(architecture)) == count
+def test_parameter_count_is_the_papers(name: str, count: int) -> None:
+    """Assert that layers have the sizes that the paper's table and text give."""
+    assert networks.parameters(networks.build(ARCHITECTURES[name])) == count
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes"),
+    [
+        ("no-hist-img", [(15, 158, 178), (20, 51, 58), (25, 11, 13), (32, 1, 1)]),
+        ("no-hist-img-6x6", [(15, 25, 28), (20, 10, 12), (25, 6, 8), (32, 1, 1)]),
+    ],
+)
+def test_images_shrink_to_one_pixel(name: str, sizes: list[tuple[int, int, int]]) -> None:
+    """Assert that each convolution and its pool leave the size worked out by hand: 4 px less, then divided."""
+    network = networks.build(ARCHITECTURES[name])
+    assert isinstance(network, ImageNet)
+    found = []
+    for index, conv in enumerate(network.convs):
+        across, down = network.architecture.pools[index]
+        conv.register_forward_hook(
+            lambda _, __, out, pool=(down, across): found.append(
+                (out.shape[1], out.shape[2] // pool[0], out.shape[3] // pool[1])
+            )
+        )
+    assert network(torch.zeros(1, *network.architecture.input_shape)).shape == (1,)
+    assert found == sizes
 
 
 def test_shapes_are_the_papers(network: SlipNet) -> None:
@@ -157,23 +184,41 @@ def test_weights_that_do_not_fit_are_refused(network: SlipNet) -> None:
         networks.from_weights(HIST10, arrays | {"conv2.bias": np.full(32, np.nan, np.float32)})
 
 
-@pytest.mark.parametrize("batch", [1, 72])
-@pytest.mark.parametrize("normalised", [False, True])
-def test_onnx_agrees_with_torch(batch: int, normalised: bool) -> None:
-    """Assert that the ONNX graph gives torch's probabilities to 1e-5, at inputs that spread them over 0..1."""
-    rng = np.random.default_rng(batch)
-    scale, offset = (rng.uniform(0.2, 2, 20), rng.normal(size=20)) if normalised else (None, None)
-    network = SlipNet(HIST10, input_scale=scale, input_offset=offset)
+def spread(network: Network, inputs: NDArray[np.float32]) -> None:
+    """Scale and shift the last layer so that the probabilities of some inputs lie on both sides of 0.5."""
+    last = network.fc5 if isinstance(network, SlipNet) else network.fc2
     with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.copy_(torch.from_numpy(rng.normal(0, 0.3, parameter.shape).astype(np.float32)))
-        network.fc5.weight.mul_(0.01)
-    inputs = features(batch, seed=batch)
+        logits = network(torch.from_numpy(inputs))
+        last.weight.div_(logits.std())
+        last.bias.sub_(logits.mean()).div_(logits.std())
+
+
+def random_inputs(architecture: Architecture, batch: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Give inputs as large as a busy gel's; images from nearly empty to very busy ones."""
+    if isinstance(architecture, ImageArchitecture):
+        fired = rng.random((batch, *architecture.input_shape)) < np.linspace(0.02, 0.4, batch)[:, None, None, None]
+        return np.where(fired, rng.choice(np.array([-1, 1], np.float32), fired.shape), np.float32(0))
+    return rng.normal(2, 5, (batch, 56, architecture.inputs_per_dot)).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", ARCHITECTURES)
+@pytest.mark.parametrize("normalised", [False, True])
+def test_onnx_agrees_with_torch(name: str, normalised: bool) -> None:
+    """Assert that the ONNX graph gives torch's probabilities to 1e-5, one by one and many at once."""
+    architecture, rng = ARCHITECTURES[name], np.random.default_rng(7)
+    inputs = random_inputs(architecture, 2 if name.endswith("-img") else 24, rng)
+    wide = inputs.shape[1] if isinstance(architecture, ImageArchitecture) else inputs.shape[2]
+    scale, offset = (rng.uniform(0.2, 2, wide), rng.normal(size=wide)) if normalised else (None, None)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(7)
+        network = networks.build(architecture, input_scale=scale, input_offset=offset)
+    spread(network, inputs)
+    graph = session(networks.onnx_graph(network))
     expected = probability(network, inputs)
-    (found,) = session(networks.onnx_graph(network)).run(None, {"features": inputs})
-    assert found.shape == (batch,)
-    assert batch == 1 or np.ptp(expected) > 0.1
-    np.testing.assert_allclose(found, expected, atol=1e-5, rtol=0)
+    assert np.ptp(expected) > 0.2
+    for batch in (inputs[:1], inputs):
+        (found,) = graph.run(None, {"features": batch})
+        np.testing.assert_allclose(found, expected[: len(batch)], atol=1e-5, rtol=0)
 
 
 def test_onnx_signature(network: SlipNet) -> None:

@@ -12,19 +12,17 @@ from hypothesis import strategies as st
 from sklearn.metrics import f1_score, precision_score, recall_score
 
 from evetac_cli.kernels import slip
-from evetac_cli.kernels.slip import ARCHITECTURES, Architecture, Prediction
+from evetac_cli.kernels.slip import ARCHITECTURES, DotArchitecture, ImageArchitecture, Prediction, View
 
-HIST10 = ARCHITECTURES["hist10"]
-
-# the paper's table of model configurations: history, displacement, events, recent, block, fc1, fc2, and l_i
+# the paper's table of model configurations: history, l_i, l_fc1, l_fc2
 PAPER_ROWS = {
-    "nohist": (Architecture("nohist", 1, True, True, 1, 0, 10, 4), 2),
-    "hist10": (HIST10, 20),
-    "events10": (Architecture("events10", 10, False, True, 10, 0, 8, 4), 10),
-    "displacement10": (Architecture("displacement10", 10, True, False, 10, 0, 8, 4), 10),
-    "hist20": (Architecture("hist20", 20, True, True, 20, 0, 20, 8), 40),
-    "down5": (Architecture("down5", 50, True, True, 0, 5, 12, 4), 20),
-    "fastslow": (Architecture("fastslow", 50, True, True, 10, 10, 15, 8), 30),
+    "no-hist": (1, 2, 10, 4),
+    "hist10": (10, 20, 12, 4),
+    "events-only": (10, 10, 8, 4),
+    "disp-only": (10, 10, 8, 4),
+    "hist20": (20, 40, 20, 8),
+    "down5": (50, 20, 12, 4),
+    "fast-slow": (50, 30, 15, 8),
 }
 
 
@@ -46,68 +44,97 @@ def test_module_needs_no_torch() -> None:
 
 
 @pytest.mark.parametrize("name", PAPER_ROWS)
-def test_inputs_per_dot_are_the_papers(name: str) -> None:
-    """Assert that each dot model of the paper is one row of the table, with the paper's l_i inputs a dot."""
-    architecture, wide = PAPER_ROWS[name]
-    windows = np.random.default_rng(0).random((3, 56, 2 * architecture.history), np.float32)
-    assert architecture.inputs_per_dot == wide
-    assert slip.inputs(architecture, windows).shape == (3, 56, wide)
+def test_dot_models_are_the_papers(name: str) -> None:
+    """Assert that each dot model of the paper is one row of the table, with the paper's history and widths."""
+    row = ARCHITECTURES[name]
+    assert isinstance(row, DotArchitecture)
+    assert (row.history, row.inputs_per_dot, row.fc1, row.fc2) == PAPER_ROWS[name]
+    assert row.every == (5 if name == "down5" else 1)
 
 
-@pytest.mark.parametrize(("history", "cut"), [(1, 15), (10, 15), (20, 20), (50, 50)])
-def test_train_cut_follows_history(history: int, cut: int) -> None:
+@pytest.mark.parametrize(("name", "history"), [("no-hist-img", 1), ("hist10-img", 10)])
+def test_image_models_are_the_papers(name: str, history: int) -> None:
+    """Assert that the baselines see 540 x 480 px with the paper's pools, and their small forms 90 x 80."""
+    row, small = ARCHITECTURES[name], ARCHITECTURES[name + "-6x6"]
+    assert isinstance(row, ImageArchitecture)
+    assert isinstance(small, ImageArchitecture)
+    assert row.input_shape == (history, 480, 540)
+    assert row.pools == ((3, 3), (3, 3), (4, 4), (9, 7))
+    assert small.input_shape == (history, 80, 90)
+
+
+@pytest.mark.parametrize("row", ARCHITECTURES.values(), ids=ARCHITECTURES)
+def test_train_cut_follows_history(row: slip.Architecture) -> None:
     """Assert that longer histories train on more of the slip, with the paper's three values."""
-    assert replace(HIST10, history=history, recent=1).train_cut_ms == cut
+    assert row.train_cut_ms == {1: 15, 10: 15, 20: 20, 50: 50}[row.history]
 
 
-def test_hist10_sees_the_whole_window() -> None:
-    """Assert that ten displacements and ten event counts pass unchanged and in order."""
-    windows = np.random.default_rng(1).random((4, 56, 20), np.float32)
-    np.testing.assert_array_equal(slip.inputs(HIST10, windows), windows)
+def test_columns_of_a_channel() -> None:
+    """Assert that the inputs of a dot are its views one after the other."""
+    row = DotArchitecture("", (View("events", 3), View("x", 1, 5, 2), View("y", 1, 5, 2)), 1, 1)
+    assert [row.columns_of(channel) for channel in ("events", "x", "y")] == [slice(0, 3), slice(3, 6), slice(6, 9)]
+    assert row.columns_of("distance") == slice(0, 0)
+    assert (row.history, row.inputs_per_dot) == (10, 9)
 
 
-def test_one_series_alone() -> None:
-    """Assert that an architecture without displacement or events gets the other series only."""
-    windows = np.random.default_rng(2).random((4, 56, 20), np.float32)
-    np.testing.assert_array_equal(slip.inputs(PAPER_ROWS["events10"][0], windows), windows[..., 10:])
-    np.testing.assert_array_equal(slip.inputs(PAPER_ROWS["displacement10"][0], windows), windows[..., :10])
-
-
-def test_fast_slow_means_are_the_papers_sums() -> None:
-    """Assert that fast slow is ten raw slices and then sum_l 0.1 d(t - 10 b - l), for displacement and then events."""
-    windows = np.random.default_rng(3).random((2, 5, 100), np.float32)
-    expected = []
-    for series in (windows[..., :50], windows[..., 50:]):
-        expected += [series[..., i] for i in range(10)]
-        expected += [
-            sum((0.1 * series[..., 10 * b + ago] for ago in range(1, 10)), 0.1 * series[..., 10 * b]) for b in range(5)
-        ]
-    np.testing.assert_allclose(slip.inputs(PAPER_ROWS["fastslow"][0], windows), np.stack(expected, -1), rtol=1e-6)
-
-
-@pytest.mark.parametrize("name", PAPER_ROWS)
-def test_inputs_do_not_depend_on_the_batch(name: str) -> None:
-    """Assert that one window alone gives the bits it gives among others: offline is online."""
-    architecture, _ = PAPER_ROWS[name]
-    windows = np.random.default_rng(4).random((50, 56, 2 * architecture.history), np.float32)
-    together = slip.inputs(architecture, windows)
-    assert all(np.array_equal(slip.inputs(architecture, one), out) for one, out in zip(windows, together, strict=True))
+HIST10 = DotArchitecture("hist10", (View("distance", 10), View("events", 10)), 12, 4)
 
 
 @pytest.mark.parametrize(
     "change",
-    [{"history": 0}, {"recent": 11}, {"recent": -1}, {"block": 3}, {"block": -5}, {"recent": 0}, {"fc1": 0}],
+    [
+        {"views": ()},
+        {"views": (View("events", 1), View("events", 2))},
+        {"views": (View("colour", 1),)},
+        {"views": (View("events", -1, 1, 3),)},
+        {"views": (View("events", 0),)},
+        {"views": (View("events", 1, 0, 1),)},
+        {"views": (View("events", 0, 2, 2, change=True),)},
+        {"views": (View("x", 1),)},
+        {"views": (View("x", 1), View("y", 2))},
+        {"fc1": 0},
+        {"every": 0},
+    ],
 )
 def test_impossible_architectures_are_refused(change: dict[str, Any]) -> None:
-    """Assert that a row that cannot be built is refused when it is written."""
+    """Assert that a row that cannot be built, or whose inputs cannot be rotated, is refused when it is written."""
+    assert replace(HIST10) == HIST10
     with pytest.raises(ValueError, match="found"):
         replace(HIST10, **change)
 
 
-def test_windows_of_another_history_are_refused() -> None:
-    """Assert that windows must hold twice the history."""
-    with pytest.raises(ValueError, match="20 values"):
-        slip.inputs(HIST10, np.zeros((56, 40), np.float32))
+def test_labels_shifted_by_hand() -> None:
+    """Assert that slip is labelled earlier by the shift, and that what is not known stays as it was."""
+    label = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, -1], np.int8)
+    assert slip.shift(label, 0).tolist() == label.tolist()
+    assert slip.shift(label, 2).tolist() == [-1, -1, 0, 0, 1, 1, 1, 1, 1, -1]
+    assert slip.shift(label, 50).tolist() == label.tolist()
+    assert slip.shift(label[:0], 3).tolist() == []
+    with pytest.raises(ValueError, match="at least 0, found -1"):
+        slip.shift(label, -1)
+
+
+@given(onset=st.integers(0, 80), ahead=st.integers(0, 30), after=st.integers(1, 40), start=st.integers(0, 40))
+def test_shift_moves_the_onset_alone(onset: int, ahead: int, after: int, start: int) -> None:
+    """Assert that of labels with one onset, it comes ahead by the shift, as far as slices are examined."""
+    slices = np.arange(120)
+    label = np.where(slices < start, -1, np.where(slices < onset, 0, 1)).astype(np.int8)
+    label[onset + after :] = -1
+    shifted = slip.shift(label, ahead)
+    np.testing.assert_array_equal(shifted == -1, label == -1)
+    expected = (label >= 0) & (slices >= onset - ahead)
+    if ahead <= after:  # else the labels end before slices that far ahead of slip see it
+        np.testing.assert_array_equal(shifted == 1, expected | (label == 1))
+
+
+def test_shifted_labels_are_scored_against_the_unshifted_onset() -> None:
+    """Assert that a detection 10 ms ahead is right for labels shifted by 10 ms, and is timed from the onset itself."""
+    label = (np.arange(200) >= 100).astype(np.int8)
+    says = (np.arange(200) >= 90).astype(np.float32)
+    row = slip.score([Prediction(says, slip.shift(label, 10), 100)], 0.5)
+    assert (row["f1"], row["slip_correct"], row["true_positives"]) == (1, 1, 30)
+    late = slip.score([Prediction(says, label, 100)], 0.5)
+    assert late["f1"] == pytest.approx(2 * 20 / (2 * 20 + 10))
 
 
 def test_onset_is_the_first_detection() -> None:

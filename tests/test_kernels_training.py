@@ -11,14 +11,17 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from evetac_cli.kernels import features, training
+from evetac_cli.kernels import features, inputs, slip, training
+from evetac_cli.kernels.features import EventImages
+from evetac_cli.kernels.inputs import Trajectory
 from evetac_cli.kernels.networks import from_weights
-from evetac_cli.kernels.slip import ARCHITECTURES, Trajectory
+from evetac_cli.kernels.slip import ARCHITECTURES, DotArchitecture, View
 from evetac_cli.kernels.training import RECIPES, Batch, Samples, Training
 
 HIST10 = ARCHITECTURES["hist10"]
 PAPER = RECIPES["paper"]
 ADAM = RECIPES["adam"]
+STEADY = RECIPES["steady"]
 
 
 @pytest.fixture(autouse=True)
@@ -36,14 +39,14 @@ def trajectory(slices: int, onset: int, busy: NDArray[np.bool_] | None = None, m
     if onset >= 0:
         label[onset:] = 1
     outside = np.where(np.ones(slices, bool) if busy is None else busy, 26, 25).astype(np.int32)
-    return Trajectory(np.full((slices, 56), mark, np.float32), np.zeros((slices, 56), np.int32), outside, label, onset)
+    return Trajectory(np.full((slices, 56, 4), mark, np.float32), outside, label, onset)
 
 
 def pools(slip: int, busy: int, quiet: int) -> Samples:
     """Give samples of which only the pools matter, with a different slice for each."""
     ends = np.arange(slip + busy + quiet)
-    displacement, events = np.zeros((0, 56), np.float32), np.zeros((0, 56), np.int32)
-    return Samples(HIST10, 7, 8, displacement, events, ends[:slip], ends[slip : slip + busy], ends[slip + busy :])
+    series = np.zeros((0, 56, 4), np.float32)
+    return Samples(HIST10, 7, 8, series, ends[:slip], ends[slip : slip + busy], ends[slip + busy :])
 
 
 def separable(rng: np.random.Generator) -> Samples:
@@ -53,7 +56,8 @@ def separable(rng: np.random.Generator) -> Samples:
         label = (np.arange(200) >= 150).astype(np.int8)
         displacement = rng.uniform(0, 0.5, (200, 56)) + 10 * label[:, None]
         events = rng.poisson(np.where(label, 200, 0.45)[:, None], (200, 56)).astype(np.int32)
-        trajectories.append(Trajectory(displacement.astype(np.float32), events, events.sum(axis=1), label, 150))
+        series = features.series(displacement.astype(np.float32), events)
+        trajectories.append(Trajectory(series, events.sum(axis=1), label, 150))
     return training.gather(trajectories, HIST10)
 
 
@@ -69,13 +73,14 @@ def test_pools_of_a_small_trajectory() -> None:
     np.testing.assert_array_equal(samples.slip, np.arange(30, 45))
     np.testing.assert_array_equal(samples.busy, np.arange(10, 30, 2))
     np.testing.assert_array_equal(samples.quiet, np.arange(9, 30, 2))
-    assert len(samples.displacement_px) == 45
+    assert inputs.length(samples.series) == 45
 
 
 @pytest.mark.parametrize(("history", "first", "slipping"), [(1, 0, 15), (10, 9, 15), (20, 19, 20), (50, 49, 50)])
 def test_history_sets_the_first_sample_and_the_cut(history: int, first: int, slipping: int) -> None:
     """Assert that no sample lies before a full history, and that longer histories keep more slices of slip."""
-    samples = training.gather([trajectory(200, 60)], replace(HIST10, history=history, recent=history))
+    architecture = DotArchitecture("", (View("events", history),), 1, 1)
+    samples = training.gather([trajectory(200, 60)], architecture)
     assert samples.busy[0] == first
     np.testing.assert_array_equal(samples.slip, np.arange(60, 60 + slipping))
 
@@ -83,7 +88,7 @@ def test_history_sets_the_first_sample_and_the_cut(history: int, first: int, sli
 def test_busy_means_more_than_25_events_outside_the_window() -> None:
     """Assert that 25 events are quiet and 26 busy, and that events beside dots do not decide."""
     one = trajectory(40, 30, np.arange(40) == 20)
-    samples = training.gather([one._replace(events_per_dot=np.full((40, 56), 100, np.int32))], HIST10)
+    samples = training.gather([one._replace(series=np.full((40, 56, 4), 100, np.float32))], HIST10)
     np.testing.assert_array_equal(samples.busy, [20])
     assert 20 not in samples.quiet
 
@@ -107,16 +112,25 @@ def test_samples_keep_to_their_trajectory() -> None:
     assert Counter(displacement[:, 0, 0].tolist()) == {index: 15 + 21 for index in range(4)}
 
 
-def test_inputs_are_the_features() -> None:
-    """Assert that a sample holds what the features kernel gives for its slice."""
+def test_inputs_are_those_of_the_trajectory() -> None:
+    """Assert that a sample holds what its slice has in the trajectory itself, and that unseen slices are not kept."""
     rng = np.random.default_rng(0)
-    one = trajectory(60, 40)._replace(
-        displacement_px=rng.random((60, 56), np.float32), events_per_dot=rng.integers(0, 9, (60, 56), np.int32)
-    )
-    samples = training.gather([one], HIST10)
-    ends = np.array([9, 30, 54])
-    expected = features.windows(one.displacement_px, one.events_per_dot, 10, ends)
-    np.testing.assert_array_equal(samples.inputs(ends), expected)
+    one = trajectory(90, 60)._replace(series=rng.random((90, 56, 4), np.float32))
+    one.label[:40] = -1
+    samples = training.gather([trajectory(50, 30), one], HIST10)
+    kept = 60 + 15 - (40 - 9)
+    assert inputs.length(samples.series) == 45 + kept
+    expected = inputs.at(HIST10, one.series, np.arange(40, 75))
+    found = samples.inputs(np.concatenate([samples.busy[samples.busy >= 45], samples.slip[samples.slip >= 45]]))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_ahead_relabels_the_same_slices() -> None:
+    """Assert that predicting 10 ms ahead trains on the same slices, of which 10 more are slip."""
+    now = training.gather([trajectory(100, 50)], HIST10)
+    ahead = training.gather([trajectory(100, 50)], HIST10, ahead_ms=10)
+    np.testing.assert_array_equal(ahead.slip, np.arange(40, 65))
+    np.testing.assert_array_equal(np.sort([*now.slip, *now.busy]), np.sort([*ahead.slip, *ahead.busy]))
 
 
 def test_empty_pools_are_named() -> None:
@@ -135,13 +149,15 @@ def test_empty_pools_are_named() -> None:
 def test_trajectories_that_do_not_fit_are_refused() -> None:
     """Assert that wrong shapes, labels, onsets and numbers are refused with the trajectory's place and the field."""
     good = trajectory(50, 30)
+    series = np.zeros((50, 56, 4), np.float32)
     bad = {
-        "events_per_dot: expected shape": good._replace(events_per_dot=np.zeros((50, 63), np.int32)),
+        "series: expected 56 dots": good._replace(series=np.zeros((50, 63, 4), np.float32)),
+        "series: expected 50 slices": good._replace(series=series[:49]),
         "events_outside: expected shape": good._replace(events_outside=np.zeros(49, np.int32)),
         "labels": good._replace(label=np.full(50, 3, np.int8)),
         "onset": good._replace(onset=50),
-        "displacement_px: expected finite": good._replace(displacement_px=np.full((50, 56), np.nan, np.float32)),
-        "events_per_dot: expected whole numbers": good._replace(events_per_dot=np.full((50, 56), -1, np.int32)),
+        "series: expected finite": good._replace(series=series + np.nan),
+        "events_outside: expected whole numbers": good._replace(events_outside=np.full(50, -1, np.int32)),
     }
     for message, one in bad.items():
         with pytest.raises(ValueError, match=f"trajectory 1: .*{message}"):
@@ -211,21 +227,24 @@ def test_empty_quiet_pool_leaves_its_share_to_busy() -> None:
 
 
 def test_half_of_the_samples_are_rotated() -> None:
-    """Assert that a sample is left alone or is one of its three rotations, half the time and a sixth each."""
-    rng = np.random.default_rng(1)
-    inputs = rng.random((3000, 56, 2), np.float32) + 1
-    before = inputs.copy()
-    out = training.augment(inputs, 7, 8, np.random.default_rng(2))
-    np.testing.assert_array_equal(inputs, before)
-    grid = inputs.reshape(-1, 7, 8, 2)
-    turns = np.full(len(inputs), -1)
-    for quarter_turns in (0, 1, 2, 3):
-        turned = features.rotate(grid, quarter_turns).reshape(inputs.shape) if quarter_turns else inputs
-        turns[np.all(out == turned, axis=(1, 2))] = quarter_turns
+    """Assert that a sample is left alone half the time, and turned once, twice or three times a sixth each."""
+    turns = training.quarter_turns(3000, np.random.default_rng(2))
     shares = np.bincount(turns, minlength=4) / len(turns)
     # five standard deviations of 3000 draws: 0.046 and 0.034
     assert abs(shares[0] - 0.5) < 0.046
     assert np.all(np.abs(shares[1:] - 1 / 6) < 0.034)
+
+
+def test_each_sample_is_turned_as_drawn() -> None:
+    """Assert that the inputs of a batch are turned one by one, in their place, and the batch is left as it was."""
+    batch = np.random.default_rng(1).random((5, 56, 20), np.float32)
+    before = batch.copy()
+    out = training.augment(pools(1, 1, 1), batch, np.array([0, 1, 2, 3, 0]))
+    np.testing.assert_array_equal(batch, before)
+    grid = batch.reshape(5, 7, 8, 20)
+    for sample, turns in enumerate((0, 1, 2, 3, 0)):
+        expected = features.rotate(grid[sample : sample + 1], turns).reshape(56, 20)
+        np.testing.assert_array_equal(out[sample], expected)
 
 
 @pytest.fixture(scope="module")
@@ -347,9 +366,10 @@ def test_paper_step_is_plain_gradient_descent(problem: Samples) -> None:
     # the draws and turns of step 2, from the same streams
     _, draws, turns = np.random.default_rng(13).spawn(3)
     for batch in islice(training.batches(problem, draws), 2):
-        inputs = training.augment(problem.inputs(np.concatenate(batch)), 7, 8, turns)
-    target = torch.from_numpy((np.arange(len(inputs)) < len(batch.slip)).astype(np.float32))
-    probability = torch.sigmoid(network(torch.from_numpy(inputs)))
+        ends = np.concatenate(batch)
+        turned = training.augment(problem, problem.inputs(ends), training.quarter_turns(len(ends), turns))
+    target = torch.from_numpy((np.arange(len(turned)) < len(batch.slip)).astype(np.float32))
+    probability = torch.sigmoid(network(torch.from_numpy(turned)))
     loss = -(target * torch.log(probability) + (1 - target) * torch.log(1 - probability)).mean()
     loss.backward()  # type: ignore[no-untyped-call]
     for name, parameter in network.named_parameters():
@@ -362,9 +382,9 @@ def test_adam_normalises_from_the_training_samples() -> None:
     """Assert that normalised inputs have mean 0 and spread 1 over a batch's mixture, and flat channels stay finite."""
     rng = np.random.default_rng(14)
     busy = np.arange(400) % 2 == 0
-    one = trajectory(400, 380, busy)._replace(
-        displacement_px=np.full((400, 56), 7.3, np.float32), events_per_dot=rng.poisson(20, (400, 56)).astype(np.int32)
-    )
+    series = np.full((400, 56, 4), 7.3, np.float32)
+    series[..., 1] = rng.poisson(20, (400, 56))
+    one = trajectory(400, 380, busy)._replace(series=series)
     samples = training.gather([one], HIST10)
     arrays = training.train(samples, ADAM, np.random.default_rng(15), max_steps=1).checkpoints[0].weights
     mixture = [(samples.slip, 32), (samples.busy, 32), (samples.quiet, 8)]
@@ -398,3 +418,132 @@ def test_training_without_quiet_slices(problem: Samples) -> None:
     for recipe in RECIPES.values():
         result = training.train(noisy, recipe, np.random.default_rng(17), max_steps=5)
         assert np.all(np.isfinite(result.curve_loss))
+
+
+class Interruption(Exception):
+    """Ctrl-C, or a machine that is switched off."""
+
+
+def run_and_stop(samples: Samples, recipe: training.Recipe, after: int, steps: int) -> training.Kept:
+    """Train, and stop when a run of `after` steps is kept."""
+    states: list[training.Kept] = []
+
+    def keep(state: Any) -> None:
+        found = state()
+        if int(found["step"]) == after:
+            states.append({name: array.copy() for name, array in found.items()})
+            raise Interruption
+
+    with pytest.raises(Interruption):
+        training.train(samples, recipe, np.random.default_rng(20), max_steps=steps, on_keep=keep)
+    return states[0]
+
+
+@pytest.mark.parametrize("recipe", RECIPES.values(), ids=RECIPES)
+@pytest.mark.parametrize("after", [50, 100])
+def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, recipe: training.Recipe, after: int) -> None:
+    """Assert that a run broken off and taken up again ends with the same checkpoints and curve, bit for bit."""
+    whole = training.train(problem, recipe, np.random.default_rng(20), max_steps=140)
+    kept = run_and_stop(problem, recipe, after, 140)
+    assert all(array.dtype != object for array in kept.values())
+    resumed = training.train(problem, recipe, np.random.default_rng(20), max_steps=140, kept=kept)
+    assert [one.step for one in resumed.checkpoints] == [one.step for one in whole.checkpoints]
+    for one, other in zip(resumed.checkpoints, whole.checkpoints, strict=True):
+        assert one.weights.keys() == other.weights.keys()
+        assert all(np.array_equal(one.weights[name], other.weights[name]) for name in one.weights)
+    np.testing.assert_array_equal(resumed.curve_step, whole.curve_step)
+    np.testing.assert_array_equal(resumed.curve_loss, whole.curve_loss)
+
+
+def test_a_kept_run_of_another_network_is_refused(problem: Samples) -> None:
+    """Assert that what was kept of one architecture or recipe does not slip into another."""
+    kept = run_and_stop(problem, PAPER, 50, 60)
+    other = replace(problem, architecture=ARCHITECTURES["no-hist"])
+    for samples, recipe in ((other, PAPER), (problem, STEADY)):
+        with pytest.raises(ValueError, match="expected a kept run of this network"):
+            training.train(samples, recipe, np.random.default_rng(20), max_steps=60, kept=kept)
+
+
+def test_steady_keeps_the_running_mean(problem: Samples) -> None:
+    """Assert that its checkpoints are the mean of the weights on the way, in which early weights are soon forgotten."""
+    plain = replace(STEADY, average=0.0)
+    idle = replace(plain, learning_rate=0.0)
+    start, way, found = (
+        training.train(problem, recipe, np.random.default_rng(1), max_steps=7) for recipe in (idle, plain, STEADY)
+    )
+    mean = start.checkpoints[0].weights["fc3.weight"].astype(np.float64)
+    for step in range(1, 8):
+        share = (1 + step) / (10 + step)
+        mean = share * mean + (1 - share) * way.checkpoints[step - 1].weights["fc3.weight"]
+        np.testing.assert_allclose(found.checkpoints[step - 1].weights["fc3.weight"], mean, atol=1e-6)
+
+
+def test_steady_slows_down(problem: Samples) -> None:
+    """Assert that the learning rate is 0.002 in the first step, half of it in the middle and nearly 0 in the last."""
+    flat = replace(STEADY, average=0.0, cosine=False, weight_decay=0.0)
+    falling = replace(flat, cosine=True)
+    start, *runs = (
+        training.train(problem, recipe, np.random.default_rng(2), max_steps=7)
+        for recipe in (replace(flat, learning_rate=0.0), flat, falling)
+    )
+    first, other = (run.checkpoints[0].weights["fc3.weight"] for run in runs)
+    np.testing.assert_array_equal(first, other)
+    # the first step of Adam goes as far as the learning rate, whatever the gradient
+    assert np.abs(first - start.checkpoints[0].weights["fc3.weight"]).max() == pytest.approx(0.002, rel=1e-3)
+    steady, slower = (
+        np.abs(run.checkpoints[6].weights["fc3.weight"] - run.checkpoints[5].weights["fc3.weight"]).mean()
+        for run in runs
+    )
+    assert slower < 0.15 * steady  # (1 + cos(6 / 7 pi)) / 2 is 0.05
+
+
+def test_factors_are_drawn_log_uniformly() -> None:
+    """Assert that steady makes samples 0.3 to 2 times as strong, and the other recipes leave them as they are."""
+    for recipe in (PAPER, ADAM):
+        np.testing.assert_array_equal(training.factors(recipe, 72, np.random.default_rng(0)), 1)
+    logarithm = np.log(training.factors(STEADY, 3000, np.random.default_rng(0)))
+    shares, _ = np.histogram(logarithm, bins=4, range=(np.log(0.3), np.log(2)))
+    assert shares.sum() == 3000
+    assert np.all(np.abs(shares / 3000 - 0.25) < 0.04)  # five standard deviations
+
+
+def test_the_first_step_sees_the_varied_samples(problem: Samples) -> None:
+    """Assert that a batch is turned, then multiplied sample by sample: the loss of step 1 is that of such a batch."""
+    idle = replace(STEADY, learning_rate=0.0, weight_decay=0.0, average=0.0)
+    result = training.train(problem, idle, np.random.default_rng(13), max_steps=1)
+    _, draws, turns, gains = np.random.default_rng(13).spawn(4)
+    batch = next(training.batches(problem, draws))
+    ends = np.concatenate(batch)
+    varied = training.augment(problem, problem.inputs(ends), training.quarter_turns(len(ends), turns))
+    varied = varied * training.factors(idle, len(ends), gains)[:, None, None]
+    target = torch.from_numpy((np.arange(len(ends)) < len(batch.slip)).astype(np.float32))
+    with torch.no_grad():
+        logits = from_weights(HIST10, result.checkpoints[0].weights)(torch.from_numpy(varied))
+        loss = torch.nn.functional.binary_cross_entropy_with_logits(logits, target)
+    assert result.curve_loss[0] == pytest.approx(float(loss), rel=1e-5)
+
+
+def test_images_are_trained_on() -> None:
+    """Assert that an image network tells full images from empty ones, and is the same again for the same seed."""
+    label = (np.arange(60) >= 40).astype(np.int8)
+    rng = np.random.default_rng(0)
+    counts = np.where(label, 3000, 30)
+    start = np.cumsum([0, *counts])
+    images = EventImages(start, rng.integers(0, 540 * 480, start[-1]).astype(np.uint32), np.ones(start[-1], np.int8))
+    one = Trajectory(images, counts.astype(np.int32), label, 40)
+    samples = training.gather([one, one], ARCHITECTURES["no-hist-img-6x6"])
+    assert (len(samples.slip), len(samples.busy), len(samples.quiet)) == (30, 80, 0)
+    short, again = (training.train(samples, ADAM, np.random.default_rng(1), max_steps=2) for _ in range(2))
+    assert same(short, again)
+    result = training.train(samples, ADAM, np.random.default_rng(1), max_steps=25)
+    network = from_weights(samples.architecture, result.checkpoints[-1].weights)
+    with torch.no_grad():
+        slipping, holding = (network(torch.from_numpy(samples.inputs(at))) for at in (samples.slip, samples.busy))
+    assert slipping.min() > holding.max()
+
+
+def test_shifted_trajectories_are_checked() -> None:
+    """Assert that a shift into the past is refused with the trajectory's place."""
+    with pytest.raises(ValueError, match="trajectory 0: ahead_ms: expected at least 0"):
+        training.gather([trajectory(50, 30)], HIST10, ahead_ms=-1)
+    assert slip.shift(trajectory(50, 30).label, 5).sum() == 25

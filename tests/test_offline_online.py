@@ -12,6 +12,7 @@ from evetac_cli.kernels.detector import Detector
 from evetac_cli.params import Featurize, Track
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.grasp import SlipSense
+from evetac_cli.stages.train import series_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 
@@ -62,35 +63,28 @@ def test_slicer_refuses_backward_time() -> None:
 @settings(max_examples=5, deadline=None)
 @given(cuts=st.lists(st.integers(0, 10**7), min_size=1, max_size=400))
 def test_live_features_are_those_of_the_files(made: Made, cuts: list[int]) -> None:
-    """Assert that tracks and windows from randomly cut packets equal those of the tracks and features files."""
+    """Assert that tracks and probabilities from randomly cut packets equal those of the tracks and features files."""
     path = made.recordings[0]
     with open_recording(path) as recording, StageFile(made.model) as model:
         events, slices = recording.between(0, len(recording)), len(recording)
         dots = recording.dot_xy_px
         assert dots is not None
-        sense = SlipSense.start(model, dots, tracker.PRESETS["paper"])
+        sense = SlipSense.start(model, dots, recording.window_px, tracker.PRESETS["stable"])
         architecture = slip.ARCHITECTURES[model.read("architecture")]
         detector = Detector(model.read("onnx").tobytes(), architecture)
     with StageFile(made.beside(path, "tracks")) as tracks, StageFile(made.beside(path, "features")) as features:
         expected_dots, expected_counts = tracks.read("dot_xy_px"), tracks.read("events_per_dot")
-        displacement, counts = features.read("displacement_px"), features.read("events_per_dot")
-    offline = detector.over(displacement, counts)
+        series = series_of(features, architecture)
+    offline = detector.over(series)
     slicer = Slicer()
     live = [piece for packet in packets(events, cuts) for piece in slicer.push(packet)] + slicer.close_until(slices)
     assert len(live) == slices
-    from evetac_cli.kernels import features as kernel
-
     for index, piece in enumerate(live):
         probability = sense.step(piece)
         assert (sense.tracking.dot_xy_px.astype(np.float32) == expected_dots[index]).all()
         assert (sense.tracking.events_per_dot == expected_counts[index]).all()
-        if sense.history.full:
-            (window,) = kernel.windows(displacement, counts, architecture.history, np.array([index]))
-            assert (kernel.window(sense.history) == window).all()
-            assert probability == pytest.approx(offline[index], abs=1e-6)
-        else:
-            assert np.isnan(probability)
-            assert np.isnan(offline[index])
+        assert probability == pytest.approx(offline[index], abs=1e-6, nan_ok=True)
+        assert np.isnan(probability) == (index < architecture.history - 1)
 
 
 def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
@@ -103,6 +97,6 @@ def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
     featurize.run(job, chosen)
     with StageFile(made.model) as model, StageFile(job.output) as features, open_recording(made.grasp) as recording:
         detector = Detector(model.read("onnx").tobytes(), slip.ARCHITECTURES[model.read("architecture")])
-        offline = detector.over(features.read("displacement_px"), features.read("events_per_dot"))
+        offline = detector.over(series_of(features, detector.architecture))
         online = recording.read("control/probability")
     assert offline == pytest.approx(online, abs=1e-6, nan_ok=True)

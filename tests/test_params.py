@@ -49,10 +49,10 @@ def test_every_command_has_a_table() -> None:
 
 def test_flag_beats_config_beats_default(tmp_path: Path) -> None:
     """Assert the priority of flag, config file and default, for each parameter by itself."""
-    path = config(tmp_path, '[track]\npreset = "stable"\nstep_size = 0.25\n[label]\nconfirm_ms = 9\n')
-    assert resolve(Track, "track", {}, path) == Track(preset="stable", step_size=0.25)
-    assert resolve(Track, "track", {"step_size": 0.5}, path) == Track(preset="stable", step_size=0.5)
-    assert resolve(Track, "track", {"preset": "paper", "step_size": None}, path) == Track(step_size=0.25)
+    path = config(tmp_path, '[track]\npreset = "paper"\nstep_size = 0.25\n[label]\nconfirm_ms = 9\n')
+    assert resolve(Track, "track", {}, path) == Track(preset="paper", step_size=0.25)
+    assert resolve(Track, "track", {"step_size": 0.5}, path) == Track(preset="paper", step_size=0.5)
+    assert resolve(Track, "track", {"preset": "stable", "step_size": None}, path) == Track(step_size=0.25)
     assert resolve(Label, "label", {}, path).confirm_ms == 9
     assert resolve(Train, "train", {}, path) == Train()
 

@@ -67,12 +67,15 @@ def test_every_method_makes_valid_labels_that_name_it(made: Made, tmp_path: Path
 
 
 def test_truth_is_what_the_simulation_knows(made: Made, tmp_path: Path) -> None:
-    """Assert that labels from truth are the truth up to 15 ms after its onset, and evaluate says they are."""
+    """Assert that labels from truth are the truth from the ramp's start up to 15 ms after its onset."""
     output, row = run(made.recordings[0], tmp_path, method="truth")
     with StageFile(output) as labels, open_recording(made.recordings[0]) as recording:
         slips = recording.read("truth/slip")
         onset = int(np.flatnonzero(slips)[0])
-        np.testing.assert_array_equal(labels.read("label")[: onset + 15], slips[: onset + 15])
+        start = label.ramp_start(recording)
+        assert 0 < start < onset
+        assert (labels.read("label")[:start] == -1).all()
+        np.testing.assert_array_equal(labels.read("label")[start : onset + 15], slips[start : onset + 15])
         assert (labels.read("label")[onset + 15 :] == -1).all()
     assert row["onset_ms"] == onset
 

@@ -129,6 +129,23 @@ def _model(file: StageFile) -> dict[str, Any]:
     }
 
 
+def _force_model(file: StageFile) -> dict[str, Any]:
+    rows, columns = file.read("dot_shape").tolist()
+    chosen = int(file.read("curve/chosen"))
+    return {
+        "sensor": file.read("sensor"),
+        "individual": file.read("individual"),
+        "dots": f"{rows} rows x {columns} columns",
+        "epoch": chosen + 1,
+        "held_out_n_rms": float(file.read("curve/held_out_n")[chosen]),
+    }
+
+
+def _forces(file: StageFile) -> dict[str, Any]:
+    force = np.abs(file.read("network_n"))
+    return {"slices": len(force), "force_n_most": float(force.max(initial=0.0))}
+
+
 def _report(file: StageFile) -> dict[str, Any]:
     import json
 
@@ -141,5 +158,7 @@ _FIGURES = {
     "tracks": _tracks,
     "features": _features,
     "model": _model,
+    "force-model": _force_model,
+    "forces": _forces,
     "report": _report,
 }

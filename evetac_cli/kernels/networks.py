@@ -1,8 +1,9 @@
-"""The slip detector as a torch network, as named arrays, and as an ONNX graph that needs no torch to run.
+"""Slip detectors as torch networks, as named arrays, and as ONNX graphs that need no torch to run.
 
-The network is the paper's (section Slip Detection, Model Architectures, and its figure): each dot is encoded alone by
-two shared layers, the codes are laid out as the dots lie in the gel, two convolutions combine neighbours, and three
-layers judge the whole. Only `train` imports this module, as torch takes more than a second to import.
+The networks are the paper's (section Slip Detection, Model Architectures). `SlipNet`: each dot is encoded alone by two
+shared layers, the codes are laid out as the dots lie in the gel, two convolutions combine neighbours, and three layers
+judge the whole. `ImageNet`: four convolutions on event images, and two layers. Only `train` imports this module, as
+torch takes more than a second to import.
 """
 
 from collections.abc import Mapping
@@ -15,12 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from evetac_cli.kernels.slip import Architecture
+from evetac_cli.kernels.slip import Architecture, DotArchitecture, ImageArchitecture
 
 CONV1 = 16  # channels, the same in all rows of the paper's table
 CONV2 = 32
 FC3 = 32
 FC4 = 10
+IMAGE_CONVS = (15, 20, 25, 32)  # channels of the baseline's convolutions
+IMAGE_KERNEL = 5
+IMAGE_FC = 10
 
 # why so: the onnx package would stamp its newest versions, which the oldest onnxruntime we allow does not read
 ONNX_OPSET = 17
@@ -39,7 +43,7 @@ class SlipNet(nn.Module):
 
     def __init__(
         self,
-        architecture: Architecture,
+        architecture: DotArchitecture,
         rows: int = 7,
         columns: int = 8,
         input_scale: ArrayLike | None = None,
@@ -78,21 +82,72 @@ class SlipNet(nn.Module):
         return logits[:, 0]
 
 
-def parameters(network: SlipNet) -> int:
+class ImageNet(nn.Module):
+    """Slip detector for event images, the paper's baseline; normalised as `SlipNet`, by one value for each image."""
+
+    input_offset: Tensor
+    input_scale: Tensor
+
+    def __init__(
+        self,
+        architecture: ImageArchitecture,
+        input_scale: ArrayLike | None = None,
+        input_offset: ArrayLike | None = None,
+    ) -> None:
+        super().__init__()
+        self.architecture = architecture
+        wide = architecture.history
+        self.register_buffer("input_scale", _channels(1.0 if input_scale is None else input_scale, wide))
+        self.register_buffer("input_offset", _channels(0.0 if input_offset is None else input_offset, wide))
+        entering = (wide, *IMAGE_CONVS)
+        self.convs = nn.ModuleList(
+            nn.Conv2d(before, after, IMAGE_KERNEL) for before, after in zip(entering, IMAGE_CONVS, strict=False)
+        )
+        self.fc1 = nn.Linear(IMAGE_CONVS[-1], IMAGE_FC)
+        self.fc2 = nn.Linear(IMAGE_FC, 1)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Judge images (batch, history, height, width), newest first: logits (batch,)."""
+        wide = self.architecture.history
+        images = (images - self.input_offset.view(wide, 1, 1)) * self.input_scale.view(wide, 1, 1)
+        for conv, (across, down) in zip(self.convs, self.architecture.pools, strict=True):
+            images = torch.relu(nn.functional.max_pool2d(conv(images), (down, across)))
+        flat = torch.relu(self.fc1(images.flatten(1)))
+        logits: Tensor = self.fc2(flat)
+        return logits[:, 0]
+
+
+Network = SlipNet | ImageNet
+
+
+def build(
+    architecture: Architecture,
+    rows: int = 7,
+    columns: int = 8,
+    input_scale: ArrayLike | None = None,
+    input_offset: ArrayLike | None = None,
+) -> Network:
+    """A network with first weights from torch's generator; rows and columns of dots mean nothing to an `ImageNet`."""
+    if isinstance(architecture, ImageArchitecture):
+        return ImageNet(architecture, input_scale, input_offset)
+    return SlipNet(architecture, rows, columns, input_scale, input_offset)
+
+
+def parameters(network: Network) -> int:
     """Count what is trained."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 
-def weights(network: SlipNet) -> dict[str, NDArray[np.float32]]:
+def weights(network: Network) -> dict[str, NDArray[np.float32]]:
     """Copy out all weights and the input normalisation, by their names in the network."""
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}
 
 
 def from_weights(
     architecture: Architecture, arrays: Mapping[str, NDArray[np.float32]], rows: int = 7, columns: int = 8
-) -> SlipNet:
+) -> Network:
     """Build the network that `weights` came from; ValueError where names, shapes or values do not fit."""
-    network = SlipNet(architecture, rows, columns)
+    network = build(architecture, rows, columns)
     state = network.state_dict()
     if set(arrays) != set(state):
         raise ValueError(f"expected weights {sorted(state)}, found {sorted(arrays)}")
@@ -106,61 +161,95 @@ def from_weights(
     return network
 
 
-def onnx_graph(network: SlipNet) -> bytes:
-    """Build the ONNX file of the network: features (batch, dots, inputs_per_dot) float32 -> probability (batch,).
+def onnx_graph(network: Network) -> bytes:
+    """Build the ONNX file of the network: features (batch, ...) float32, as `inputs.at`, -> probability (batch,).
 
-    Why so: written node by node, because torch's exporters are deprecated or want more packages, and this graph is
+    Why so: written node by node, because torch's exporters are deprecated or want more packages, and these graphs are
     short, the same for every torch, and identical byte for byte for identical weights.
     """
-    arrays = weights(network)
-    dots = network.rows * network.columns
-    wide = network.architecture.inputs_per_dot
-    nodes: list[Any] = []
-    constants: dict[str, NDArray[Any]] = {
-        name: value for name, value in arrays.items() if not name.startswith("input_")
-    }
-    constants["per_dot"] = np.array([-1, wide], np.int64)
-    constants["per_grid"] = np.array([-1, network.rows, network.columns, network.architecture.fc2], np.int64)
-    constants["per_batch"] = np.array([-1], np.int64)
-
-    def add(operator: str, value: str, *more: str, output: str = "", **attributes: Any) -> str:
-        output = output or f"value{len(nodes)}"
-        nodes.append(helper.make_node(operator, [value, *more], [output], **attributes))
-        return output
-
-    def layer(operator: str, value: str, name: str, **attributes: Any) -> str:
-        return add(operator, value, f"{name}.weight", f"{name}.bias", **attributes)
-
-    value = "features"
-    # left out where it is the identity; not folded into fc1, as a channel that hardly varies would cancel there
-    if not (np.all(arrays["input_offset"] == 0) and np.all(arrays["input_scale"] == 1)):
-        constants |= {name: arrays[name] for name in ("input_offset", "input_scale")}
-        value = add("Mul", add("Sub", value, "input_offset"), "input_scale")
-    value = add("Reshape", value, "per_dot")
-    value = add("Relu", layer("Gemm", value, "fc1", transB=1))
-    value = add("Relu", layer("Gemm", value, "fc2", transB=1))
-    value = add("Transpose", add("Reshape", value, "per_grid"), perm=[0, 3, 1, 2])
-    value = add("Relu", layer("Conv", value, "conv1", pads=[1, 0, 1, 0]))
-    value = add("MaxPool", value, kernel_shape=[2, 2], strides=[2, 2])
-    value = add("Relu", layer("Conv", value, "conv2", pads=[1, 1, 1, 1]))
-    value = add("Flatten", value)
-    value = add("Relu", layer("Gemm", value, "fc3", transB=1))
-    value = add("Relu", layer("Gemm", value, "fc4", transB=1))
-    value = add("Sigmoid", layer("Gemm", value, "fc5", transB=1))
-    add("Reshape", value, "per_batch", output="probability")
-
-    graph = helper.make_graph(
-        nodes,
+    graph = _Graph(weights(network))
+    if isinstance(network, SlipNet):
+        shape = [network.rows * network.columns, network.architecture.inputs_per_dot]
+        value = _dot_layers(graph, network, graph.normalised("features", [-1]))
+    else:
+        shape = list(network.architecture.input_shape)
+        value = _image_layers(graph, network, graph.normalised("features", [-1, 1, 1]))
+    value = graph.add("Sigmoid", value)
+    graph.add("Reshape", value, graph.constant("per_batch", [-1]), output="probability")
+    content = helper.make_graph(
+        graph.nodes,
         network.architecture.name,
-        [helper.make_tensor_value_info("features", TensorProto.FLOAT, ["batch", dots, wide])],
+        [helper.make_tensor_value_info("features", TensorProto.FLOAT, ["batch", *shape])],
         [helper.make_tensor_value_info("probability", TensorProto.FLOAT, ["batch"])],
-        [numpy_helper.from_array(array, name) for name, array in constants.items()],
+        [numpy_helper.from_array(graph.arrays[name], name) for name in graph.used],
     )
     opset = [helper.make_opsetid("", ONNX_OPSET)]
-    model = helper.make_model(graph, producer_name="evetac", opset_imports=opset, ir_version=ONNX_IR)
+    model = helper.make_model(content, producer_name="evetac", opset_imports=opset, ir_version=ONNX_IR)
     onnx.checker.check_model(model, full_check=True)
-    content: bytes = model.SerializeToString()
-    return content
+    serialised: bytes = model.SerializeToString()
+    return serialised
+
+
+def _dot_layers(graph: "_Graph", network: SlipNet, value: str) -> str:
+    wide, fc2 = network.architecture.inputs_per_dot, network.architecture.fc2
+    value = graph.add("Reshape", value, graph.constant("per_dot", [-1, wide]))
+    value = graph.add("Relu", graph.layer("Gemm", value, "fc1", transB=1))
+    value = graph.add("Relu", graph.layer("Gemm", value, "fc2", transB=1))
+    value = graph.add("Reshape", value, graph.constant("per_grid", [-1, network.rows, network.columns, fc2]))
+    value = graph.add("Transpose", value, perm=[0, 3, 1, 2])
+    value = graph.add("Relu", graph.layer("Conv", value, "conv1", pads=[1, 0, 1, 0]))
+    value = graph.add("MaxPool", value, kernel_shape=[2, 2], strides=[2, 2])
+    value = graph.add("Relu", graph.layer("Conv", value, "conv2", pads=[1, 1, 1, 1]))
+    value = graph.add("Flatten", value)
+    value = graph.add("Relu", graph.layer("Gemm", value, "fc3", transB=1))
+    value = graph.add("Relu", graph.layer("Gemm", value, "fc4", transB=1))
+    return graph.layer("Gemm", value, "fc5", transB=1)
+
+
+def _image_layers(graph: "_Graph", network: ImageNet, value: str) -> str:
+    for index, (across, down) in enumerate(network.architecture.pools):
+        value = graph.layer("Conv", value, f"convs.{index}")
+        if (across, down) != (1, 1):
+            value = graph.add("MaxPool", value, kernel_shape=[down, across], strides=[down, across])
+        value = graph.add("Relu", value)
+    value = graph.add("Flatten", value)
+    value = graph.add("Relu", graph.layer("Gemm", value, "fc1", transB=1))
+    return graph.layer("Gemm", value, "fc2", transB=1)
+
+
+class _Graph:
+    """Nodes and constants of an ONNX graph, as they are added."""
+
+    def __init__(self, arrays: dict[str, NDArray[np.float32]]) -> None:
+        self.nodes: list[Any] = []
+        self.arrays: dict[str, NDArray[Any]] = dict(arrays)
+        self.used: list[str] = []
+
+    def add(self, operator: str, value: str, *more: str, output: str = "", **attributes: Any) -> str:
+        output = output or f"value{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, [value, *more], [output], **attributes))
+        return output
+
+    def layer(self, operator: str, value: str, name: str, **attributes: Any) -> str:
+        self.used += [f"{name}.weight", f"{name}.bias"]
+        return self.add(operator, value, f"{name}.weight", f"{name}.bias", **attributes)
+
+    def constant(self, name: str, values: list[int]) -> str:
+        self.arrays[name] = np.array(values, np.int64)
+        self.used.append(name)
+        return name
+
+    def normalised(self, value: str, shape: list[int]) -> str:
+        """Offset and scale, left out where they are the identity.
+
+        Why so: not folded into the first layer, as a channel that hardly varies would cancel there.
+        """
+        if np.all(self.arrays["input_offset"] == 0) and np.all(self.arrays["input_scale"] == 1):
+            return value
+        for name in ("input_offset", "input_scale"):
+            self.arrays[name] = self.arrays[name].reshape(shape)
+            self.used.append(name)
+        return self.add("Mul", self.add("Sub", value, "input_offset"), "input_scale")
 
 
 def _channels(values: ArrayLike, wide: int) -> Tensor:

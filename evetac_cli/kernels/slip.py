@@ -1,7 +1,7 @@
 """What a slip detector is and how well it does: the table of architectures, the metrics, and the choice of a threshold.
 
-Why so: `Architecture` stands here and not beside the network, because `grasp` and `evaluate` need a detector's history
-and inputs but must not import torch. This module needs numpy alone.
+Why so: the architectures stand here and not beside the networks, because `grasp` and `evaluate` need a detector's
+history and inputs but must not import torch. This module needs numpy alone.
 
 Time is the slice index, one slice a millisecond. A slice counts as slip where probability >= threshold. A slice before
 the history is full has no probability: it is NaN there, it is not a sample, and it never counts as slip.
@@ -20,76 +20,168 @@ F1_CUT_MS = 20  # F1 ends here after the onset
 THRESHOLDS = np.arange(41) / 40  # 0 to 1 by 0.025; dividing keeps 0.5 and 1 exact
 LAST_CHECKPOINTS = 3  # the paper chooses among these
 
+CHANNELS = ("distance", "events", "x", "y")  # what is known of every dot and slice; displacements in px
+GEL_PX = (540, 480)  # width and height of an event image: the frame without the window strip
+
 Timing = Literal["early", "correct", "late"]
 
 
-@dataclass(frozen=True)
-class Architecture:
-    """One row of the paper's table of model configurations.
+class View(NamedTuple):
+    """How a network sees one channel of a dot: newest slices as they are, then means over consecutive blocks.
 
-    Each of the wanted series (displacement, events) gives the `recent` newest slices as they are, newest first, then
-    means over consecutive blocks of `block` slices that fill the history (block 0: no means).
+    With `change`, all but the first value v are given as newest value - v: a displacement of many px that creeps by
+    hundredths of a px would else hide the creep.
     """
 
+    channel: str  # one of CHANNELS
+    recent: int = 0  # newest slices, newest first
+    block: int = 1  # slices of a block
+    means: int = 0  # blocks, the newest first
+    change: bool = False
+
+    @property
+    def history(self) -> int:
+        """Slices that it reaches back, the newest one included."""
+        return max(self.recent, self.block * self.means)
+
+
+@dataclass(frozen=True)
+class DotArchitecture:
+    """A network that encodes each dot, then looks at their grid: a row of the paper's table, or one of our own."""
+
     name: str
-    history: int  # slices that one prediction needs
-    displacement: bool
-    events: bool
-    recent: int
-    block: int
+    views: tuple[View, ...]  # in the order of the inputs
     fc1: int  # widths of the two layers that encode a dot
     fc2: int
+    every: int = 1  # slices from one prediction to the next; held in between
 
     def __post_init__(self) -> None:
-        if self.history < 1 or not 0 <= self.recent <= self.history:
-            raise ValueError(f"recent must be within 0..history and history at least 1, found {self}")
-        if self.block < 0 or (self.block and self.history % self.block):
-            raise ValueError(f"block must be 0 or divide the history, found {self}")
-        if self.inputs_per_dot == 0 or min(self.fc1, self.fc2) < 1:
-            raise ValueError(f"at least one input and one unit a layer are needed, found {self}")
+        channels = [view.channel for view in self.views]
+        if not self.views or len(set(channels)) < len(channels) or not set(channels) <= set(CHANNELS):
+            raise ValueError(f"views: expected different channels of {', '.join(CHANNELS)}, found {channels}")
+        for view in self.views:
+            if min(view.recent, view.means) < 0 or view.block < 1 or view.recent + view.means < 1:
+                raise ValueError(f"view: expected at least one slice or block of at least one slice, found {view}")
+            if view.change and view.recent < 1:
+                raise ValueError(f"view: expected a newest slice to take the change from, found {view}")
+        across = [tuple(view[1:]) for view in self.views if view.channel in ("x", "y")]
+        if len(across) == 1 or (across and across[0] != across[1]):
+            raise ValueError(f"views: expected x and y seen alike, so that they can be rotated, found {self.views}")
+        if min(self.fc1, self.fc2, self.every) < 1:
+            raise ValueError(f"at least one unit a layer and one slice a prediction are needed, found {self}")
+
+    @property
+    def history(self) -> int:
+        """Slices that one prediction needs."""
+        return max(view.history for view in self.views)
 
     @property
     def inputs_per_dot(self) -> int:
         """Length of the vector that describes one dot, l_i in the paper's table."""
-        means = self.history // self.block if self.block else 0
-        return (self.displacement + self.events) * (self.recent + means)
+        return sum(view.recent + view.means for view in self.views)
+
+    def columns_of(self, channel: str) -> slice:
+        """Where among the inputs of a dot a channel is; an empty slice if it is not seen."""
+        first = 0
+        for view in self.views:
+            if view.channel == channel:
+                return slice(first, first + view.recent + view.means)
+            first += view.recent + view.means
+        return slice(0, 0)
 
     @property
     def train_cut_ms(self) -> int:
-        """How much of a trajectory after its onset is trained on (paper, Model Training & Data Selection)."""
-        if self.history <= 10:
-            return 15
-        return 20 if self.history <= 20 else 50
+        """How much of a trajectory after its onset is trained on."""
+        return _train_cut_ms(self.history)
 
 
-ARCHITECTURES = {
+@dataclass(frozen=True)
+class ImageArchitecture:
+    """The paper's baseline on event images of 540 x 480 px: four convolutions of 5 x 5 with max pooling, two layers.
+
+    `pool_px` sums the image over squares of so many px first, so that a CPU can train it; `pools` (width, height) are
+    those after each convolution, and must bring the image to a single pixel.
+    """
+
+    name: str
+    history: int
+    pools: tuple[tuple[int, int], ...]
+    pool_px: int = 1
+    every: int = 1
+
+    @property
+    def input_shape(self) -> tuple[int, int, int]:
+        """(history, height, width) of one input."""
+        return self.history, GEL_PX[1] // self.pool_px, GEL_PX[0] // self.pool_px
+
+    @property
+    def train_cut_ms(self) -> int:
+        """How much of a trajectory after its onset is trained on."""
+        return _train_cut_ms(self.history)
+
+
+Architecture = DotArchitecture | ImageArchitecture
+
+_PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))
+# why so: 90 x 80 px hold the first of the paper's pools; then only these leave 5 x 5 px for every convolution
+_POOLS_6X6 = ((3, 3), (2, 2), (1, 1), (4, 2))
+
+
+def _train_cut_ms(history: int) -> int:
+    """15 ms for a history of 10 or less, 20 ms to 20, 50 ms beyond (paper, Model Training & Data Selection)."""
+    if history <= 10:
+        return 15
+    return 20 if history <= 20 else 50
+
+
+def _both(recent: int, block: int = 1, means: int = 0) -> tuple[View, View]:
+    return View("distance", recent, block, means), View("events", recent, block, means)
+
+
+ARCHITECTURES: dict[str, Architecture] = {
     row.name: row
-    for row in [
-        Architecture("hist10", history=10, displacement=True, events=True, recent=10, block=0, fc1=12, fc2=4),
-    ]
+    for row in (
+        # the paper's table of model configurations
+        DotArchitecture("no-hist", _both(1), fc1=10, fc2=4),
+        DotArchitecture("hist10", _both(10), fc1=12, fc2=4),
+        DotArchitecture("events-only", (View("events", 10),), fc1=8, fc2=4),
+        DotArchitecture("disp-only", (View("distance", 10),), fc1=8, fc2=4),
+        DotArchitecture("hist20", _both(20), fc1=20, fc2=8),
+        DotArchitecture("down5", _both(0, 5, 10), fc1=12, fc2=4, every=5),
+        DotArchitecture("fast-slow", _both(10, 10, 5), fc1=15, fc2=8),
+        # and its baselines
+        ImageArchitecture("no-hist-img", 1, _PAPER_POOLS),
+        ImageArchitecture("hist10-img", 10, _PAPER_POOLS),
+        ImageArchitecture("no-hist-img-6x6", 1, _POOLS_6X6, pool_px=6),
+        ImageArchitecture("hist10-img-6x6", 10, _POOLS_6X6, pool_px=6),
+        # Ours, on the time scales of fast-slow. Before an object slips, its rim creeps while its middle sticks: what
+        # tells is which way a dot moves against its neighbours, by hundredths of a px a ms. The paper's models see the
+        # distance from rest alone, which has no direction and hides changes as small. So: direction, and changes.
+        # Twice the time (100 ms) was no better on unseen objects.
+        DotArchitecture(
+            "creep",
+            (
+                View("x", 10, 10, 5, change=True),
+                View("y", 10, 10, 5, change=True),
+                View("events", 10, 10, 5),
+            ),
+            fc1=24,
+            fc2=8,
+        ),
+    )
 }
 
 
-def inputs(architecture: Architecture, windows: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Reduce full windows to what the architecture sees.
+def shift(label: NDArray[np.int8], ahead_ms: int) -> NDArray[np.int8]:
+    """Labels for predicting slip: slice t is what slice t + ahead_ms is labelled (paper, Slip Prediction).
 
-    `windows` is (..., dots, 2 history): displacement newest first, then events newest first, as `features.window` and
-    `features.windows` give them. Returns (..., dots, inputs_per_dot).
+    Where that slice is not there or was not examined, and where t itself was not, t keeps its own label.
     """
-    history = architecture.history
-    if windows.shape[-1] != 2 * history:
-        raise ValueError(f"expected windows of {2 * history} values a dot, found shape {windows.shape}")
-    parts = []
-    for wanted, series in (
-        (architecture.displacement, windows[..., :history]),
-        (architecture.events, windows[..., history:]),
-    ):
-        if wanted and architecture.recent:
-            parts.append(series[..., : architecture.recent])
-        if wanted and architecture.block:
-            blocks = history // architecture.block
-            parts.append(series.reshape(*series.shape[:-1], blocks, architecture.block).mean(axis=-1))
-    return np.concatenate(parts, axis=-1)
+    if ahead_ms < 0:
+        raise ValueError(f"ahead_ms: expected at least 0, found {ahead_ms}")
+    future = np.full_like(label, -1)
+    future[: max(len(label) - ahead_ms, 0)] = label[ahead_ms:]
+    return np.where((future >= 0) & (label >= 0), future, label)
 
 
 class Counts(NamedTuple):
@@ -160,22 +252,13 @@ def f1(label: NDArray[np.int8], detected: NDArray[np.bool_], onset: int) -> floa
     return counts(label, detected, onset).f1
 
 
-class Trajectory(NamedTuple):
-    """What a detector learns from, or is judged on: one trajectory, slice by slice."""
-
-    displacement_px: NDArray[np.float32]  # (slices, dots)
-    events_per_dot: NDArray[np.int32]  # (slices, dots)
-    events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
-    label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
-    onset: int  # first slice of slip, -1 if there is none
-
-
 @dataclass(frozen=True)
 class Prediction:
     """What a detector says of one trajectory, and what its labels say.
 
-    probability (slices,), NaN until the history is full; label int8 (slices,) 1 slip, 0 no slip, -1 not examined;
-    onset slice of the labels or -1; object: the name that scores are grouped by.
+    probability (slices,), NaN until the history is full; label int8 (slices,) 1 slip, 0 no slip, -1 not examined,
+    shifted where slip is predicted; onset: first slice of slip in the labels as they were before the shift, or -1;
+    object: the name that scores are grouped by.
     """
 
     probability: NDArray[np.floating]

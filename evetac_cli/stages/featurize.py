@@ -1,6 +1,7 @@
 """featurize: what a slip detector may see, slice by slice (paper, "Evetac Touch Features").
 
-Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag.
+Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag, which
+may be a folder. Event images, which only the image baselines see, are added on request: they are half of the file.
 """
 
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels import features
+from evetac_cli.kernels.slip import GEL_PX
 from evetac_cli.params import Featurize, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
@@ -18,18 +20,23 @@ from evetac_cli.store.read import open_recording
 
 INPUTS = ("recording", "tracks", "labels")
 OUTPUT = "features"
-METHOD = 1
+METHOD = 2
 
 
 def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
     """One features file for every recording; its tracks must be there, its labels may be."""
     one_file(files, out)
-    if len(files) > 1 and (params.tracks or params.labels):
-        raise InputError("--tracks and --labels name one file", expected="one recording", found=f"{len(files)} files")
+    named = [path for path in (params.tracks, params.labels) if path and not path.is_dir()]
+    if len(files) > 1 and named:
+        raise InputError(
+            "--tracks and --labels name one file, or a folder",
+            expected="one recording",
+            found=f"{len(files)} recordings and {named[0]}",
+        )
     found = []
     for file in files:
-        tracks = params.tracks or output_path(file, "tracks", None)
-        labels = params.labels or output_path(file, "labels", None)
+        tracks = _named(file, "tracks", params.tracks)
+        labels = _named(file, "labels", params.labels)
         inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
         found.append(Job(inputs, output_path(file, OUTPUT, out)))
     return found
@@ -67,22 +74,40 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         slices = len(recording)
         rest = rest_xy_px.reshape(-1, 2)
         displacement = np.empty((slices, len(rest)), np.float32)
+        displacement_xy = np.empty((slices, len(rest), 2), np.float32)
+        blank = np.zeros(GEL_PX[::-1], np.int8)
+        images = []
         outside = np.empty(slices, np.int32)
         for index, events in enumerate(recording):
             displacement[index] = features.displacement(dot_xy_px[index], rest)
+            displacement_xy[index] = features.displacement_xy(dot_xy_px[index], rest)
+            if params.images:
+                images.append(features.gel_image(events.x, events.y, events.p, window, blank))
             outside[index] = features.events_outside(events.x, events.y, window) if window is not None else events.size
             if index % 100 == 0:
                 progress(index, slices)
         arrays |= {
             "displacement_px": displacement,
+            "displacement_xy_px": displacement_xy,
             "events_per_dot": events_per_dot,
             "events_total": np.diff(recording.starts).astype(np.int32),
             "events_outside": outside,
             "dot_shape": np.array(rest_xy_px.shape[:2], np.int32),
         }
+        if params.images:
+            arrays |= {
+                "image/start": np.cumsum([0, *(len(pixel) for pixel, _ in images)]),
+                "image/pixel": np.concatenate([np.empty(0, np.uint32), *(pixel for pixel, _ in images)]),
+                "image/sign": np.concatenate([np.empty(0, np.int8), *(sign for _, sign in images)]),
+            }
     write_stage(job.output, recipe, arrays)
     onset = int(arrays.get("onset_slice", -1))
     return outcome(job, made=True, simulated=simulated, slices=slices, labelled="label" in arrays, onset_ms=onset)
+
+
+def _named(recording: Path, kind: str, given: Path | None) -> Path:
+    """The file of a kind that belongs to a recording: beside it, in the folder given, or the file given."""
+    return given if given is not None and not given.is_dir() else output_path(recording, kind, given)
 
 
 def _check_parent(file: StageFile, recording: StageFile) -> None:

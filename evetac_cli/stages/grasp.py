@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.kernels import features, grip, tracker
-from evetac_cli.kernels.detector import Detector
+from evetac_cli.kernels import grip, tracker
+from evetac_cli.kernels.detector import Live
 from evetac_cli.params import Grasp
 from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
 from evetac_cli.stages.record import COMMAND_MS, dry_run, seeds, trials
@@ -44,14 +44,17 @@ class SlipSense:
     """The detector: slices in, slip probability out; the same start/step kernels as in `track` and `featurize`."""
 
     tracking: tracker.TrackerState
-    history: features.FeatureState
-    detector: Detector
+    live: Live
     threshold: float
     count: int = 0  # slices with slip so far: what the controller reads
 
     @classmethod
     def start(
-        cls, model: StageFile, dot_xy_px: NDArray[np.float64], constants: tracker.TrackerConstants
+        cls,
+        model: StageFile,
+        dot_xy_px: NDArray[np.float64],
+        window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
+        constants: tracker.TrackerConstants,
     ) -> "SlipSense":
         """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid."""
         if model.read("dot_shape").tolist() != list(dot_xy_px.shape[:2]):
@@ -62,21 +65,15 @@ class SlipSense:
                 found=str(model.read("dot_shape").tolist()),
             )
         rest = dot_xy_px.reshape(-1, 2)
-        detector = detector_of(model)
-        return cls(
-            tracker.start(rest, constants),
-            features.start(rest, detector.architecture.history),
-            detector,
-            float(model.read("threshold")),
-        )
+        live = Live(detector_of(model), rest, window_px)
+        return cls(tracker.start(rest, constants), live, float(model.read("threshold")))
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice; NaN until the history is full."""
-        tracker.step(self.tracking, events.x, events.y)
-        features.step(self.history, self.tracking.dot_xy_px, self.tracking.events_per_dot)
-        if not self.history.full:
-            return float("nan")
-        probability = float(self.detector.probability(features.window(self.history)[None])[0])
+        tracker.step(self.tracking, events.x, events.y, events.p)
+        probability = self.live.step(
+            self.tracking.dot_xy_px, self.tracking.events_per_dot, events.x, events.y, events.p
+        )
         self.count += probability >= self.threshold
         return probability
 
@@ -109,7 +106,10 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
     sense = None
     if sensing and params.model is not None:
         with StageFile(params.model, "model") as model:
-            sense = SlipSense.start(model, devices.camera.sensor["sensor/dot_xy_px"], tracker.PRESETS[params.tracker])
+            sensor = devices.camera.sensor
+            sense = SlipSense.start(
+                model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), tracker.PRESETS[params.tracker]
+            )
     touch_ms = round(1000 * parameters["scene"]["time"]["touch_s"])
     ends_ms = (
         touch_ms,

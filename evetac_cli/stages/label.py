@@ -125,6 +125,7 @@ def from_truth(recording: Recording, after_ms: int) -> flow.Labels:
         )
     slips = recording.read("truth/slip")
     labels = slips.astype(np.int8)
+    labels[: ramp_start(recording)] = -1  # as the other methods: a trial begins when the object is held
     slipping = np.flatnonzero(slips)
     onset = int(slipping[0]) if len(slipping) else -1
     confidence = float("nan")

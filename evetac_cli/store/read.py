@@ -148,9 +148,12 @@ class SlipWindows:
         return len(self._index)
 
     def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
-        from evetac_cli.kernels import features  # brings numba, which those who only read a file need not wait for
+        from evetac_cli.kernels import features, inputs, slip  # brings numba, which a mere reader need not wait for
 
         trial, slice_ = self._index[index]
         displacement, events, label = self._trials[trial]
-        window = features.windows(displacement, events, self.history, np.array([slice_]))[0]
+        first = slice_ + 1 - self.history
+        series = features.series(displacement[first : slice_ + 1], events[first : slice_ + 1])
+        views = tuple(slip.View(channel, self.history) for channel in ("distance", "events"))
+        (window,) = inputs.at(slip.DotArchitecture("window", views, 1, 1), series, np.array([self.history - 1]))
         return window, np.float32(label[slice_])
