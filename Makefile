@@ -4,13 +4,47 @@ PYTHON ?= python3
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 SEED ?= 0
 DEMO ?= demo
+# make slip-data, make slip-table: objects, trajectories of each by role, seeds, and where a training ends.
+SLIP ?= data/slip
+KNOWN ?= 1-9
+UNSEEN ?= 10-17
+TRAIN ?= 12
+VALIDATE ?= 2
+TEST ?= 10
+INDIVIDUAL ?= evetac
+TRACKER ?= stable
+SEEDS ?= 5
+MODELS ?= no-hist hist10 events-only disp-only hist20 down5 fast-slow
+IMAGE_MODELS ?= no-hist-img-6x6 hist10-img-6x6
+AHEAD ?= 10 20
+STEPS ?= 40000
+IMAGE_STEPS ?= $(shell echo $$(( $(STEPS) < 3000 ? $(STEPS) : 3000 )))
+# make force
+FORCE ?= data/force
+OTHERS ?= second soft-gel stiff-gel
+JUDGED ?= 3
+# make vibration: 100 s of each tone
+VIBRATION ?= data/vibration
+# make data-rate
+RATE ?= data/data-rate
+TRAJECTORIES ?= 5
+REPORTS ?= reports
 VENV := .venv
 BIN := $(VENV)/bin
 EVETAC := $(CURDIR)/$(BIN)/evetac
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-all check bench clean
+.PHONY: help setup demo slip-data slip-models slip-images slip-table vibration data-rate force test test-all check bench clean
+
+# `run` shows a command and runs it; whatever is made already is skipped, so that every target goes on where it was
+# stopped. `keep NAME COMMAND` leaves an evaluation's JSON, table and picture in REPORTS, anew where its recipe changed.
+RUN = set -e; shopt -s nullglob; run() { echo "+ evetac $$*"; $(EVETAC) $$* --quiet; }; \
+	keep() { name=$$1; shift; mkdir -p $(abspath $(REPORTS)); kept=$(abspath $(REPORTS))/$$name; \
+	echo "+ evetac $$* > $$kept.json, .txt, .png"; \
+	$(EVETAC) $$* --out $$name.report.h5 --force --quiet --json > $$kept.json.part; mv $$kept.json.part $$kept.json; \
+	COLUMNS=240 $(EVETAC) $$* --out $$name.report.h5 > $$kept.txt.part; mv $$kept.txt.part $$kept.txt; \
+	cp $$name.report.png $$kept.png; };
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -24,8 +58,7 @@ $(READY): pyproject.toml constraints.txt
 
 # Trajectories to learn from, to choose threshold and checkpoint on, and to be judged on have seeds of their own.
 demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; results in demo/ (SEED, JOBS, DEMO)
-	@set -e; started=$$(date +%s.%N); mkdir -p $(DEMO); cd $(DEMO); \
-	run() { echo "+ evetac $$*"; $(EVETAC) $$* --quiet; }; \
+	@$(RUN) started=$$(date +%s.%N); mkdir -p $(DEMO); cd $(DEMO); \
 	run record --object 3,6,8,9 --count 5 --seed $(SEED) --out learn --jobs $(JOBS); \
 	run record --object 3,6,8,9 --seed $$(( $(SEED) + 500 )) --out choose --jobs $(JOBS); \
 	run record --object 4,8,11 --count 3 --seed $$(( $(SEED) + 1000 )) --out unseen --jobs $(JOBS); \
@@ -40,6 +73,71 @@ demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; res
 	run grasp --object 11 --seed $(SEED) --controller none --lift-s 7 --balance-s 0 --out without-detector.recording.h5; \
 	run evaluate grasp "with*-detector.recording.h5" --out grasp.report.h5; \
 	$(CURDIR)/$(BIN)/python $(CURDIR)/scripts/demo_table.py $$started
+
+slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in data/slip (TRAIN, VALIDATE, TEST, SEED, JOBS)
+	@$(RUN) mkdir -p $(SLIP); cd $(SLIP); \
+	slips() { run record --scene slip --individual $(INDIVIDUAL) --object $$2 --count $$3 --seed $$4 --out $$1 --jobs $(JOBS); \
+	run label "$$1/*.recording.h5" --jobs $(JOBS); \
+	run track "$$1/*.recording.h5" --preset $(TRACKER) --jobs $(JOBS); \
+	run featurize "$$1/*.recording.h5" --images --jobs $(JOBS); }; \
+	slips learn $(KNOWN) $(TRAIN) $(SEED); \
+	slips choose $(KNOWN) $(VALIDATE) $$(( $(SEED) + 500 )); \
+	slips known $(KNOWN) $(TEST) $$(( $(SEED) + 1000 )); \
+	slips unseen $(UNSEEN) $(TEST) $$(( $(SEED) + 1500 )); \
+	run label "learn/*.recording.h5" --method truth --out truth --jobs $(JOBS); \
+	run featurize "learn/*.recording.h5" --tracks learn --labels truth --out truth --jobs $(JOBS)
+
+LEARN = $(RUN) cd $(SLIP); learn() { from=$$1; folder=$$2; shift 2; run train "$$from/*.features.h5" $$* \
+	--validate choose --seed $(SEED) --seeds $(SEEDS) --out models/$$folder --jobs $(JOBS); };
+
+slip-models: $(READY)  ## train slip detectors on what slip-data made (SEEDS, STEPS, MODELS, AHEAD, JOBS)
+	@$(LEARN) \
+	for model in $(MODELS); do learn learn now --model $$model --max-steps $(STEPS); done; \
+	for model in $(filter hist20 fast-slow,$(MODELS)); do for ahead in $(AHEAD); do \
+	learn learn ahead --model $$model --ahead $$ahead --max-steps $(STEPS); done; done; \
+	for model in creep fast-slow; do \
+	learn learn ours --model $$model --ahead 10 --recipe steady --max-steps $(STEPS); done; \
+	learn truth truth --model fast-slow --ahead 10 --max-steps $(STEPS)
+
+# On a CPU the image baselines run on images summed over 6 x 6 px, for fewer steps, and beside them hist10 for as many.
+slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MODELS= leaves them out (IMAGE_STEPS)
+	@$(LEARN) \
+	for model in hist10 $(IMAGE_MODELS); do learn learn short --model $$model --max-steps $(IMAGE_STEPS); done; \
+	for model in $(filter hist10-img%,$(IMAGE_MODELS)); do for ahead in $(AHEAD); do \
+	learn learn short-ahead --model $$model --ahead $$ahead --max-steps $(IMAGE_STEPS); done; done
+
+slip-table: slip-models slip-images  ## ... and judge all of these on unseen slips: tables in reports/
+	@$(RUN) cd $(SLIP); keep slip-training-objects evaluate slip "known/*.features.h5" --model \
+	"models/now/*.model.h5" "models/short/*.model.h5"; \
+	unseen="unseen/*.features.h5 --model models/now/hist20*.model.h5 models/now/fast-slow*.model.h5 \
+	models/short/hist10-img*.model.h5 models/ahead/*.model.h5 models/short-ahead/*.model.h5 models/ours/*.model.h5 \
+	models/truth/*.model.h5"; \
+	keep slip-unseen-objects evaluate slip "$$unseen"; \
+	keep model-cost evaluate cost model "$$unseen"
+
+vibration: $(READY)  ## which tone the gel feels, simulated: a table in reports/ (SEED, JOBS)
+	@$(RUN) mkdir -p $(VIBRATION); cd $(VIBRATION); \
+	run record --scene vibration --seed $(SEED) --out . --jobs $(JOBS); \
+	keep vibration evaluate vibration "vibration-*hz-s$(SEED)-000.recording.h5"
+
+data-rate: $(READY)  ## bytes a second against an RGB sensor, simulated: a table in reports/ (TRAJECTORIES, SEED, JOBS)
+	@$(RUN) mkdir -p $(RATE); cd $(RATE); \
+	run record --scene data-rate --count $(TRAJECTORIES) --seed $(SEED) --out . --jobs $(JOBS); \
+	keep data-rate evaluate data-rate "data-rate-*-s$(SEED)-*.recording.h5"
+
+# The first trajectory to be judged on is pushed over every gel in the same way, so that only the gel differs.
+force: $(READY)  ## shear force from dots in events and in frames, simulated: a table in reports/ (JUDGED, OTHERS, SEED, JOBS)
+	@$(RUN) mkdir -p $(FORCE); cd $(FORCE); \
+	run record --scene shear --count 4 --seed $(SEED) --out learn --jobs $(JOBS); \
+	run record --scene shear --count $(JUDGED) --seed $$(( $(SEED) + 500 )) --out unseen --jobs $(JOBS); \
+	for other in $(OTHERS); do \
+	run record --scene shear --individual $$other --seed $$(( $(SEED) + 500 )) --out $$other; done; \
+	run track "*/*.recording.h5" --preset stable --jobs $(JOBS); \
+	run rgb "*/*.recording.h5" --jobs $(JOBS); \
+	run fit "learn/*.tracks.h5" --seed $(SEED) --out events.force-model.h5; \
+	run fit "learn/rgb/*.tracks.h5" --seed $(SEED) --out frames.force-model.h5; \
+	others=; for other in $(OTHERS); do others="$$others $$other/*.tracks.h5 $$other/rgb/*.tracks.h5"; done; \
+	keep force evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model . --seed $(SEED)
 
 test: $(READY)  ## the test suite
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m 'not slow'

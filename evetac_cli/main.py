@@ -6,6 +6,7 @@ is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
 
 import importlib
 import inspect
+import itertools
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -18,6 +19,8 @@ import typer
 from evetac_cli import __version__, console, params, workers
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.stages import Job, Outcome
+
+MOST_ROWS = 100  # of one table on a terminal
 
 
 @dataclass(frozen=True)
@@ -39,14 +42,20 @@ PIPELINE = (
     Command("track", params.Track, "track", "Recordings."),
     Command("featurize", params.Featurize, "featurize", "Recordings (tracks and labels lie beside them)."),
     Command("train", params.Train, "train", "Labelled features, one file a trajectory.", "steps"),
+    Command("rgb", params.Rgb, "rgb", "Simulated recordings.", "frames"),
+    Command("fit", params.Fit, "fit", "Tracks of shear recordings; the last file is held out.", "epochs"),
+    Command("force", params.Force, "force", "Tracks."),
     Command("grasp", params.Grasp, "grasp", ""),
 )
 EVALUATE = (
     Command("slip", params.EvaluateSlip, "evaluate.slip", "Labelled features that the model never saw.", "files"),
+    Command("vibration", params.EvaluateVibration, "evaluate.vibration", "Recordings.", "ms"),
+    Command("data-rate", params.EvaluateDataRate, "evaluate.data_rate", "Recordings.", "files"),
     Command("labels", params.EvaluateLabels, "evaluate.labels", "Labels of simulated recordings.", "files"),
     Command("tracking", params.EvaluateTracking, "evaluate.tracking", "Tracks of simulated recordings.", "files"),
     Command("grasp", params.EvaluateGrasp, "evaluate.grasp", "Recordings made by grasp.", "files"),
-    Command("cost", params.EvaluateCost, "evaluate.cost", "", "rows"),
+    Command("force", params.EvaluateForce, "evaluate.force", "Tracks of simulated shear recordings.", "files"),
+    Command("cost", params.EvaluateCost, "evaluate.cost", "Part model: features, models.", "rows", files_needed=False),
     Command("stability", params.EvaluateStability, "evaluate.stability", "", "rows"),
 )
 # Of inspect/: a page for people, made again whenever asked for.
@@ -125,10 +134,12 @@ def _add(
             option = typer.Option(flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}", help=help_)
         else:
             option = typer.Argument(metavar=flag, help=help_, show_default=False)
-        # Every flag defaults to None, so that a config file can tell what was not given.
-        signature.append(
-            inspect.Parameter(item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option])
+        # Every flag defaults to None, so that a config file can tell what was not given. What is named by its place
+        # comes before the files, which take all the rest.
+        entry = inspect.Parameter(
+            item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option]
         )
+        signature.insert(len(signature) if flag.startswith("--") else 0, entry)
     for name, (kind, default, flags, help_) in running.items():
         option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=default == 1)
         signature.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
@@ -163,8 +174,10 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else _count(outcomes)
             simulated = any(outcome.simulated for outcome in outcomes)
             rows = [row for outcome in outcomes for row in outcome.rows]
-            if not running["quiet"] or running["as_json"]:
-                console.show(title, rows, summary, simulated=simulated, as_json=running["as_json"])
+            if running["as_json"]:
+                console.show(title, rows, summary, simulated=simulated, as_json=True)
+            elif not running["quiet"]:
+                console.show(title, _first(rows), summary, simulated=simulated, as_json=False)
         if not running["quiet"] and outcomes and not any(outcome.made for outcome in outcomes):
             console.say(f"{title}: up to date, nothing to do")
         elif not running["quiet"] and outcomes:
@@ -199,6 +212,17 @@ def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bo
     lost = sorted(output for output in times if output.resolve() in inputs) if force else []
     if lost:
         raise InputError("the output would replace an input", found=", ".join(map(str, lost)))
+
+
+def _first(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows that a terminal shows: of a table of very many the first, and how many more there are is said."""
+    shown = []
+    for _, group in itertools.groupby(rows, key=tuple):
+        table = list(group)
+        shown += table[:MOST_ROWS]
+        if len(table) > MOST_ROWS:
+            console.say(f"{len(table) - MOST_ROWS:,} more rows with {next(iter(table[0]))}; --json prints all")
+    return shown
 
 
 def _count(outcomes: list[Outcome]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 
 from evetac_cli import params
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages import featurize, grasp, label, record, track, train
+from evetac_cli.stages import featurize, fit, grasp, label, record, track, train
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -54,6 +54,10 @@ class Made:
         return self.folder / "hist10.model.h5"
 
     @property
+    def force_model(self) -> Path:
+        return self.folder / "dots.force-model.h5"
+
+    @property
     def grasp(self) -> Path:
         return self.folder / "grasp.recording.h5"
 
@@ -96,6 +100,9 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     training = params.Train(epochs=1, max_steps=20, recipe="adam", validate=str(features[-1]))
     (job,) = train.jobs(features, training, made.model)
     train.run(job, training)
+    fitting = params.Fit(samples=10, epochs=2)
+    (job,) = fit.jobs([made.beside(path, "tracks") for path in made.recordings], fitting, made.force_model)
+    fit.run(job, fitting)
     grasping = params.Grasp(model=made.model, lift_s=1.0, balance_s=0.2)
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)

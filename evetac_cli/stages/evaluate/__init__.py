@@ -57,8 +57,13 @@ def own_report(part: str, subject: str, out: Path | None) -> Path:
 
 @contextmanager
 def with_truth(file: StageFile) -> Iterator[Recording]:
-    """The simulated recording beside a file that was made from it; InputError if it is not there or has no truth."""
+    """The simulated recording beside a file that was made from it, or in the folder above, as `rgb` keeps its tracks.
+
+    InputError if it is not there or has no truth.
+    """
     path = output_path(file.path, "recording", None)
+    above = path.parent.resolve().parent / path.name
+    path = above if above.exists() and not path.exists() else path
     with open_recording(path) as recording:
         if recording.header["id"] not in file.header["parents"]:
             raise InputError(

@@ -14,7 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.sim import camera_cost, gel_cost, tracker_cost
 from evetac_cli.stages import Job, Outcome, Progress, silent
-from evetac_cli.stages.evaluate import Rows, own_report, report
+from evetac_cli.stages.evaluate import Rows, own_report, picture, report
 
 INPUTS = ()
 OUTPUT = "report"
@@ -25,11 +25,21 @@ UNITS = ("um", "us", "px", "ms")
 
 def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]:
     """One report on the part: `<part>.cost.report.h5`, in the present folder if no other is given."""
+    if params.part == "model":
+        from evetac_cli.stages.evaluate import model_cost
+
+        return model_cost.jobs(files, params, out)
+    if files or params.model:
+        raise InputError("only the part model is measured on files", where="evaluate cost", found=f"part {params.part}")
     return [Job((), own_report(params.part, "cost", out))]
 
 
 def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """A row for every setting; the picture is drawn again where it is missing."""
+    if params.part == "model":
+        from evetac_cli.stages.evaluate import model_cost
+
+        return model_cost.run(job, params, force=force, progress=progress)
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         if params.part == "label":
@@ -46,10 +56,10 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
         return rows, _summary(rows)
 
     outcome = report(job, "evaluate cost", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
-    picture = job.output.with_suffix(".png")
-    if outcome.made or not picture.exists():
-        drawn = _draw(outcome.rows, picture)
-        shown = str(picture) if drawn else "none: needs matplotlib, pip install 'evetac[plot]'"
+    plot = job.output.with_suffix(".png")
+    if outcome.made or not plot.exists():
+        drawn = _draw(outcome.rows, plot)
+        shown = str(plot) if drawn else "none: needs matplotlib, pip install 'evetac[plot]'"
         outcome = dataclasses.replace(outcome, summary={**outcome.summary, "plot": shown})
     return outcome
 
@@ -137,14 +147,7 @@ def _draw(rows: Rows, path: Path) -> bool:
             handles, labels = axes.get_legend_handles_labels()
             shown |= dict(zip(labels, handles, strict=True))
         place.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3, fontsize=9, frameon=False)
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        figure.savefig(temporary, format="png", dpi=120)
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    picture.save(figure, path)
     return True
 
 
@@ -171,8 +174,7 @@ def _draw_panel(axes: Any, rows: Rows, name: str) -> None:
     first, *what = name.removeprefix("error_").split("_")
     title, unit = (" ".join(what), f" [{first}]") if first in UNITS else (" ".join((first, *what)), "")
     axes.set(title=title, xlabel="run time of a simulated millisecond, median [us]", ylabel=f"error{unit}")
-    axes.grid(which="major", color="0.9")
-    axes.set_axisbelow(True)
+    picture.quiet_grid(axes)
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         # whole decades, and labels at these alone: those between would lie on each other
         axis.set_minor_formatter("")

@@ -1,0 +1,269 @@
+"""Vibration in a stream of events: at which frequency the gel vibrates, or that it does not.
+
+Two methods. The paper's takes the strongest line in the spectrum of the number of events a slice. A rim that swings
+back and forth makes events both ways, so that number also beats at twice the tone, a rattling contact adds half the
+tone, and slices of a millisecond fold all above 500 Hz down: in short windows one of these now and then wins.
+
+The other follows motion. A pixel on a rim gets brighter while the rim moves one way and darker while it moves back, so
+brighter minus darker events is the speed of its brightness, at the tone's own frequency. Both sides of a dot would
+cancel in a sum over the frame; so the frame is cut into cells smaller than a dot, each with a spectrum of its own, and
+powers are summed: no dots need to be known, nor where the motion goes. Speed over frequency is how far a line moves the
+gel, and the tone is the line with the largest product of way and speed.
+
+Why so:
+- Events are counted at 5 kHz or more whatever band is asked for: the camera scans 5000 times a second, so nothing folds
+  into the band, and a line beyond it is told as such.
+- In each cell, power is over the noise there, the median around a frequency. Without a line it is then exponential with
+  mean 1 in any cell, whatever the noise is like (hot pixels, slow motion), and a sum over cells a gamma variate, from
+  which the threshold follows. No cell counts for more than LARGEST: one pixel that blinks is not a vibration.
+- By speed alone the second harmonic of a speaker would win (simulated: up to 1.1 times the tone's), by way alone a
+  subharmonic, as the sensor sees large swings and misses small ones (up to 0.93 times the tone's way). The product of
+  both is off by the same factor on either side: in it no other line came to more than 0.83.
+- Hann windows: what leaks from slow motion and strong lines falls with the cube of the distance.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import fft, special
+
+FINEST_HZ = 5000  # the rate of the camera's scans
+CELL_PX = 16  # a dot's two sides are 30 px apart
+HANN_SQUARED = 0.375  # mean square of the window
+LEAST_EVENTS = 10  # of a cell, to say anything
+LARGEST = 12.0  # of a cell's power over its noise, as evidence: noise has more once in 160,000
+NOISE_HZ = 50.0  # the noise is a median over so much of the spectrum
+NOISE_BINS = 32  # or over so many frequencies, if that is more
+CELLS_AT_ONCE = 64
+HALF_WINS = 9.0
+SAME_BINS = 2.0  # half the width of a line
+SPREAD_BINS = 0.608  # sd of a line's place times the root of its power over the noise, see `locate`
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Tally = NDArray[np.int16]
+
+
+@njit(cache=True)
+def add_events(
+    tally: Tally,
+    t_us: NDArray[np.int64],
+    x_px: NDArray[np.uint16],
+    y_px: NDArray[np.uint16],
+    brighter: NDArray[np.uint8],
+    start_us: int,
+    rate_hz: int,
+    cells_across: int,
+) -> None:
+    """Add to `tally` (cells, bins) +1 for every event that got brighter, -1 for every other, where and when it was.
+
+    Bins are 1 / `rate_hz` long from `start_us` on; events outside of them, or of the cells, are left out.
+    """
+    cells = tally.shape[0]
+    bins = tally.shape[1]
+    for k in range(t_us.shape[0]):
+        place = (t_us[k] - start_us) * rate_hz // 1_000_000
+        cell = (y_px[k] // CELL_PX) * cells_across + x_px[k] // CELL_PX
+        if place < 0 or place >= bins or cell >= cells:
+            continue
+        if brighter[k]:
+            tally[cell, place] += 1
+        else:
+            tally[cell, place] -= 1
+
+
+def cells_of(frame_px: tuple[int, int]) -> tuple[int, int]:
+    """Columns and rows of cells that cover a frame."""
+    width, height = frame_px
+    if width < 1 or height < 1:
+        raise ValueError(f"frame_px: expected at least 1 x 1, found {frame_px}")
+    return math.ceil(width / CELL_PX), math.ceil(height / CELL_PX)
+
+
+class Spectrum(NamedTuple):
+    """Sums over cells (and windows) at `frequency_hz` (frequencies,), from 0 to half the rate."""
+
+    frequency_hz: Floats
+    evidence: Floats  # power over noise, no cell above LARGEST
+    power: Floats  # power over noise, where that is at least what events at random times have
+    speed: Floats  # power of brighter minus darker events
+    terms: int  # cells, summed over windows
+
+    def plus(self, other: "Spectrum") -> "Spectrum":
+        """The sum with another window's, of the same length and rate."""
+        if not np.array_equal(self.frequency_hz, other.frequency_hz):
+            raise ValueError("frequencies: expected those of the same length and rate, found others")
+        return Spectrum(
+            self.frequency_hz,
+            self.evidence + other.evidence,
+            self.power + other.power,
+            self.speed + other.speed,
+            self.terms + other.terms,
+        )
+
+
+class Line(NamedTuple):
+    """One line of a spectrum."""
+
+    frequency_hz: float
+    uncertainty_hz: float  # one sd
+    motion: float  # how far it moves the gel, of no unit
+    power: float  # over the noise
+
+
+class Found(NamedTuple):
+    """What a spectrum says: the tone, or None; its harmonics; the line beyond the band that would be it."""
+
+    tone: Line | None
+    harmonics: dict[float, float]  # order (0.5, 2, 3, ...) -> motion over the tone's, 0 where no line stands out
+    beyond: Line | None
+
+
+def spectrum(tally: Tally, rate_hz: float) -> Spectrum:
+    """Sum the cells' spectra over one window of signed events, `tally` (cells, bins) at `rate_hz`.
+
+    ValueError if the window is too short to have noise beside a line (64 frequencies).
+    """
+    if tally.ndim != 2 or tally.shape[1] < 4 * NOISE_BINS:
+        raise ValueError(f"tally: expected (cells, {4 * NOISE_BINS} bins or more), found {tally.shape}")
+    if not (math.isfinite(rate_hz) and rate_hz > 0):
+        raise ValueError(f"rate_hz: expected above 0, found {rate_hz}")
+    bins = tally.shape[1]
+    window = _hann(bins)
+    frequency_hz = np.arange(bins // 2 + 1) * (rate_hz / bins)
+    evidence, power, speed = np.zeros((3, len(frequency_hz)))
+    terms = 0
+    for first in range(0, len(tally), CELLS_AT_ONCE):
+        cells = tally[first : first + CELLS_AT_ONCE]
+        cells = cells[np.count_nonzero(cells, axis=1) >= LEAST_EVENTS].astype(np.float32)
+        if not len(cells):
+            continue
+        energy = np.square(cells).sum(axis=1)
+        cells -= cells.mean(axis=1, keepdims=True)
+        lines = fft.rfft(cells * window, axis=1)
+        powers = np.square(lines.real) + np.square(lines.imag)
+        speed += powers.sum(axis=0)
+        noise = _noise(powers, bins / rate_hz)
+        evidence += np.minimum(powers / noise, LARGEST).sum(axis=0)
+        power += (powers / np.maximum(noise, HANN_SQUARED * energy[:, None])).sum(axis=0)
+        terms += len(cells)
+    return Spectrum(frequency_hz, evidence, power, speed, terms)
+
+
+def _hann(bins: int) -> Singles:
+    return (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(bins) / bins)).astype(np.float32)
+
+
+def _noise(powers: NDArray, duration_s: float, of_median: float = math.log(2)) -> NDArray:
+    """Mean of the noise at all frequencies, (..., frequencies): medians over blocks, linear in between.
+
+    `of_median` is the median of noise whose mean is 1; that of a periodogram is ln 2.
+    """
+    frequencies = powers.shape[-1] - 1  # all but 0
+    width = min(max(NOISE_BINS, round(NOISE_HZ * duration_s)), frequencies)
+    blocks = frequencies // width
+    parts = powers[..., 1 : 1 + blocks * width].reshape(*powers.shape[:-1], blocks, width)
+    medians = np.median(parts, axis=-1) / of_median
+    # A cell with a handful of events can have no noise at all in a block; then its power there says nothing.
+    medians = np.maximum(medians, 1e-3 * medians.max(axis=-1, keepdims=True) + 1e-12).astype(powers.dtype)
+    place = np.clip((np.arange(frequencies + 1) - 0.5 - width / 2) / width, 0.0, blocks - 1.0)
+    before = np.minimum(place.astype(np.int64), max(blocks - 2, 0))
+    share = (place - before).astype(powers.dtype)
+    after = np.minimum(before + 1, blocks - 1)
+    noise: NDArray = medians[..., before] * (1 - share) + medians[..., after] * share
+    return noise
+
+
+def find(found_in: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: float = 0.01) -> Found:
+    """Find the tone in [lowest_hz, highest_hz], and what goes with it.
+
+    A line is a peak of the evidence that noise alone would exceed anywhere from `lowest_hz` up with a probability of at
+    most `false_alarms`: the tail of a gamma variate of as many terms as cells, over the number of frequencies looked at
+    (Bonferroni). The tone is the line with the largest product of way and speed; if that lies beyond the band,
+    there is no tone, but `beyond`. ValueError unless 0 < lowest < highest and 0 < false_alarms < 1.
+    """
+    if not (0.0 < lowest_hz < highest_hz and math.isfinite(highest_hz)):
+        raise ValueError(f"band: expected 0 < lowest < highest, found {lowest_hz} to {highest_hz} Hz")
+    if not 0.0 < false_alarms < 1.0:
+        raise ValueError(f"false_alarms: expected between 0 and 1, found {false_alarms}")
+    lines = list(_lines(found_in, lowest_hz, false_alarms))
+    if not lines:
+        return Found(None, {}, None)
+    resolution_hz = float(found_in.frequency_hz[1])
+    tone = max(lines, key=lambda line: line.motion**2 * line.frequency_hz)
+    if tone.frequency_hz > highest_hz + resolution_hz / 2:
+        return Found(None, {}, tone)
+    orders = [0.5, *np.arange(2.0, found_in.frequency_hz[-1] / tone.frequency_hz).tolist()[:4]]
+    others = {order: _at(lines, order * tone.frequency_hz, resolution_hz) for order in orders}
+    return Found(tone, {order: other.motion / tone.motion if other else 0.0 for order, other in others.items()}, None)
+
+
+def _at(lines: list[Line], frequency_hz: float, resolution_hz: float) -> Line | None:
+    """The line nearest to a frequency, if it lies within its own width of it."""
+    near = min(lines, key=lambda line: abs(line.frequency_hz - frequency_hz))
+    return near if abs(near.frequency_hz - frequency_hz) <= SAME_BINS * resolution_hz else None
+
+
+def _lines(found_in: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[Line]:
+    """All lines from `lowest_hz` up that stand out."""
+    if found_in.terms == 0:
+        return
+    resolution_hz = float(found_in.frequency_hz[1])
+    first = max(math.ceil(lowest_hz / resolution_hz), 2)
+    last = len(found_in.frequency_hz) - 2
+    if first >= last:
+        return
+    terms = float(found_in.terms)
+    duration_s = 1.0 / resolution_hz
+    # The noise is itself a median of few frequencies, so that means are not quite 1: medians of the sums put it right.
+    median_share = float(special.gammaincinv(terms, 0.5)) / terms
+    evidence = found_in.evidence / _noise(found_in.evidence, duration_s, median_share) * terms
+    power = found_in.power - _noise(found_in.power, duration_s, 1.0)
+    speed = np.maximum(found_in.speed - _noise(found_in.speed, duration_s, 1.0), 0.0)
+    threshold = float(special.gammainccinv(terms, false_alarms / (last - first)))
+    peak = evidence[first:last]
+    standing = (peak > threshold) & (power[first:last] > 0.0) & (power[first:last] >= power[first - 1 : last - 1])
+    standing &= power[first:last] > power[first + 1 : last + 1]
+    for k in np.flatnonzero(standing) + first:
+        frequency_hz, uncertainty_hz = locate(power, int(k), terms, resolution_hz)
+        motion = math.sqrt(speed[k - 1 : k + 2].sum()) / frequency_hz
+        yield Line(frequency_hz, uncertainty_hz, motion, float(power[k]))
+
+
+def locate(power: Floats, k: int, terms: float, resolution_hz: float) -> tuple[float, float]:
+    """Frequency of the line whose highest bin is `k`, in Hz, and its sd; `power` less noise, a sum of so many terms.
+
+    A Hann window has a sine at exactly k + (2 r - 1) / (1 + r), r the amplitude of the next bin over that of bin k, and
+    likewise on the other side; of both places the mean is taken, by their bins' power. Noise of neighbouring bins is
+    correlated as the window has it: to first order the place has an sd of 0.608 bins over the root of the power over
+    noise where a sine is in the middle of a bin, less between bins; the Cramer-Rao bound of a window without taper is
+    0.32. With many terms noise beats with noise too. Where the tone is not steady the three bins do not have the shape
+    of a sine: their sum is off by so much, and their difference may be.
+    """
+    below, at, above = np.sqrt(np.maximum(power[k - 1 : k + 2], 0.0)).tolist()
+    places = ((at - 2.0 * below) / (at + below), (2.0 * above - at) / (at + above))
+    weight = below**2 + above**2
+    shift = (below**2 * places[0] + above**2 * places[1]) / weight if weight > 0.0 else 0.0
+    shift = min(max(shift, -1.0), 1.0)
+    of_sine = (1.0 - shift) / (2.0 + shift) + (1.0 + shift) / (2.0 - shift)
+    misshapen = 2.0 / 3.0 * abs((below + above) / at - of_sine)
+    spread = SPREAD_BINS * math.sqrt((1.0 + 2.0 * terms / power[k]) / power[k])
+    return (k + shift) * resolution_hz, math.hypot(spread, misshapen) * resolution_hz
+
+
+def strongest_of_counts(counts: NDArray, rate_hz: float, lowest_hz: float) -> float | None:
+    """The paper's method ("Sensing Vibrations"): frequency of the largest amplitude of `counts` (bins,), in Hz.
+
+    Below `lowest_hz` all is removed; there is no threshold, so that noise has a frequency too. None if every bin has
+    the same number of events, or none is left.
+    """
+    amplitude = np.abs(fft.rfft(np.asarray(counts, np.float64) - np.mean(counts))) if len(counts) else np.zeros(0)
+    frequency_hz = np.arange(len(amplitude)) * (rate_hz / max(len(counts), 1))
+    amplitude[frequency_hz < lowest_hz] = 0.0
+    if not amplitude.any():
+        return None
+    return float(frequency_hz[np.argmax(amplitude)])

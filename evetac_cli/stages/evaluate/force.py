@@ -1,0 +1,193 @@
+"""evaluate force: shear force told from dots against the true one, beside the paper's table.
+
+Each tracks file is judged by the model of its own sensor (events, or frames of an RGB sensor). A file of an individual
+that the model was not fitted on has a row like any other, without the paper's figures beside it; `gain` says what a
+softer or stiffer gel does: the force told for each newton that was there.
+"""
+
+import glob
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels import force as forces
+from evetac_cli.params import EvaluateForce, recipe_of
+from evetac_cli.resources import table
+from evetac_cli.stages import Job, Outcome, Progress, silent
+from evetac_cli.stages.evaluate import Rows, picture, report, report_job, with_truth
+from evetac_cli.stages.fit import ForceModel, Samples, check_grid, read_model, read_samples, sensor_of
+from evetac_cli.stages.train import check_disjoint
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.provenance import Header
+
+INPUTS = ("tracks", "recording", "force-model")
+OUTPUT = "report"
+METHOD = 1
+PAPER = {"events": "evetac", "frames": "rgb"}  # the sensors of the paper's table
+LOOKS = {"regression": ("C0", "linear regression"), "network": ("C1", "network")}
+
+
+class Told(NamedTuple):
+    """The forces that both models tell for the samples of one trajectory."""
+
+    path: Path
+    sensor: str
+    individual: str
+    fitted: bool  # whether the model was fitted on this individual
+    samples: Samples
+    by: dict[str, forces.Floats]  # model -> (samples, 2) in N
+
+
+def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[Job]:
+    """One report over all tracks files."""
+    pattern = params.model if not Path(params.model).is_dir() else f"{params.model}/*.force-model.h5"
+    models = [Path(name) for name in sorted(glob.glob(pattern))] if params.model else []
+    if not models:
+        raise InputError(
+            "no force model", where="--model", expected="a file, folder or glob made by evetac fit", found=params.model
+        )
+    (job,) = report_job(files, "force", out, *models)
+    return [Job(job.inputs, job.output, {"models": len(models)})]
+
+
+def run(job: Job, params: EvaluateForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Rows of both models for every trajectory: mean and sd of the absolute error, for x and y."""
+    files, model_paths = job.inputs[: -job.choice["models"]], job.inputs[-job.choice["models"] :]
+    models = _models(model_paths)
+    headers = []
+    for path in files:
+        with StageFile(path, "tracks") as tracks, with_truth(tracks):
+            headers.append(tracks.header)
+            model_path, model_header, model = _model_for(tracks, models)
+            check_grid(model, model_path, tracks)
+            check_disjoint([model_header], [tracks.header], "judged on", [path])
+    parents = [*headers, *(header for _, header, _ in models.values())]
+    told: list[Told] = []
+
+    def tell() -> list[Told]:
+        if not told:
+            noise = np.random.default_rng(params.seed)
+            for number, path in enumerate(files):
+                told.append(_tell(path, models, params, noise))
+                progress(number + 1, len(files))
+        return told
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        rows = [_row(one, name) for one in tell() for name in one.by]
+        return rows, _summary(tell(), rows, params)
+
+    outcome = report(job, "evaluate force", METHOD, recipe_of(params), parents, measure, force=force)
+    sensors = len(models)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, tell()), (13.0, 1.0 + 3.2 * sensors))
+
+
+def _models(paths: tuple[Path, ...]) -> dict[str, tuple[Path, Header, ForceModel]]:
+    """The models by their sensor, one each."""
+    found: dict[str, tuple[Path, Header, ForceModel]] = {}
+    for path in paths:
+        header, model = read_model(path)
+        if model.sensor in found:
+            raise InputError(
+                f"two models of dots tracked in {model.sensor}",
+                where="--model",
+                expected="one for each sensor",
+                found=f"{found[model.sensor][0]}, {path}",
+            )
+        found[model.sensor] = (path, header, model)
+    return found
+
+
+def _model_for(
+    tracks: StageFile, models: dict[str, tuple[Path, Header, ForceModel]]
+) -> tuple[Path, Header, ForceModel]:
+    sensor = sensor_of(tracks.header)
+    if sensor not in models:
+        raise InputError(
+            f"no model of dots tracked in {sensor}",
+            where=str(tracks.path),
+            expected=f"one that was fitted to {sensor}",
+            found=", ".join(str(path) for path, _, _ in models.values()),
+        )
+    return models[sensor]
+
+
+def _tell(
+    path: Path,
+    models: dict[str, tuple[Path, Header, ForceModel]],
+    params: EvaluateForce,
+    noise: np.random.Generator,
+) -> Told:
+    with StageFile(path, "tracks") as tracks:
+        _, _, model = _model_for(tracks, models)
+        sensor, individual = sensor_of(tracks.header), str(tracks.read("sensor/individual"))
+    samples = read_samples(path, params, noise)
+    by = {
+        "regression": forces.apply_regression(model.regression, samples.moved_px),
+        "network": forces.apply_network(model.network, samples.moved_px),
+    }
+    return Told(path, sensor, individual, individual in model.individual.split(", "), samples, by)
+
+
+def _row(told: Told, name: str) -> dict[str, Any]:
+    measured = told.samples.force_n
+    errors = forces.errors(told.by[name], measured)
+    row: dict[str, Any] = {
+        "file": told.path.name,
+        "individual": told.individual,
+        "fitted": told.fitted,
+        "sensor": told.sensor,
+        "model": name,
+    }
+    paper = table("paper")["force"][f"{name}_{PAPER[told.sensor]}"] if told.fitted else None
+    for axis, letter in enumerate(forces.AXES):
+        row[f"mae_n_{letter}"] = float(errors.mean_n[axis])
+        row[f"sd_n_{letter}"] = float(errors.sd_n[axis])
+        row[f"paper_mae_n_{letter}"], row[f"paper_sd_n_{letter}"] = paper[axis] if paper else (None, None)
+    row["gain"] = float((told.by[name] * measured).sum() / (measured**2).sum())
+    return row
+
+
+def _summary(told: list[Told], rows: Rows, params: EvaluateForce) -> dict[str, Any]:
+    """The forces that there were, and means over the trajectories of individuals fitted on, which the paper's are."""
+    known = [row for row in rows if row["fitted"]]
+    means = {
+        f"{sensor}_{model}_mae_n_{letter}": float(np.mean([row[f"mae_n_{letter}"] for row in chosen]))
+        for sensor in PAPER
+        for model in LOOKS
+        for letter in forces.AXES
+        if (chosen := [row for row in known if (row["sensor"], row["model"]) == (sensor, model)])
+    }
+    force = np.concatenate([one.samples.force_n for one in told])
+    return {
+        "trajectories": len(told),
+        "samples_each": params.samples,
+        "force_n_x_least": float(force[:, 0].min()),
+        "force_n_x_most": float(force[:, 0].max()),
+        "force_n_y_least": float(force[:, 1].min()),
+        "force_n_y_most": float(force[:, 1].max()),
+        **means,
+    }
+
+
+def _draw(figure: Any, told: list[Told]) -> None:
+    """The first trajectory of every sensor, as in the paper's figure: force sensor, regression and network."""
+    shown: dict[str, Told] = {}
+    for one in sorted(told, key=lambda one: not one.fitted):  # stable: those of the fitted individual first
+        shown.setdefault(one.sensor, one)
+    panels = figure.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
+    for row, (sensor, one) in zip(panels, shown.items(), strict=True):
+        order = one.samples.slice_ / 1000
+        for axis, axes in enumerate(row):
+            axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, label="force sensor")
+            for name, (colour, words) in LOOKS.items():
+                axes.plot(order, one.by[name][:, axis], color=colour, linewidth=1.0, label=words)
+            axes.set_title(f"{sensor}, {one.individual}: shear force {forces.AXES[axis]}")
+            axes.set_ylabel("force [N]")
+            picture.quiet_grid(axes)
+    for axes in panels[-1]:
+        axes.set_xlabel("time [s]")
+    figure.suptitle("Shear force from dots, an unseen trajectory (simulated)")
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)

@@ -1,0 +1,318 @@
+"""evaluate vibration: which tone the gel feels, in the whole recording and in windows of some lengths.
+
+Where the tone is known, from a simulation's truth or from `--expect`, windows with the right frequency are counted,
+beside the paper's table ("Sensing Vibrations"). The recording passes by in pieces, so its length costs no memory.
+
+Why so: the tone's truth decides only which slices are looked at, those in which it sounds, and what is right.
+"""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli import resources
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US
+from evetac_cli.kernels import spectrum
+from evetac_cli.params import EvaluateVibration, recipe_of
+from evetac_cli.stages import Job, Outcome, Progress, silent
+from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.store.read import Recording, open_recording
+
+INPUTS = ("recording",)
+OUTPUT = "report"
+METHOD = 1
+SHORTEST_MS, LONGEST_MS = 100, 10_000  # of a window: what has a spectrum, and what has room in memory
+READ_MS = 250  # events read at once
+ENOUGH_WINDOWS = 5  # to tell the tone's uncertainty by how much they differ
+TONE = "truth/tone_hz"
+
+Floats = NDArray[np.float64]
+
+
+class Survey(NamedTuple):
+    """What was found in one recording; frequencies in Hz, None for no vibration."""
+
+    seconds: float
+    whole: spectrum.Spectrum  # summed over windows of the longest length
+    counts: NDArray[np.int64]  # events a bin of 1 / rate
+    motion: dict[int, list[float | None]]  # length of the window in ms -> a frequency for each, by motion
+    paper: dict[int, list[float | None]]  # the same by the paper's method
+
+
+def jobs(files: list[Path], params: EvaluateVibration, out: Path | None) -> list[Job]:
+    """One report over all recordings."""
+    return report_job(files, "vibration", out)
+
+
+def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """A row for each recording and method, then one for each length of window; spectra as a picture beside the report.
+
+    Shares of harmonics (`half`, `double`, `triple`) are how far they move the gel against the tone. The paper's method
+    always has an answer, also where nothing vibrates.
+    """
+    windows_ms = _windows_ms(params.windows)
+    if params.lowest_hz >= params.rate / 2:
+        raise InputError(
+            "nothing is left between this and half the rate",
+            where="--lowest-hz",
+            expected=f"below {params.rate / 2:g} Hz",
+            found=f"{params.lowest_hz:g}",
+        )
+    headers = []
+    for path in job.inputs:
+        with open_recording(path) as recording:
+            _span(recording, params)
+            headers.append(recording.header)
+    spectra: list[tuple[str, Survey]] = []
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        first: Rows = []
+        second: Rows = []
+        for number, path in enumerate(job.inputs):
+            with open_recording(path) as recording:
+                start, stop, expected_hz = _span(recording, params)
+
+                def advance(done: int, number: int = number, of: int = stop - start) -> None:
+                    progress(number * of + done, len(job.inputs) * of)
+
+                survey = _survey(recording, start, stop, windows_ms, params, advance)
+            spectra.append((path.name, survey))
+            for method in ("default", "paper") if params.preset == "default" else ("paper",):
+                first.append({"file": path.name, "method": method, **_whole(survey, method, expected_hz, params)})
+                for row in _by_window(survey, method, expected_hz, params):
+                    second.append({"file": path.name, "method": method, **row})
+        return [*first, *second], _summary(first, second)
+
+    outcome = report(job, "evaluate vibration", METHOD, recipe_of(params), headers, measure, force=force)
+    if not outcome.made:  # spectra are not in the rows: they are drawn when they are measured
+        return outcome
+
+    def draw(figure: Any) -> None:
+        _draw(figure, spectra, params, simulated=outcome.simulated)
+
+    return picture.beside(outcome, job.output, draw, (9.0, 1.0 + 2.6 * len(spectra)))
+
+
+def _windows_ms(text: str) -> list[int]:
+    """Lengths of windows in ms, longest first."""
+    try:
+        lengths = [1000 * float(part) for part in text.split(",")]
+    except ValueError:
+        lengths = []
+    if not lengths or not all(SHORTEST_MS <= length <= LONGEST_MS for length in lengths):
+        raise InputError(
+            "not lengths of windows",
+            where="--windows",
+            expected=f"seconds from {SHORTEST_MS / 1000:g} to {LONGEST_MS / 1000:g}, as in 10,2,1",
+            found=text,
+        )
+    return sorted({round(length) for length in lengths}, reverse=True)
+
+
+def _span(recording: Recording, params: EvaluateVibration) -> tuple[int, int, float | None]:
+    """Slices [start, stop) to look at, and the tone in Hz if it is known: in a simulation while it sounds."""
+    start, stop, expected_hz = 0, len(recording), params.expect
+    if recording.has(TONE):
+        tone_hz = recording.read(TONE)
+        sounding = np.flatnonzero(tone_hz > 0.0)
+        if len(sounding):
+            # Truth is that of a slice's end: the tone still sounds in the slice at whose end it is over.
+            start, stop = int(sounding[0]), min(int(sounding[-1]) + 2, stop)
+            if len(np.unique(tone_hz[sounding])) > 1:
+                raise InputError("more than one tone", where=str(recording.path), expected="one tone a recording")
+            expected_hz = float(tone_hz[start]) if expected_hz is None else expected_hz
+    if stop - start < SHORTEST_MS:
+        raise InputError(
+            "too short to tell a frequency",
+            where=str(recording.path),
+            expected=f"{SHORTEST_MS} ms or more",
+            found=f"{stop - start} ms",
+        )
+    return start, stop, expected_hz
+
+
+def _survey(
+    recording: Recording, start: int, stop: int, windows_ms: list[int], params: EvaluateVibration, advance: Any
+) -> Survey:
+    """Look at the slices [start, stop) by both methods, in pieces of the longest window."""
+    piece_ms = min(windows_ms[0], stop - start)
+    lengths = [length for length in windows_ms if length <= piece_ms]
+    motion: dict[int, list[float | None]] = {length: [] for length in lengths}
+    paper: dict[int, list[float | None]] = {length: [] for length in lengths}
+    whole: spectrum.Spectrum | None = None
+    all_counts = []
+    fine_hz = max(params.rate, spectrum.FINEST_HZ)
+    with_motion = params.preset == "default"
+    for first in range(start, stop, piece_ms):
+        last = min(first + piece_ms, stop)
+        tally, counts = _read(recording, first, last, fine_hz, params.rate, advance_from=start, advance=advance)
+        all_counts.append(counts)
+        if last - first == piece_ms:
+            found_in = spectrum.spectrum(tally, fine_hz)
+            whole = found_in if whole is None else whole.plus(found_in)
+        for length in lengths:
+            for begin in range(0, last - first - length + 1, length):
+                paper[length].append(_of_counts(_part(counts, begin, length, params.rate), params))
+                if with_motion and length == piece_ms:
+                    motion[length].append(_tone_hz(found_in, params))
+                elif with_motion:
+                    window = spectrum.spectrum(_part(tally, begin, length, fine_hz), fine_hz)
+                    motion[length].append(_tone_hz(window, params))
+    assert whole is not None  # the first piece is a whole one
+    return Survey((stop - start) / 1000, whole, np.concatenate(all_counts), motion, paper)
+
+
+def _read(
+    recording: Recording, first: int, last: int, fine_hz: int, rate_hz: int, *, advance_from: int, advance: Any
+) -> tuple[spectrum.Tally, NDArray[np.int64]]:
+    """Signed events (cells, bins at `fine_hz`) and events (bins at `rate_hz`) of the slices [first, last)."""
+    across, down = spectrum.cells_of(recording.frame_px)
+    tally = np.zeros((across * down, (last - first) * fine_hz // 1000), np.int16)
+    bins = (last - first) * rate_hz // 1000
+    counts = np.zeros(bins, np.int64)
+    for begin in range(first, last, READ_MS):
+        events = recording.between(begin, min(begin + READ_MS, last))
+        spectrum.add_events(tally, *events, first * SLICE_US, fine_hz, across)
+        places = (events.t - first * SLICE_US) * rate_hz // 1_000_000
+        counts += np.bincount(places[places < bins], minlength=bins)
+        advance(begin - advance_from)
+    return tally, counts
+
+
+def _part(values: NDArray, begin_ms: int, length_ms: int, rate_hz: int) -> NDArray:
+    """The window of `length_ms` from `begin_ms` on, along the last axis."""
+    begin = begin_ms * rate_hz // 1000
+    return values[..., begin : begin + length_ms * rate_hz // 1000]
+
+
+def _tone_hz(found_in: spectrum.Spectrum, params: EvaluateVibration) -> float | None:
+    found = spectrum.find(found_in, params.lowest_hz, params.rate / 2, params.false_alarms)
+    return None if found.tone is None else found.tone.frequency_hz
+
+
+def _of_counts(counts: NDArray[np.int64], params: EvaluateVibration) -> float | None:
+    return spectrum.strongest_of_counts(counts, params.rate, params.lowest_hz)
+
+
+def _whole(survey: Survey, method: str, expected_hz: float | None, params: EvaluateVibration) -> dict[str, Any]:
+    """The row of a recording."""
+    found = spectrum.Found(None, {}, None)
+    if method == "paper":
+        frequency_hz = _of_counts(survey.counts, params)
+    else:
+        found = spectrum.find(survey.whole, params.lowest_hz, params.rate / 2, params.false_alarms)
+        frequency_hz = found.tone.frequency_hz if found.tone else None
+    return {
+        "seconds": survey.seconds,
+        "frequency_hz": frequency_hz,
+        "uncertainty_hz": _uncertainty_hz(survey, found.tone) if found.tone else None,
+        "half": found.harmonics.get(0.5),
+        "double": found.harmonics.get(2.0),
+        "triple": found.harmonics.get(3.0),
+        "beyond_hz": found.beyond.frequency_hz if found.beyond else None,
+        "expected_hz": expected_hz,
+        "correct": None if expected_hz is None else _near(frequency_hz, expected_hz, params),
+    }
+
+
+def _uncertainty_hz(survey: Survey, tone: spectrum.Line) -> float:
+    """One sd of a tone: from noise, or from how much the shortest windows differ, if that is more.
+
+    The phase at which the gel answers drifts with the tone's harmonics, which noise does not tell.
+    """
+    windows = survey.motion[min(survey.motion)] if survey.motion else []
+    near = [hz for hz in windows if hz is not None and abs(hz - tone.frequency_hz) < 0.1 * tone.frequency_hz]
+    if len(near) < ENOUGH_WINDOWS:
+        return tone.uncertainty_hz
+    return max(tone.uncertainty_hz, float(np.std(near, ddof=1)) / math.sqrt(len(near)))
+
+
+def _near(frequency_hz: float | None, expected_hz: float, params: EvaluateVibration) -> bool:
+    return frequency_hz is not None and abs(frequency_hz - expected_hz) <= params.tolerance_hz
+
+
+def _by_window(
+    survey: Survey, method: str, expected_hz: float | None, params: EvaluateVibration
+) -> Iterator[dict[str, Any]]:
+    """A row for each length of window: how many are right, what the others were taken for, the paper's share.
+
+    Twice the tone may fold to its half (400 Hz at a rate of 1000 Hz): such a window counts as both.
+    """
+    table = resources.table("paper")["vibration"]
+    for length, found in (survey.paper if method == "paper" else survey.motion).items():
+        heard = [frequency_hz for frequency_hz in found if frequency_hz is not None]
+        row: dict[str, Any] = {
+            "window_s": length / 1000,
+            "windows": len(found),
+            "frequency_hz": float(np.median(heard)) if heard else None,
+            "no_vibration": len(found) - len(heard),
+        }
+        if expected_hz is not None:
+            right = sum(_near(frequency_hz, expected_hz, params) for frequency_hz in found)
+            doubles_hz = (2 * expected_hz, abs((2 * expected_hz + params.rate / 2) % params.rate - params.rate / 2))
+            wrong = [frequency_hz for frequency_hz in heard if not _near(frequency_hz, expected_hz, params)]
+            half = [_near(frequency_hz, expected_hz / 2, params) for frequency_hz in wrong]
+            double = [any(_near(frequency_hz, place, params) for place in doubles_hz) for frequency_hz in wrong]
+            published = table.get(f"{expected_hz:g}")
+            at = table["window_s"].index(length / 1000) if length / 1000 in table["window_s"] else None
+            row |= {
+                "expected_hz": expected_hz,
+                "correct": right,
+                "share": right / len(found),
+                "paper_share": published[at] if published and at is not None else None,
+                "at_half": sum(half),
+                "at_double": sum(double),
+                "elsewhere": len(wrong) - sum(a or b for a, b in zip(half, double, strict=True)),
+            }
+        yield row
+
+
+def _summary(first: Rows, second: Rows) -> dict[str, Any]:
+    """Recordings with a vibration, and the share of right windows over all tones, ours and the paper's."""
+    summary: dict[str, Any] = {
+        "recordings": len({row["file"] for row in first}),
+        "vibrating": sum(row["frequency_hz"] is not None for row in first if row["method"] == first[0]["method"]),
+    }
+    table = resources.table("paper")["vibration"]
+    judged = [row for row in second if "correct" in row]
+    for method in dict.fromkeys(row["method"] for row in judged):
+        for window_s in dict.fromkeys(row["window_s"] for row in judged):
+            rows = [row for row in judged if (row["method"], row["window_s"]) == (method, window_s)]
+            if rows:
+                right = sum(row["correct"] for row in rows)
+                summary[f"{method}_share_{window_s:g}_s"] = right / sum(row["windows"] for row in rows)
+    if judged:
+        summary |= {
+            f"published_share_{length:g}_s": share
+            for length, share in zip(table["window_s"], table["all"], strict=True)
+        }
+    return summary
+
+
+def _draw(figure: Any, spectra: list[tuple[str, Survey]], params: EvaluateVibration, *, simulated: bool) -> None:
+    """Spectra of motion and of events a slice, a panel for each recording."""
+    for axes, (name, survey) in zip(figure.subplots(len(spectra), 1, squeeze=False)[:, 0], spectra, strict=True):
+        amplitude = np.abs(np.fft.rfft(survey.counts - survey.counts.mean()))
+        places_hz = np.arange(len(amplitude)) * params.rate / len(survey.counts)
+        _draw_line(axes, places_hz, amplitude, params, "events a slice (paper)")
+        frequency_hz = survey.whole.frequency_hz
+        motion = np.sqrt(survey.whole.speed) / np.maximum(frequency_hz, params.lowest_hz)
+        _draw_line(axes, frequency_hz, motion, params, "motion (default)")
+        axes.set(title=name, ylabel="amplitude over largest", xlim=(0.0, params.rate / 2), ylim=(0.0, 1.05))
+        picture.quiet_grid(axes)
+    axes.set_xlabel("frequency [Hz]")
+    figure.suptitle("spectra of whole recordings" + (" (simulated)" if simulated else ""))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+
+
+def _draw_line(axes: Any, frequency_hz: Floats, amplitude: Floats, params: EvaluateVibration, label: str) -> None:
+    """One spectrum, over its largest amplitude in the band."""
+    shown = (frequency_hz >= params.lowest_hz) & (frequency_hz <= params.rate / 2)
+    highest = amplitude[shown].max(initial=0.0)
+    if highest > 0.0:
+        axes.plot(frequency_hz[shown], amplitude[shown] / highest, label=label, linewidth=0.9)
