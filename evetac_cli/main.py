@@ -52,7 +52,7 @@ EVALUATE = (
     Command("vibration", params.EvaluateVibration, "evaluate.vibration", "Recordings.", "ms"),
     Command("data-rate", params.EvaluateDataRate, "evaluate.data_rate", "Recordings.", "files"),
     Command("labels", params.EvaluateLabels, "evaluate.labels", "Labels of simulated recordings.", "files"),
-    Command("tracking", params.EvaluateTracking, "evaluate.tracking", "Tracks of simulated recordings.", "files"),
+    Command("tracking", params.EvaluateTracking, "evaluate.tracking", "Tracks by one preset or more.", "files"),
     Command("grasp", params.EvaluateGrasp, "evaluate.grasp", "Recordings made by grasp.", "files"),
     Command("force", params.EvaluateForce, "evaluate.force", "Tracks of simulated shear recordings.", "files"),
     Command("cost", params.EvaluateCost, "evaluate.cost", "Part model: features, models.", "rows", files_needed=False),

@@ -34,7 +34,7 @@ ONLY_IN = {
     "h5py": ("store/*",),
     "usb": ("devices/*",),
     "dynamixel_sdk": ("devices/*",),
-    "torch": ("kernels/networks.py", "kernels/training.py", "stages/train.py"),
+    "torch": ("kernels/networks.py", "kernels/training.py", "kernels/force_training.py", "stages/train.py"),
     "typer": ("main.py",),
     "rich": ("console.py",),
 }

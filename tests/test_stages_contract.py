@@ -15,7 +15,8 @@ from conftest import Made
 from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.stages import featurize, grasp, label, record, track, train
+from evetac_cli.stages import featurize, fit, force, grasp, label, record, rgb, track, train
+from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.stages.evaluate import slip as evaluate_slip
@@ -50,6 +51,10 @@ def model(folder: Path) -> Path:
     return folder / "hist10.model.h5"
 
 
+def force_model(folder: Path) -> Path:
+    return folder / "dots.force-model.h5"
+
+
 GRASP = {"model": model, "lift_s": 1.0}
 TRAIN = {"epochs": 1, "max_steps": 5, "recipe": "adam"}
 STAGES = [
@@ -64,6 +69,12 @@ STAGES = [
         "train", train, some(params.Train, **TRAIN), some(params.Train, **TRAIN, seed=1),
         lambda folder: sorted(folder.glob("short-*.features.h5")),
     ),
+    Stage("rgb", rgb, some(params.Rgb), some(params.Rgb, seed=1), of("recording")),
+    Stage(
+        "fit", fit, some(params.Fit, samples=10, epochs=2), some(params.Fit, samples=10, epochs=2, seed=1),
+        lambda folder: sorted(folder.glob("short-*.tracks.h5")),
+    ),
+    Stage("force", force, some(params.Force, model=force_model), some(params.Force, model=force_model), of("tracks")),
     Stage(
         "grasp", grasp, some(params.Grasp, **GRASP, balance_s=0.0), some(params.Grasp, **GRASP, balance_s=0.1),
         lambda _: [],
@@ -76,6 +87,12 @@ STAGES = [
     Stage(
         "evaluate tracking", evaluate_tracking, some(params.EvaluateTracking), some(params.EvaluateTracking),
         of("tracks"),
+    ),
+    Stage(
+        "evaluate force", evaluate_force,
+        some(params.EvaluateForce, model=lambda folder: str(force_model(folder)), samples=10),
+        some(params.EvaluateForce, model=lambda folder: str(force_model(folder)), samples=10, seed=1),
+        lambda folder: [folder / "apart.tracks.h5"],
     ),
     Stage(
         "evaluate grasp", evaluate_grasp, some(params.EvaluateGrasp), some(params.EvaluateGrasp),

@@ -17,7 +17,7 @@ import numpy as np
 from evetac_cli.errors import SchemaError
 from evetac_cli.resources import schemas
 
-KINDS = ("recording", "labels", "tracks", "features", "model", "report")
+KINDS = ("recording", "labels", "tracks", "features", "model", "force-model", "forces", "report")
 MAJOR = 1
 
 

@@ -1,0 +1,124 @@
+"""Shear force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
+
+Two models: a linear regression on the mean displacement of all dots, and a network that takes the displacement of each.
+Both are applied with numpy alone; force_training trains the network, which needs torch.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+AXES = ("x", "y")
+CONTACT_N = 0.03  # a lighter touch is no contact
+
+
+class Regression(NamedTuple):
+    """force = mean displacement @ slope_n_px + offset_n."""
+
+    slope_n_px: Floats  # (2, 2): from displacement x, y to force x, y
+    offset_n: Floats  # (2,)
+
+
+class Layer(NamedTuple):
+    """One fully connected layer: inputs @ weight.T + bias."""
+
+    weight: NDArray[np.float32]  # (outputs, inputs)
+    bias: NDArray[np.float32]  # (outputs,)
+
+
+class Network(NamedTuple):
+    """Fully connected layers with ReLU between them, on displacements in units of scale_px, giving units of scale_n."""
+
+    layers: tuple[Layer, ...]
+    scale_px: float
+    scale_n: float
+
+
+def displacement(dot_xy_px: ArrayLike, rest_xy_px: ArrayLike) -> Floats:
+    """Displacements (n, dots, 2) of tracked dots (n, dots, 2) from their places at rest (dots, 2), in px.
+
+    ValueError if shapes do not fit or a dot has no place.
+    """
+    dots, rest = np.asarray(dot_xy_px, float), np.asarray(rest_xy_px, float)
+    if dots.ndim != 3 or dots.shape[1:] != rest.shape or rest.shape[-1] != 2:
+        raise ValueError(f"dot_xy_px: expected shape (n, dots, 2) for rest (dots, 2), found {dots.shape}, {rest.shape}")
+    moved: Floats = dots - rest
+    if not np.isfinite(moved).all():
+        missing = np.flatnonzero(~np.isfinite(moved).all(axis=(0, 2)))
+        raise ValueError(f"expected every dot to have a place, found none for dots {missing[:8].tolist()}")
+    return moved
+
+
+def fit_regression(moved_px: Floats, force_n: Floats) -> Regression:
+    """Least squares from the mean of displacements (n, dots, 2) to forces (n, 2).
+
+    ValueError on other shapes, non-finite values, or displacements that do not span the plane.
+    """
+    check_samples(moved_px, force_n)
+    mean = moved_px.mean(axis=1)
+    known = np.column_stack([mean, np.ones(len(mean))])
+    found, _, rank, _ = np.linalg.lstsq(known, force_n, rcond=None)
+    if rank < known.shape[1]:
+        raise ValueError(f"expected dots that moved in x and in y, found mean displacements of rank {rank} of 3")
+    return Regression(found[:2], found[2])
+
+
+def apply_regression(model: Regression, moved_px: Floats) -> Floats:
+    """Forces (n, 2) in N of displacements (n, dots, 2)."""
+    force: Floats = moved_px.mean(axis=1) @ model.slope_n_px + model.offset_n
+    return force
+
+
+def apply_network(model: Network, moved_px: Floats) -> Floats:
+    """Forces (n, 2) in N of displacements (n, dots, 2); ValueError if the network is for another number of dots."""
+    inputs = model.layers[0].weight.shape[1]
+    if moved_px[0:1].size not in (0, inputs):
+        raise ValueError(f"expected {inputs // 2} dots as the network was trained on, found {moved_px.shape[1]}")
+    code = (moved_px.reshape(len(moved_px), inputs) / model.scale_px).astype(np.float32)
+    for number, layer in enumerate(model.layers):
+        if number:
+            code = np.maximum(code, 0)
+        code = code @ layer.weight.T + layer.bias
+    return code.astype(float) * model.scale_n
+
+
+def check_samples(moved_px: Floats, force_n: Floats) -> None:
+    """ValueError unless displacements (n, dots, 2) and forces (n, 2) are finite and as many, at least 3."""
+    if moved_px.ndim != 3 or moved_px.shape[2] != 2 or force_n.shape != (len(moved_px), 2) or len(moved_px) < 3:
+        raise ValueError(f"expected shapes (n, dots, 2) and (n, 2), n >= 3, found {moved_px.shape}, {force_n.shape}")
+    if not (np.isfinite(moved_px).all() and np.isfinite(force_n).all()):
+        raise ValueError("expected finite displacements and forces")
+
+
+def sample_slices(normal_force_n: ArrayLike, count: int, every: int) -> NDArray[np.int64]:
+    """`count` slices, evenly spread over the contact, in rests and in moves; shape (count,).
+
+    The contact is all from the first to the last slice with a normal force (slices,) of at least CONTACT_N. Only
+    multiples of `every` slices are taken: there a camera that is slower than a slice has a frame that is not old.
+    ValueError without contact, or if it is too short.
+    """
+    touching = np.flatnonzero(np.asarray(normal_force_n) >= CONTACT_N)
+    if not len(touching):
+        raise ValueError(f"no contact: expected a normal force of at least {CONTACT_N} N somewhere")
+    first = -(-int(touching[0]) // every)
+    last = int(touching[-1]) // every
+    if count < 1 or last - first + 1 < count:
+        needed = f"{count} samples, {every} ms apart"
+        raise ValueError(f"too short: expected a contact for {needed}, found {len(touching)} ms of contact")
+    return np.linspace(first, last, count).round().astype(np.int64) * every
+
+
+class Errors(NamedTuple):
+    """Absolute errors over samples: mean and standard deviation for x and y, in N."""
+
+    mean_n: Floats  # (2,)
+    sd_n: Floats  # (2,)
+
+
+def errors(found_n: Floats, measured_n: Floats) -> Errors:
+    """Absolute errors of found against measured forces (n, 2), as in the paper's table."""
+    off = np.abs(found_n - measured_n)
+    return Errors(off.mean(axis=0), off.std(axis=0))
