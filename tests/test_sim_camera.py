@@ -130,9 +130,50 @@ def test_nothing_is_lost(motion: str) -> None:
     assert found == expected
 
 
-@pytest.mark.parametrize(("speed", "missing", "same"), [(0.02, 0.02, 0.0), (0.3, 0.002, 0.99), (2.0, 0.002, 0.99)])
+@pytest.mark.parametrize("refractory_us", [0.0, 900.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_sleeping_pixels_against_every_pixel(seed: int, refractory_us: float) -> None:
+    """Assert the very events of every pixel in every scan for random walks of dots that rest, creep, shake and jump.
+
+    Rings cross, dots come from beyond the frame and go, thresholds differ much: sleep must never lose an event.
+    """
+    rng = np.random.default_rng(seed)
+    model = dataclasses.replace(QUIET, mismatch=0.3, refractory_us=refractory_us)
+    slices, dots = 60, 5
+    speeds = np.repeat(10.0 ** rng.uniform(-2.3, 0.6, (slices // 10, dots)), 10, axis=0)
+    speeds[rng.random((slices, dots)) < 0.1] = 0.0
+    speeds[rng.random((slices, dots)) < 0.02] = 60.0
+    angle = 2 * math.pi * rng.random((slices, dots))
+    angle[rng.random((slices, dots)) < 0.7] = 0.4
+    way = speeds[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    home = rng.uniform((5, 5), (95, 75), (dots, 2))
+    at = home + np.concatenate([np.zeros((1, dots, 2)), np.cumsum(way, axis=0)])
+    at = 50 - np.abs((at - 50) % 240 - 120) + 40  # comes back in the end
+    state = start(at[0], model)
+    reference, threshold, release = state.reference.copy(), state.threshold, np.zeros(state.reference.shape)
+    found, expected = [], set()
+    for k in range(slices):
+        found.append(camera.step(state, at[k], at[k + 1], STILL, STILL, 0.0, 1000 * k, rng))
+        for scan in range(5):
+            now = 1000 * k + 200 * scan
+            level = table_picture(at[k] + scan / 5 * (at[k + 1] - at[k]), model)
+            reference = np.where(release > now, level, reference) if refractory_us else reference
+            change = level - reference
+            fired = np.abs(change) >= threshold
+            reference[fired] = level[fired]
+            release[fired] = now + refractory_us
+            for y, x in np.argwhere(fired).tolist():
+                expected.add((now + x * 200 // FRAME[0], x, y, int(change[y, x] > 0)))
+    assert len(expected) > 1000
+    assert as_set(found) == expected
+
+
+@pytest.mark.parametrize(
+    ("speed", "missing", "same"),
+    [(0.005, 0.005, 0.0), (0.02, 0.005, 0.0), (0.3, 0.002, 0.99), (2.0, 0.002, 0.99)],
+)
 def test_against_the_closed_form(speed: float, missing: float, same: float) -> None:
-    """Assert the count of the erf formula: within 2 % in a creep, where RESOLUTION_PX saves work, else within 0.2 %."""
+    """Assert the count of the erf formula: within 0.2 %, in a creep, where RESOLUTION_PX counts, 0.5 %."""
     path, slices = line([40.2, 40.7], (0.8 * speed, 0.6 * speed)), max(10, int(2 / speed))
     state = start(path(0))
     expected = every_pixel(state, path, slices, formula_picture)
@@ -289,18 +330,19 @@ def slide(state: CameraState, velocity: Any, slices: int, contrast: float = 1.0)
     return [camera.step(state, xy, xy, k * v, (k + 1) * v, contrast, 1000 * k, rng) for k in range(slices)]
 
 
-def test_window_against_every_pixel() -> None:
+@pytest.mark.parametrize(("velocity", "slices"), [((1.3, -0.7), 12), ((0.11, 0.05), 120), ((0.02, -0.03), 400)])
+def test_window_against_every_pixel(velocity: tuple[float, float], slices: int) -> None:
     """Assert that a sliding texture gives the events of its level in every scan, in the strip only."""
     x0, y0, x1, y1 = STRIP
     state = start([[30.0, 30.0]], window=STRIP, texture=TEXTURE)
-    found = as_set(slide(state, (1.3, -0.7), 12))
+    found = as_set(slide(state, velocity, slices))
     fresh = start([[30.0, 30.0]], window=STRIP, texture=TEXTURE)
     level = np.empty((y1 - y0, x1 - x0), np.float32)
     optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, level)
     reference, expected = fresh.strip_reference + level, set()
-    for k in range(12):
+    for k in range(slices):
         for scan in range(5):
-            at = [k * v + scan / 5 * ((k + 1) * v - k * v) for v in (1.3, -0.7)]
+            at = [k * v + scan / 5 * ((k + 1) * v - k * v) for v in velocity]
             optics.sample_texture(TEXTURE, x0, y0, at[0], at[1], 1.0, level)
             change = level - reference
             fired = np.abs(change) >= fresh.strip_threshold
@@ -311,6 +353,32 @@ def test_window_against_every_pixel() -> None:
     assert len(found) > 300
     assert found == expected
     assert all(x0 <= x < x1 and y0 <= y < y1 for _, x, y, _ in found)
+
+
+@pytest.mark.parametrize("leak_hz", [0.0, 10.0])
+@pytest.mark.parametrize("refractory_us", [0.0, 1500.0])
+def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
+    """Assert equal events and references of a camera that is woken before every slice and of one that sleeps on."""
+    model = dataclasses.replace(QUIET, leak_hz=leak_hz, refractory_us=refractory_us, mismatch=0.1)
+    states = [start([[30.0, 30.0], [52.0, 60.0]], model, window=STRIP, texture=TEXTURE) for _ in range(2)]
+    turn = 2 * math.pi * np.arange(401) / 37
+    shaken = 3.0 * np.exp(-np.arange(401) / 60)[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=-1)
+    events = 0
+    for k in range(400):
+        states[0].sleep.lower2_px2[:] = np.inf
+        states[0].sleep.watch_box[:] = np.nan
+        states[0].strip_sleep.wake_at[:] = -np.inf
+        states[0].strip_sleep.row_wakes_at[:] = -np.inf
+        dots = np.array([[30.0, 30.0], [52.0, 60.0]]) + shaken[k : k + 2, None]
+        parts = [
+            camera.step(state, *dots, *shaken[k : k + 2], 1.0, 1000 * k, np.random.default_rng(k)) for state in states
+        ]
+        for woken, asleep in zip(*parts, strict=True):
+            np.testing.assert_array_equal(woken, asleep)
+        events += parts[0].size
+    assert events > 3000
+    np.testing.assert_array_equal(states[0].reference, states[1].reference)
+    np.testing.assert_array_equal(states[0].strip_reference, states[1].strip_reference)
 
 
 def test_texture_density() -> None:

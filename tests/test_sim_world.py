@@ -23,9 +23,14 @@ from evetac_cli.store.read import open_recording
 
 
 def world(object_number: int, seed: int = 0, name: str = "slip", individual: str = "evetac") -> World:
+    """A trial of an object touched in its middle: off it, a hanging object swings for seconds, as a pendulum does."""
     kind = "lift" if name == "lift" else "ramp"
     rngs = [np.random.default_rng([seed, part]) for part in range(2)]
-    return World(plan(name, str(object_number), individual, (kind,))[0], *rngs, lift_s=1.5, balance_s=0.0)
+    built = plan(name, str(object_number), individual, (kind,))[0]
+    for key in ("touch_mm", "lever_mm"):
+        built["scene"]["randomise"].pop(key, None)
+    built["object_row"].pop("lever_mm", None)
+    return World(built, *rngs, lift_s=1.5, balance_s=0.0)
 
 
 def run(one: World, slices: int) -> list[dict[str, object]]:

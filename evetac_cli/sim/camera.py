@@ -10,9 +10,15 @@ time stamps run on over the columns, t = scan start + column / width * scan peri
 to one scan after the change that made it, never before it, and the motion of the last scan period belongs to the next
 slice.
 
-Only what can have changed is looked at: the ring of a dot, both where it is and where it was last looked at, once it
-has moved by RESOLUTION_PX; the window once the object has moved as far or the contrast is another. A dot's ring is
-finite (see optics), so no pixel that is left behind misses its last event.
+The events are those of every pixel compared in every scan (but for RESOLUTION_PX), but most
+pixels are asleep (why so: 63 dots have 46,000 ring pixels, and a scan makes some 200 events where all dots shake, next
+to none in a creep):
+- from its reference and threshold follow two distances to the nearest dot between which a pixel surely does not fire;
+  while the box of a dot's path over the slice keeps it between them, it costs a comparison;
+- of a slow dot even that is done once in many slices: a list of the pixels that may fire holds as long as the dot stays
+  within a somewhat larger box;
+- a level of the window changes by no more than the texture's steepest slope times the way of the object. A short run of
+  pixels sleeps until that has used up what its most wakeful pixel lacks to its threshold.
 
 Lines that are not dots (see rims) change no picture but the references, by as much with the other sign; then the
 pixels of both are compared. So a scan shows dots, lines and texture of one moment, and a pixel still has at most one
@@ -28,14 +34,14 @@ pixels are added on top at uniform times: they do not wait for a scan and leave 
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.sim import optics
+from evetac_cli.sim import optics, rings
 from evetac_cli.sim.rims import (
     Outline,
     Place,
@@ -50,10 +56,22 @@ from evetac_cli.sim.rims import (
     sample_row,
 )
 
-# A rim's steepest slope is 0.53 log units per px, so a level drifts by at most 0.005 before it is looked at again.
-# Against every pixel in every scan this loses 1.9 % of the events at 0.005 px/ms, 0.9 % at 0.05, next to none from 0.3
-# up, and delays the rest by the time a dot takes to move this far. Tremor below it is not seen.
-RESOLUTION_PX = 0.01
+# A dot that has moved by no more, on either axis, since it was last looked at rests: no level has changed by more than
+# 0.0008, and tremor below it is not seen. It saves the looking where nothing but creep goes on.
+RESOLUTION_PX = 0.001
+# A dot that moves by `way` in a slice gets a list that holds for a box wider by SKIN_PX * sqrt(way) on each side: what
+# its making costs, spread over the slices until the dot has left the box, and what its length costs in each slice, are
+# then least together. From FAST_PX a slice on a list does not pay.
+SKIN_PX = 0.7
+FAST_PX = 0.2
+RUSH_PX = 0.25  # half the way in a slice from which on radii do not pay either
+MOST_WATCHED = 512  # pixels in the list of a dot; larger or blurred dots may do without
+# Pixels side by side that wake together: with more, the most wakeful has less sleep; with fewer, there is more to ask.
+RUN_PX = 16
+# Where levels change by more in a scan, or fade, a run gets no sleep that is worth its finding.
+FAST_LEVEL = 0.002
+# More than single precision costs a level of the window, relative to the greatest.
+RUN_ROUNDING = 4e-6
 FARTHEST_PX = 1e6
 MOST_PIECES = 1000  # of a curved path in a slice
 # Slices in which leak visits every row of pixels once: a divisor of 480, so that all slices visit equally many.
@@ -65,7 +83,7 @@ TIME_SHIFT = 33
 COLUMN_SHIFT = 17
 ROW_SHIFT = 1
 COORDINATE_MASK = 0xFFFF
-NO_PICTURE = np.zeros((0, 0), np.float32)
+PIXEL_SHIFT = 16
 
 
 @dataclass(frozen=True)
@@ -114,12 +132,49 @@ class CameraModel:
         _check_whole("max_events", self.max_events, 1, 100_000_000)
 
 
+class Sleep(NamedTuple):
+    """Which gel pixels may fire; a memory of what follows from references and paths, to be dropped at any time.
+
+    Between the square roots of `lower2_px2` and `upper2_px2` (height, width) from the nearest dot a pixel surely does
+    not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `watch_box` (dots, 4:
+    centre and half sides, NaN without a list), only the first `watching` pixels of its list `watched` may fire, each
+    y << PIXEL_SHIFT | x, with radii `watched_px2` (dots, 2, pixels) of their own, side by side in memory, which is what
+    the visit of a list costs. `awake` and `entry` are scratch, for a frame and for a list. `level_index` helps to find
+    radii.
+    """
+
+    level_index: NDArray[np.int16]
+    lower2_px2: NDArray[np.float32]
+    upper2_px2: NDArray[np.float32]
+    watch_box: NDArray[np.float64]
+    watched: NDArray[np.int32]
+    watched_px2: NDArray[np.float32]
+    watching: NDArray[np.int64]
+    awake: NDArray[np.int32]
+    entry: NDArray[np.int64]
+
+
+class StripSleep(NamedTuple):
+    """Which runs of RUN_PX pixels of the window may fire: those whose `wake_at` (rows, runs) has been travelled.
+
+    `row_wakes_at` (rows,) is a row's least. `travelled` (1,) adds up by how much any level can have changed so far,
+    from the texture's steepest slopes `across` and `down`, log units per px; `greatest` is its greatest level.
+    """
+
+    wake_at: NDArray[np.float64]
+    row_wakes_at: NDArray[np.float64]
+    travelled: NDArray[np.float64]
+    across: float
+    down: float
+    greatest: float
+
+
 @dataclass
 class CameraState:
     """What a camera remembers from slice to slice; `step` changes it in place.
 
     `reference` and `threshold` are those of the gel's pixels, shape (height, width); under the window the threshold is
-    infinite, and the strip has a pair of its own. `seen_*` is what the pixels were last compared against.
+    infinite, and the strip has a pair of its own. `seen_*` is where things were at the last scan.
     """
 
     model: CameraModel
@@ -140,6 +195,8 @@ class CameraState:
     # Until when a pixel is blind; their rows are empty without a refractory time that scans can tell.
     release_us: NDArray[np.float64]
     strip_release_us: NDArray[np.float64]
+    sleep: Sleep
+    strip_sleep: StripSleep
     rims: Rims | None = None
     slices: int = 0
     dropped: int = 0
@@ -182,10 +239,8 @@ def start(
     threshold[y0:y1, x0:x1] = np.inf
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
     level = optics.gel_level(model.frame_px, dots, profile)
-    if rims is not None:
-        if rims.dot_level.shape != level.shape:
-            raise ValueError(f"rims: expected those of a frame {model.frame_px}, found shape {rims.dot_level.shape}")
-        rims.dot_level[:] = level
+    if rims is not None and rims.frame_px != (width, height):
+        raise ValueError(f"rims: expected those of a frame {model.frame_px}, found one of {rims.frame_px}")
     blind = model.refractory_us > SLICE_US / model.scans_per_ms
     return CameraState(
         model=model,
@@ -205,6 +260,23 @@ def start(
         keys=np.empty(model.max_events, np.int64),
         release_us=np.zeros((height, width if blind else 0)),
         strip_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
+        sleep=Sleep(
+            level_index=optics.level_index(profile),
+            lower2_px2=np.full((height, width), np.inf, np.float32),
+            upper2_px2=np.full((height, width), np.inf, np.float32),
+            watch_box=np.full((len(dots), 4), np.nan),
+            watched=np.empty((len(dots), MOST_WATCHED), np.int32),
+            watched_px2=np.empty((len(dots), 2, MOST_WATCHED), np.float32),
+            watching=np.zeros(len(dots), np.int64),
+            awake=np.empty(max(height * width, MOST_WATCHED) + 1, np.int32),
+            entry=np.empty(MOST_WATCHED + 1, np.int64),
+        ),
+        strip_sleep=StripSleep(
+            np.full((y1 - y0, -((x0 - x1) // RUN_PX)), -np.inf),
+            np.full(y1 - y0, -np.inf),
+            np.zeros(1),
+            *optics.texture_slope(pattern),
+        ),
         rims=rims,
     )
 
@@ -242,7 +314,7 @@ def step(
 
     lines = _places(state.rims, rims_start, rims_end, coarsely=True)
 
-    gel = (state.seen_dot_xy_px, *state.profile, state.reference, state.threshold, state.release_us)
+    gel = (state.seen_dot_xy_px, *state.profile, state.reference, state.threshold, state.release_us, state.sleep)
     scanned = (state.readout_us, float(t0_us), float(state.model.refractory_us))
     window = (
         object_start,
@@ -252,21 +324,20 @@ def step(
         state.texture,
         state.window_px[0],
         state.window_px[1],
-        state.strip_level,
         state.strip_reference,
         state.strip_threshold,
         state.strip_release_us,
+        state.strip_sleep,
     )
     if state.rims is not None and lines is not None:
         rims = state.rims
-        seen = (rims.seen_corner, rims.seen_cut_x, rims.seen_level, rims.seen_cut_level, rims.dot_level)
+        seen = (rims.seen_corner, rims.seen_cut_x, rims.seen_level, rims.seen_cut_level)
         edge = (rims.cut_contrast, rims.cut_half_px)
         made, rims.events = _scan_lines(*lines, rims.outline, *edge, seen, path, gel, window, *scanned, state.keys)
     else:
         scans = (0, state.model.scans_per_ms)
-        keep = NO_PICTURE if state.rims is None else state.rims.dot_level
-        made = _scan_dots(path, *gel, *scanned, *scans, keep, state.keys, 0)
-        if state.strip_level.size:
+        made = _scan_dots(path, *gel, *scanned, *scans, state.keys, 0)
+        if state.strip_reference.size:
             made = _scan_window(*window, *scanned, *scans, state.keys, made)
         if state.rims is not None:
             state.rims.events = 0
@@ -290,96 +361,311 @@ def _scan_dots(
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
+    sleep: Sleep,
     readout_us: NDArray[np.int64],
     t0_us: float,
     refractory_us: float,
     first_scan: int,
     end_scan: int,
-    picture: NDArray[np.float32],
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare the rings of dots that moved, scan by scan; returns the number of events, also of those that do not fit.
+    """Compare the pixels that may fire in some scans; returns the number of events, also of those that do not fit.
 
-    Every pixel is compared against the whole picture of its scan. So where two rings cross, the second visit finds
-    nothing left to report, and a pixel has at most one event a scan. `picture`, where there are rims, gets the level of
-    every pixel compared.
+    Every pixel is compared against the whole picture of its scan, so it has at most one event a scan.
     """
-    dots, vertices, _ = path.shape
+    dots = len(path)
     scans = len(readout_us)
-    now_xy = np.empty((dots, 2))
-    near_xy = np.empty((dots, 2))
-    line = np.empty(threshold.shape[1], np.float32)
-    for scan in range(first_scan, end_scan):
-        vertex, over = divmod(scan * (vertices - 1), scans)
-        part = over / scans
-        for dot in range(dots):
-            for axis in range(2):
-                way = path[dot, vertex + 1, axis] - path[dot, vertex, axis]
-                now_xy[dot, axis] = path[dot, vertex, axis] + part * way
-        for dot in range(dots):
-            moved_x = now_xy[dot, 0] - seen_xy[dot, 0]
-            moved_y = now_xy[dot, 1] - seen_xy[dot, 1]
-            moved = math.sqrt(moved_x * moved_x + moved_y * moved_y)
-            if moved < RESOLUTION_PX:
-                continue
-            # Outside a ring centred half way and widened by half the path, a pixel was and is under the dot, or was and
-            # is not. After a jump the two discs are less: all of them, since a pixel may go from ink to gel at once.
-            jumped = moved > outer
-            widened = 0.0 if jumped else 0.5 * moved
-            hole = 0.0 if jumped else inner - widened
-            for visit in range(2 if jumped else 1):
-                back = float(visit) if jumped else 0.5
-                centre_x = now_xy[dot, 0] - back * moved_x
-                centre_y = now_xy[dot, 1] - back * moved_y
-                near = _dots_within(now_xy, centre_x, centre_y, 2.0 * outer + widened, near_xy)
-                made = _compare_ring(
-                    centre_x,
-                    centre_y,
-                    hole,
-                    outer + widened,
-                    near_xy[:near],
-                    inner,
-                    steps_per_px,
-                    profile,
-                    reference,
-                    threshold,
-                    release_us,
-                    readout_us[scan],
-                    t0_us + scan * SLICE_US / scans,
-                    refractory_us,
-                    picture,
-                    line,
-                    keys,
-                    made,
+    at_xy = np.empty((dots, end_scan - first_scan, 2))
+    _at_scans(path, scans, first_scan, at_xy)
+    box = rings.boxes(at_xy, seen_xy)
+    crowded = rings.crowded(box, outer)
+    near_xy = np.empty_like(at_xy)
+    near_box = np.empty((dots, 4))
+    table = (inner, outer, steps_per_px, profile)
+    pixels = (reference, threshold, release_us)
+    now_us = t0_us + first_scan * SLICE_US / scans
+    last_us = t0_us + (end_scan - 1) * SLICE_US / scans
+    for dot in range(dots):
+        if max(box[dot, 2], box[dot, 3]) <= 0.5 * RESOLUTION_PX:
+            continue
+        near = 1
+        if crowded[dot]:
+            near = rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
+            sleep.watch_box[dot] = np.nan
+            found = _ring_pixels(box[dot], inner, outer, False, sleep)
+            found = _keep_own(dot, found, box, inner, outer, sleep)
+            found = _keep_awake(sleep.awake[:found], near_box[:near], *table, *pixels, now_us, sleep)
+        else:
+            if not _is_within(box, sleep.watch_box, dot):
+                _make_list(dot, box[dot], *table, *pixels, now_us, sleep)
+            if sleep.watching[dot] >= 0:
+                found = _keep_listed(
+                    dot, box, sleep.watching[dot], sleep.watched, sleep.watched_px2, sleep.awake, sleep.entry
                 )
-            seen_xy[dot, 0] = now_xy[dot, 0]
-            seen_xy[dot, 1] = now_xy[dot, 1]
+            else:
+                rushes = max(box[dot, 2], box[dot, 3]) > RUSH_PX
+                found = _ring_pixels(box[dot], inner, outer, not rushes, sleep)
+                if not rushes:
+                    found = _keep_awake(sleep.awake[:found], box[dot : dot + 1], *table, *pixels, now_us, sleep)
+        if found > 0:
+            seen_by = near_xy[:near] if crowded[dot] else at_xy[dot : dot + 1]
+            made = _compare_pixels(
+                sleep.awake[:found],
+                seen_by,
+                inner,
+                steps_per_px,
+                profile,
+                *pixels,
+                sleep.lower2_px2,
+                sleep.upper2_px2,
+                readout_us,
+                t0_us,
+                refractory_us,
+                first_scan,
+                keys,
+                made,
+            )
+            if not crowded[dot] and sleep.watching[dot] >= 0:
+                _renew_listed(dot, found, *table, *pixels, last_us, sleep)
+        for axis in range(2):
+            seen_xy[dot, axis] = at_xy[dot, end_scan - first_scan - 1, axis]
     return made
 
 
 @njit(cache=True)
-def _dots_within(
-    dot_xy: NDArray[np.float64], centre_x: float, centre_y: float, reach: float, near_xy: NDArray[np.float64]
-) -> int:
-    """Collect the dots near a ring: those that can darken any of its pixels; returns their number."""
-    near = 0
-    for dot in range(len(dot_xy)):
-        across = dot_xy[dot, 0] - centre_x
-        down = dot_xy[dot, 1] - centre_y
-        if across * across + down * down <= reach * reach:
-            near_xy[near, 0] = dot_xy[dot, 0]
-            near_xy[near, 1] = dot_xy[dot, 1]
-            near += 1
-    return near
+def _at_scans(path: NDArray[np.float64], scans: int, first_scan: int, at_xy: NDArray[np.float64]) -> None:
+    """Where dots (dots, k, 2) are at k scans from the first on."""
+    dots, vertices, _ = path.shape
+    for shot in range(at_xy.shape[1]):
+        vertex, over = divmod((first_scan + shot) * (vertices - 1), scans)
+        part = over / scans
+        for dot in range(dots):
+            for axis in range(2):
+                way = path[dot, vertex + 1, axis] - path[dot, vertex, axis]
+                at_xy[dot, shot, axis] = path[dot, vertex, axis] + part * way
 
 
 @njit(cache=True)
-def _compare_ring(
-    centre_x: float,
-    centre_y: float,
-    hole: float,
-    rim: float,
+def _is_within(box: NDArray[np.float64], wider: NDArray[np.float64], dot: int) -> bool:
+    """Whether a dot's box of (dots, 4) lies in its wider one; not if that is NaN."""
+    across = abs(box[dot, 0] - wider[dot, 0]) + box[dot, 2] <= wider[dot, 2]
+    return bool(across and abs(box[dot, 1] - wider[dot, 1]) + box[dot, 3] <= wider[dot, 3])
+
+
+@njit(cache=True)
+def _make_list(
+    dot: int,
+    box: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    now_us: float,
+    sleep: Sleep,
+) -> None:
+    """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot."""
+    sleep.watch_box[dot] = np.nan
+    sleep.watching[dot] = -1
+    way = 2.0 * max(box[2], box[3])
+    if way >= FAST_PX:
+        return
+    wider = np.empty((1, 4))
+    wider[0] = box
+    wider[0, 2:] += SKIN_PX * math.sqrt(way)
+    found = _ring_pixels(wider[0], inner, outer, True, sleep)
+    found = _keep_awake(
+        sleep.awake[:found],
+        wider,
+        inner,
+        outer,
+        steps_per_px,
+        profile,
+        reference,
+        threshold,
+        release_us,
+        now_us,
+        sleep,
+    )
+    if found <= sleep.watched.shape[1]:
+        for k in range(found):
+            pixel = sleep.awake[k]
+            sleep.watched[dot, k] = pixel
+            sleep.watched_px2[dot, 0, k] = sleep.lower2_px2[pixel >> PIXEL_SHIFT, pixel & COORDINATE_MASK]
+            sleep.watched_px2[dot, 1, k] = sleep.upper2_px2[pixel >> PIXEL_SHIFT, pixel & COORDINATE_MASK]
+        sleep.watching[dot] = found
+        sleep.watch_box[dot] = wider[0]
+
+
+@njit(cache=True)
+def _keep_listed(
+    dot: int,
+    box: NDArray[np.float64],
+    pixels: int,
+    watched: NDArray[np.int32],
+    watched_px2: NDArray[np.float32],
+    awake: NDArray[np.int32],
+    entry: NDArray[np.int64],
+) -> int:
+    """As `_keep_awake`, of a dot's list, for its box of (dots, 4); `entry` gets the kept ones' places in the list."""
+    centre_x = box[dot, 0]
+    centre_y = box[dot, 1]
+    half_x = np.float32(box[dot, 2])
+    half_y = np.float32(box[dot, 3])
+    kept = 0
+    for k in range(pixels):
+        pixel = watched[dot, k]
+        across = np.float32(abs((pixel & COORDINATE_MASK) - centre_x))
+        down = np.float32(abs((pixel >> PIXEL_SHIFT) - centre_y))
+        nearest_across = max(across - half_x, np.float32(0.0))
+        nearest_down = max(down - half_y, np.float32(0.0))
+        farthest_across = across + half_x
+        farthest_down = down + half_y
+        least2 = nearest_across * nearest_across + nearest_down * nearest_down
+        greatest2 = farthest_across * farthest_across + farthest_down * farthest_down
+        awake[kept] = pixel
+        entry[kept] = k
+        kept += int(not ((least2 >= watched_px2[dot, 0, k]) & (greatest2 <= watched_px2[dot, 1, k])))
+    return kept
+
+
+@njit(cache=True)
+def _renew_listed(
+    dot: int,
+    kept: int,
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    now_us: float,
+    sleep: Sleep,
+) -> None:
+    """Find new radii for the kept pixels of a dot's list that have fired; not yet for blind ones."""
+    for k in range(kept):
+        pixel = sleep.awake[k]
+        y = pixel >> PIXEL_SHIFT
+        x = pixel & COORDINATE_MASK
+        if sleep.lower2_px2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
+            radii = optics.sleeping_radii(
+                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, sleep.level_index
+            )
+            sleep.lower2_px2[y, x] = radii[0]
+            sleep.upper2_px2[y, x] = radii[1]
+        sleep.watched_px2[dot, 0, sleep.entry[k]] = sleep.lower2_px2[y, x]
+        sleep.watched_px2[dot, 1, sleep.entry[k]] = sleep.upper2_px2[y, x]
+
+
+@njit(cache=True)
+def _ring_pixels(own: NDArray[np.float64], inner: float, outer: float, awake_only: bool, sleep: Sleep) -> int:
+    """Collect the pixels of a dot's ring in `sleep.awake`, those that no place in its box (4,) lets fire left out.
+
+    They are not unless `awake_only`. Without a branch for each pixel, which would cost more than the rest. Returns
+    their number.
+    """
+    height, width = sleep.lower2_px2.shape
+    awake = sleep.awake
+    found = 0
+    first_row, end_row = rings.ring_rows(own, outer, height)
+    half_x = np.float32(own[2])
+    for y in range(first_row, end_row):
+        down = abs(y - own[1])
+        nearest_down2 = np.float32(max(down - own[3], 0.0) ** 2)
+        farthest_down2 = np.float32((down + own[3]) ** 2)
+        left, left_end, right, right_end = rings.ring_runs(own, inner, outer, y, width)
+        lower2 = sleep.lower2_px2[y]
+        upper2 = sleep.upper2_px2[y]
+        for first, end in ((left, left_end), (right, right_end)):
+            for x in range(first, end):
+                across = np.float32(abs(x - own[0]))
+                nearest_across = max(across - half_x, np.float32(0.0))
+                farthest_across = across + half_x
+                sleeps = (nearest_across * nearest_across + nearest_down2 >= lower2[x]) & (
+                    farthest_across * farthest_across + farthest_down2 <= upper2[x]
+                )
+                awake[found] = y << PIXEL_SHIFT | x
+                found += int(not (sleeps & awake_only))
+    return found
+
+
+@njit(cache=True)
+def _keep_own(dot: int, found: int, box: NDArray[np.float64], inner: float, outer: float, sleep: Sleep) -> int:
+    """Leave pixels that are also in the ring of an earlier dot that moves to that one; returns the number kept."""
+    height, width = sleep.lower2_px2.shape
+    kept = 0
+    for k in range(found):
+        pixel = sleep.awake[k]
+        y = pixel >> PIXEL_SHIFT
+        x = pixel & COORDINATE_MASK
+        taken = False
+        for other in range(dot):
+            if max(box[other, 2], box[other, 3]) <= 0.5 * RESOLUTION_PX:
+                continue
+            first_row, end_row = rings.ring_rows(box[other], outer, height)
+            if first_row <= y < end_row:
+                left, left_end, right, right_end = rings.ring_runs(box[other], inner, outer, y, width)
+                taken = taken or left <= x < left_end or right <= x < right_end
+        if not taken:
+            sleep.awake[kept] = pixel
+            kept += 1
+    return kept
+
+
+@njit(cache=True)
+def _keep_awake(
+    given: NDArray[np.int32],
+    near_box: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    now_us: float,
+    sleep: Sleep,
+) -> int:
+    """Collect in `sleep.awake` the given pixels that may fire while dots are in their boxes; returns how many.
+
+    Blind pixels have no radii and are kept: their references follow what they are shown.
+    """
+    awake = sleep.awake
+    lower2 = sleep.lower2_px2
+    upper2 = sleep.upper2_px2
+    alone = len(near_box) == 1
+    centre_x, centre_y, half_x, half_y = near_box[0]
+    kept = 0
+    for pixel in given:
+        y = pixel >> PIXEL_SHIFT
+        x = pixel & COORDINATE_MASK
+        if lower2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
+            radii = optics.sleeping_radii(
+                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, sleep.level_index
+            )
+            lower2[y, x] = radii[0]
+            upper2[y, x] = radii[1]
+        if alone:
+            across = abs(x - centre_x)
+            down = abs(y - centre_y)
+            nearest_across = max(across - half_x, 0.0)
+            nearest_down = max(down - half_y, 0.0)
+            least2 = nearest_across * nearest_across + nearest_down * nearest_down
+            greatest2 = (across + half_x) * (across + half_x) + (down + half_y) * (down + half_y)
+        else:
+            least2, greatest2 = rings.bounds(x, y, near_box)
+        awake[kept] = pixel
+        kept += int(not ((least2 >= lower2[y, x]) & (greatest2 <= upper2[y, x])))
+    return kept
+
+
+@njit(cache=True)
+def _compare_pixels(
+    awake: NDArray[np.int32],
     near_xy: NDArray[np.float64],
     inner: float,
     steps_per_px: float,
@@ -387,61 +673,52 @@ def _compare_ring(
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
+    lower2_px2: NDArray[np.float32],
+    upper2_px2: NDArray[np.float32],
     readout_us: NDArray[np.int64],
-    now_us: float,
+    t0_us: float,
     refractory_us: float,
-    picture: NDArray[np.float32],
-    line: NDArray[np.float32],
+    first_scan: int,
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare the pixels between the circles of radius `hole` and `rim` with the level that the nearest dot gives them.
+    """Compare some pixels in every scan with the level that the nearest of some dots (near, scans, 2) gives them.
 
-    `line` is scratch of a frame's width: all loops over a row but that of the comparison can be vectorised.
+    Until one fires, its radii say of most scans that it does not; its new ones are found when it is next needed.
     """
-    height, width = threshold.shape
+    near, shots, _ = near_xy.shape
+    scan_us = SLICE_US / len(readout_us)
     blinding = release_us.size > 0
-    keeping = picture.size > 0
-    for y in range(max(0, math.ceil(centre_y - rim)), min(height, math.floor(centre_y + rim) + 1)):
-        down = y - centre_y
-        rim_half = math.sqrt(max(0.0, rim * rim - down * down))
-        left = max(0, math.ceil(centre_x - rim_half))
-        right_end = min(width, math.floor(centre_x + rim_half) + 1)
-        left_end = right_end
-        right = right_end
-        if hole > abs(down):
-            hole_half = math.sqrt(hole * hole - down * down)
-            left_end = min(right_end, math.floor(centre_x - hole_half) + 1)
-            right = max(left, math.ceil(centre_x + hole_half))
-        # Not a function of its own: passing its arrays takes longer than the ten pixels of a run.
-        for first, end in ((left, left_end), (right, right_end)):
-            line[: max(0, end - first)] = np.inf
-            for near in range(len(near_xy)):
-                near_x = near_xy[near, 0]
-                down2 = np.float32(y - near_xy[near, 1]) ** 2
-                for k in range(end - first):
-                    across = np.float32(first + k - near_x)
-                    line[k] = min(line[k], across * across + down2)
-            for k in range(end - first):
-                line[k] = optics.profile_position(line[k], np.float32(inner), np.float32(steps_per_px))
-            if keeping or blinding:
-                for k in range(end - first):
-                    level = optics.profile_level(line[k], profile)
-                    if keeping:
-                        picture[y, first + k] = level
-                    if blinding and release_us[y, first + k] > now_us:
-                        reference[y, first + k] = level
-            for k in range(end - first):
-                x = first + k
-                level = optics.profile_level(line[k], profile)
-                change = level - reference[y, x]
-                if abs(change) >= threshold[y, x]:
-                    reference[y, x] = level
-                    if blinding:
-                        release_us[y, x] = now_us + refractory_us
-                    if made < len(keys):
-                        keys[made] = _key(readout_us[x], x, y, change > 0)
-                    made += 1
+    for pixel in awake:
+        y = pixel >> PIXEL_SHIFT
+        x = pixel & COORDINATE_MASK
+        lower2 = lower2_px2[y, x]
+        upper2 = upper2_px2[y, x]
+        for shot in range(shots):
+            distance2 = np.float32(np.inf)
+            for dot in range(near):
+                across = np.float32(x - near_xy[dot, shot, 0])
+                down = np.float32(y - near_xy[dot, shot, 1])
+                distance2 = min(distance2, across * across + down * down)
+            if lower2 <= distance2 <= upper2:
+                continue
+            now_us = t0_us + (first_scan + shot) * scan_us
+            position = optics.profile_position(distance2, np.float32(inner), np.float32(steps_per_px))
+            level = optics.profile_level(position, profile)
+            if blinding and release_us[y, x] > now_us:
+                reference[y, x] = level
+                continue
+            change = level - reference[y, x]
+            if abs(change) < threshold[y, x]:
+                continue
+            reference[y, x] = level
+            if made < len(keys):
+                keys[made] = _key(readout_us[first_scan + shot, x], x, y, change > 0)
+            made += 1
+            if blinding:
+                release_us[y, x] = now_us + refractory_us
+            lower2 = np.float32(np.inf)
+        lower2_px2[y, x] = lower2
     return made
 
 
@@ -454,10 +731,10 @@ def _scan_window(
     texture: NDArray[np.float32],
     first_x: int,
     first_y: int,
-    level: NDArray[np.float32],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
+    sleep: StripSleep,
     readout_us: NDArray[np.int64],
     t0_us: float,
     refractory_us: float,
@@ -466,39 +743,101 @@ def _scan_window(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare the window's pixels in every scan at which the object has moved or the contrast is another."""
+    """Compare the window's runs of pixels that may fire, in every scan at which the picture is another."""
     scans = len(readout_us)
+    rows, columns = reference.shape
+    runs = sleep.wake_at.shape[1]
+    line = np.empty(columns, np.float32)
     for scan in range(first_scan, end_scan):
         part = scan / scans
         x = start_xy[0] + part * (end_xy[0] - start_xy[0])
         y = start_xy[1] + part * (end_xy[1] - start_xy[1])
+        way = contrast * (sleep.across * abs(x - seen[0]) + sleep.down * abs(y - seen[1]))
         first_look = math.isnan(seen[2])
-        moved = contrast > 0.0 and math.hypot(x - seen[0], y - seen[1]) >= RESOLUTION_PX
-        if not (first_look or moved or contrast != seen[2]):
-            continue
-        optics.sample_texture(texture, first_x, first_y, x, y, contrast, level)
+        faded = contrast != seen[2]
         seen[0] = x
         seen[1] = y
         seen[2] = contrast
+        place = optics.texture_place(texture, first_x, first_y, x, y, contrast)
         if first_look:
-            reference += level
+            for row in range(rows):
+                optics.sample_texture_run(texture, *place, row, 0, columns, line)
+                reference[row] += line
             continue
+        if faded:
+            sleep.wake_at[:] = -np.inf
+            sleep.row_wakes_at[:] = -np.inf
+        elif way == 0.0:
+            continue
+        else:
+            sleep.travelled[0] += way
+        travelled = sleep.travelled[0]
+        fast = faded or way > FAST_LEVEL
+        rounding = RUN_ROUNDING * contrast * sleep.greatest
         now_us = t0_us + scan * SLICE_US / scans
-        for row in range(len(level)):
-            made = _compare_row(
-                level[row],
-                reference[row],
-                threshold[row],
-                release_us[row],
-                first_x,
-                first_y + row,
-                readout_us[scan],
-                now_us,
-                refractory_us,
-                keys,
-                made,
-            )
+        for row in range(rows):
+            if not fast and travelled < sleep.row_wakes_at[row]:
+                continue
+            wake_at = sleep.wake_at[row]
+            run = 0
+            while run < runs:
+                if not fast and travelled < wake_at[run]:
+                    run += 1
+                    continue
+                first_run = run
+                while run < runs and (fast or travelled >= wake_at[run]):
+                    run += 1
+                first = first_run * RUN_PX
+                end = min(run * RUN_PX, columns)
+                optics.sample_texture_run(texture, *place, row, first, end, line)
+                blind_until_us = release_us[row, first:end]
+                made = _compare_row(
+                    line,
+                    reference[row, first:end],
+                    threshold[row, first:end],
+                    blind_until_us,
+                    first_x + first,
+                    first_y + row,
+                    readout_us[scan],
+                    now_us,
+                    refractory_us,
+                    keys,
+                    made,
+                )
+                if fast:  # what slept may go on to: it has not fired
+                    continue
+                for awake_run in range(first_run, run):
+                    begin = awake_run * RUN_PX
+                    beyond = min(begin + RUN_PX, columns)
+                    slack = _least_slack(
+                        line[begin - first : beyond - first],
+                        reference[row, begin:beyond],
+                        threshold[row, begin:beyond],
+                        blind_until_us[begin - first : beyond - first],
+                        now_us,
+                    )
+                    wake_at[awake_run] = travelled + slack - rounding
+            if not fast:
+                sleep.row_wakes_at[row] = wake_at.min()
     return made
+
+
+@njit(cache=True)
+def _least_slack(
+    level: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    now_us: float,
+) -> float:
+    """By how much levels side by side may surely change before any pixel fires; none while one of them is blind."""
+    for k in range(len(release_us)):
+        if release_us[k] > now_us:
+            return -np.inf
+    least = np.float32(np.inf)
+    for k in range(len(level)):
+        least = min(least, threshold[k] * np.float32(1.0 - RUN_ROUNDING) - abs(level[k] - reference[k]))
+    return float(least)
 
 
 @njit(cache=True)
@@ -515,17 +854,20 @@ def _compare_row(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare pixels side by side, the first of which is (first_x, y); `release_us` is empty where none gets blind."""
+    """Compare pixels side by side, the first of which is (first_x, y), with the first levels.
+
+    `release_us` is empty where no pixel gets blind.
+    """
     for k in range(len(release_us)):
         if release_us[k] > now_us:
             reference[k] = level[k]
     # Most rows have nothing to report, and counting vectorises.
     fired = 0
-    for k in range(len(level)):
+    for k in range(len(reference)):
         fired += int(abs(level[k] - reference[k]) >= threshold[k])
     if fired == 0:
         return made
-    for k in range(len(level)):
+    for k in range(len(reference)):
         change = level[k] - reference[k]
         if abs(change) >= threshold[k]:
             reference[k] = level[k]
@@ -557,10 +899,10 @@ def _scan_lines(
 
     `seen` are the arrays of the rims, `gel` and `window` the arguments of `_scan_dots` and `_scan_window`.
     """
-    seen_corner, seen_cut_x, seen_level, seen_cut_level, dot_level = seen
-    reference, threshold, release_us = gel[5:]
-    first_x, first_y, strip_level, strip_reference = window[5:9]
-    pixels = (dot_level, *gel[5:], *window[5:])
+    seen_corner, seen_cut_x, seen_level, seen_cut_level = seen
+    outer = gel[2]
+    reference = gel[5]
+    sleep = gel[8]
     scans = len(readout_us)
     height, width = reference.shape
     rows, columns = outline.picture.shape
@@ -568,8 +910,16 @@ def _scan_lines(
     moved_from = seen_corner.copy()
     cut_from = seen_cut_x.copy()
     line = np.empty(width, np.float32)
+    contrast, object_seen, texture, first_x, first_y, strip_reference = window[2:8]
+    reach = _reach_of_lines(start, end, cut_half, rows, columns, seen_corner, seen_cut_x)
+    dot_xy, dots = _dots_at_lines(path, gel[0], scans, outer, reach)
+    scanned = (readout_us, t0_us, refractory_us)
+    runs_wake_at = (window[10].wake_at, window[10].row_wakes_at)
+    shifted = (reference, sleep.lower2_px2, first_x, first_y, strip_reference, *runs_wake_at)
     made = 0
     of_lines = 0
+    if dots == 0:
+        made = _scan_dots(path, *gel, *scanned, 0, scans, keys, made)
     for scan in range(scans):
         part = scan / scans
         now_us = t0_us + scan * SLICE_US / scans
@@ -582,38 +932,48 @@ def _scan_lines(
         moved_from[:] = seen_corner
         faded = strength != seen_corner[2]
         way = (x, y, moved_from[0], moved_from[1], faded)
+        touched = (width, 0)
         for row in range(first_row, end_row):
             left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *way)
             for first, beyond in ((left, left_end), (right, right_end)):
                 sample_row(outline.picture, x, y, strength, row, first, beyond, line)
-                _shift(line, seen_level, row, first, beyond, reference, first_x, first_y, strip_reference)
+                _shift(line, seen_level, row, first, beyond, *shifted)
+            touched = (min(touched[0], left), max(touched[1], right_end))
+        _forget_lists(sleep.watch_box, outer, first_row, end_row, *touched)
         if first_row < end_row:
             seen_corner[0] = x
             seen_corner[1] = y
             seen_corner[2] = strength
         cut_from[:] = seen_cut_x
+        touched = (width, 0)
         for row in range(cut_rows):
             cut_x = start.cut_x_px[row] + part * (end.cut_x_px[row] - start.cut_x_px[row])
             if cut_moved(cut_contrast, cut_half, seen_cut_x[row], cut_x):
                 first, beyond = cut_run(cut_half, width, seen_cut_x[row], cut_x)
                 sample_cut(cut_contrast, cut_half, cut_x, first, beyond, line)
-                _shift(line, seen_cut_level, row, first, beyond, reference, first_x, first_y, strip_reference)
+                _shift(line, seen_cut_level, row, first, beyond, *shifted)
                 seen_cut_x[row] = cut_x
+                touched = (min(touched[0], first), max(touched[1], beyond))
+        _forget_lists(sleep.watch_box, outer, 0, cut_rows, *touched)
 
-        made = _scan_dots(path, *gel, readout_us, t0_us, refractory_us, scan, scan + 1, dot_level, keys, made)
-        if strip_level.size:
-            made = _scan_window(*window, readout_us, t0_us, refractory_us, scan, scan + 1, keys, made)
+        if dots > 0:
+            made = _scan_dots(path, *gel, *scanned, scan, scan + 1, keys, made)
+        if strip_reference.size:
+            made = _scan_window(*window, *scanned, scan, scan + 1, keys, made)
 
         before = made
         when = (readout_us[scan], now_us, refractory_us)
+        place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
+        picture = (dot_xy[scan, :dots], *gel[1:5], texture, place)
+        pixels = (*gel[5:8], sleep.lower2_px2, first_x, first_y, *window[7:10], *runs_wake_at)
         for row in range(first_row, end_row):
             left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *way)
             for first, beyond in ((left, left_end), (right, right_end)):
-                made = _compare_across(pixels, row, first, beyond, *when, keys, made)
+                made = _compare_across(picture, pixels, row, first, beyond, *when, line, keys, made)
         for row in range(cut_rows):
             if cut_from[row] != seen_cut_x[row]:
                 first, beyond = cut_run(cut_half, width, cut_from[row], seen_cut_x[row])
-                made = _compare_across(pixels, row, first, beyond, *when, keys, made)
+                made = _compare_across(picture, pixels, row, first, beyond, *when, line, keys, made)
         of_lines += made - before
     return made, of_lines
 
@@ -626,25 +986,53 @@ def _shift(
     first: int,
     end: int,
     reference: NDArray[np.float32],
+    lower2_px2: NDArray[np.float32],
     first_x: int,
     first_y: int,
     strip_reference: NDArray[np.float32],
+    wake_at: NDArray[np.float64],
+    row_wakes_at: NDArray[np.float64],
 ) -> None:
     """Take what lines add to pixels first to end of a row for seen: change their references by as much the other way.
 
     The pixels of the window have references of their own; under them those of the gel are of no account.
     """
     strip_rows, strip_columns = strip_reference.shape
-    if first_y <= row < first_y + strip_rows:
-        for x in range(max(first, first_x), min(end, first_x + strip_columns)):
-            strip_reference[row - first_y, x - first_x] -= line[x - first] - seen_level[row, x]
+    left = max(first, first_x) - first_x
+    right = min(end, first_x + strip_columns) - first_x
+    own = row - first_y
+    if 0 <= own < strip_rows and left < right:
+        for x in range(left, right):
+            strip_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
+        _wake_runs(wake_at, row_wakes_at, own, left, right)
     for k in range(end - first):
         reference[row, first + k] -= line[k] - seen_level[row, first + k]
         seen_level[row, first + k] = line[k]
+        lower2_px2[row, first + k] = np.inf
+
+
+@njit(cache=True)
+def _wake_runs(wake_at: NDArray[np.float64], row_wakes_at: NDArray[np.float64], row: int, first: int, end: int) -> None:
+    """Let the runs of a row of the window that hold pixels first to end be compared when the object next moves."""
+    for run in range(first // RUN_PX, (end - 1) // RUN_PX + 1):
+        wake_at[row, run] = -np.inf
+    row_wakes_at[row] = -np.inf
+
+
+@njit(cache=True)
+def _forget_lists(watch_box: NDArray[np.float64], outer: float, top: int, bottom: int, left: int, right: int) -> None:
+    """Drop the lists of dots that can come near rows top to bottom, columns left to right."""
+    for dot in range(len(watch_box)):
+        reach_x = watch_box[dot, 2] + outer
+        reach_y = watch_box[dot, 3] + outer
+        across = left <= watch_box[dot, 0] + reach_x and watch_box[dot, 0] - reach_x <= right
+        if across and top <= watch_box[dot, 1] + reach_y and watch_box[dot, 1] - reach_y <= bottom:
+            watch_box[dot] = np.nan
 
 
 @njit(cache=True)
 def _compare_across(
+    picture: tuple[Any, ...],
     pixels: tuple[Any, ...],
     row: int,
     first: int,
@@ -652,16 +1040,22 @@ def _compare_across(
     readout_us: NDArray[np.int64],
     now_us: float,
     refractory_us: float,
+    line: NDArray[np.float32],
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare pixels first to end of a row of the frame, those of the gel and those of the window."""
-    dot_level, reference, threshold, release_us, first_x, first_y = pixels[:6]
-    strip_level, strip_reference, strip_threshold, strip_release_us = pixels[6:]
+    """Compare pixels first to end of a row of the frame, those of the gel and those of the window.
+
+    `picture` is what draws both, `pixels` what they have.
+    """
+    dot_xy, inner, outer, steps_per_px, profile, texture, place = picture
+    reference, threshold, release_us, lower2, first_x, first_y = pixels[:6]
+    strip_reference, strip_threshold, strip_release_us, wake_at, row_wakes_at = pixels[6:]
     when = (readout_us, now_us, refractory_us, keys)
     if first < end:
+        optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, first, end, line)
         made = _compare_row(
-            dot_level[row, first:end],
+            line,
             reference[row, first:end],
             threshold[row, first:end],
             release_us[row, first:end],
@@ -670,12 +1064,14 @@ def _compare_across(
             *when,
             made,
         )
-    strip_rows, strip_columns = strip_level.shape
+        lower2[row, first:end] = np.inf
+    strip_rows, strip_columns = strip_reference.shape
     left = max(first, first_x) - first_x
     right = min(end, first_x + strip_columns) - first_x
     if first_y <= row < first_y + strip_rows and left < right:
+        optics.sample_texture_run(texture, *place, row - first_y, left, right, line)
         made = _compare_row(
-            strip_level[row - first_y, left:right],
+            line,
             strip_reference[row - first_y, left:right],
             strip_threshold[row - first_y, left:right],
             strip_release_us[row - first_y, left:right],
@@ -684,7 +1080,66 @@ def _compare_across(
             *when,
             made,
         )
+        _wake_runs(wake_at, row_wakes_at, row - first_y, left, right)
     return made
+
+
+@njit(cache=True)
+def _reach_of_lines(
+    start: Place,
+    end: Place,
+    cut_half: float,
+    rows: int,
+    columns: int,
+    seen_corner: NDArray[np.float64],
+    seen_cut_x: NDArray[np.float64],
+) -> tuple[float, float, float, float]:
+    """A box that holds all pixels whose level lines can change in a slice: left, top, right, bottom."""
+    left = np.inf
+    top = np.inf
+    right = -np.inf
+    bottom = -np.inf
+    if rows:
+        for x, y in (
+            (start.corner_px[0], start.corner_px[1]),
+            (end.corner_px[0], end.corner_px[1]),
+            (seen_corner[0], seen_corner[1]),
+        ):
+            left = min(left, x - 2.0)
+            top = min(top, y - 2.0)
+            right = max(right, x + columns + 2.0)
+            bottom = max(bottom, y + rows + 2.0)
+    for row in range(len(seen_cut_x)):
+        left = min(left, start.cut_x_px[row] - cut_half, end.cut_x_px[row] - cut_half, seen_cut_x[row] - cut_half)
+        right = max(right, start.cut_x_px[row] + cut_half, end.cut_x_px[row] + cut_half, seen_cut_x[row] + cut_half)
+        top = -np.inf
+        bottom = np.inf
+    return left, top, right, bottom
+
+
+@njit(cache=True)
+def _dots_at_lines(
+    path: NDArray[np.float64],
+    seen_xy: NDArray[np.float64],
+    scans: int,
+    outer: float,
+    reach: tuple[float, float, float, float],
+) -> tuple[NDArray[np.float64], int]:
+    """Where the dots that come near lines are at each scan, the first of (scans, dots, 2), and how many they are."""
+    left, top, right, bottom = reach
+    at_xy = np.empty((len(path), scans, 2))
+    _at_scans(path, scans, 0, at_xy)
+    box = rings.boxes(at_xy, seen_xy)
+    near_xy = np.empty((scans, len(path), 2))
+    near = 0
+    for dot in range(len(path)):
+        reach_x = box[dot, 2] + outer
+        reach_y = box[dot, 3] + outer
+        across = left <= box[dot, 0] + reach_x and box[dot, 0] - reach_x <= right
+        if across and top <= box[dot, 1] + reach_y and box[dot, 1] - reach_y <= bottom:
+            near_xy[:, near] = at_xy[dot]
+            near += 1
+    return near_xy, near
 
 
 def _places(
@@ -718,12 +1173,15 @@ def _leak(state: CameraState, t0_us: int, made: int) -> int:
             state.reference,
             state.threshold,
             state.release_us,
+            state.sleep,
+            state.seen_object,
+            state.texture,
             state.window_px[0],
             state.window_px[1],
-            state.strip_level,
             state.strip_reference,
             state.strip_threshold,
             state.strip_release_us,
+            state.strip_sleep,
             state.readout_us,
             float(t0_us),
             float(state.model.refractory_us),
@@ -745,12 +1203,15 @@ def _leak_rows(
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
+    sleep: Sleep,
+    object_seen: NDArray[np.float64],
+    texture: NDArray[np.float32],
     first_x: int,
     first_y: int,
-    strip_level: NDArray[np.float32],
     strip_reference: NDArray[np.float32],
     strip_threshold: NDArray[np.float32],
     strip_release_us: NDArray[np.float64],
+    strip_sleep: StripSleep,
     readout_us: NDArray[np.int64],
     t0_us: float,
     refractory_us: float,
@@ -759,17 +1220,24 @@ def _leak_rows(
 ) -> int:
     """Visit every LEAK_SLICES-th row, each in one of the slice's scans; `drift` is in thresholds."""
     height, width = reference.shape
+    strip_rows, strip_columns = strip_reference.shape
     scans = len(readout_us)
     line = np.empty(width, np.float32)
+    sleep.watch_box[:] = np.nan
     for row in range(first_row, height, LEAK_SLICES):
         scan = (row // LEAK_SLICES) % scans
         when = (drift, row, readout_us[scan], t0_us + scan * SLICE_US / scans, refractory_us, keys)
         optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, 0, width, line)
         made = _leak_row(line, reference[row], threshold[row], release_us[row], 0, *when, made)
+        sleep.lower2_px2[row] = np.inf
         own = row - first_y
-        if 0 <= own < len(strip_level):
-            strip = (strip_level[own], strip_reference[own], strip_threshold[own], strip_release_us[own])
-            made = _leak_row(*strip, first_x, *when, made)
+        if 0 <= own < strip_rows:
+            place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], object_seen[2])
+            optics.sample_texture_run(texture, *place, own, 0, strip_columns, line)
+            strip = (strip_reference[own], strip_threshold[own], strip_release_us[own])
+            made = _leak_row(line, *strip, first_x, *when, made)
+            strip_sleep.wake_at[own] = -np.inf
+            strip_sleep.row_wakes_at[own] = -np.inf
     return made
 
 
@@ -789,7 +1257,7 @@ def _leak_row(
     made: int,
 ) -> int:
     """Lower references side by side. After an event they keep what has leaked since the crossing, or the rate falls."""
-    for k in range(len(level)):
+    for k in range(len(reference)):
         step = threshold[k]
         if step == np.inf:  # a pixel of the window, which has references of its own
             continue
@@ -896,7 +1364,10 @@ def _path(
 ) -> NDArray[np.float64]:
     """Vertices of every dot's path, shape (dots, k + 1, 2)."""
     if given is None:
-        return np.ascontiguousarray(np.stack([dots_start, dots_end], axis=1))
+        ends = np.empty((len(dots_start), 2, 2))
+        ends[:, 0] = dots_start
+        ends[:, 1] = dots_end
+        return ends
     dots = len(dots_start)
     path = np.asarray(given, np.float64)
     if path.ndim != 3 or path.shape[1:] != (dots, 2) or not 2 <= len(path) <= MOST_PIECES + 1:

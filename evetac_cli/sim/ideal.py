@@ -37,7 +37,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim import camera, optics
+from evetac_cli.sim import camera, optics, rings
 from evetac_cli.sim.camera import LEAK_SLICES, CameraModel, CameraState
 from evetac_cli.sim.rims import Outline, Place, Rims, cut_run, outline_rows, outline_runs, sample_cut, sample_row
 
@@ -77,7 +77,7 @@ class IdealState:
     """
 
     shared: CameraState
-    level_index: NDArray[np.int64]
+    level_index: NDArray[np.int16]
     lower2_px2: NDArray[np.float32]
     upper2_px2: NDArray[np.float32]
     solved_in: NDArray[np.int64]
@@ -209,7 +209,7 @@ def _all_radii(
     inner: float,
     steps_per_px: float,
     profile: NDArray[np.float32],
-    index: NDArray[np.int64],
+    index: NDArray[np.int16],
     lower2: NDArray[np.float32],
     upper2: NDArray[np.float32],
 ) -> None:
@@ -230,7 +230,7 @@ def _solve_dots(
     outer: float,
     steps_per_px: float,
     profile: NDArray[np.float32],
-    index: NDArray[np.int64],
+    index: NDArray[np.int16],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     lower2: NDArray[np.float32],
@@ -250,7 +250,7 @@ def _solve_dots(
     """
     height, width = reference.shape
     dots, vertices, _ = path.shape
-    box = _boxes(path, seen_xy)
+    box = rings.boxes(path, seen_xy)
     near_path = np.empty((dots, vertices, 2))
     near_box = np.empty((dots, 4))
     travelled = np.empty(vertices)
@@ -262,24 +262,13 @@ def _solve_dots(
         half_y = box[dot, 3]
         if half_x == 0.0 and half_y == 0.0:
             continue
-        near = _dots_near(dot, path, box, outer, near_path, near_box)
+        near = rings.dots_near(dot, path, box, outer, near_path, near_box)
         wakes = 0
-        for y in range(
-            max(0, math.ceil(centre_y - half_y - outer)), min(height, math.floor(centre_y + half_y + outer) + 1)
-        ):
+        for y in range(*rings.ring_rows(box[dot], outer, height)):
             down = abs(y - centre_y)
             nearest_down = max(down - half_y, 0.0)
             farthest_down = down + half_y
-            rim_half = half_x + math.sqrt(max(0.0, outer * outer - nearest_down * nearest_down))
-            left = max(0, math.ceil(centre_x - rim_half))
-            right_end = min(width, math.floor(centre_x + rim_half) + 1)
-            left_end = right_end
-            right = right_end
-            if inner > farthest_down:
-                hole_half = math.sqrt(inner * inner - farthest_down * farthest_down) - half_x
-                if hole_half > 0.0:
-                    left_end = min(right_end, math.floor(centre_x - hole_half) + 1)
-                    right = max(left, math.ceil(centre_x + hole_half))
+            left, left_end, right, right_end = rings.ring_runs(box[dot], inner, outer, y, width)
             for first, end in ((left, left_end), (right, right_end)):
                 for x in range(first, end):
                     across = abs(x - centre_x)
@@ -295,7 +284,7 @@ def _solve_dots(
                     else:
                         if solved_in[y, x] == this_slice:
                             continue
-                        nearest2, farthest2 = _bounds(x, y, near_box[:near])
+                        nearest2, farthest2 = rings.bounds(x, y, near_box[:near])
                         if nearest2 >= lower2[y, x] and farthest2 <= upper2[y, x]:
                             continue
                         solved_in[y, x] = this_slice
@@ -325,47 +314,6 @@ def _solve_dots(
 
 
 @njit(cache=True)
-def _boxes(path: NDArray[np.float64], seen_xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Centre and half sides of the box round each dot's path and where it was last, shape (dots, 4)."""
-    dots, vertices, _ = path.shape
-    box = np.empty((dots, 4))
-    for dot in range(dots):
-        for axis in range(2):
-            low = seen_xy[dot, axis]
-            high = low
-            for vertex in range(vertices):
-                low = min(low, path[dot, vertex, axis])
-                high = max(high, path[dot, vertex, axis])
-            box[dot, axis] = 0.5 * (low + high)
-            box[dot, 2 + axis] = 0.5 * (high - low)
-    return box
-
-
-@njit(cache=True)
-def _dots_near(
-    dot: int,
-    path: NDArray[np.float64],
-    box: NDArray[np.float64],
-    outer: float,
-    near_path: NDArray[np.float64],
-    near_box: NDArray[np.float64],
-) -> int:
-    """Collect the dots that may be the nearest one of a pixel in this dot's ring; returns their number.
-
-    A dot is one of them if it may darken a pixel that this one may darken; farther ones show bare gel there.
-    """
-    near = 0
-    for other in range(len(path)):
-        reach_x = box[dot, 2] + box[other, 2] + 2.0 * outer
-        reach_y = box[dot, 3] + box[other, 3] + 2.0 * outer
-        if abs(box[dot, 0] - box[other, 0]) <= reach_x and abs(box[dot, 1] - box[other, 1]) <= reach_y:
-            near_path[near] = path[other]
-            near_box[near] = box[other]
-            near += 1
-    return near
-
-
-@njit(cache=True)
 def _travel(near_path: NDArray[np.float64], travelled: NDArray[np.float64]) -> None:
     """Path length up to each vertex, in every piece that of the fastest dot: a pixel's rho changes by no more."""
     near, vertices, _ = near_path.shape
@@ -380,19 +328,6 @@ def _travel(near_path: NDArray[np.float64], travelled: NDArray[np.float64]) -> N
 
 
 @njit(cache=True)
-def _bounds(x: int, y: int, near_box: NDArray[np.float64]) -> tuple[float, float]:
-    """Least and greatest square of a pixel's distance to the nearest dot, each anywhere in its box."""
-    least2 = np.inf
-    greatest2 = np.inf
-    for dot in range(len(near_box)):
-        across = abs(x - near_box[dot, 0])
-        down = abs(y - near_box[dot, 1])
-        least2 = min(least2, max(across - near_box[dot, 2], 0.0) ** 2 + max(down - near_box[dot, 3], 0.0) ** 2)
-        greatest2 = min(greatest2, (across + near_box[dot, 2]) ** 2 + (down + near_box[dot, 3]) ** 2)
-    return least2, greatest2
-
-
-@njit(cache=True)
 def _solve_pixels(
     awake: NDArray[np.int64],
     near_path: NDArray[np.float64],
@@ -400,7 +335,7 @@ def _solve_pixels(
     inner: float,
     steps_per_px: float,
     profile: NDArray[np.float32],
-    index: NDArray[np.int64],
+    index: NDArray[np.int16],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     lower2: NDArray[np.float32],

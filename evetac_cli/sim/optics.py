@@ -19,10 +19,12 @@ EDGE_SIGMA_PX = 1.2
 INNER_SIGMAS = 3.5
 OUTER_SIGMAS = 3.0
 PROFILE_STEPS = 1024
-LEVEL_BINS = 1024
+LEVEL_BINS = 4096
 # Ink and bare gel are limits that the edge's formula never reaches; the table does. Levels this close to one, far more
 # than rounding, count as the limit itself, or a dot's return would end with an event that no edge makes.
 LIMIT_MARGIN = 1e-5
+# More than single precision costs a level, relative to 1 + threshold + reference: nearer is over.
+LEVEL_ROUNDING = 3e-5
 
 
 class DotProfile(NamedTuple):
@@ -85,7 +87,7 @@ def level_at(distance_px: float, inner_px: float, steps_per_px: float, level: ND
     return below + (position - index) * (np.float64(level[index + 1]) - below)
 
 
-def level_index(profile: DotProfile) -> NDArray[np.int64]:
+def level_index(profile: DotProfile) -> NDArray[np.int16]:
     """Where to look for a level in a profile: entry k is the last place at or below the k-th of LEVEL_BINS + 1 levels.
 
     The levels are equally spaced from ink to gel. It saves most of the bisection in `squared_radius`.
@@ -93,12 +95,12 @@ def level_index(profile: DotProfile) -> NDArray[np.int64]:
     ink = np.float64(profile.level[0])
     levels = ink * (1.0 - np.arange(LEVEL_BINS + 1) / LEVEL_BINS)
     found = np.searchsorted(profile.level[: PROFILE_STEPS + 1].astype(np.float64), levels, side="right") - 1
-    return found.astype(np.int64)
+    return found.astype(np.int16)
 
 
 @njit(cache=True)
 def squared_radius(
-    target: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32], index: NDArray[np.int64]
+    target: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32], index: NDArray[np.int16]
 ) -> float:
     """The square of the distance at which a dot has the level `target`, the exact inverse of the table.
 
@@ -130,6 +132,33 @@ def squared_radius(
     part = min(max((target - below) / rise, 0.0), 1.0) if rise > 0.0 else 0.0
     radius = inner_px + (first + part) / steps_per_px
     return radius * radius if radius >= 0.0 else -1.0
+
+
+@njit(cache=True)
+def sleeping_radii(
+    reference: float,
+    threshold: float,
+    inner_px: float,
+    outer_px: float,
+    steps_per_px: float,
+    level: NDArray[np.float32],
+    index: NDArray[np.int16],
+) -> tuple[float, float]:
+    """Squares of two distances between which a dot's level surely is within a threshold of a reference.
+
+    On the safe side of `squared_radius` by what single precision costs. Infinity for the first: nowhere.
+    """
+    if threshold == np.inf:
+        return 0.0, np.inf
+    rounding_px = 1e-5 * outer_px + 1e-3 / steps_per_px
+    within = threshold - LEVEL_ROUNDING * (1.0 + threshold + abs(reference))
+    lower2 = squared_radius(reference - within, inner_px, steps_per_px, level, index)
+    upper2 = squared_radius(reference + within, inner_px, steps_per_px, level, index)
+    lower = math.sqrt(max(lower2, 0.0)) + rounding_px
+    if upper2 > 0.0:
+        upper = max(math.sqrt(upper2) - rounding_px, 0.0)
+        upper2 = upper * upper
+    return lower * lower, upper2
 
 
 def gel_level(frame_px: tuple[int, int], dot_xy_px: NDArray[np.float64], profile: DotProfile) -> NDArray[np.float32]:
@@ -231,8 +260,26 @@ def sample_texture(
     level = contrast * texture(y - object_y, x - object_x), bilinear and periodic, for a texture whose sides are powers
     of two. All pixels of one scan share the same fraction of a pixel, hence the same four weights.
     """
-    texture_rows, texture_columns = texture.shape
+    place = texture_place(texture, first_x, first_y, object_x_px, object_y_px, contrast)
     rows, columns = level.shape
+    for row in range(rows):
+        sample_texture_run(texture, *place, row, 0, columns, level[row])
+
+
+@njit(cache=True)
+def texture_place(
+    texture: NDArray[np.float32],
+    first_x: int,
+    first_y: int,
+    object_x_px: float,
+    object_y_px: float,
+    contrast: float,
+) -> tuple[int, int, np.float32, np.float32, np.float32, np.float32]:
+    """The texel under pixel (first_x, first_y) of a moved object (column, row), and the weights of it and the next.
+
+    Of the four: upper left, upper right, lower left, lower right.
+    """
+    texture_rows, texture_columns = texture.shape
     # Into one period while still floats, so that no displacement is too far.
     source_x = (first_x - object_x_px) % texture_columns
     source_y = (first_y - object_y_px) % texture_rows
@@ -240,35 +287,57 @@ def sample_texture(
     whole_y = int(source_y)
     part_x = source_x - whole_x
     part_y = source_y - whole_y
-    upper_left = np.float32(contrast * (1.0 - part_y) * (1.0 - part_x))
-    upper_right = np.float32(contrast * (1.0 - part_y) * part_x)
-    lower_left = np.float32(contrast * part_y * (1.0 - part_x))
-    lower_right = np.float32(contrast * part_y * part_x)
-    for row in range(rows):
-        upper = texture[(whole_y + row) & (texture_rows - 1)]
-        lower = texture[(whole_y + row + 1) & (texture_rows - 1)]
-        done = 0
-        while done < columns:
-            # Up to the seam only: an index that may wrap keeps the loop from being vectorised, 5 times slower.
-            left = (whole_x + done) & (texture_columns - 1)
-            run = min(columns - done, texture_columns - 1 - left)
-            if run == 0:
-                level[row, done] = (
-                    upper_left * upper[left]
-                    + upper_right * upper[0]
-                    + lower_left * lower[left]
-                    + lower_right * lower[0]
-                )
-                done += 1
-                continue
-            above = upper[left : left + run + 1]
-            below = lower[left : left + run + 1]
-            out = level[row, done : done + run]
-            for k in range(run):
-                out[k] = (
-                    upper_left * above[k]
-                    + upper_right * above[k + 1]
-                    + lower_left * below[k]
-                    + lower_right * below[k + 1]
-                )
-            done += run
+    return (
+        whole_x,
+        whole_y,
+        np.float32(contrast * (1.0 - part_y) * (1.0 - part_x)),
+        np.float32(contrast * (1.0 - part_y) * part_x),
+        np.float32(contrast * part_y * (1.0 - part_x)),
+        np.float32(contrast * part_y * part_x),
+    )
+
+
+@njit(cache=True)
+def sample_texture_run(
+    texture: NDArray[np.float32],
+    whole_x: int,
+    whole_y: int,
+    upper_left: np.float32,
+    upper_right: np.float32,
+    lower_left: np.float32,
+    lower_right: np.float32,
+    row: int,
+    first: int,
+    end: int,
+    level: NDArray[np.float32],
+) -> None:
+    """Fill level[: end - first] with pixels first to end of a row, counted from that of `texture_place`."""
+    texture_rows, texture_columns = texture.shape
+    upper = texture[(whole_y + row) & (texture_rows - 1)]
+    lower = texture[(whole_y + row + 1) & (texture_rows - 1)]
+    columns = end - first
+    done = 0
+    while done < columns:
+        # Up to the seam only: an index that may wrap keeps the loop from being vectorised, 5 times slower.
+        left = (whole_x + first + done) & (texture_columns - 1)
+        run = min(columns - done, texture_columns - 1 - left)
+        if run == 0:
+            level[done] = (
+                upper_left * upper[left] + upper_right * upper[0] + lower_left * lower[left] + lower_right * lower[0]
+            )
+            done += 1
+            continue
+        above = upper[left : left + run + 1]
+        below = lower[left : left + run + 1]
+        out = level[done : done + run]
+        for k in range(run):
+            out[k] = (
+                upper_left * above[k] + upper_right * above[k + 1] + lower_left * below[k] + lower_right * below[k + 1]
+            )
+        done += run
+
+
+def texture_slope(texture: NDArray[np.float32]) -> tuple[float, float, float]:
+    """The greatest change of a texture's level per px across and down, and its greatest size, at contrast 1."""
+    across, down = (float(np.abs(np.roll(texture, 1, axis) - texture).max()) for axis in (1, 0))
+    return across, down, float(np.abs(texture).max())

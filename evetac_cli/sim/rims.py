@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 # A rim ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
 RIM_SIGMAS = 3.5
-# Looked at again once a level can have changed by this, as with dots (RESOLUTION_PX at their steepest slope).
+# Looked at again once a level can have changed by this, a fortieth of a threshold.
 LEVEL_RESOLUTION = 0.005
 # A line (1 - (d / h)^2)^2 is half as deep at d = 0.541 h, and steepest there where (d / h)^2 = 1 / 3.
 HALF_DEPTH = math.sqrt(1.0 - math.sqrt(0.5))
@@ -60,11 +60,12 @@ class Rims:
     """The lines before one camera, and what it last saw of them; a camera's `step` changes it in place.
 
     `seen_level` and `seen_cut_level` (height, width) are the levels that an outline and the cut edge add at
-    `seen_corner` (x, y, strength) and `seen_cut_x`. `dot_level` (height, width) is the picture of the dots, kept by the
-    scanning camera. `events` counts those of the last slice that no moving dot and no texture made. `rested` is the
-    place at which all lines were for a whole slice, and were looked at: there, nothing is left to do.
+    `seen_corner` (x, y, strength) and `seen_cut_x`. `events` counts those of the last slice that no moving dot and no
+    texture made. `rested` is the place at which all lines were for a whole slice, and were looked at: there, nothing is
+    left to do.
     """
 
+    frame_px: tuple[int, int]
     outline: Outline
     cut_contrast: float
     cut_half_px: float
@@ -72,7 +73,6 @@ class Rims:
     seen_cut_x: Floats
     seen_level: NDArray[np.float32]
     seen_cut_level: NDArray[np.float32]
-    dot_level: NDArray[np.float32]
     rested: Place | None = None
     events: int = 0
 
@@ -84,8 +84,7 @@ class Rims:
         )
         if not outline_still:
             return False
-        moved = [np.abs(place.cut_x_px - self.seen_cut_x).max(initial=0.0) for place in (start, end)]
-        return bool(moved[0] <= cut_px and moved[1] <= cut_px)
+        return all(bool(_farthest(place.cut_x_px, self.seen_cut_x) <= cut_px) for place in (start, end))
 
     @property
     def cut_resolution_px(self) -> float:
@@ -113,6 +112,7 @@ def start(
     drawn = Outline(np.zeros((0, 0), np.float32), np.empty((0, 4), np.int64), 0.0, 0.0) if outline is None else outline
     cut = len(place.cut_x_px) > 0
     rims = Rims(
+        frame_px=(width, height),
         outline=drawn,
         cut_contrast=float(cut_contrast),
         cut_half_px=0.5 * cut_width_px / HALF_DEPTH,
@@ -120,7 +120,6 @@ def start(
         seen_cut_x=np.empty(height if cut else 0),
         seen_level=np.zeros((height, width) if drawn.picture.size else (0, 0), np.float32),
         seen_cut_level=np.zeros((height, width) if cut else (0, 0), np.float32),
-        dot_level=np.zeros((height, width), np.float32),
     )
     checked = check_place("place", rims, place)
     rims.seen_corner[:] = *checked.corner_px, checked.strength
@@ -139,11 +138,28 @@ def check_place(name: str, rims: Rims, place: Place) -> Place:
     if corner.shape != (2,) or cut_x.shape != rims.seen_cut_x.shape:
         expected = f"corner_px (2,) and cut_x_px {rims.seen_cut_x.shape}"
         raise ValueError(f"{name}: expected {expected}, found {corner.shape} and {cut_x.shape}")
-    if not (np.abs(corner) <= FARTHEST_PX).all() or not (np.abs(cut_x) <= FARTHEST_PX).all():
+    if not (_all_within(corner, FARTHEST_PX) and _all_within(cut_x, FARTHEST_PX)):
         raise ValueError(f"{name}: expected finite places within {FARTHEST_PX:g} px")
     if not 0.0 <= place.strength <= 1.0:
         raise ValueError(f"{name}: expected a strength of 0 to 1, found {place.strength}")
     return Place(corner, float(place.strength), cut_x)
+
+
+@njit(cache=True)
+def _all_within(places: Floats, limit: float) -> bool:
+    within = True
+    for place in places:
+        within &= abs(place) <= limit  # false for NaN
+    return within
+
+
+@njit(cache=True)
+def _farthest(places: Floats, others: Floats) -> float:
+    """The greatest distance between places and others of the same number; 0 without any."""
+    farthest = 0.0
+    for k in range(len(places)):
+        farthest = max(farthest, abs(places[k] - others[k]))
+    return farthest
 
 
 def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float | None = None) -> Outline:

@@ -1,0 +1,107 @@
+"""Where the ring of a dot can be while the dot moves: the geometry by which both cameras leave pixels asleep.
+
+A dot's level differs from ink and gel in a finite ring only (see optics). While the dot moves, the box of its path
+bounds a pixel's distance to it from both sides. Unlike a bound on path length this knows the direction of motion, and
+a dot that shakes to and fro does not use it up. A box is (centre x, centre y, half width, half height) in px.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@njit(cache=True)
+def boxes(path: Floats, seen_xy: Floats) -> Floats:
+    """Boxes round each dot's path (dots, vertices, 2) and where it was last (dots, 2), shape (dots, 4)."""
+    dots, vertices, _ = path.shape
+    box = np.empty((dots, 4))
+    for dot in range(dots):
+        for axis in range(2):
+            low = seen_xy[dot, axis]
+            high = low
+            for vertex in range(vertices):
+                low = min(low, path[dot, vertex, axis])
+                high = max(high, path[dot, vertex, axis])
+            box[dot, axis] = 0.5 * (low + high)
+            box[dot, 2 + axis] = 0.5 * (high - low)
+    return box
+
+
+@njit(cache=True)
+def dots_near(dot: int, path: Floats, box: Floats, outer: float, near_path: Floats, near_box: Floats) -> int:
+    """Collect the dots that may be the nearest one of a pixel in this dot's ring; returns their number.
+
+    A dot is one of them if it may darken a pixel that this one may darken; farther ones show bare gel there.
+    """
+    near = 0
+    for other in range(len(path)):
+        reach_x = box[dot, 2] + box[other, 2] + 2.0 * outer
+        reach_y = box[dot, 3] + box[other, 3] + 2.0 * outer
+        if abs(box[dot, 0] - box[other, 0]) <= reach_x and abs(box[dot, 1] - box[other, 1]) <= reach_y:
+            near_path[near] = path[other]
+            near_box[near] = box[other]
+            near += 1
+    return near
+
+
+@njit(cache=True)
+def crowded(box: Floats, outer: float) -> NDArray[np.bool_]:
+    """Which dots have others near, by the measure of `dots_near`, for boxes (dots, 4)."""
+    dots = len(box)
+    found = np.zeros(dots, np.bool_)
+    for dot in range(dots):
+        for other in range(dot):
+            near_x = abs(box[dot, 0] - box[other, 0]) <= box[dot, 2] + box[other, 2] + 2.0 * outer
+            near_y = abs(box[dot, 1] - box[other, 1]) <= box[dot, 3] + box[other, 3] + 2.0 * outer
+            if near_x & near_y:
+                found[dot] = True
+                found[other] = True
+    return found
+
+
+@njit(cache=True)
+def bounds(x: int, y: int, near_box: Floats) -> tuple[float, float]:
+    """Least and greatest square of a pixel's distance to the nearest dot, each anywhere in its box (near, 4)."""
+    least2 = np.inf
+    greatest2 = np.inf
+    for dot in range(len(near_box)):
+        across = abs(x - near_box[dot, 0])
+        down = abs(y - near_box[dot, 1])
+        least2 = min(least2, max(across - near_box[dot, 2], 0.0) ** 2 + max(down - near_box[dot, 3], 0.0) ** 2)
+        greatest2 = min(greatest2, (across + near_box[dot, 2]) ** 2 + (down + near_box[dot, 3]) ** 2)
+    return least2, greatest2
+
+
+@njit(cache=True)
+def ring_rows(box: Floats, outer: float, height: int) -> tuple[int, int]:
+    """The rows of a frame that the ring of a dot in a box (4,) can touch: from, up to."""
+    first = max(0, math.ceil(box[1] - box[3] - outer))
+    return first, max(first, min(height, math.floor(box[1] + box[3] + outer) + 1))
+
+
+@njit(cache=True)
+def ring_runs(box: Floats, inner: float, outer: float, y: int, width: int) -> tuple[int, int, int, int]:
+    """The pixels of such a row that are ever between `inner` and `outer` from a dot in a box (4,).
+
+    From the first column up to the second, and from the third up to the fourth. The others have one and the same level.
+    """
+    centre_x = box[0]
+    half_x = box[2]
+    down = abs(y - box[1])
+    nearest_down = max(down - box[3], 0.0)
+    farthest_down = down + box[3]
+    rim_half = half_x + math.sqrt(max(0.0, outer * outer - nearest_down * nearest_down))
+    left = max(0, math.ceil(centre_x - rim_half))
+    right_end = max(left, min(width, math.floor(centre_x + rim_half) + 1))
+    left_end = right_end
+    right = right_end
+    if inner > farthest_down:
+        hole_half = math.sqrt(inner * inner - farthest_down * farthest_down) - half_x
+        if hole_half > 0.0:
+            left_end = max(left, min(right_end, math.floor(centre_x - hole_half) + 1))
+            right = min(right_end, max(left_end, math.ceil(centre_x + hole_half)))
+    return left, left_end, right, right_end
