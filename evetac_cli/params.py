@@ -45,8 +45,8 @@ class Trials:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     individual: str = parameter(
         "evetac",
-        "Sensor individual: evetac, second, bare-dvxplorer; drawn: another one, and another gripper, for every trial;"
-        " drawn:N: the N-th of these, the same wherever it is named.",
+        "Sensor individual: evetac, second, bare-dvxplorer, soft-gel, stiff-gel; drawn: another one, and another"
+        " gripper, for every trial; drawn:N: the N-th of these, the same wherever it is named.",
     )
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     readout: str = parameter(
@@ -122,9 +122,7 @@ class Label:
     look_ahead_ms: int = parameter(
         4, "Flow methods: flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100
     )
-    accumulate_ms: int = parameter(
-        3, "Flow methods: slices summed into one event image.", unit="ms", low=1, high=100
-    )
+    accumulate_ms: int = parameter(3, "Flow methods: slices summed into one event image.", unit="ms", low=1, high=100)
     min_events: int = parameter(
         20, "Flow methods: window images with fewer events have no flow; their pair is left out.", unit="events", low=1
     )
@@ -297,7 +295,11 @@ class EvaluateLabels:
 
 @dataclass(frozen=True)
 class EvaluateTracking:
-    """Compare tracked dots with the true dots (simulated recordings)."""
+    """Tell whether dots end where they began, and how far from truth they were (simulated recordings)."""
+
+    recordings: Path | None = parameter(
+        None, "Folder of the recordings, if they do not lie beside the tracks.", recipe=False
+    )
 
 
 @dataclass(frozen=True)

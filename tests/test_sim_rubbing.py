@@ -59,7 +59,7 @@ def test_drawn_and_dry() -> None:
     made = plan("edge", "8", "evetac", ("rub",))[0]
     drawn = [json.loads(str(rig(made, np.random.SeedSequence(seed)).drawn)) for seed in range(8)]
     assert {one["thing"] for one in drawn} == {"finger", "handle"}
-    assert all(0.3 <= one["rim_log"] <= 0.6 and 8 <= one["rim_width_px"] <= 15 for one in drawn)
+    assert all(0.55 <= one["rim_log"] <= 0.8 and 1.5 <= one["rim_width_px"] <= 3 for one in drawn)
     built = {row["part"]: row["built"] for row in parts(made)}
     assert built["object rims"]
     assert built["cut edge"]

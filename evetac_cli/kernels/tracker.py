@@ -89,7 +89,7 @@ class TrackerConstants:
     trust_px: float = 1.5  # most motion seen in a slice, and most correction of it
     rim_lag_px: float = 0.2  # events come when the rim has gone so far beyond their pixel (hysteresis of the threshold)
     event_px: float = 1.0 / 300.0  # how far a dot has moved for each of its ring events, as far as they agree
-    most_events: float = 20.0  # a dot's rim weighs no more than so many events, however many there are
+    most_events: float = 200.0  # a dot's rim weighs no more than so many events, however many there are
 
     def __post_init__(self) -> None:
         """Refuse what cannot be tracked with."""
@@ -159,9 +159,10 @@ class TrackerState:
     rest_xy_px: NDArray[np.float64]  # (n, 2), centres at the start
     neighbours: NDArray[np.int32]  # (n, 8), indices first, then -1
     rest_distance_px2: NDArray[np.float64]  # (n, 8), squared distance to each neighbour at the start
-    sums: NDArray[np.int64]  # (n + 1, 2), of pulls, or (n + 1, 7), see tracker_fit.py; in units of 2**-36
+    sums: NDArray[np.int64]  # (n + 1, 2), of pulls, or (n + 1, 10), see tracker_fit.py; in units of 2**-36
     ring_events: NDArray[np.int32]  # (n + 1,), how many events those sums have
     quiet: NDArray[np.int64]  # (1,), slices of rest up to now
+    told: NDArray[np.float64]  # (2,), sum of the weights of ring events that got darker and brighter up to now
     shift_px: NDArray[np.float64]  # (n, 2), work space
     solver: NDArray[np.float64]  # (n, 8), work space
     lattice_xy_px: NDArray[np.float64]  # (n, 2), centres when the buckets were filled
@@ -208,6 +209,7 @@ def start(
         sums=np.zeros((n + 1, tracker_fit.SUMS if constants.fit else 2), np.int64),
         ring_events=np.zeros(n + 1, np.int32),
         quiet=np.zeros(1, np.int64),
+        told=np.zeros(2),
         shift_px=np.zeros((n, 2)),
         solver=np.zeros((n, tracker_fit.SOLVER)),
         lattice_xy_px=np.full((n, 2), -inf),  # far from everywhere: the first step fills the buckets
@@ -271,6 +273,7 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
             y,
             polarity,
             *common,
+            state.told,
             state.solver,
             constants.sweeps,
             constants.trust_px,
@@ -447,6 +450,7 @@ def _step_by_fit(
     regulariser_weight: float,
     min_events: int,
     rest_slices: int,
+    told: NDArray[np.float64],
     solver: NDArray[np.float64],
     sweeps: int,
     trust_px: float,
@@ -491,6 +495,7 @@ def _step_by_fit(
         trust_px,
         event_px,
         most_events,
+        told,
         solver,
         shift_px,
     )
@@ -647,6 +652,7 @@ def _measure_rims(
         # A leading rim makes events that get darker (p = 0), a trailing rim brighter ones, both too late.
         leading = 1.0 if p[k] == 0 else -1.0
         rim_px = radius_px - leading * rim_lag_px
+        side = np.uint64(4 + 3 * (p[k] != 0))  # no branch: the processor could not guess it
         b = np.uint64((y[k] >> _BUCKET_BITS) * _BUCKET_COLUMNS + (x[k] >> _BUCKET_BITS))
         for entry in range(np.uint64(bucket_start[b]), np.uint64(bucket_start[b + np.uint64(1)])):
             i = np.uint64(bucket_dots[entry])
@@ -664,9 +670,9 @@ def _measure_rims(
             sums[i, 1] += int(weight * beyond_px * ny)
             sums[i, 2] += int(weight * nx * nx)
             sums[i, 3] += int(weight * nx * ny)
-            sums[i, 4] += int(weight * ny * ny)
-            sums[i, 5] += int(weight * leading * nx)
-            sums[i, 6] += int(weight * leading * ny)
+            sums[i, side] += int(weight)
+            sums[i, side + np.uint64(1)] += int(weight * nx)
+            sums[i, side + np.uint64(2)] += int(weight * ny)
             ring_events[i] += shape > 0.0
             events[i] += distance_px2 < count_radius_px2
 

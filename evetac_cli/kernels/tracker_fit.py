@@ -6,6 +6,7 @@ An event of a dot's ring at distance d from its centre, in direction n, says thr
   paper's step would.
 - Which side it is on. A dark dot makes events that get darker on its leading rim and brighter ones on its trailing rim,
   so the sum of +n and -n points where it goes, and grows with the way: `event_px` for each event, the motion seen.
+  Both rims say the same, where it is the dot that moves.
 - It came late. A pixel fires when its level has changed by the contrast threshold, so the rim of either side is found
   `rim_lag_px` behind the motion; knowing the side takes that away.
 
@@ -16,13 +17,18 @@ Why so:
 - What neighbours share is the correction, not the motion: next to a gel that slips, a dot without events stands still
   because it has seen no motion, and yet eight dots find together what the few events of one leave open.
 - H and s are scaled down to `most_events`: a bar over the gel may make 1,000 events on a dot, and is outvoted by
-  neighbours that have seen nothing. Motion of the dots themselves makes few events less or more than all neighbours,
-  and is in f already.
+  neighbours that have seen nothing. A dot that snaps back by 2 px in a slice, alone, makes some hundreds: f sees too
+  little of such a jump, as a pixel has one event a scan, and the neighbours have seen none of it.
+- An edge of something that slides over the gel is brighter or darker than what it covers: its events have one polarity.
+  A dot that moves makes as many of both. So what one rim says beyond the other, and beyond chance, is not the dot's
+  motion; and the more a dot's events have one polarity, the less they know of its rim: H and s are scaled down by as
+  much. Without this, every rub of an edge over a dot takes it along by some tenths of a pixel. (A camera that has told
+  one polarity only, up to now, cannot be judged so.)
 - w = (1 - (beyond / half ring)^2)^2 falls to zero at the sides of the ring: events that fit the rim badly, badly count.
 - Every sweep takes a mean of bounded values with weights that are not negative, or a damped solution of a positive
   definite system, for any finite constants; the step is limited to `trust_px` in the end.
 
-Measured on simulated slip and shear; there the paper's preset stands still below 11 events a dot and slice.
+Measured on simulated slip, shear and rubbing edges. The paper's preset stands still below 11 events a dot and slice.
 """
 
 from math import sqrt
@@ -33,8 +39,11 @@ from numpy.typing import NDArray
 
 MAX_NEIGHBOURS = 8
 UNITS = 2.0**36  # a sum's integer for 1
-SUMS = 7  # of every dot: w beyond n (2), w n n^T (xx, xy, yy), w n where it leads less where it trails (2)
+SUMS = 10  # of every dot: w beyond n (2), w n n^T (xx, xy), then of events that get darker w, w n (2), and of brighter
 SOLVER = 8  # numbers of every dot: inverse matrix (xx, xy, yy), right side (2), correction (2), weight of a neighbour
+CHANCE = 1.0  # both sides may differ by so many standard deviations: sqrt of the sum of w
+ANYTHING = 1e12  # of a chance that explains every difference
+LEAST_SHARE = 0.01  # a camera that has told less than this of one polarity tells only the other
 LEAST_DAMPING = 1e-9  # of the matrix: below this, rounding would decide
 MOST_WEIGHT = 1e12  # beyond this, neighbours are one body to the last bit
 
@@ -51,6 +60,7 @@ def solve(
     trust_px: float,
     event_px: float,
     most_events: float,
+    told: NDArray[np.float64],
     solver: NDArray[np.float64],
     shift_px: NDArray[np.float64],
 ) -> bool:
@@ -61,9 +71,15 @@ def solve(
         moves |= ring_events[i] > min_events
     if not moves:
         return False
+    for i in range(dots):
+        told[0] += sums[i, 4] / UNITS
+        told[1] += sums[i, 7] / UNITS
+    chance = CHANCE if min(told[0], told[1]) > LEAST_SHARE * (told[0] + told[1]) else ANYTHING
     damping = 0.5 / step_size
     for i in range(dots):
-        _set_up(i, sums, neighbours, damping, regulariser_weight, trust_px, event_px, most_events, solver, shift_px)
+        _set_up(
+            i, sums, neighbours, damping, regulariser_weight, trust_px, event_px, most_events, chance, solver, shift_px
+        )
     for _ in range(sweeps):
         for i in range(dots):
             right_x = solver[i, 3]
@@ -94,16 +110,21 @@ def _set_up(
     trust_px: float,
     event_px: float,
     most_events: float,
+    chance: float,
     solver: NDArray[np.float64],
     shift_px: NDArray[np.float64],
 ) -> None:
     """The motion seen by dot i, into shift_px, and its row of the system for the correction, which starts at 0."""
     xx = sums[i, 2] / UNITS
     xy = sums[i, 3] / UNITS
-    yy = sums[i, 4] / UNITS
-    seen_x, seen_y = _limited(event_px * (sums[i, 5] / UNITS), event_px * (sums[i, 6] / UNITS), trust_px)
-    scale = min(1.0, most_events / max(xx + yy, 1e-12))
-    damping += LEAST_DAMPING * (1.0 + scale * (xx + yy))
+    total = (sums[i, 4] + sums[i, 7]) / UNITS
+    yy = total - xx  # n is a unit vector
+    by_chance = chance * sqrt(total)
+    both_x, both_y = _both_rims(i, sums, by_chance)
+    seen_x, seen_y = _limited(event_px * both_x, event_px * both_y, trust_px)
+    of_one_polarity = max(abs(sums[i, 4] - sums[i, 7]) / UNITS - by_chance, 0.0)
+    scale = min(1.0, most_events / max(total, 1e-12)) * (1.0 - of_one_polarity / max(total, 1e-12))
+    damping += LEAST_DAMPING * (1.0 + scale * total)
     count = 0
     while count < MAX_NEIGHBOURS and neighbours[i, count] >= 0:
         count += 1
@@ -123,6 +144,27 @@ def _set_up(
     solver[i, 7] = weight
     shift_px[i, 0] = seen_x
     shift_px[i, 1] = seen_y
+
+
+@njit(cache=True)
+def _both_rims(i: int, sums: NDArray[np.int64], by_chance: float) -> tuple[float, float]:
+    """Sum of +n on the leading and -n on the trailing rim of dot i, as far as the two agree but for chance."""
+    leading_x = sums[i, 5] / UNITS
+    leading_y = sums[i, 6] / UNITS
+    trailing_x = -sums[i, 8] / UNITS
+    trailing_y = -sums[i, 9] / UNITS
+    off_x = leading_x - trailing_x
+    off_y = leading_y - trailing_y
+    off2 = off_x * off_x + off_y * off_y
+    both_x = leading_x + trailing_x
+    both_y = leading_y + trailing_y
+    if off2 <= by_chance * by_chance:
+        return both_x, both_y
+    # Take off what the louder rim has too much, but never so much that the sum begins to grow again.
+    louder = (both_x * off_x + both_y * off_y) / off2  # > 0: the leading one
+    beyond_chance = 1.0 - by_chance / sqrt(off2)
+    share = min(max(louder, -beyond_chance), beyond_chance)
+    return both_x - share * off_x, both_y - share * off_y
 
 
 @njit(cache=True)

@@ -17,7 +17,7 @@ from evetac_cli.store.read import Recording, open_recording
 
 INPUTS = ("recording",)
 OUTPUT = "tracks"
-METHOD = 2
+METHOD = 3
 
 
 def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:

@@ -1,18 +1,33 @@
-"""evaluate tracking: tracked dots against true dots, where a simulation knows them."""
+"""evaluate tracking: does every dot end where it began, and how far from truth was it (paper, section V-C).
 
+A trajectory that begins and ends with nothing on the gel is tracked with success when all dots end within 20 px of
+where they began: the paper's end-point consistency, which needs no truth. Where a simulation knows the dots, their
+distance from truth is told too, over time in the picture. Tracks of the same recordings by several presets are compared
+row by row.
+"""
+
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from evetac_cli import resources
+from evetac_cli.errors import InputError
 from evetac_cli.params import EvaluateTracking, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, silent
-from evetac_cli.stages.evaluate import Rows, report, report_job, with_truth
-from evetac_cli.store.files import StageFile
+from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.read import open_recording
 
 INPUTS = ("tracks", "recording")
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
+CONSISTENT_PX = 20.0  # the paper's
+BIN_MS = 20  # of the picture's time axis
+
+Floats = NDArray[np.float64]
 
 
 def jobs(files: list[Path], params: EvaluateTracking, out: Path | None) -> list[Job]:
@@ -21,40 +36,167 @@ def jobs(files: list[Path], params: EvaluateTracking, out: Path | None) -> list[
 
 
 def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every trajectory: rms and worst distance from the true centre over all dots and slices, in px."""
+    """A row for every preset, then one for every trajectory; lengths in px over all dots and slices.
+
+    dots_lost: dots that end farther than 20 px from where they began; of a preset their mean over the trajectories
+    that have any, as in the paper. `still` is the error of a tracker that never moves, for comparison.
+    """
     headers = []
+    known = 0
     for path in job.inputs:
-        with StageFile(path, "tracks") as tracks, with_truth(tracks):
+        with StageFile(path, "tracks") as tracks:
+            if not len(tracks.read("dot_xy_px")):
+                raise InputError("tracks without a slice", where=str(path))
+            known += _truth(tracks, params.recordings) is not None
             headers.append(tracks.header)
+    names = _preset_names([header["parameters"] for header in headers])
+    over_time: dict[str, list[Floats]] = {}
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         rows: Rows = []
-        for number, path in enumerate(job.inputs):
-            with StageFile(path, "tracks") as tracks, with_truth(tracks) as recording:
-                rows.append({"file": path.name, **_errors(tracks, recording)})
+        for number, (path, name) in enumerate(zip(job.inputs, names, strict=True)):
+            with StageFile(path, "tracks") as tracks:
+                row, squares = _trajectory(tracks, _truth(tracks, params.recordings))
+            rows.append({"file": path.name, "preset": name, **row})
+            over_time.setdefault(name, []).extend([squares] if squares is not None else [])
             progress(number + 1, len(job.inputs))
-        squares = [row["error_px_rms"] ** 2 for row in rows]
+        presets = [_preset(name, [row for row in rows if row["preset"] == name]) for name in dict.fromkeys(names)]
         summary = {
             "trajectories": len(rows),
-            "error_px_rms": float(np.sqrt(np.mean(squares))),
-            "error_px_worst": max(row["error_px_worst"] for row in rows),
-            "still_px_rms": float(np.sqrt(np.mean([row["still_px_rms"] ** 2 for row in rows]))),
+            "with_truth": known,
+            **_lengths(rows),
             "dots_lost": sum(row["dots_lost"] for row in rows),
         }
-        return rows, summary
+        return [*presets, *rows], summary
 
-    return report(job, "evaluate tracking", METHOD, recipe_of(params), headers, measure, force=force)
+    # Truth that was found since, or is no longer there, makes another report.
+    parameters = {**recipe_of(params), "with_truth": known}
+    outcome = report(job, "evaluate tracking", METHOD, parameters, headers, measure, force=force)
+    if not outcome.made:  # errors over time are not in the rows: they are drawn when they are measured
+        return outcome
+
+    def draw(figure: Any) -> None:
+        _draw(figure, [row for row in outcome.rows if "file" not in row], over_time, simulated=outcome.simulated)
+
+    return picture.beside(outcome, job.output, draw, (12.0, 4.6))
 
 
-def _errors(tracks: StageFile, recording: StageFile) -> dict[str, Any]:
-    """Distances from truth; `still` is the error of a tracker that never moves, for comparison."""
-    true = recording.read("truth/dot_xy_px")
-    error = np.linalg.norm(tracks.read("dot_xy_px") - true, axis=2)
+def _truth(tracks: StageFile, folder: Path | None) -> NDArray[np.float32] | None:
+    """True dots (slices, dots, 2) from the recording beside the tracks, or in a folder; None if it has none.
+
+    InputError if another recording has its name, or if none has in a folder that was named.
+    """
+    path = output_path(tracks.path, "recording", folder)
+    if not path.exists():
+        if folder is None:
+            return None
+        raise InputError("no such recording", where=str(path), hint="--recordings names their folder")
+    with open_recording(path) as recording:
+        if recording.header["id"] not in tracks.header["parents"]:
+            raise InputError(
+                "this is not the recording that the file was made from", where=str(path), expected=str(tracks.path)
+            )
+        true: NDArray[np.float32] | None = recording.read("truth/dot_xy_px") if recording.has("truth") else None
+        return true
+
+
+def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
+    """The preset of every file; constants changed by hand are numbered where there are several sets of them."""
+    found: dict[str, list[str]] = {}
+    names = []
+    for entry in parameters:
+        same = found.setdefault(entry["preset"], [])
+        constants = json.dumps(entry["constants"], sort_keys=True)
+        if constants not in same:
+            same.append(constants)
+        number = same.index(constants) + 1
+        names.append(entry["preset"] if number == 1 else f"{entry['preset']}, {number}")
+    return names
+
+
+def _trajectory(tracks: StageFile, true: NDArray[np.float32] | None) -> tuple[dict[str, Any], Floats | None]:
+    """The row of a trajectory, and the mean squared error of its dots over time, if truth is known."""
     rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
-    still = np.linalg.norm(rest - true, axis=2)
-    return {
-        "error_px_rms": float(np.sqrt(np.mean(error**2))),
+    there = np.isfinite(rest).all(axis=1)
+    rest, dots = rest[there], tracks.read("dot_xy_px")[:, there]
+    off_px = np.linalg.norm(dots[-1] - rest, axis=1)
+    row: dict[str, Any] = {
+        "consistent": bool((off_px <= CONSISTENT_PX).all()),
+        "dots_lost": int((off_px > CONSISTENT_PX).sum()),
+        "dots_flagged": int(tracks.read("lost")[-1].sum()),
+        "end_px_worst": float(off_px.max()),
+        "error_px_rms": None,
+        "error_px_worst": None,
+        "still_px_rms": None,
+    }
+    if true is None:
+        return row, None
+    error = np.linalg.norm(dots - true[:, there], axis=2).astype(np.float64)
+    still = np.linalg.norm(rest - true[:, there], axis=2)
+    squares = np.mean(error**2, axis=1)
+    row |= {
+        "error_px_rms": float(np.sqrt(squares.mean())),
         "error_px_worst": float(error.max()),
         "still_px_rms": float(np.sqrt(np.mean(still**2))),
-        "dots_lost": int(tracks.read("lost")[-1].sum()),
     }
+    edges = np.arange(0, len(squares), BIN_MS)
+    return row, np.add.reduceat(squares, edges) / np.diff(np.append(edges, len(squares)))
+
+
+def _lengths(rows: Rows) -> dict[str, Any]:
+    """Errors over trajectories, each of which counts the same; None without truth."""
+    known = [row for row in rows if row["error_px_rms"] is not None]
+    if not known:
+        return dict.fromkeys(("error_px_rms", "error_px_worst", "still_px_rms"))
+    return {
+        "error_px_rms": float(np.sqrt(np.mean([row["error_px_rms"] ** 2 for row in known]))),
+        "error_px_worst": max(row["error_px_worst"] for row in known),
+        "still_px_rms": float(np.sqrt(np.mean([row["still_px_rms"] ** 2 for row in known]))),
+    }
+
+
+def _preset(name: str, rows: Rows) -> dict[str, Any]:
+    """The row of a preset, the paper's figures beside it where it has them."""
+    failed = [row["dots_lost"] for row in rows if not row["consistent"]]
+    paper = resources.table("paper")["tracking"].get(name, {})
+    return {
+        "preset": name,
+        "trajectories": len(rows),
+        "consistent": len(rows) - len(failed),
+        "consistent_share": (len(rows) - len(failed)) / len(rows),
+        "paper_consistent_share": paper.get("success"),
+        "dots_lost_mean": float(np.mean(failed)) if failed else None,
+        "paper_dots_lost_mean": paper.get("dots_lost"),
+        **_lengths(rows),
+    }
+
+
+def _draw(figure: Any, presets: Rows, over_time: dict[str, list[Floats]], *, simulated: bool) -> None:
+    """Error over time, a line a preset over all its trajectories; how many of them end where they began."""
+    shown = [name for name, found in over_time.items() if found]
+    panels = figure.subplots(1, 1 + bool(shown), squeeze=False)[0]
+    figure.suptitle("dot tracking" + (" (simulated)" if simulated else ""))
+    if shown:
+        for number, name in enumerate(over_time):
+            if name not in shown:
+                continue
+            longest = max(len(squares) for squares in over_time[name])
+            padded = np.full((len(over_time[name]), longest), np.nan)
+            for line, squares in zip(padded, over_time[name], strict=True):
+                line[: len(squares)] = squares
+            rms = np.sqrt(np.nanmean(padded, axis=0))
+            seconds = (np.arange(longest) + 0.5) * BIN_MS * 1e-3
+            panels[0].semilogy(seconds, np.maximum(rms, 1e-3), color=f"C{number % 10}", label=name)
+        panels[0].set(xlabel="time [s]", ylabel="distance from truth, rms [px]")
+        panels[0].legend(frameon=False)
+        picture.quiet_grid(panels[0])
+    last = panels[-1]
+    for place, row in enumerate(presets):
+        last.bar(place, row["consistent_share"], color=f"C{place % 10}", width=0.6)
+        if row["paper_consistent_share"] is not None:
+            last.plot(place, row["paper_consistent_share"], **picture.PAPER)
+    last.plot([], [], label="paper", **picture.PAPER)
+    last.set_xticks(range(len(presets)), [row["preset"] for row in presets])
+    last.set(ylim=(0.0, 1.05), ylabel=f"share of trajectories that end within {CONSISTENT_PX:g} px")
+    last.legend(frameon=False)
+    picture.quiet_grid(last)
