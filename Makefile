@@ -4,6 +4,7 @@ PYTHON ?= python3
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 SEED ?= 0
 DEMO ?= demo
+STRIPS ?= strips
 # make slip-data, make slip-table: objects, trajectories of each by role, seeds, and where a training ends.
 SLIP ?= data/slip
 KNOWN ?= 1-9
@@ -35,7 +36,7 @@ EVETAC := $(CURDIR)/$(BIN)/evetac
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo slip-data slip-models slip-images slip-table vibration data-rate force test test-all check bench clean
+.PHONY: help setup demo strips slip-data slip-models slip-images slip-table vibration data-rate force test test-all check bench clean
 
 # `run` shows a command and runs it; whatever is made already is skipped, so that every target goes on where it was
 # stopped. `keep NAME COMMAND` leaves an evaluation's JSON, table and picture in REPORTS, anew where its recipe changed.
@@ -139,6 +140,15 @@ force: $(READY)  ## shear force from dots in events and in frames, simulated: a 
 	others=; for other in $(OTHERS); do others="$$others $$other/*.tracks.h5 $$other/rgb/*.tracks.h5"; done; \
 	keep force evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model . --seed $(SEED)
 
+strips: demo  ## a picture of every scene, in strips/: what is seen at telling moments, forces and slip (STRIPS, DEMO)
+	@$(RUN) mkdir -p $(STRIPS); cd $(STRIPS); \
+	for scene in slip data-rate shear press edge; do run record --scene $$scene --seed $(SEED) --out $$scene.recording.h5; done; \
+	sed 's/^tone_s = .*/tone_s = 3.0/' $(CURDIR)/evetac_cli/scenes/vibration.toml > vibration.toml; \
+	run record --scene vibration.toml --tone 200 --seed $(SEED) --out vibration.recording.h5; \
+	for scene in lift sideways drop-20g drop-100g; do \
+	run grasp --scene $$scene --object 16 --seed $(SEED) --model $(abspath $(DEMO))/slip.model.h5 --out $$scene.recording.h5; done; \
+	$(CURDIR)/$(BIN)/python $(CURDIR)/scripts/strips.py *.recording.h5 --out .
+
 test: $(READY)  ## the test suite
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m 'not slow'
 
@@ -154,5 +164,5 @@ bench: $(READY)  ## run times of the kernels, as ratios to real time and to each
 	$(BIN)/python scripts/bench.py
 
 clean:  ## remove what demo, tests and builds left; the environment stays
-	rm -rf $(DEMO) dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf $(DEMO) $(STRIPS) dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

@@ -1,6 +1,6 @@
 """Make a PNG strip of a simulated recording: 5 ms event images at telling moments, events, forces and slip below.
 
-python scripts/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]
+python scripts/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]; `make strips` draws every scene.
 """
 
 import argparse
