@@ -39,7 +39,6 @@ LARGEST = 12.0  # of a cell's power over its noise, as evidence: noise has more 
 NOISE_HZ = 50.0  # the noise is a median over so much of the spectrum
 NOISE_BINS = 32  # or over so many frequencies, if that is more
 CELLS_AT_ONCE = 64
-HALF_WINS = 9.0
 SAME_BINS = 2.0  # half the width of a line
 SPREAD_BINS = 0.608  # sd of a line's place times the root of its power over the noise, see `locate`
 

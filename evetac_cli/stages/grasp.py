@@ -26,7 +26,7 @@ from evetac_cli.store.segments import RecordingWriter
 
 INPUTS = ("model",)
 OUTPUT = "recording"
-METHOD = 1
+METHOD = 2
 __all__ = ["dry_run", "jobs", "run"]  # a grasp shows its plan as a recording does
 
 

@@ -65,10 +65,7 @@ def with_truth(file: StageFile) -> Iterator[Recording]:
     above = path.parent.resolve().parent / path.name
     path = above if above.exists() and not path.exists() else path
     with open_recording(path) as recording:
-        if recording.header["id"] not in file.header["parents"]:
-            raise InputError(
-                "this is not the recording that the file was made from", where=str(path), expected=str(file.path)
-            )
+        check_parent(recording, file)
         if not recording.has("truth"):
             raise InputError(
                 "a recording without truth: only a simulation knows it",
@@ -76,3 +73,11 @@ def with_truth(file: StageFile) -> Iterator[Recording]:
                 hint="evaluate simulated files",
             )
         yield recording
+
+
+def check_parent(recording: Recording, file: StageFile) -> None:
+    """Refuse a recording that only has the right name."""
+    if recording.header["id"] not in file.header["parents"]:
+        raise InputError(
+            "this is not the recording that the file was made from", where=str(recording.path), expected=str(file.path)
+        )

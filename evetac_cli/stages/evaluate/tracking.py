@@ -17,7 +17,7 @@ from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.params import EvaluateTracking, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, silent
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, check_parent, picture, report, report_job
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import open_recording
 
@@ -92,10 +92,7 @@ def _truth(tracks: StageFile, folder: Path | None) -> NDArray[np.float32] | None
             return None
         raise InputError("no such recording", where=str(path), hint="--recordings names their folder")
     with open_recording(path) as recording:
-        if recording.header["id"] not in tracks.header["parents"]:
-            raise InputError(
-                "this is not the recording that the file was made from", where=str(path), expected=str(tracks.path)
-            )
+        check_parent(recording, tracks)
         true: NDArray[np.float32] | None = recording.read("truth/dot_xy_px") if recording.has("truth") else None
         return true
 
