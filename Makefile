@@ -24,6 +24,13 @@ IMAGE_STEPS ?= $(shell echo $$(( $(STEPS) < 3000 ? $(STEPS) : 3000 )))
 FORCE ?= data/force
 OTHERS ?= second soft-gel stiff-gel
 JUDGED ?= 3
+# make tracking: trajectories that rub edges over the gel, and presets of the tracker
+TRACKING ?= data/tracking
+EDGES ?= 50
+PRESETS ?= unregularised paper official stable
+# make labels: trajectories of each of the paper's twenty objects
+LABELS ?= data/labels
+EACH ?= 5
 # make vibration: 100 s of each tone
 VIBRATION ?= data/vibration
 # make data-rate
@@ -36,7 +43,7 @@ EVETAC := $(CURDIR)/$(BIN)/evetac
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo strips slip-data slip-models slip-images slip-table vibration data-rate force test test-all check bench clean
+.PHONY: help setup demo strips slip-data slip-models slip-images slip-table tracking labels vibration data-rate force results test test-all check bench clean
 
 # `run` shows a command and runs it; whatever is made already is skipped, so that every target goes on where it was
 # stopped. `keep NAME COMMAND` leaves an evaluation's JSON, table and picture in REPORTS, anew where its recipe changed.
@@ -45,7 +52,7 @@ RUN = set -e; shopt -s nullglob; run() { echo "+ evetac $$*"; $(EVETAC) $$* --qu
 	echo "+ evetac $$* > $$kept.json, .txt, .png"; \
 	$(EVETAC) $$* --out $$name.report.h5 --force --quiet --json > $$kept.json.part; mv $$kept.json.part $$kept.json; \
 	COLUMNS=240 $(EVETAC) $$* --out $$name.report.h5 > $$kept.txt.part; mv $$kept.txt.part $$kept.txt; \
-	cp $$name.report.png $$kept.png; };
+	if [ -e $$name.report.png ]; then cp $$name.report.png $$kept.png; fi; };
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -116,6 +123,23 @@ slip-table: slip-models slip-images  ## ... and judge all of these on unseen sli
 	keep slip-unseen-objects evaluate slip "$$unseen"; \
 	keep model-cost evaluate cost model "$$unseen"
 
+tracking: $(READY)  ## presets of the tracker on edges, slip and shear, simulated: tables in reports/ (EDGES, PRESETS, SEED, JOBS)
+	@$(RUN) mkdir -p $(TRACKING); cd $(TRACKING); \
+	tracked() { name=$$1; shift; run record $$* --seed $(SEED) --out $$name --jobs $(JOBS); \
+	for preset in $(PRESETS); do run track "$$name/*.recording.h5" --preset $$preset --out $$name/$$preset --jobs $(JOBS); done; \
+	keep tracking-$$name evaluate tracking "$$name/*/*.tracks.h5" --recordings $$name; }; \
+	tracked edge-cut --scene edge --count $(EDGES); \
+	tracked edge-closed --scene edge --gel closed --count 5; \
+	for gel in cut closed; do \
+	tracked slip-$$gel --scene slip --gel $$gel --object 3,8,11,16,18; \
+	tracked shear-$$gel --scene shear --gel $$gel; done
+
+labels: $(READY)  ## slip labels against truth, all twenty objects, simulated: a table in reports/ (EACH, SEED, JOBS)
+	@$(RUN) mkdir -p $(LABELS); cd $(LABELS); \
+	run record --object 1-20 --count $(EACH) --seed $$(( $(SEED) + 300 )) --out . --jobs $(JOBS); \
+	run label "*.recording.h5" --jobs $(JOBS); \
+	keep labels evaluate labels "*.labels.h5"
+
 vibration: $(READY)  ## which tone the gel feels, simulated: a table in reports/ (SEED, JOBS)
 	@$(RUN) mkdir -p $(VIBRATION); cd $(VIBRATION); \
 	run record --scene vibration --seed $(SEED) --out . --jobs $(JOBS); \
@@ -139,6 +163,9 @@ force: $(READY)  ## shear force from dots in events and in frames, simulated: a 
 	run fit "learn/rgb/*.tracks.h5" --seed $(SEED) --out frames.force-model.h5; \
 	others=; for other in $(OTHERS); do others="$$others $$other/*.tracks.h5 $$other/rgb/*.tracks.h5"; done; \
 	keep force evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model . --seed $(SEED)
+
+results:  ## put the tables in reports/ into the README
+	$(PYTHON) scripts/results.py $(REPORTS) README.md
 
 strips: demo  ## a picture of every scene, in strips/: what is seen at telling moments, forces and slip (STRIPS, DEMO)
 	@$(RUN) mkdir -p $(STRIPS); cd $(STRIPS); \

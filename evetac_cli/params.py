@@ -59,7 +59,7 @@ class Trials:
 class Record(Trials):
     """Record events: simulate a scene, or import a foreign event file."""
 
-    scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, vibration, or a TOML file.")
+    scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, edge, vibration, or a TOML file.")
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(
         None, "Tones to play, of 1 to 2500, as in `200,300`; default: the scene's.", unit="Hz", flag="--tone"
@@ -358,7 +358,7 @@ class Grasp(Trials):
     scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
     objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
     model: Path | None = parameter(
-        None, "Model file of the slip detector; needed by the paper's controller.", recipe=False
+        None, "Model file of the slip detector; default: the package's, fast-slow 10 ms ahead.", recipe=False
     )
     controller: str = parameter(
         "paper",

@@ -1,4 +1,4 @@
-"""Where the package's own data lies: schemas, scenes, tables."""
+"""Where the package's own data lies: schemas, scenes, tables, a slip detector."""
 
 import functools
 import tomllib
@@ -8,6 +8,7 @@ from typing import Any
 from evetac_cli.errors import EvetacError
 
 PACKAGE = Path(__file__).resolve().parent
+MODEL = PACKAGE / "models" / "fast-slow-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
 
 
 def schemas() -> Path:

@@ -1,4 +1,7 @@
-"""The contract of being a stage, run over all of them; a new stage gets these tests by a row in STAGES."""
+"""The contract of being a stage, run over all of them; a new stage gets these tests by a row in STAGES.
+
+Only calibrate, which writes JSON, and the evaluations that need no files (cost, stability) have tests of their own.
+"""
 
 import dataclasses
 import json
@@ -16,11 +19,13 @@ from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.stages import featurize, fit, force, grasp, label, record, rgb, track, train
+from evetac_cli.stages.evaluate import data_rate as evaluate_data_rate
 from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.stages.evaluate import slip as evaluate_slip
 from evetac_cli.stages.evaluate import tracking as evaluate_tracking
+from evetac_cli.stages.evaluate import vibration as evaluate_vibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
@@ -87,6 +92,14 @@ STAGES = [
     Stage(
         "evaluate tracking", evaluate_tracking, some(params.EvaluateTracking), some(params.EvaluateTracking),
         of("tracks"),
+    ),
+    Stage(
+        "evaluate vibration", evaluate_vibration, some(params.EvaluateVibration, windows="0.2"),
+        some(params.EvaluateVibration, windows="0.25"), of("recording"),
+    ),
+    Stage(
+        "evaluate data-rate", evaluate_data_rate, some(params.EvaluateDataRate, around_s=0.1),
+        some(params.EvaluateDataRate, around_s=0.05), of("recording"),
     ),
     Stage(
         "evaluate force", evaluate_force,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli import resources
 from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
@@ -32,11 +33,16 @@ __all__ = ["dry_run", "jobs", "run"]  # a grasp shows its plan as a recording do
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
     """One recording for every object and trial."""
-    if params.controller != "none" and params.model is None:
-        raise InputError(
-            "which slip detector?", where="--model", expected="a model file", hint="evetac train makes one"
-        )
+    if params.controller == "none" and params.model is not None:
+        raise InputError("no detector is used with --controller none", where="--model", found=str(params.model))
     return trials(("lift",), params, out)
+
+
+def model_of(params: Grasp) -> Path | None:
+    """The model file that a grasp feels with: the one named, else the package's; None without a detector."""
+    if params.controller == "none":
+        return None
+    return params.model if params.model is not None else resources.MODEL
 
 
 @dataclass
@@ -80,7 +86,8 @@ class SlipSense:
 
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Grasp one object in simulation and record everything."""
-    sensing = params.controller != "none"
+    model_path = model_of(params)
+    sensing = model_path is not None
     parameters: dict[str, Any] = {
         **job.choice["plan"],
         "trial": job.choice["trial"],
@@ -93,9 +100,8 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
         "balance_s": params.balance_s,
     }
     parents: tuple[Header, ...] = ()
-    if sensing:
-        assert params.model is not None
-        with StageFile(params.model, "model") as model:
+    if model_path is not None:
+        with StageFile(model_path, "model") as model:
             parents = (model.header,)
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=parents, simulated_source=True)
     if up_to_date(job.output, recipe, force=force):
@@ -104,8 +110,8 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
 
     devices = rig(parameters, seeds(params, job), lift_s=params.lift_s, balance_s=params.balance_s)
     sense = None
-    if sensing and params.model is not None:
-        with StageFile(params.model, "model") as model:
+    if model_path is not None:
+        with StageFile(model_path, "model") as model:
             sensor = devices.camera.sensor
             sense = SlipSense.start(
                 model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), tracker.PRESETS[params.tracker]

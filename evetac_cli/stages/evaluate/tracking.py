@@ -23,7 +23,7 @@ from evetac_cli.store.read import open_recording
 
 INPUTS = ("tracks", "recording")
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 CONSISTENT_PX = 20.0  # the paper's
 BIN_MS = 20  # of the picture's time axis
 
@@ -39,7 +39,8 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
     """A row for every preset, then one for every trajectory; lengths in px over all dots and slices.
 
     dots_lost: dots that end farther than 20 px from where they began; of a preset their mean over the trajectories
-    that have any, as in the paper. `still` is the error of a tracker that never moves, for comparison.
+    that have any, as in the paper. `events_per_dot` is a mean over dots and slices. `still` is the error of a tracker
+    that never moves, for comparison.
     """
     headers = []
     known = 0
@@ -122,6 +123,7 @@ def _trajectory(tracks: StageFile, true: NDArray[np.float32] | None) -> tuple[di
         "dots_lost": int((off_px > CONSISTENT_PX).sum()),
         "dots_flagged": int(tracks.read("lost")[-1].sum()),
         "end_px_worst": float(off_px.max()),
+        "events_per_dot": float(tracks.read("events_per_dot")[:, there].mean()),
         "error_px_rms": None,
         "error_px_worst": None,
         "still_px_rms": None,
@@ -164,6 +166,7 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
         "paper_consistent_share": paper.get("success"),
         "dots_lost_mean": float(np.mean(failed)) if failed else None,
         "paper_dots_lost_mean": paper.get("dots_lost"),
+        "events_per_dot": float(np.mean([row["events_per_dot"] for row in rows])),
         **_lengths(rows),
     }
 

@@ -1,0 +1,220 @@
+"""Write what the make targets left in a folder of reports into the README, as tables beside the paper's figures.
+
+    python scripts/results.py reports README.md
+
+Between the two marks in the README stands what this wrote last; a table whose report is missing is left out.
+"""
+
+import json
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+BEGIN, END = "<!-- results, written by scripts/results.py -->\n", "<!-- end of results -->\n"
+NETS = {"regression": "linear regression", "network": "network"}
+SENSORS = {"events": "Evetac", "frames": "RGB sensor"}
+Row = dict[str, Any]
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def beside(ours: float | None, paper: float | None, digits: int = 2) -> str:
+    """Our figure, and the paper's in brackets."""
+    return number(ours, digits) + (f" ({paper:.{digits}f})" if paper is not None else "")
+
+
+def table(title: str, heads: list[str], rows: list[list[str]]) -> str:
+    lines = [heads, ["---"] * len(heads), *rows]
+    return f"{title}\n\n" + "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def having(report: Row, *columns: str) -> list[Row]:
+    """The rows of a report that have these columns: its tables are told apart so."""
+    return [row for row in report["rows"] if all(column in row for column in columns)]
+
+
+def slip_rows(report: Row) -> list[list[str]]:
+    return [
+        [
+            row["setting"],
+            str(row["seeds"]),
+            beside(row["slip_correct"], row["paper_slip_correct"]),
+            number(row["slip_correct_sd_seeds"]),
+            number(row["slip_early"]),
+            number(row["slip_late"]),
+            beside(row["f1"], row["paper_f1"]),
+            number(row["f1_sd_seeds"]),
+        ]
+        for row in having(report, "seeds")
+    ]
+
+
+SLIP_HEADS = ["model", "seeds", "timing correct (paper)", "sd", "early", "late", "F1 (paper)", "sd"]
+
+
+def slip_training(report: Row) -> str:
+    return table("Slip detection, unseen trajectories of the training objects 1-9:", SLIP_HEADS, slip_rows(report))
+
+
+def slip_unseen(report: Row) -> str:
+    return table("Slip detection and prediction, objects never seen (10-17):", SLIP_HEADS, slip_rows(report))
+
+
+def model_cost(report: Row) -> str:
+    rows = [
+        [
+            row["setting"],
+            str(row["parameters"]),
+            number(row["time_us_median"], 1),
+            number(row["step_us_median"], 1),
+            number(row["slip_correct"]),
+            number(row["f1"]),
+            "yes" if row["pareto_timing"] or row["pareto_f1"] else "",
+        ]
+        for row in having(report, "pareto_f1")
+    ]
+    heads = [
+        "model",
+        "parameters",
+        "inference [us]",
+        "step from events on [us]",
+        "timing correct",
+        "F1",
+        "Pareto front",
+    ]
+    return table("What a detector costs, one core, median:", heads, rows)
+
+
+def tracking(report: Row, where: str) -> str:
+    rows = [
+        [
+            row["preset"],
+            f"{row['consistent']} of {row['trajectories']}"
+            + (f" ({row['paper_consistent_share']:.0%})" if row["paper_consistent_share"] is not None else ""),
+            beside(row["dots_lost_mean"], row["paper_dots_lost_mean"], 1),
+            number(row["error_px_rms"], 3),
+            number(row["error_px_worst"]),
+            number(row["still_px_rms"]),
+            number(row["events_per_dot"], 1),
+        ]
+        for row in report["rows"]
+        if "file" not in row
+    ]
+    heads = [
+        "preset",
+        "ends at rest (paper)",
+        "dots lost where not",
+        "error [px rms]",
+        "worst dot [px]",
+        "standing still [px rms]",
+        "events a dot and slice",
+    ]
+    return table(f"Tracking, {where}:", heads, rows)
+
+
+def labels(report: Row) -> str:
+    found = report["summary"]
+    row = [
+        f"{found['onsets_found']} of {found['trajectories']}",
+        number(found["onset_error_ms_median"], 0),
+        number(found["onset_error_ms_worst"], 0),
+        number(found["within_minus4_plus3_ms"]),
+        str(found["earlier_than_4_ms_before_gross_slip"]),
+    ]
+    heads = ["onsets found", "median error [ms]", "worst [ms]", "share in -4..+3 ms", "over 4 ms before gross slip"]
+    return table("Slip labels against truth, all twenty objects:", heads, [row])
+
+
+def data_rate(report: Row) -> str:
+    paper = tomllib.loads((Path(__file__).parents[1] / "evetac_cli" / "paper.toml").read_text())["data_rate"]
+    trajectories = having(report, "share_whole")
+    rows = []
+    for name, words in (("whole", "whole trajectory"), ("contact", "contact"), ("slip", "0.5 s about slip")):
+        shares = [row[f"share_{name}"] for row in trajectories]
+        mean = sum(shares) / len(shares)
+        sd = (sum((share - mean) ** 2 for share in shares) / max(len(shares) - 1, 1)) ** 0.5
+        rows.append([words, f"{mean:.4f} ± {sd:.4f}", f"{paper[name][0]} ± {paper[name][1]}"])
+    title = f"Bytes a second against an RGB sensor, {len(trajectories)} trajectories:"
+    return table(title, ["", "ours", "paper"], rows)
+
+
+def vibration(report: Row) -> str:
+    judged = having(report, "window_s", "correct")
+    lengths = list(dict.fromkeys(row["window_s"] for row in judged))
+    rows = []
+    for method, hertz in dict.fromkeys((row["method"], row["expected_hz"]) for row in judged):
+        cells = []
+        for length in lengths:
+            same = [
+                row for row in judged if (row["method"], row["expected_hz"], row["window_s"]) == (method, hertz, length)
+            ]
+            right, windows = sum(row["correct"] for row in same), sum(row["windows"] for row in same)
+            paper = same[0].get("paper_share") if same and method == "paper" else None
+            cells.append(f"{right}/{windows}" + (f" ({paper:.0%})" if paper is not None else ""))
+        rows.append([method, f"{hertz:g}", *cells])
+    heads = ["method", "tone [Hz]", *(f"{length:g} s" for length in lengths)]
+    return table("Vibration, windows whose tone is right within 1 Hz (paper):", heads, rows)
+
+
+def force(report: Row) -> str:
+    rows = []
+    for sensor, model in dict.fromkeys((row["sensor"], row["model"]) for row in report["rows"]):
+        groups = dict.fromkeys((row["fitted"], row["individual"]) for row in report["rows"])
+        for fitted, individual in groups:
+            same = [
+                row
+                for row in report["rows"]
+                if (row["sensor"], row["model"], row["fitted"], row["individual"])
+                == (sensor, model, fitted, individual)
+            ]
+            cells = []
+            for axis in "xy":
+                ours = sum(row[f"mae_n_{axis}"] for row in same) / len(same)
+                spread = sum(row[f"sd_n_{axis}"] for row in same) / len(same)
+                paper = same[0][f"paper_mae_n_{axis}"]
+                cells.append(f"{ours:.2f} ± {spread:.2f}" + (f" ({paper})" if paper is not None else ""))
+            rows.append([SENSORS[sensor], NETS[model], individual, str(len(same)), *cells])
+    heads = ["sensor", "model", "gel", "trajectories", "Fx error [N] (paper)", "Fy error [N] (paper)"]
+    return table(
+        "Shear force, mean absolute error on unseen trajectories; fitted to the gel `evetac` alone:", heads, rows
+    )
+
+
+TABLES: dict[str, Callable[[Row], str]] = {
+    "slip-training-objects": slip_training,
+    "slip-unseen-objects": slip_unseen,
+    "model-cost": model_cost,
+    "labels": labels,
+    "tracking-edge-cut": lambda report: tracking(report, "a finger or a handle rubs over the cut gel"),
+    "tracking-edge-closed": lambda report: tracking(report, "the same over the closed gel"),
+    "tracking-slip-cut": lambda report: tracking(report, "slip, cut gel"),
+    "tracking-slip-closed": lambda report: tracking(report, "slip, closed gel"),
+    "tracking-shear-cut": lambda report: tracking(report, "shear, cut gel"),
+    "tracking-shear-closed": lambda report: tracking(report, "shear, closed gel"),
+    "data-rate": data_rate,
+    "vibration": vibration,
+    "force": force,
+}
+
+
+def tables(folder: Path) -> Iterator[str]:
+    for name, write in TABLES.items():
+        path = folder / f"{name}.json"
+        if path.exists():
+            report = json.loads(path.read_text())
+            yield ("Simulated. " if report["simulated"] else "") + write(report)
+
+
+def main() -> None:
+    folder, page = Path(sys.argv[1]), Path(sys.argv[2])
+    before, rest = page.read_text().split(BEGIN)
+    _, after = rest.split(END)
+    page.write_text(before + BEGIN + "\n" + "\n".join(tables(folder)) + "\n" + END + after)
+
+
+if __name__ == "__main__":
+    main()
