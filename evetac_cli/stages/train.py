@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 
 INPUTS = ("features",)
 OUTPUT = "model"
-METHOD = 2
+METHOD = 3
 VALIDATE_EVERY = 8
 KEEP_S = 30.0  # at most so much work is lost when a run is interrupted
 
