@@ -17,11 +17,17 @@ TRACKER ?= stable
 SEEDS ?= 5
 MODELS ?= no-hist hist10 events-only disp-only hist20 down5 fast-slow
 IMAGE_MODELS ?= no-hist-img-6x6 hist10-img-6x6
+OURS ?= creep
 AHEAD ?= 10 20
+RECIPES ?= steady paper
 STEPS ?= 40000
+STEADY_STEPS ?= $(shell echo $$(( $(STEPS) < 10000 ? $(STEPS) : 10000 )))
 IMAGE_STEPS ?= $(shell echo $$(( $(STEPS) < 3000 ? $(STEPS) : 3000 )))
-# make force
+# Seven minutes each on a core that is left alone.
+IMAGE_SEEDS ?= 2
+# make force: models of so many seeds are judged on so many trajectories
 FORCE ?= data/force
+FORCE_SEEDS ?= 3
 OTHERS ?= second soft-gel stiff-gel
 JUDGED ?= 3
 # make tracking: trajectories that rub edges over the gel, and presets of the tracker
@@ -31,8 +37,9 @@ PRESETS ?= unregularised paper official stable
 # make labels: trajectories of each of the paper's twenty objects
 LABELS ?= data/labels
 EACH ?= 5
-# make vibration: 100 s of each tone
+# make vibration: 100 s of each tone, and 10 s of each for so many seeds that draw everything anew
 VIBRATION ?= data/vibration
+VIBRATION_SEEDS ?= 20
 # make data-rate
 RATE ?= data/data-rate
 TRAJECTORIES ?= 5
@@ -43,7 +50,7 @@ EVETAC := $(CURDIR)/$(BIN)/evetac
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo strips slip-data slip-models slip-images slip-table tracking labels vibration data-rate force results test test-all check bench clean
+.PHONY: help setup demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration data-rate force results test test-all check bench clean
 
 # `run` shows a command and runs it; whatever is made already is skipped, so that every target goes on where it was
 # stopped. `keep NAME COMMAND` leaves an evaluation's JSON, table and picture in REPORTS, anew where its recipe changed.
@@ -96,32 +103,35 @@ slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in da
 	run featurize "learn/*.recording.h5" --tracks learn --labels truth --out truth --jobs $(JOBS)
 
 LEARN = $(RUN) cd $(SLIP); learn() { from=$$1; folder=$$2; shift 2; run train "$$from/*.features.h5" $$* \
-	--validate choose --seed $(SEED) --seeds $(SEEDS) --out models/$$folder --jobs $(JOBS); };
+	--validate choose --seed $(SEED) --seeds $$seeds --out models/$$folder --jobs $(JOBS); };
 
-slip-models: $(READY)  ## train slip detectors on what slip-data made (SEEDS, STEPS, MODELS, AHEAD, JOBS)
-	@$(LEARN) \
-	for model in $(MODELS); do learn learn now --model $$model --max-steps $(STEPS); done; \
-	for model in $(filter hist20 fast-slow,$(MODELS)); do for ahead in $(AHEAD); do \
-	learn learn ahead --model $$model --ahead $$ahead --max-steps $(STEPS); done; done; \
-	for model in creep fast-slow; do \
-	learn learn ours --model $$model --ahead 10 --recipe steady --max-steps $(STEPS); done; \
-	learn truth truth --model fast-slow --ahead 10 --max-steps $(STEPS)
+slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, SEEDS, STEPS, MODELS, AHEAD, JOBS)
+	@$(LEARN) seeds=$(SEEDS); \
+	for recipe in $(RECIPES); do steps=$(STEPS); models="$(MODELS)"; later="$(filter hist20 fast-slow,$(MODELS))"; \
+	if [ $$recipe = steady ]; then steps=$(STEADY_STEPS); models="$$models $(OURS)"; later="$$later $(OURS)"; fi; \
+	for model in $$models; do learn learn $$recipe --model $$model --recipe $$recipe --max-steps $$steps; done; \
+	for model in $$later; do for ahead in $(AHEAD); do \
+	learn learn $$recipe-ahead --model $$model --ahead $$ahead --recipe $$recipe --max-steps $$steps; done; done; done; \
+	learn truth truth --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS)
 
 # On a CPU the image baselines run on images summed over 6 x 6 px, for fewer steps, and beside them hist10 for as many.
-slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MODELS= leaves them out (IMAGE_STEPS)
-	@$(LEARN) \
-	for model in hist10 $(IMAGE_MODELS); do learn learn short --model $$model --max-steps $(IMAGE_STEPS); done; \
+slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MODELS= leaves them out (IMAGE_SEEDS, IMAGE_STEPS)
+	@$(LEARN) seeds=$(IMAGE_SEEDS); \
+	for model in hist10 $(IMAGE_MODELS); do \
+	learn learn images --model $$model --recipe steady --max-steps $(IMAGE_STEPS); done; \
 	for model in $(filter hist10-img%,$(IMAGE_MODELS)); do for ahead in $(AHEAD); do \
-	learn learn short-ahead --model $$model --ahead $$ahead --max-steps $(IMAGE_STEPS); done; done
+	learn learn images-ahead --model $$model --ahead $$ahead --recipe steady --max-steps $(IMAGE_STEPS); done; done
 
 slip-table: slip-models slip-images  ## ... and judge all of these on unseen slips: tables in reports/
 	@$(RUN) cd $(SLIP); keep slip-training-objects evaluate slip "known/*.features.h5" --model \
-	"models/now/*.model.h5" "models/short/*.model.h5"; \
-	unseen="unseen/*.features.h5 --model models/now/hist20*.model.h5 models/now/fast-slow*.model.h5 \
-	models/short/hist10-img*.model.h5 models/ahead/*.model.h5 models/short-ahead/*.model.h5 models/ours/*.model.h5 \
-	models/truth/*.model.h5"; \
+	"models/paper/*.model.h5 models/steady/*.model.h5 models/images/*.model.h5"; \
+	unseen="unseen/*.features.h5 --model models/*/hist20*.model.h5 models/*/fast-slow*.model.h5 \
+	models/images*/hist10-img*.model.h5 models/*/creep*.model.h5"; \
 	keep slip-unseen-objects evaluate slip "$$unseen"; \
 	keep model-cost evaluate cost model "$$unseen"
+
+ship: slip-table  ## put the best fast-slow detector, 10 ms ahead, into the package, for grasp
+	$(BIN)/python scripts/ship_model.py $(SLIP)/models/steady-ahead/fast-slow-10ms-s*.model.h5 $(REPORTS)/slip-unseen-objects.json
 
 tracking: $(READY)  ## presets of the tracker on edges, slip and shear, simulated: tables in reports/ (EDGES, PRESETS, SEED, JOBS)
 	@$(RUN) mkdir -p $(TRACKING); cd $(TRACKING); \
@@ -140,10 +150,12 @@ labels: $(READY)  ## slip labels against truth, all twenty objects, simulated: a
 	run label "*.recording.h5" --jobs $(JOBS); \
 	keep labels evaluate labels "*.labels.h5"
 
-vibration: $(READY)  ## which tone the gel feels, simulated: a table in reports/ (SEED, JOBS)
+vibration: $(READY)  ## which tone the gel feels, simulated: tables in reports/ (VIBRATION_SEEDS, SEED, JOBS)
 	@$(RUN) mkdir -p $(VIBRATION); cd $(VIBRATION); \
 	run record --scene vibration --seed $(SEED) --out . --jobs $(JOBS); \
-	keep vibration evaluate vibration "vibration-*hz-s$(SEED)-000.recording.h5"
+	keep vibration evaluate vibration "vibration-*hz-s$(SEED)-000.recording.h5" --windows 10,2,1,0.25; \
+	run record --scene vibration-drawn --count $(VIBRATION_SEEDS) --seed $(SEED) --out drawn --jobs $(JOBS); \
+	keep vibration-drawn evaluate vibration "drawn/*hz-s$(SEED)-*.recording.h5" --windows 10,2,1,0.25
 
 data-rate: $(READY)  ## bytes a second against an RGB sensor, simulated: a table in reports/ (TRAJECTORIES, SEED, JOBS)
 	@$(RUN) mkdir -p $(RATE); cd $(RATE); \
@@ -151,7 +163,7 @@ data-rate: $(READY)  ## bytes a second against an RGB sensor, simulated: a table
 	keep data-rate evaluate data-rate "data-rate-*-s$(SEED)-*.recording.h5"
 
 # The first trajectory to be judged on is pushed over every gel in the same way, so that only the gel differs.
-force: $(READY)  ## shear force from dots in events and in frames, simulated: a table in reports/ (JUDGED, OTHERS, SEED, JOBS)
+force: $(READY)  ## shear force from dots in events and in frames, simulated: tables in reports/ (FORCE_SEEDS, JUDGED, OTHERS, SEED, JOBS)
 	@$(RUN) mkdir -p $(FORCE); cd $(FORCE); \
 	run record --scene shear --count 4 --seed $(SEED) --out learn --jobs $(JOBS); \
 	run record --scene shear --count $(JUDGED) --seed $$(( $(SEED) + 500 )) --out unseen --jobs $(JOBS); \
@@ -159,10 +171,12 @@ force: $(READY)  ## shear force from dots in events and in frames, simulated: a 
 	run record --scene shear --individual $$other --seed $$(( $(SEED) + 500 )) --out $$other; done; \
 	run track "*/*.recording.h5" --preset stable --jobs $(JOBS); \
 	run rgb "*/*.recording.h5" --jobs $(JOBS); \
-	run fit "learn/*.tracks.h5" --seed $(SEED) --out events.force-model.h5; \
-	run fit "learn/rgb/*.tracks.h5" --seed $(SEED) --out frames.force-model.h5; \
+	for recipe in paper mirrored; do for each in $$(seq $(SEED) $$(( $(SEED) + $(FORCE_SEEDS) - 1 ))); do \
+	fit() { run fit "$$1/*.tracks.h5" --recipe $$recipe --seed $$each --out models/$$recipe/$$2-$$each.force-model.h5; }; \
+	fit learn events; fit learn/rgb frames; done; done; \
 	others=; for other in $(OTHERS); do others="$$others $$other/*.tracks.h5 $$other/rgb/*.tracks.h5"; done; \
-	keep force evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model . --seed $(SEED)
+	judge() { keep $$1 evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model $$2 --seed $(SEED); }; \
+	judge force models/paper; judge force-mirrored models/mirrored
 
 results:  ## put the tables in reports/ into the README
 	$(PYTHON) scripts/results.py $(REPORTS) README.md

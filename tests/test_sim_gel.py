@@ -9,7 +9,8 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from evetac_cli.sim.contact import cell_area, gap_profile, pad_nodes, pressure
-from evetac_cli.sim.gel import Friction, GelMaterial, displacement_at, energy, interpolation, shrink, start, step
+from evetac_cli.sim.gel import Friction, GelMaterial, displacement_at, energy, interpolation, start, step
+from evetac_cli.sim.gel_balance import shrink
 
 GRAVITY = 9.81
 X_RANGE_M, Y_RANGE_M = (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)

@@ -12,22 +12,18 @@ from evetac_cli.sim.gel_cost import (
     FULL,
     USUAL,
     Extent,
-    Motion,
-    draw_trial,
     errors_um,
     explicit_row,
     implicit_row,
     in_words,
     layer_rows,
-    layer_stiffness,
     mechanics_cost,
     node_rows,
     row,
-    simulate,
-    simulate_explicit,
-    simulate_modes,
     time_reference,
 )
+from evetac_cli.sim.gel_reference import layer_stiffness, simulate_explicit, simulate_modes
+from evetac_cli.sim.gel_trial import Motion, draw_trial, simulate
 
 COARSE = replace(draw_trial(0), columns=12, rows=9)
 SHORT = replace(COARSE, seconds=0.05)

@@ -185,6 +185,25 @@ def test_events_beat_at_the_tone(tmp_path: Path) -> None:
     assert abs(np.argmax(spectrum) * 2 - 300) <= 2
 
 
+@pytest.mark.parametrize("hz", [100, 200, 300, 400, 498])
+def test_the_scene_is_felt_at_few_events(hz: int, tmp_path: Path) -> None:
+    """Assert that the shipped scene's tones, at the middle of their ranges, lead at 1,500 events a slice or fewer."""
+    tone = tomllib.loads((PACKAGE / "scenes" / "vibration.toml").read_text())["tone"]
+    middle = [
+        (low + high) / 2 for low, high in zip(tone["second_harmonic_least"], tone["second_harmonic_most"], strict=True)
+    ]
+    steady = {"second_harmonic_least": middle, "second_harmonic_most": middle, "amplitude_factor": [1.0, 1.0]}
+    name = changed(tmp_path, {"tone_s": 0.4}, **steady)
+    trial = vibration(name, hz)
+    at = tone["at_hz"].index(hz)
+    trial._modulation = Drift(np.array([0.0, 1.0]), np.full(2, tone["modulation_most"][at] / 2))
+    counts = np.array([trial.step().size for _ in range(400)])[100:]
+    assert 500 < counts.mean() < 1500
+    amplitude = np.abs(np.fft.rfft(counts - counts.mean()))
+    amplitude[: math.ceil(25 * 0.3)] = 0.0
+    assert abs(np.argmax(amplitude) / 0.3 - hz) < 1 / 0.3  # frequencies are 3.3 Hz apart
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [

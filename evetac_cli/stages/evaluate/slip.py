@@ -32,7 +32,7 @@ from evetac_cli.store.provenance import Header
 
 INPUTS = ("features", "model")
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 NOT_WEIGHTS = ("weights/input_scale", "weights/input_offset")  # fixed, not trained
 # Where t_m - t_c is, in ms: the borders of the paper's "Evaluating Slip Timing".
 MOMENTS = (
@@ -270,8 +270,9 @@ def _tables(
                 }
             )
     by_model = [
-        {"file": model.path.name, "seed": model.header["parameters"].get("seed"), **score}
-        for model, score in zip(models, scores, strict=True)
+        {"setting": setting, "file": models[index].path.name, "seed": _seed(models[index]), **scores[index]}
+        for setting, members in settings_of(models).items()
+        for index in members
     ]
     trajectories = [
         _trajectory_row(setting, models[index], thresholds[index], prediction, path)
@@ -280,6 +281,11 @@ def _tables(
         for prediction, path in zip(judged[index], paths, strict=True)
     ]
     return [*settings, *moments, *objects, *by_model, *trajectories], _summary(scores, settings)
+
+
+def _seed(model: Model) -> int | None:
+    seed: int | None = model.header["parameters"].get("seed")
+    return seed
 
 
 def by_object(predictions: Sequence[Prediction], threshold: float) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,351 @@
+"""The balance of forces in one time step of the gel: node velocities and the object's twist at which it holds.
+
+The minimum of one convex function (see gel) is found in rounds: sweeps of projected over-relaxation over the nodes
+(`relax`), then a Newton step of the object in which the nodes that stick move along (`move_object`). Its exact line
+search keeps the object from flipping for ever between the two directions of slip on a stiff gel. Catching the nodes
+that the step would bring to rest, so that they move along too, keeps partial slip cheap: without it a single node about
+to stick stops the object again and again (400 sweeps and no balance where now 20 are enough).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,
+WORTHWHILE = 0.1  # and the first step is taken of which at least this part leads down, else the last
+ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
+
+
+class Stencil(NamedTuple):
+    """The matrix of the nodes in one time step: own + links on the diagonal, -link to each neighbour."""
+
+    own: float
+    link_x: float
+    link_y: float
+    pitch_x: float
+    pitch_y: float
+    pads: float
+
+
+class Work(NamedTuple):
+    """Memory for one step, (rows, columns[, 2]); `velocity` and `loose` have a border of zeros all around.
+
+    velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
+    lever: place of the nodes seen from the object's centre; bound: mu * normal force; diagonal: of the stencil.
+    pull: the friction each node asks for; slip, speed: its velocity against the object's surface, and the size of that.
+    loose: 1 where a node does not move along with the object; way: how the nodes answer a move of the object.
+    """
+
+    velocity: Floats
+    right: Floats
+    lever: Floats
+    bound: Floats
+    diagonal: Floats
+    pull: Floats
+    slip: Floats
+    speed: Floats
+    loose: Floats
+    way: Floats
+
+
+@njit(cache=True)
+def links(index: int, count: int) -> int:
+    """How many neighbours a node has along a line of count nodes."""
+    return min(index, 1) + min(count - 1 - index, 1)
+
+
+@njit(cache=True)
+def shrink(x: float, y: float, by: float) -> float:
+    """The share of a vector that is left when its length is made less by `by`; 0 where it is not longer than that.
+
+    This is all there is of Coulomb's law in the search: what a node would slip, less what its friction holds.
+    """
+    square = x * x + y * y
+    return 1.0 - by / math.sqrt(square) if square > by * by else 0.0
+
+
+@njit(cache=True)
+def relax(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, factor: float) -> None:
+    """One sweep of projected over-relaxation over the nodes, the object's twist held.
+
+    Nodes go in the order of a chess board, first one colour, then the other: those of one colour do not wait for each
+    other, neither in the processor nor in the result, which so keeps the symmetries of the problem.
+    """
+    velocity = work.velocity
+    rows, columns = work.bound.shape
+    for colour in range(2):
+        for row in range(rows):
+            for column in range((row + colour) % 2, columns, 2):
+                sum_x = work.right[row, column, 0]
+                sum_y = work.right[row, column, 1]
+                sum_x += stencil.link_x * (velocity[row + 1, column, 0] + velocity[row + 1, column + 2, 0])
+                sum_y += stencil.link_x * (velocity[row + 1, column, 1] + velocity[row + 1, column + 2, 1])
+                sum_x += stencil.link_y * (velocity[row, column + 1, 0] + velocity[row + 2, column + 1, 0])
+                sum_y += stencil.link_y * (velocity[row, column + 1, 1] + velocity[row + 2, column + 1, 1])
+                body_x = twist[0] - twist[2] * work.lever[row, column, 1]
+                body_y = twist[1] + twist[2] * work.lever[row, column, 0]
+                ease = factor / work.diagonal[row, column]
+                slip_x = (1.0 - factor) * velocity[row + 1, column + 1, 0] + ease * sum_x - body_x
+                slip_y = (1.0 - factor) * velocity[row + 1, column + 1, 1] + ease * sum_y - body_y
+                hold = ease * work.bound[row, column]
+                left = shrink(slip_x, slip_y, hold)
+                if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
+                    left = 0.0
+                stuck[row, column] = hold > 0.0 and left == 0.0
+                velocity[row + 1, column + 1, 0] = body_x + left * slip_x
+                velocity[row + 1, column + 1, 1] = body_y + left * slip_y
+
+
+@njit(cache=True)
+def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, felt: Floats) -> float:
+    """Largest force left unbalanced at a node; fills pull, slip, speed, and felt (3), what a pad does to the object."""
+    velocity = work.velocity
+    rows, columns = work.bound.shape
+    worst = 0.0
+    felt[:] = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            here_x = velocity[row + 1, column + 1, 0]
+            here_y = velocity[row + 1, column + 1, 1]
+            x = work.lever[row, column, 0]
+            y = work.lever[row, column, 1]
+            bound = work.bound[row, column]
+            pull_x = work.diagonal[row, column] * here_x - work.right[row, column, 0]
+            pull_y = work.diagonal[row, column] * here_y - work.right[row, column, 1]
+            pull_x -= stencil.link_x * (velocity[row + 1, column, 0] + velocity[row + 1, column + 2, 0])
+            pull_y -= stencil.link_x * (velocity[row + 1, column, 1] + velocity[row + 1, column + 2, 1])
+            pull_x -= stencil.link_y * (velocity[row, column + 1, 0] + velocity[row + 2, column + 1, 0])
+            pull_y -= stencil.link_y * (velocity[row, column + 1, 1] + velocity[row + 2, column + 1, 1])
+            slip_x = 0.0
+            slip_y = 0.0
+            speed = 0.0
+            force_x = pull_x
+            force_y = pull_y
+            if stuck[row, column]:
+                left = math.sqrt(pull_x * pull_x + pull_y * pull_y) - bound
+            else:
+                slip_x = here_x - twist[0] + twist[2] * y
+                slip_y = here_y - twist[1] - twist[2] * x
+                speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
+                force_x = -bound * (slip_x / speed) if speed > 0.0 else 0.0
+                force_y = -bound * (slip_y / speed) if speed > 0.0 else 0.0
+                left = math.sqrt((pull_x - force_x) ** 2 + (pull_y - force_y) ** 2)
+            worst = max(worst, left)
+            work.pull[row, column, 0] = pull_x
+            work.pull[row, column, 1] = pull_y
+            work.slip[row, column, 0] = slip_x
+            work.slip[row, column, 1] = slip_y
+            work.speed[row, column] = speed
+            felt[0] += force_x
+            felt[1] += force_y
+            felt[2] += x * force_y - y * force_x
+    return worst
+
+
+@njit(cache=True)
+def _curvature(work: Work, stencil: Stencil, curvature: Floats) -> None:
+    """Add a pad's stiffness against moves of the object to curvature, (3, 3), of which only the upper triangle is kept.
+
+    Nodes that are not loose move along, and bring their springs. A loose node lags behind: its friction resists a turn
+    of the slip, in series with the node's own diagonal.
+    """
+    loose = work.loose
+    rows, columns = work.bound.shape
+    for row in range(rows):
+        for column in range(columns):
+            x = work.lever[row, column, 0]
+            y = work.lever[row, column, 1]
+            speed = work.speed[row, column]
+            if loose[row + 1, column + 1] == 0.0:
+                free_x = loose[row + 1, column] + loose[row + 1, column + 2]
+                free_y = loose[row, column + 1] + loose[row + 2, column + 1]
+                # a link between two nodes that move along is bent by a rotation only; each end counts half
+                turn_x = 0.5 * stencil.link_x * stencil.pitch_x**2 * (links(column, columns) - free_x)
+                turn_y = 0.5 * stencil.link_y * stencil.pitch_y**2 * (links(row, rows) - free_y)
+                stiff = stencil.own + stencil.link_x * free_x + stencil.link_y * free_y
+                curvature[0, 0] += stiff
+                curvature[1, 1] += stiff
+                curvature[0, 2] -= stiff * y
+                curvature[1, 2] += stiff * x
+                curvature[2, 2] += stiff * (x * x + y * y) + turn_x + turn_y
+            elif speed > 0.0 and work.bound[row, column] > 0.0:
+                along_x = work.slip[row, column, 0] / speed
+                along_y = work.slip[row, column, 1] / speed
+                arm = x * along_x + y * along_y
+                bound = work.bound[row, column]
+                stiff = bound * work.diagonal[row, column] / (bound + work.diagonal[row, column] * speed)
+                curvature[0, 0] += stiff * along_y * along_y
+                curvature[0, 1] -= stiff * along_y * along_x
+                curvature[1, 1] += stiff * along_x * along_x
+                curvature[0, 2] -= stiff * along_y * arm
+                curvature[1, 2] += stiff * along_x * arm
+                curvature[2, 2] += stiff * arm * arm
+
+
+@njit(cache=True)
+def _follow(work: Work, move: Floats, reach: float) -> int:
+    """Fill way, how each node answers a move of the object; returns how many loose nodes the move would bring to rest.
+
+    Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
+    """
+    rows, columns = work.bound.shape
+    caught = 0
+    for row in range(rows):
+        for column in range(columns):
+            move_x = move[0] - move[2] * work.lever[row, column, 1]
+            move_y = move[1] + move[2] * work.lever[row, column, 0]
+            speed = work.speed[row, column]
+            bound = work.bound[row, column]
+            if work.loose[row + 1, column + 1] == 0.0:
+                work.way[row, column, 0] = move_x - work.slip[row, column, 0]
+                work.way[row, column, 1] = move_y - work.slip[row, column, 1]
+            elif speed > 0.0 and bound > 0.0:
+                along_x = work.slip[row, column, 0] / speed
+                along_y = work.slip[row, column, 1] / speed
+                if reach * (along_x * move_x + along_y * move_y) >= speed:
+                    work.loose[row + 1, column + 1] = 0.0
+                    caught += 1
+                across = along_x * move_y - along_y * move_x
+                across *= bound / (bound + work.diagonal[row, column] * speed)
+                work.way[row, column, 0] = -across * along_y
+                work.way[row, column, 1] = across * along_x
+            else:
+                work.way[row, column, 0] = 0.0
+                work.way[row, column, 1] = 0.0
+    return caught
+
+
+@njit(cache=True)
+def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
+    """Slope and curvature, along way, of one pad's potential without friction."""
+    way = work.way
+    rows, columns = work.bound.shape
+    slope = 0.0
+    curvature = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            for axis in range(2):
+                here = way[row, column, axis]
+                slope += here * work.pull[row, column, axis]
+                curvature += stencil.own * here * here
+                if column > 0:
+                    curvature += stencil.link_x * (here - way[row, column - 1, axis]) ** 2
+                if row > 0:
+                    curvature += stencil.link_y * (here - way[row - 1, column, axis]) ** 2
+    return slope, curvature
+
+
+@njit(cache=True)
+def _rubbing(work: Work, move: Floats, part: float) -> float:
+    """Slope of one pad's friction potential, the sum of bound * |slip|, after a part of a move of object and nodes."""
+    rows, columns = work.bound.shape
+    slope = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            if work.speed[row, column] > 0.0:
+                drift_x = work.way[row, column, 0] - move[0] + move[2] * work.lever[row, column, 1]
+                drift_y = work.way[row, column, 1] - move[1] - move[2] * work.lever[row, column, 0]
+                slip_x = work.slip[row, column, 0] + part * drift_x
+                slip_y = work.slip[row, column, 1] + part * drift_y
+                speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
+                if speed > 0.0:
+                    slope += work.bound[row, column] * (slip_x * drift_x + slip_y * drift_y) / speed
+    return slope
+
+
+@njit(cache=True)
+def _solve3(matrix: Floats, right: Floats, least: Floats) -> Floats:
+    """Solution of a symmetric 3 x 3 system of which the upper triangle is given, and of which the pivots are >= least.
+
+    That they are follows from the diagonal least being one positive summand of the matrix; rounding may forget it.
+    """
+    pivot_0 = max(matrix[0, 0], least[0])
+    low_10 = matrix[0, 1] / pivot_0
+    low_20 = matrix[0, 2] / pivot_0
+    pivot_1 = max(matrix[1, 1] - low_10 * matrix[0, 1], least[1])
+    cross = matrix[1, 2] - low_10 * matrix[0, 2]
+    low_21 = cross / pivot_1
+    pivot_2 = max(matrix[2, 2] - low_20 * matrix[0, 2] - low_21 * cross, least[2])
+    half_1 = right[1] - low_10 * right[0]
+    half_2 = right[2] - low_20 * right[0] - low_21 * half_1
+    third = half_2 / pivot_2
+    second = half_1 / pivot_1 - low_21 * third
+    first = right[0] / pivot_0 - low_10 * second - low_20 * third
+    return np.array([first, second, third])
+
+
+@njit(cache=True)
+def _find_move(
+    work: Work, stencil: Stencil, weight: Floats, inertial: Floats, felt: Floats, stuck: Flags, reach: float
+) -> Floats:
+    """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest; fills way."""
+    rows, columns = stuck.shape
+    for row in range(rows):
+        for column in range(columns):
+            work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
+    curvature = np.empty((3, 3))
+    move = np.zeros(3)
+    for _ in range(4):
+        curvature[:] = 0.0
+        _curvature(work, stencil, curvature)
+        curvature *= stencil.pads
+        for axis in range(3):
+            curvature[axis, axis] += weight[axis]
+        move = _solve3(curvature, -inertial - stencil.pads * felt, weight)
+        if _follow(work, move, reach) == 0:
+            break
+    return move
+
+
+@njit(cache=True)
+def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial: Floats) -> float:
+    """Exact line search: the part, 0 to 1, of a move (with way) at which the potential is least; 0 if it only rises."""
+    slope, bend = _smooth(work, stencil)
+    slope = stencil.pads * slope + (inertial * move).sum()
+    bend = stencil.pads * bend + (weight * move * move).sum()
+    start = slope + stencil.pads * _rubbing(work, move, 0.0)
+    low = 0.0
+    high = 1.0
+    part = 1.0
+    for _ in range(50):
+        here = slope + part * bend + stencil.pads * _rubbing(work, move, part)
+        if here <= -1e-9 * start:
+            low = part
+            if part == 1.0 or here >= 1e-3 * start:
+                break
+        else:
+            high = part
+        part = 0.5 * (low + high)
+    return low if start < 0.0 else 0.0
+
+
+@njit(cache=True)
+def move_object(
+    work: Work, stencil: Stencil, twist: Floats, weight: Floats, inertial: Floats, felt: Floats, stuck: Flags
+) -> None:
+    """Newton step of the object, and of the nodes that answer it.
+
+    weight: inertia / (theta dt); inertial: the object's own unbalanced force; felt: what the nodes of a pad add to it.
+    To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
+    the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
+    """
+    rows, columns = stuck.shape
+    move = np.zeros(3)
+    part = 0.0
+    for reach in REACHES:
+        move = _find_move(work, stencil, weight, inertial, felt, stuck, reach)
+        part = _search(work, stencil, move, weight, inertial)
+        if part >= WORTHWHILE:
+            break
+    for axis in range(3):
+        twist[axis] += part * move[axis]
+    for row in range(rows):
+        for column in range(columns):
+            for axis in range(2):
+                work.velocity[row + 1, column + 1, axis] += part * work.way[row, column, axis]

@@ -1,0 +1,56 @@
+"""Put the slip detector into the package that `grasp` uses by default, and beside it how it was made.
+
+    python scripts/ship_model.py MODELS/fast-slow-10ms-s*.model.h5 reports/slip-unseen-objects.json
+
+Of the seeds it takes the one that was best on the validation trajectories; what it does on objects never seen is told
+from the report, and has no part in the choice.
+"""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+from evetac_cli.resources import MODEL
+from evetac_cli.stages.evaluate.slip import Model
+from evetac_cli.store.files import StageFile
+
+FIGURES = ("slip_early", "slip_correct", "slip_late", "f1", "trajectories", "objects")
+
+
+def validation_score(path: Path) -> float:
+    with StageFile(path, "model") as file:
+        return float(file.read("checkpoint/score")[int(file.read("checkpoint/chosen"))])
+
+
+def main() -> None:
+    *paths, report = map(Path, sys.argv[1:])
+    best = max(paths, key=validation_score)
+    model = Model.read(best)
+    judged = json.loads(report.read_text())
+    chosen = model.header["parameters"]
+    traits = {"model": chosen["model"], "ahead_ms": model.ahead_ms, "recipe": chosen["recipe"], "labels": model.labels}
+    (setting,) = [row["setting"] for row in judged["rows"] if "seeds" in row and traits.items() <= row.items()]
+    one = {"setting": setting, "seed": chosen["seed"]}
+    (found,) = [row for row in judged["rows"] if "threshold" in row and one.items() <= row.items()]
+    made = {
+        "model": model.architecture.name,
+        "ahead_ms": model.ahead_ms,
+        "threshold": model.threshold,
+        "parameters": model.parameters,
+        "training": model.header["parameters"],
+        "labels": model.labels,
+        "objects_trained_and_validated_on": sorted(map(int, model.objects)),
+        "validation_score": validation_score(best),
+        "best_of_seeds": len(paths),
+        "unseen_objects": {key: found[key] for key in FIGURES},
+        "simulated": model.header["simulated"],
+        "id": model.header["id"],
+    }
+    MODEL.parent.mkdir(exist_ok=True)
+    shutil.copyfile(best, MODEL)
+    MODEL.with_suffix("").with_suffix(".json").write_text(json.dumps(made, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
