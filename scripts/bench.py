@@ -3,6 +3,7 @@
 Times depend on the machine and on what else it does; the ratios of one run are what to compare. Simulated input.
 """
 
+import itertools
 import time
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from evetac_cli.console import print_table
 from evetac_cli.kernels import features, flow, grip, slip, tracker
-from evetac_cli.sim import scene
+from evetac_cli.sim import scene, tracker_cost
 from evetac_cli.sim.world import World
 
 SLICE_US = 1000.0
@@ -84,16 +85,15 @@ def row(what: str, seconds: np.ndarray, slices: float = 1.0) -> dict[str, object
 def touch() -> list[dict[str, object]]:
     """Tracker and features at several loads, events on the edges of 63 dots."""
     rng = np.random.default_rng(0)
-    dots = np.stack(np.meshgrid(61 + 62.3 * np.arange(9), 41 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
+    dots = tracker_cost.DOTS_PX
     rows = []
-    for count in (0, 200, 1000, 5000, 20000):
-        which, angle = rng.integers(0, 63, count), rng.uniform(0, 2 * np.pi, count)
-        edge = dots[which] + 15 * np.stack([np.cos(angle), np.sin(angle)], axis=-1) + rng.normal(0, 1, (count, 2))
-        x, y = np.clip(edge, 0, (639, 479)).astype(np.uint16).T.copy()
-        p = rng.integers(0, 2, count, dtype=np.uint8)
+    for count in (0, 200, 463, 1000, 5000, 20000):
+        # Different slices: the same one again and again would make its pixels hot, and they would be left out.
+        slices = [tracker_cost.rim_events(rng, count) for _ in range(min(400, 400_000 // max(count, 1)))]
         for preset in ("paper", "official", "stable"):
             state = tracker.start(dots, tracker.PRESETS[preset])
-            seconds = timed(lambda s=state, a=x, b=y, c=p: tracker.step(s, a, b, c), 500)
+            turn = itertools.cycle(slices)
+            seconds = timed(lambda s=state, t=turn: tracker.step(s, *next(t)), 500)
             rows.append(row(f"track {preset}, {count} events", seconds))
     history = features.start(dots, 10)
     moved, counted = dots + rng.normal(0, 1, dots.shape), rng.integers(0, 50, 63).astype(np.int32)

@@ -12,7 +12,7 @@ WINDOW, GEL = (565, 0, 640, 480), (0, 0, 530, 480)
 DOTS = np.stack(np.meshgrid([120.0, 260.0, 400.0], [100.0, 240.0, 380.0]), axis=-1).reshape(-1, 2)
 RADIUS_PX = 15.0
 CONSTANTS = event_flow.EventFlowConstants()
-RATE = 400  # events of the window a pixel
+RATE = 500  # events of the window a pixel, as long as it has not moved
 LOAD_MS = 300  # the object takes the gel along until then
 
 
@@ -32,7 +32,8 @@ def scene(dot_px: np.ndarray, object_px: Sequence[float], rate: float = RATE, se
     """Events of dots displaced by dot_px (slices + 1, dots, 2), and of a window that shows an object moving along x."""
     rng = np.random.default_rng(seed)
     slices = []
-    for k, travelled in enumerate(np.abs(np.diff(object_px))):
+    gone = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(object_px)))])
+    for k, travelled in enumerate(CONSTANTS.fading_px * np.diff(np.log1p(gone / CONSTANTS.fading_px))):
         parts = [rims(rng, DOTS + dot_px[k], dot_px[k + 1] - dot_px[k])]
         many = rng.poisson(rate * travelled)
         parts.append([rng.integers(565, 640, many), rng.integers(0, 480, many), rng.integers(0, 2, many)])
@@ -84,8 +85,7 @@ def test_onset_is_when_half_a_pixel_is_slid(speed: float, angle: float) -> None:
     """Assert that the onset is where 0.5 px is slid, to 2 ms and a fifth of the way, however slow, along x or y."""
     begin = 600
     found = labels(*slide(0.02, speed, begin, 700, angle))
-    ahead = CONSTANTS.look_ahead_ms
-    wanted = begin + CONSTANTS.slide_px / speed - ahead
+    wanted = begin + CONSTANTS.slide_px / speed
     assert abs(found.onset - wanted) <= 2 + 0.2 * CONSTANTS.slide_px / speed
     assert (found.label[:LOAD_MS] == -1).all()
     assert (found.label[LOAD_MS : found.onset] == 0).all()
@@ -93,6 +93,26 @@ def test_onset_is_when_half_a_pixel_is_slid(speed: float, angle: float) -> None:
     assert (found.label[found.onset + CONSTANTS.after_ms :] == -1).all()
     assert found.confidence > 0.9
     assert found.pairs == 0
+
+
+def test_a_turning_object_takes_dots_along_each_its_own_way() -> None:
+    """Assert that there is no slip while the dots turn with the object, and that there is when they stop."""
+    dot_px, object_px = slide(0.02, 0.2, 600, 660)
+    centre = DOTS.mean(axis=0)
+    across = (DOTS - centre)[:, ::-1] * [-1.0, 1.0] / np.hypot(*(DOTS - centre).T).clip(1.0)[:, None]
+    turned = np.linalg.norm(dot_px, axis=-1)[..., None] * across
+    found = labels(turned, object_px)
+    assert abs(found.onset - 602.5) <= 3
+    assert (found.label[LOAD_MS : found.onset] == 0).all()
+
+
+@pytest.mark.parametrize("way", [0.5, 5.0, 50.0, 400.0])
+def test_travel_is_told_from_events_that_fade(way: float) -> None:
+    """Assert that events fading as the module says give back the way, to the step of the sum, short or long."""
+    object_px = np.linspace(0, way, 4001)
+    moved = RATE * CONSTANTS.fading_px * np.log1p(object_px / CONSTANTS.fading_px)
+    told = event_flow.travel(moved, np.full(4000, float(RATE)), CONSTANTS.fading_px)
+    np.testing.assert_allclose(told, object_px, rtol=0.01, atol=0.01)
 
 
 @pytest.mark.parametrize("creep", [0.0, 0.02, 0.1])

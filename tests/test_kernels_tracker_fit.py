@@ -24,7 +24,13 @@ def grid() -> NDArray[np.float64]:
     return np.stack([x, y], axis=-1).reshape(-1, 2)
 
 
-def rims(rng: np.random.Generator, before: NDArray[np.float64], way: NDArray[np.float64], a_px: float = 300.0) -> Slice:
+def rims(
+    rng: np.random.Generator,
+    before: NDArray[np.float64],
+    way: NDArray[np.float64],
+    a_px: float = 300.0,
+    dot_radius_px: float = 15.0,
+) -> Slice:
     """Events of dots (n, 2) that all go the same way within a slice: darker ahead, brighter behind, evenly in time."""
     length = np.linalg.norm(way)
     dot = np.repeat(np.arange(len(before)), rng.poisson(a_px * length, len(before)))
@@ -33,7 +39,7 @@ def rims(rng: np.random.Generator, before: NDArray[np.float64], way: NDArray[np.
     ahead = way / max(length, 1e-12)
     normal = (side * np.sqrt(1 - sine**2))[:, None] * ahead + sine[:, None] * np.array([-ahead[1], ahead[0]])
     lag_px = -STABLE.rim_lag_px * np.sign(side)  # found behind the motion, on either side
-    radius_px = 15 + lag_px + 0.5 * rng.standard_normal(len(dot))
+    radius_px = dot_radius_px + lag_px + 0.5 * rng.standard_normal(len(dot))
     place = before[dot] + rng.random(len(dot))[:, None] * way + radius_px[:, None] * normal
     x, y = np.round(place).astype(np.uint16).T.copy()
     return x, y, np.where(side > 0, DARKER, BRIGHTER).astype(np.uint8)
@@ -101,15 +107,53 @@ def test_agrees_with_plain_reference(changes: dict[str, float]) -> None:
         assert np.abs(state.dot_xy_px - expected).max() < 1e-6
 
 
+def test_agrees_with_plain_reference_in_a_crowd() -> None:
+    """Assert the same for small dots that stand so close that nearly every event is near several of them."""
+    rng = np.random.default_rng(7)
+    dense = 50.0 + (grid() - 50.0) / 2.5
+    state = tracker.start(dense, STABLE.for_dots(8.0))
+    for _ in range(3):
+        slice_ = rims(rng, state.dot_xy_px + rng.uniform(-1, 1, (30, 2)), np.array([0.03, -0.02]), 400.0, 8.0)
+        assert len(slice_[0]) > 300
+        expected = reference(state, slice_)
+        tracker.step(state, *slice_)
+        assert np.abs(state.dot_xy_px - expected).max() < 1e-6
+
+
+def test_hot_pixels_say_nothing() -> None:
+    """Assert that events of hot pixels anywhere among the others, and some outside the frame, change no bit."""
+    rng = np.random.default_rng(8)
+    cool = rims(rng, grid() + rng.uniform(-1, 1, (30, 2)), np.array([0.05, 0.02]))
+    hot_xy = np.round(grid()[:20] + (15, 4)).astype(np.uint16)
+    more_x, more_y = np.concatenate([hot_xy, [(640, 100), (300, 480), (65535, 65535)]]).astype(np.uint16).T
+    kept = ~(np.stack(cool[:2], axis=1)[:, None] == hot_xy).all(axis=2).any(axis=1)
+    cool = tuple(column[kept] for column in cool)  # type: ignore[assignment]
+    order = rng.permutation(len(cool[0]) + len(more_x))
+    more = more_x, more_y, rng.integers(0, 2, len(more_x), dtype=np.uint8)
+    mixed = [np.concatenate(columns)[order] for columns in zip(cool, more, strict=True)]
+    places = []
+    for x, y, p in (cool, mixed):
+        state = tracker.start(grid(), STABLE)
+        state.fired[hot_xy[:, 1] + 1, hot_xy[:, 0] + 1] = 0xFFFF
+        tracker.step(state, x, y, p)
+        places.append((state.dot_xy_px.tobytes(), state.events_per_dot.tobytes()))
+    assert np.frombuffer(places[0][1], np.int32).sum() == len(cool[0])
+    assert places[0] == places[1]
+
+
 def follow(
-    constants: TrackerConstants, way_px: NDArray[np.float64], seed: int = 2, a_px: float = 300.0
+    constants: TrackerConstants,
+    way_px: NDArray[np.float64],
+    seed: int = 2,
+    a_px: float = 300.0,
+    dot_radius_px: float = 15.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors of tracking, and of standing still, (slices, dots, 2), for dots that go along way_px (slices + 1, 2)."""
     rng = np.random.default_rng(seed)
     state = tracker.start(grid(), constants)
     errors, still = [], []
     for before, after in zip(way_px, way_px[1:], strict=False):
-        tracker.step(state, *rims(rng, grid() + before, after - before, a_px))
+        tracker.step(state, *rims(rng, grid() + before, after - before, a_px, dot_radius_px))
         errors.append(state.dot_xy_px - grid() - after)
         still.append(np.broadcast_to(-after, (30, 2)))
     return np.array(errors), np.array(still)
@@ -139,6 +183,33 @@ def test_shear_and_tone(amplitude_px: float, frequency_hz: float, share: float) 
     """Assert that a shear and a tone are followed with a tenth, and with less than, the error of standing still."""
     errors, still = follow(STABLE, shaken(amplitude_px, frequency_hz, 300))
     assert rms(errors) < share * rms(still)
+
+
+@pytest.mark.parametrize("dot_radius_px", [8.0, 13.0, 15.0, 17.0])
+def test_dots_of_any_radius(dot_radius_px: float) -> None:
+    """Assert that dots of a stated radius are followed about as well as those of 15 px, and worse if it is not told."""
+    way = shaken(3.0, 5.0, 300)
+    a_px = 20.0 * dot_radius_px  # a longer rim makes more events
+    told, still = follow(STABLE.for_dots(dot_radius_px), way, a_px=a_px, dot_radius_px=dot_radius_px)
+    assert rms(told) < 0.1 * rms(still)
+    untold, _ = follow(STABLE, way, a_px=a_px, dot_radius_px=dot_radius_px)
+    assert dot_radius_px == 15.0 or rms(untold) > 2 * rms(told)
+
+
+def test_the_constants_for_a_radius() -> None:
+    """Assert that ring, count and way an event go with the radius, that 15 px change no bit, and others never."""
+    small = STABLE.for_dots(8.0)
+    assert (small.radius_px, small.ring_inner_px, small.ring_outer_px, small.count_radius_px) == (8.0, 4.0, 12.0, 13.0)
+    assert small.event_px == pytest.approx(STABLE.event_px * 15 / 8)
+    assert replace(small, radius_px=15.0, ring_inner_px=11.0, ring_outer_px=19.0, count_radius_px=20.0) == replace(
+        STABLE, event_px=small.event_px
+    )
+    assert STABLE.for_dots(15.0) == STABLE
+    for name in ("paper", "official", "unregularised"):
+        assert PRESETS[name].for_dots(8.0) == PRESETS[name]
+    for wrong in (3.9, 124.1, np.nan, -1.0):
+        with pytest.raises(ValueError, match="dot_radius_px: expected finite and >= 4, <= 124, found"):
+            STABLE.for_dots(wrong)
 
 
 @pytest.mark.parametrize("changes", [{"event_px": 0.0}, {"rim_lag_px": 0.0}])

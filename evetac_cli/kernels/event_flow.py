@@ -10,10 +10,20 @@ The object slips when it has slid `slide_px` since it last moved with any part o
 Why so:
 - The gel's flow is that of the dot which follows the object best. Dots away from the contact never move, and before
   gross slip ever more of the pad slips while the rest still holds: only when nothing follows any more is slip gross.
+  What still holds may lie between the dots or beside the picture, where a dot sees a twentieth of it.
+- A dot follows while it goes farther from its place at rest. That holds for every direction in which the object may
+  drag the gel, also where the object turns and every dot goes its own way.
 - A rim whose motion turns back is mute for some tenths of a pixel, until brightness has gone back by a threshold. A dot
   that snapped back may hold again without anybody seeing it, and counts as holding while the object moves `hidden_px`.
-- The window's events a pixel are the median over steps of 50 ms in which the dots that move most took it along; it
-  falls slowly with the way travelled, so steps after a slice tell nothing about it.
+- The window's events a pixel fall with the way travelled: the pixels start anywhere between two thresholds, but later
+  every turn of the texture's slope costs as much brightness as a threshold before events come again. After a way s it
+  makes fresh / (1 + s / fading_px) events a pixel, so events N a way of fading_px (exp(N / (fresh fading_px)) - 1).
+- `fresh` is the median over steps of 50 ms in which the dots that move most took the object along. Steps after a slice
+  tell nothing about it, as they may hold the slip.
+
+The constants were fixed on 308 simulated recordings of all 20 objects, recorded with seeds 0, 20, 1000 and 1500; those
+they are judged on have seed 300. Where the rule fails: an object touched beside the picture, a flat one whose last
+holding corner lies there, and one that turns, of which every part slips for moments only.
 """
 
 import math
@@ -38,6 +48,7 @@ HOT_BLOCK_US = 100_000
 HOT_SHARE = 0.5  # a pixel with events in more of these blocks is hot; edges pass it only now and then
 CELL_PX = 35.0  # events farther from every dot's place at rest belong to none
 RING_PX = 8.0  # and so do those farther off its rim
+MOST_FADED = 6.0  # exponent beyond which the window tells no more: it went four hundred times fading_px
 TRAVEL_PX = 1.5  # when the gel was dragged so far, a texture would have been seen
 
 Between = Callable[[int, int], Events]  # events of the slices [start, stop)
@@ -49,22 +60,24 @@ class EventFlowConstants:
     """Constants of slip labels by counting; ValueError unless all are finite and in range."""
 
     slide_px: float = 0.5  # the object has slid so far: the onset
-    look_ahead_ms: int = 2  # a slice's speeds are means over the next so many ms
+    look_ahead_ms: int = 4  # a slice's speeds are means over the next so many ms
     crossings: float = 6.9  # thresholds that a dot's rim crosses: log contrast over threshold, less what scans miss
-    follow_share: float = 0.85  # a dot slower than the object by more than this share of its speed does not follow
+    follow_ms: int = 3  # whether a dot follows is seen over so many ms, the slice the last of them
+    follow_share: float = 0.95  # a dot slower than the object by more than this share of its speed does not follow
     least_px_ms: float = 0.01  # and by more than this
     back_px_ms: float = 0.05  # a dot that goes back faster snaps back
     hidden_px: float = 0.2  # after that its motion forward is unseen for so long
-    pause_ms: int = 1  # the count of the slide survives so many slices in which a dot follows
-    events_per_px: float = 400.0  # of the window, until the recording tells
+    pause_ms: int = 2  # the count of the slide survives so many slices in which a dot follows
+    events_per_px: float = 500.0  # of the window before it has moved, until the recording tells
+    fading_px: float = 30.0  # after so much travel the window makes half the events a pixel
     least_events_per_px: float = 20.0  # of the window: less is no texture
     after_ms: int = 60  # slices labelled after the onset
 
     def __post_init__(self) -> None:
-        positive = ("slide_px", "look_ahead_ms", "crossings", "events_per_px", "least_events_per_px")
+        may_be_zero = ("follow_share", "least_px_ms", "back_px_ms", "hidden_px", "pause_ms", "after_ms")
         for name, value in vars(self).items():
-            low = "> 0" if name in positive else ">= 0"
-            if not math.isfinite(value) or value < 0 or (name in positive and value == 0):
+            low = ">= 0" if name in may_be_zero else "> 0"
+            if not math.isfinite(value) or value < 0 or (name not in may_be_zero and value == 0):
                 raise ValueError(f"{name}: expected a finite number {low}, found {value}")
         if self.follow_share >= 1.0:
             raise ValueError(f"follow_share: expected less than 1, found {self.follow_share}")
@@ -97,24 +110,24 @@ def label(
     if not len(dots) or not 0.0 < dot_radius_px < math.inf:
         raise ValueError(f"dots: expected some with a radius > 0, found {len(dots)} of radius {dot_radius_px}")
     motion = follow(between, slices, window, gel, dots, dot_radius_px, constants.crossings)
-    along = motion.dot_px @ _direction(motion.dot_px)
-    moved = motion.window_events - noise_rate(motion.window_events) * np.arange(slices + 1)
-    rate = events_per_px(moved, along, constants.events_per_px)
-    dragged = float(np.sort(along, axis=1)[:, -LEADING_DOTS:].mean(axis=1).max(initial=0.0))
-    if dragged > TRAVEL_PX and rate[-1] < constants.least_events_per_px:
+    away = np.hypot(motion.dot_px[..., 0], motion.dot_px[..., 1])
+    noise = noise_rate(motion.window_events) * np.arange(slices + 1)
+    moved = np.maximum.accumulate(motion.window_events - noise)
+    fresh = events_per_px(moved, away, constants.events_per_px, constants.fading_px)
+    dragged = float(_leading(away).max(initial=0.0))
+    if dragged > TRAVEL_PX and fresh[-1] < constants.least_events_per_px:
         raise ValueError(
             f"texture: expected at least {constants.least_events_per_px:g} events a pixel of motion in the window, "
-            f"found {rate[-1]:.1f} while the gel was dragged by {dragged:.1f} px"
+            f"found {fresh[-1]:.1f} while the gel was dragged by {dragged:.1f} px"
         )
-    ahead = np.minimum(np.arange(slices) + constants.look_ahead_ms, slices)
-    span = np.maximum(ahead - np.arange(slices), 1)
-    object_px_ms = (moved[ahead] - moved[:-1]) / span / np.maximum(rate, constants.least_events_per_px)
-    dot_px_ms = (along[ahead] - along[:-1]) / span[:, None]
-    onset, slips = _search(
-        object_px_ms,
-        dot_px_ms,
+    object_px = travel(moved, np.maximum(fresh, constants.least_events_per_px), constants.fading_px)
+    onset, slips, relative_px = _search(
+        object_px,
+        away,
         start,
         constants.slide_px,
+        constants.look_ahead_ms,
+        constants.follow_ms,
         constants.follow_share,
         constants.least_px_ms,
         constants.back_px_ms,
@@ -123,14 +136,13 @@ def label(
     )
     labels = np.zeros(slices, np.int8)
     labels[:start] = -1
-    relative = (object_px_ms[:, None] - dot_px_ms).min(axis=1, initial=np.inf) * span
     confidence = float("nan")
     if onset >= 0:
         stop = min(onset + max(constants.after_ms, 1), slices)
         labels[onset:stop] = slips[onset:stop]
         labels[stop:] = -1
         confidence = float(slips[onset:stop].mean())
-    return Labels(labels, relative.astype(np.float32), onset, confidence, 0)
+    return Labels(labels, relative_px.astype(np.float32), onset, confidence, 0)
 
 
 def follow(
@@ -166,16 +178,17 @@ def noise_rate(window_events: NDArray[np.int64]) -> float:
     return float(np.diff(steps).min() / STEP_MS) if len(steps) > 1 else 0.0
 
 
-def events_per_px(moved: Floats, along: Floats, assumed: float) -> Floats:
-    """The window's events a pixel of motion, as known in every slice: (slices,).
+def events_per_px(moved: Floats, away: Floats, assumed: float, fading_px: float) -> Floats:
+    """The events a pixel of motion that the window made before it moved, as known in every slice: (slices,).
 
-    `moved` (slices + 1,) counts events without noise, `along` (slices + 1, dots) is how far the dots went along the
-    drag. Of all earlier steps the median, weighted by how far the leading dots went; `assumed` before.
+    `moved` (slices + 1,) counts events without noise, `away` (slices + 1, dots) is how far the dots are from rest. Of
+    all earlier steps the median, weighted by how far the leading dots went; `assumed` before.
     """
     slices = len(moved) - 1
     known = np.full(slices, assumed)
-    gone = np.sort(np.diff(along[::STEP_MS], axis=0), axis=1)[:, -LEADING_DOTS:].mean(axis=1)
-    seen = np.diff(moved[::STEP_MS])
+    leading = _leading(away[::STEP_MS])
+    gone = np.diff(leading)
+    seen = np.diff(moved[::STEP_MS]) * (1.0 + 0.5 * (leading[1:] + leading[:-1]) / fading_px)
     told: list[tuple[float, float]] = []
     for step, (way_px, events) in enumerate(zip(gone, seen, strict=True)):
         if step and way_px > LEAST_STEP_PX:  # in the first step the dots jump from rest to where they are
@@ -187,12 +200,19 @@ def events_per_px(moved: Floats, along: Floats, assumed: float) -> Floats:
     return known
 
 
-def _direction(dot_px: Floats) -> Floats:
-    """The direction in which the object drags the gel: that of the mean dot when it is farthest from rest."""
-    mean = dot_px.mean(axis=1)
-    farthest = mean[np.argmax(np.hypot(mean[:, 0], mean[:, 1]))]
-    length = float(np.hypot(*farthest))
-    return farthest / length if length > 0.0 else np.array([1.0, 0.0])
+def travel(moved: Floats, fresh: Floats, fading_px: float) -> Floats:
+    """How far the object has gone by the window's events `moved` (slices + 1,) without noise, in px: (slices + 1,).
+
+    `fresh` (slices,) is what `events_per_px` knows.
+    """
+    faded = np.exp(np.minimum(moved[:-1] / (fresh * fading_px), MOST_FADED))
+    steps_px = np.diff(moved) / fresh * faded
+    return np.concatenate([[0.0], np.cumsum(steps_px)])
+
+
+def _leading(away: Floats) -> Floats:
+    """How far the dots are that the object took farthest: the mean of the first few, in each row of (rows, dots)."""
+    return np.asarray(np.sort(away, axis=1)[:, -LEADING_DOTS:].mean(axis=1), np.float64)
 
 
 @njit(cache=True)
@@ -284,42 +304,51 @@ def _follow(
 
 @njit(cache=True)
 def _search(
-    object_px_ms: Floats,
-    dot_px_ms: Floats,
+    object_px: Floats,
+    away_px: Floats,
     start: int,
     slide_px: float,
+    look_ahead_ms: int,
+    follow_ms: int,
     follow_share: float,
     least_px_ms: float,
     back_px_ms: float,
     hidden_px: float,
     pause_ms: int,
-) -> tuple[int, NDArray[np.bool_]]:
-    """The onset, or -1, and in which slices no dot follows the object."""
-    slices, dots = dot_px_ms.shape
+) -> tuple[int, NDArray[np.bool_], Floats]:
+    """The onset, or -1; in which slices no dot follows the object; its way against the best dot over the look-ahead."""
+    slices = len(object_px) - 1
+    dots = away_px.shape[1]
     slips = np.zeros(slices, np.bool_)
+    relative_px = np.full(slices, np.inf)
     since_back_px = np.full(dots, np.inf)
     slid_px = 0.0
     paused_ms = 0
     onset = -1
     for slice_ in range(slices):
-        speed = object_px_ms[slice_]
-        slowest = np.inf
+        ahead = min(slice_ + look_ahead_ms, slices)
+        begin = max(slice_ + 1 - follow_ms, 0)
+        span = ahead - slice_
+        follow_span = slice_ + 1 - begin
+        object_px_ms = (object_px[ahead] - object_px[slice_]) / span
+        recent_px_ms = (object_px[slice_ + 1] - object_px[begin]) / follow_span
         closest = np.inf
         for dot in range(dots):
-            relative = speed - dot_px_ms[slice_, dot]
-            slowest = min(slowest, relative)
-            if dot_px_ms[slice_, dot] < -back_px_ms:
+            dot_px_ms = (away_px[ahead, dot] - away_px[slice_, dot]) / span
+            relative_px[slice_] = min(relative_px[slice_], (object_px_ms - dot_px_ms) * span)
+            behind = recent_px_ms - (away_px[slice_ + 1, dot] - away_px[begin, dot]) / follow_span
+            if dot_px_ms < -back_px_ms:
                 since_back_px[dot] = 0.0
             else:
-                since_back_px[dot] += speed
+                since_back_px[dot] += object_px_ms
                 if since_back_px[dot] < hidden_px:
-                    relative = 0.0
-            closest = min(closest, relative)
-        slips[slice_] = closest > max(least_px_ms, follow_share * speed)
+                    behind = 0.0
+            closest = min(closest, behind)
+        slips[slice_] = closest > max(least_px_ms, follow_share * recent_px_ms)
         if slice_ < start or onset >= 0:
             continue
         if slips[slice_]:
-            slid_px += slowest
+            slid_px += relative_px[slice_] / span
             paused_ms = 0
         else:
             paused_ms += 1
@@ -327,4 +356,4 @@ def _search(
                 slid_px = 0.0
         if slid_px > slide_px:
             onset = slice_
-    return onset, slips
+    return onset, slips, relative_px

@@ -12,9 +12,13 @@ Why so, where the paper is silent:
 - Slip needs a window that moves by more than the threshold itself, too: gel that snaps back under an object at rest is
   no slip of the object. The flow of the gel, five times as dear, is left out where that already fails, and so are pairs
   whose window has hardly any events, which tell nothing. `plain` computes them all, for the same answer.
+- Once the object falls, the answer is far from the threshold, and the flow of smaller pictures, a tenth as dear, is
+  enough to tell it: where window alone and window against gel both exceed the threshold by `clear_px`. In 47 slices
+  without slip of five simulated trials the window alone reached 0.43 px. `plain` does without.
 - Slip holds for `confirm_ms` before it is an onset: a search in steps no longer than that cannot miss one.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -28,6 +32,7 @@ from evetac_cli.events import Events
 METHODS = ("farneback", "dis", "event-count")
 GREY = 128
 LEAST_SIDE_PX = 32  # pictures smaller than this have no flow
+CLEAR_WINDOW, CLEAR_GEL = 2, 4  # how many times smaller the pictures are that tell clear slip
 GEL_MOVES = 20  # times as many events in the gel as a window needs at least: something moves there
 
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
@@ -48,13 +53,15 @@ class FlowConstants:
     method: str = "farneback"  # one of METHODS
     threshold_events: int = 200  # of event-count: so many in the window over the look-ahead are slip
     shrink: int = 1  # flow is computed on pictures so many times smaller
+    clear_px: float = 0.6  # so much above the threshold on smaller pictures is slip; infinity: do not ask them
     plain: bool = False  # compute the flow of both regions even where it cannot change the answer
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {self.method}")
-        if not self.threshold_px >= 0 or min(self.look_ahead_ms, self.accumulate_ms, self.confirm_ms) < 1:
-            raise ValueError(f"constants: expected a threshold >= 0 and times >= 1 ms, found {self}")
+        lengths = self.threshold_px >= 0 and self.clear_px >= 0  # false for NaN, too
+        if not lengths or min(self.look_ahead_ms, self.accumulate_ms, self.confirm_ms) < 1:
+            raise ValueError(f"constants: expected lengths >= 0 and times >= 1 ms, found {self}")
         if min(self.coarse_ms, self.shrink) < 1 or self.after_ms < 0:
             raise ValueError(f"constants: expected steps >= 1, and after_ms >= 0, found {self}")
 
@@ -63,7 +70,7 @@ class Labels(NamedTuple):
     """Slip labels of a trajectory."""
 
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
-    relative_flow_px: NDArray[np.float32]  # (slices,) NaN where not computed
+    relative_flow_px: NDArray[np.float32]  # (slices,) NaN where not computed, of smaller pictures where they tell
     onset: int  # first slice of slip, -1 if there is none
     confidence: float  # share of the slices in the `after_ms` from the onset that are slip; NaN without onset
     pairs: int  # pairs of pictures of which flow was computed
@@ -183,12 +190,23 @@ class _Search:
         if few and not constants.plain:
             return False
         self.pairs += 1
+        drawn_gel = None
+        if math.isfinite(constants.clear_px) and not constants.plain:
+            least = constants.threshold_px + constants.clear_px
+            rough = region_flow(now, then, constants.method, CLEAR_WINDOW * constants.shrink)
+            if np.hypot(*rough) > least:
+                drawn_gel = picture(now_events, self._gel), picture(later_events, self._gel)
+                rough -= region_flow(*drawn_gel, constants.method, CLEAR_GEL * constants.shrink)
+                relative = float(np.hypot(*rough))
+                if relative > least:
+                    self.relative_px[index] = relative
+                    return True
         window_flow = region_flow(now, then, constants.method, constants.shrink)
         still = bool(np.hypot(*window_flow) <= constants.threshold_px)
         if still and not constants.plain:
             return False
-        gel_now, gel_then = picture(now_events, self._gel), picture(later_events, self._gel)
-        gel_flow = region_flow(gel_now, gel_then, constants.method, constants.shrink)
+        drawn_gel = drawn_gel or (picture(now_events, self._gel), picture(later_events, self._gel))
+        gel_flow = region_flow(*drawn_gel, constants.method, constants.shrink)
         relative = float(np.hypot(*(window_flow - gel_flow)))
         self.relative_px[index] = relative
         return relative > constants.threshold_px and not (few or still)

@@ -6,7 +6,7 @@ in turn, one every FADE_SLICES: so a count halves every 1.9 s. Edges keep their 
 neighbours fire alike.
 
 Why so: counting in the loop that reads the events for the dots costs more than a loop of its own, whose looks at pixels
-all over the frame do not wait for each other.
+all over the frame do not wait for each other. While no pixel is hot, nobody looks at the counts again.
 """
 
 import numpy as np
@@ -18,9 +18,10 @@ from evetac_cli.events import FRAME_PX
 HOT_RATIO = 4
 FADE_SLICES = 4
 FIRED_SHAPE = (FRAME_PX[1] + 2, FRAME_PX[0] + 2)  # of the counts: the frame, with zeros around
-_COUNT = np.uint16(0x7FFF)  # of a pixel's entry in `fired`: its recent events
-_HOT = np.uint16(0x8000)  # ... and whether it is hot
+HOT = np.uint16(0x8000)  # of a pixel's entry in `fired`, [y + 1, x + 1]: whether it is hot
+_COUNT = np.uint16(0x7FFF)  # ... and its recent events
 _ONE = np.uint64(1)
+_ROW_BITS = np.uint32(16)  # of a pixel in `passed`: row above, column below
 
 
 @njit(cache=True)
@@ -34,59 +35,46 @@ def _fade(fired: NDArray[np.uint16], halved_row: int, limit: int) -> None:
     if busiest > limit:
         for column in range(1, row.shape[0] - 1):
             if _is_hot(fired, halved_row, column, limit):
-                row[column] |= _HOT
+                row[column] |= HOT
 
 
 @njit(cache=True)
-def keep_cool(
+def count(
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
     fired: NDArray[np.uint16],
     slices: int,
     limit: int,
-    cool_x: NDArray[np.uint16],
-    cool_y: NDArray[np.uint16],
-    cool_p: NDArray[np.uint8],
-) -> int:
-    """Count the events of every pixel, copy those of pixels that are not hot, and return how many; -1 if all may stay.
+    passed: NDArray[np.uint32],
+) -> bool:
+    """Count the events of every pixel into `fired` and tell whether any of them comes from a hot pixel.
 
     A pixel is judged when its count passes the limit, and when its row fades: so nearly every event costs one look at
     its pixel. All are counted before any is judged, so that the order of events within the slice does not matter.
-    p may be empty: then there is nothing to copy of it. slices: how many there were before, from 0.
+    slices: how many there were before, from 0; passed: work space for as many as there are events.
     """
     if slices % FADE_SLICES == 0:
         _fade(fired, 1 + slices // FADE_SLICES % FRAME_PX[1], limit)
     seen = np.uint16(0)
-    passed = 0
+    judged = np.uint64(0)
     for k in range(x.shape[0]):
         if x[k] < FRAME_PX[0] and y[k] < FRAME_PX[1]:
             row = np.uint64(y[k]) + _ONE
             column = np.uint64(x[k]) + _ONE
             before = fired[row, column]
             seen |= before
-            if before & _COUNT == limit:
-                cool_x[passed] = x[k]
-                cool_y[passed] = y[k]
-                passed += 1
-            if before & _COUNT != _COUNT:
-                fired[row, column] = before + np.uint16(1)
-    for k in range(passed):
-        if _is_hot(fired, cool_y[k] + 1, cool_x[k] + 1, limit):
-            fired[cool_y[k] + 1, cool_x[k] + 1] |= _HOT
-            seen |= _HOT
-    if not seen & _HOT:
-        return -1
-    kept = 0
-    for k in range(x.shape[0]):
-        cool = x[k] < FRAME_PX[0] and y[k] < FRAME_PX[1]
-        if cool and not fired[np.uint64(y[k]) + _ONE, np.uint64(x[k]) + _ONE] & _HOT:
-            cool_x[kept] = x[k]
-            cool_y[kept] = y[k]
-            if p.shape[0]:
-                cool_p[kept] = p[k]
-            kept += 1
-    return kept
+            events = before & _COUNT
+            if events == limit:
+                passed[judged] = row << np.uint64(_ROW_BITS) | column
+                judged += _ONE
+            fired[row, column] = before + np.uint16(events != _COUNT)
+    for k in range(judged):
+        row = np.uint64(passed[k] >> _ROW_BITS)
+        column = np.uint64(passed[k]) & np.uint64(0xFFFF)
+        if _is_hot(fired, row, column, limit):
+            fired[row, column] |= HOT
+            seen |= HOT
+    return bool(seen & HOT)
 
 
 @njit(cache=True)

@@ -11,11 +11,8 @@ Why so:
   positions are the same bits in whatever order the events of a slice arrive. A term is cut off by less than 1.5e-11.
 - The paper moves a dot only "if more than 10 events are triggered at its location". We count the events in the ring,
   those that pull: events inside the dot say nothing about where it is.
-- Events find their dots through buckets of 16 x 16 px that list the dots within reach. The lists allow for 4 px of
-  motion and are made again only when a dot has left that margin, so a slice without motion does not pay for them.
 - Whether an event lies in a ring is close to a coin toss, and a wrong guess of the processor costs more than the pull.
-  So every event adds its pull, times 0 or 1; and empty buckets list one dot more, "nobody", far outside the frame, so
-  that nearly every bucket has one entry. Nobody is the last row of the arrays with n + 1 rows.
+  So every event adds its pull, times 0 or 1.
 - The published code moves centres up the gradient of its data term, with an edge 1.25 times as wide as the dots it was
   calibrated with and a ring inside them: sign, edge and ring hold each other up. So `official` is one setting, for dots
   whose true radius is about 8 px; with dots of 15 px it loses them, as the code does.
@@ -24,7 +21,7 @@ Why so:
   paper's presets stay what they are).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
@@ -32,7 +29,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
-from evetac_cli.kernels import hot_pixels, tracker_fit
+from evetac_cli.kernels import hot_pixels, tracker_buckets, tracker_fit
 from evetac_cli.kernels.grid import pitch
 
 MAX_NEIGHBOURS = tracker_fit.MAX_NEIGHBOURS
@@ -43,12 +40,6 @@ MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 
 _UNITS = tracker_fit.UNITS
 _NO_POLARITY = np.empty(0, np.uint8)
-_BUCKET_BITS = 4
-_BUCKET_PX = 1 << _BUCKET_BITS
-_BUCKET_COLUMNS = -(-FRAME_PX[0] // _BUCKET_PX)
-_BUCKET_ROWS = -(-FRAME_PX[1] // _BUCKET_PX)
-_MARGIN_PX = 4.0
-_NOBODY_XY_PX = (-1000.0, -1000.0)  # beyond MAX_REACH_PX from every pixel
 
 
 def _check(name: str, value: float, low: float, high: float = inf, *, low_included: bool = True) -> None:
@@ -89,7 +80,7 @@ class TrackerConstants:
     trust_px: float = 1.5  # most motion seen in a slice, and most correction of it
     rim_lag_px: float = 0.2  # events come when the rim has gone so far beyond their pixel (hysteresis of the threshold)
     event_px: float = 1.0 / 300.0  # how far a dot has moved for each of its ring events, as far as they agree
-    most_events: float = 200.0  # a dot's rim weighs no more than so many events, however many there are
+    most_events: float = 1000.0  # a dot's rim weighs no more than so many events, however many there are
 
     def __post_init__(self) -> None:
         """Refuse what cannot be tracked with."""
@@ -120,6 +111,26 @@ class TrackerConstants:
                 f"radius_px: expected the middle of the ring, {(self.ring_inner_px + self.ring_outer_px) / 2},"
                 f" found {self.radius_px}"
             )
+
+    def for_dots(self, dot_radius_px: float) -> "TrackerConstants":
+        """The constants for dots of this radius: with `fit` the ring moves along, without they stay what they are.
+
+        The widths of ring and count stay. A rim makes events in proportion to its length, so each speaks of a shorter
+        way on a longer rim. The paper's presets name their radii as part of what they are. ValueError if the radius is
+        not above half the width of the ring, or the ring out of reach.
+        """
+        if not self.fit:
+            return self
+        half_ring_px = self.ring_outer_px - self.radius_px
+        _check("dot_radius_px", dot_radius_px, half_ring_px, MAX_REACH_PX - half_ring_px)
+        return replace(
+            self,
+            radius_px=dot_radius_px,
+            ring_inner_px=dot_radius_px - half_ring_px,
+            ring_outer_px=dot_radius_px + half_ring_px,
+            count_radius_px=dot_radius_px + (self.count_radius_px - self.radius_px),
+            event_px=min(self.event_px * (self.radius_px / dot_radius_px), 1.0),
+        )
 
 
 # What the published code was calibrated with; its ring is the outer 13.75 px of the dot, its edge 1.25 times as wide.
@@ -153,7 +164,7 @@ class TrackerState:
     """What the tracker knows after the slices so far; `step` changes the arrays in place, n is the number of dots."""
 
     constants: TrackerConstants
-    centre_xy_px: NDArray[np.float64]  # (n + 1, 2), see dot_xy_px
+    centre_xy_px: NDArray[np.float64]  # (n + 1, 2), see dot_xy_px; the last row is nobody (tracker_buckets.py)
     events: NDArray[np.int32]  # (n + 1,), see events_per_dot
     lost: NDArray[np.bool_]  # (n,), displacement more than LOST_PX from the mean displacement of its neighbours
     rest_xy_px: NDArray[np.float64]  # (n, 2), centres at the start
@@ -165,12 +176,12 @@ class TrackerState:
     told: NDArray[np.float64]  # (2,), sum of the weights of ring events that got darker and brighter up to now
     shift_px: NDArray[np.float64]  # (n, 2), work space
     solver: NDArray[np.float64]  # (n, 8), work space
-    lattice_xy_px: NDArray[np.float64]  # (n, 2), centres when the buckets were filled
+    listed_xy_px: NDArray[np.float64]  # (n, 2), centres when the buckets were filled, see tracker_buckets.py
+    first_dot: NDArray[np.uint32]  # (buckets + 1,), which dot is near, if only one is
     bucket_start: NDArray[np.uint32]  # (buckets + 1,), where each bucket's dots begin in bucket_dots
     bucket_dots: NDArray[np.uint32]
     fired: NDArray[np.uint16]  # recent events of every pixel, see hot_pixels.py
-    cool_xy: NDArray[np.uint16]  # (2, at least as many as events in a slice), work space
-    cool_p: NDArray[np.uint8]  # (as many), work space
+    passed: NDArray[np.uint32]  # (at least as many as events in a slice,), work space
     slices: int = 0
 
     @property
@@ -196,11 +207,10 @@ def start(
     rest = _checked_dots(dot_xy_px)
     n = len(rest)
     pairs = grid_neighbours(rest) if neighbours is None else _checked_neighbours(neighbours, rest)
-    buckets_across = int(2 * _reach_px(constants.ring_outer_px, constants.count_radius_px)) // _BUCKET_PX + 2
-    buckets = _BUCKET_COLUMNS * _BUCKET_ROWS
+    entries = tracker_buckets.most_entries(n, max(constants.ring_outer_px, constants.count_radius_px))
     state = TrackerState(
         constants=constants,
-        centre_xy_px=np.vstack([rest, _NOBODY_XY_PX]),
+        centre_xy_px=np.vstack([rest, tracker_buckets.NOBODY_XY_PX]),
         events=np.zeros(n + 1, np.int32),
         lost=np.zeros(n, np.bool_),
         rest_xy_px=rest,
@@ -212,12 +222,12 @@ def start(
         told=np.zeros(2),
         shift_px=np.zeros((n, 2)),
         solver=np.zeros((n, tracker_fit.SOLVER)),
-        lattice_xy_px=np.full((n, 2), -inf),  # far from everywhere: the first step fills the buckets
-        bucket_start=np.zeros(buckets + 1, np.uint32),
-        bucket_dots=np.zeros(buckets + n * min(buckets, buckets_across**2), np.uint32),
+        listed_xy_px=np.full((n, 2), -inf),  # far from everywhere: the first step fills the buckets
+        first_dot=np.zeros(tracker_buckets.BUCKETS + 1, np.uint32),
+        bucket_start=np.zeros(tracker_buckets.BUCKETS + 1, np.uint32),
+        bucket_dots=np.zeros(entries, np.uint32),
         fired=np.zeros(hot_pixels.FIRED_SHAPE, np.uint16),
-        cool_xy=np.zeros((2, 4096), np.uint16),
-        cool_p=np.zeros(4096, np.uint8),
+        passed=np.zeros(4096, np.uint32),
     )
     nothing = np.empty(0, np.uint16)
     step(state, nothing, nothing, np.empty(0, np.uint8))  # compiles or loads the kernel now and not in the first slice
@@ -242,9 +252,8 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
     if constants.fit and (p is None or p.dtype != np.uint8 or p.shape != x.shape):
         found = "none" if p is None else f"{p.dtype} {p.shape}"
         raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {found}")
-    polarity = p if constants.fit and p is not None else _NO_POLARITY
-    if constants.hot_pixel_events:
-        x, y, polarity = _without_hot_pixels(state, x, y, polarity)
+    if len(x) > len(state.passed):
+        state.passed = np.zeros(2 * len(x), np.uint32)
     common = (
         state.centre_xy_px,
         state.events,
@@ -255,9 +264,14 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
         state.ring_events,
         state.quiet,
         state.shift_px,
-        state.lattice_xy_px,
+        state.listed_xy_px,
+        state.first_dot,
         state.bucket_start,
         state.bucket_dots,
+        state.fired,
+        state.passed,
+        state.slices,
+        constants.hot_pixel_events,
         constants.radius_px,
         constants.ring_inner_px,
         constants.ring_outer_px,
@@ -271,7 +285,7 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
         _step_by_fit(
             x,
             y,
-            polarity,
+            p,
             *common,
             state.told,
             state.solver,
@@ -282,21 +296,10 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
             constants.most_events,
         )
     else:
-        _step_by_descent(x, y, *common, state.rest_distance_px2, constants.gradient_clip, constants.ascend)
-
-
-def _without_hot_pixels(
-    state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
-    """Events of a slice from pixels that are not hot; views of the state's work space."""
-    if len(x) > len(state.cool_p):
-        state.cool_xy = np.zeros((2, 2 * len(x)), np.uint16)
-        state.cool_p = np.zeros(2 * len(x), np.uint8)
-    kept = hot_pixels.keep_cool(
-        x, y, p, state.fired, state.slices, state.constants.hot_pixel_events, *state.cool_xy, state.cool_p
-    )
+        _step_by_descent(
+            x, y, _NO_POLARITY, *common, state.rest_distance_px2, constants.gradient_clip, constants.ascend
+        )
     state.slices += 1
-    return (x, y, p) if kept < 0 else (state.cool_xy[0, :kept], state.cool_xy[1, :kept], state.cool_p[:kept])
 
 
 def grid_neighbours(dot_xy_px: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -351,14 +354,10 @@ def _checked_neighbours(neighbours: NDArray[np.int32], rest_xy_px: NDArray[np.fl
 
 
 @njit(cache=True)
-def _reach_px(ring_outer_px: float, count_radius_px: float) -> float:
-    return max(ring_outer_px, count_radius_px) + _MARGIN_PX
-
-
-@njit(cache=True)
 def _step_by_descent(
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
     centre_xy_px: NDArray[np.float64],
     events: NDArray[np.int32],
     lost: NDArray[np.bool_],
@@ -368,9 +367,14 @@ def _step_by_descent(
     ring_events: NDArray[np.int32],
     quiet: NDArray[np.int64],
     shift_px: NDArray[np.float64],
-    lattice_xy_px: NDArray[np.float64],
+    listed_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
     bucket_start: NDArray[np.uint32],
     bucket_dots: NDArray[np.uint32],
+    fired: NDArray[np.uint16],
+    passed: NDArray[np.uint32],
+    slices: int,
+    hot_pixel_events: int,
     radius_px: float,
     ring_inner_px: float,
     ring_outer_px: float,
@@ -383,21 +387,21 @@ def _step_by_descent(
     gradient_clip: float,
     ascend: bool,
 ) -> None:
-    _prepare(
-        centre_xy_px,
-        ring_outer_px,
-        count_radius_px,
-        lattice_xy_px,
-        bucket_start,
-        bucket_dots,
-        sums,
-        ring_events,
-        events,
-    )
+    hot = hot_pixel_events > 0 and hot_pixels.count(x, y, fired, slices, hot_pixel_events, passed)
+    if tracker_buckets.left_margin(centre_xy_px, listed_xy_px):
+        reach_px = max(ring_outer_px, count_radius_px)
+        tracker_buckets.fill(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots)
+    sums[:] = 0
+    ring_events[:] = 0
+    events[:] = 0
     _pull_dots(
         x,
         y,
+        p,
+        fired,
+        hot,
         centre_xy_px,
+        first_dot,
         bucket_start,
         bucket_dots,
         radius_px,
@@ -439,9 +443,14 @@ def _step_by_fit(
     ring_events: NDArray[np.int32],
     quiet: NDArray[np.int64],
     shift_px: NDArray[np.float64],
-    lattice_xy_px: NDArray[np.float64],
+    listed_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
     bucket_start: NDArray[np.uint32],
     bucket_dots: NDArray[np.uint32],
+    fired: NDArray[np.uint16],
+    passed: NDArray[np.uint32],
+    slices: int,
+    hot_pixel_events: int,
     radius_px: float,
     ring_inner_px: float,
     ring_outer_px: float,
@@ -458,22 +467,21 @@ def _step_by_fit(
     event_px: float,
     most_events: float,
 ) -> None:
-    _prepare(
-        centre_xy_px,
-        ring_outer_px,
-        count_radius_px,
-        lattice_xy_px,
-        bucket_start,
-        bucket_dots,
-        sums,
-        ring_events,
-        events,
-    )
+    hot = hot_pixel_events > 0 and hot_pixels.count(x, y, fired, slices, hot_pixel_events, passed)
+    if tracker_buckets.left_margin(centre_xy_px, listed_xy_px):
+        reach_px = max(ring_outer_px, count_radius_px)
+        tracker_buckets.fill(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots)
+    sums[:] = 0
+    ring_events[:] = 0
+    events[:] = 0
     _measure_rims(
         x,
         y,
         p,
+        fired,
+        hot,
         centre_xy_px,
+        first_dot,
         bucket_start,
         bucket_dots,
         radius_px,
@@ -505,95 +513,14 @@ def _step_by_fit(
 
 
 @njit(cache=True)
-def _prepare(
-    centre_xy_px: NDArray[np.float64],
-    ring_outer_px: float,
-    count_radius_px: float,
-    lattice_xy_px: NDArray[np.float64],
-    bucket_start: NDArray[np.uint32],
-    bucket_dots: NDArray[np.uint32],
-    sums: NDArray[np.int64],
-    ring_events: NDArray[np.int32],
-    events: NDArray[np.int32],
-) -> None:
-    """Buckets that fit where the dots are, and sums at zero."""
-    if _left_margin(centre_xy_px, lattice_xy_px):
-        reach_px = _reach_px(ring_outer_px, count_radius_px)
-        _fill_buckets(centre_xy_px, reach_px, lattice_xy_px, bucket_start, bucket_dots)
-    sums[:] = 0
-    ring_events[:] = 0
-    events[:] = 0
-
-
-@njit(cache=True)
-def _left_margin(centre_xy_px: NDArray[np.float64], lattice_xy_px: NDArray[np.float64]) -> bool:
-    """Tell whether a dot is too far from where it was when the buckets were filled."""
-    for i in range(lattice_xy_px.shape[0]):
-        if abs(centre_xy_px[i, 0] - lattice_xy_px[i, 0]) > _MARGIN_PX:
-            return True
-        if abs(centre_xy_px[i, 1] - lattice_xy_px[i, 1]) > _MARGIN_PX:
-            return True
-    return False
-
-
-@njit(cache=True)
-def _buckets_within(x_px: float, y_px: float, reach_px: float) -> tuple[int, int, int, int]:
-    """First and one past the last bucket row, the same of columns, that a square of half width reach_px touches."""
-    first_row = max(0, int(y_px - reach_px) >> _BUCKET_BITS)
-    first_column = max(0, int(x_px - reach_px) >> _BUCKET_BITS)
-    last_row = min(_BUCKET_ROWS - 1, int(y_px + reach_px) >> _BUCKET_BITS)
-    last_column = min(_BUCKET_COLUMNS - 1, int(x_px + reach_px) >> _BUCKET_BITS)
-    return first_row, last_row + 1, first_column, last_column + 1
-
-
-@njit(cache=True)
-def _fill_buckets(
-    centre_xy_px: NDArray[np.float64],
-    reach_px: float,
-    lattice_xy_px: NDArray[np.float64],
-    bucket_start: NDArray[np.uint32],
-    bucket_dots: NDArray[np.uint32],
-) -> None:
-    """List the dots within reach of bucket b in bucket_dots[bucket_start[b]:bucket_start[b + 1]], at least nobody."""
-    nobody = lattice_xy_px.shape[0]
-    bucket_start[:] = 0
-    for i in range(nobody):
-        if np.isnan(centre_xy_px[i, 0]):
-            continue
-        lattice_xy_px[i, 0] = centre_xy_px[i, 0]
-        lattice_xy_px[i, 1] = centre_xy_px[i, 1]
-        row, row_stop, column, column_stop = _buckets_within(centre_xy_px[i, 0], centre_xy_px[i, 1], reach_px)
-        for r in range(row, row_stop):
-            for c in range(column, column_stop):
-                bucket_start[r * _BUCKET_COLUMNS + c] += 1
-    # From counts to the end of every bucket; filling from the end then leaves its beginning.
-    total = 0
-    for b in range(bucket_start.shape[0] - 1):
-        count = bucket_start[b]
-        if count == 0:
-            bucket_dots[total] = nobody
-            bucket_start[b] = total
-            total += 1
-        else:
-            total += count
-            bucket_start[b] = total
-    bucket_start[bucket_start.shape[0] - 1] = total
-    for i in range(nobody):
-        if np.isnan(centre_xy_px[i, 0]):
-            continue
-        row, row_stop, column, column_stop = _buckets_within(centre_xy_px[i, 0], centre_xy_px[i, 1], reach_px)
-        for r in range(row, row_stop):
-            for c in range(column, column_stop):
-                b = r * _BUCKET_COLUMNS + c
-                bucket_start[b] -= 1
-                bucket_dots[bucket_start[b]] = i
-
-
-@njit(cache=True)
 def _pull_dots(
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    fired: NDArray[np.uint16],
+    hot: bool,
     centre_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
     bucket_start: NDArray[np.uint32],
     bucket_dots: NDArray[np.uint32],
     radius_px: float,
@@ -605,26 +532,65 @@ def _pull_dots(
     events: NDArray[np.int32],
 ) -> None:
     """Give every event to the dots it is near: count it, and add its pull d - r d / |d|, d from centre to event."""
+    room = tracker_buckets.BLOCK + centre_xy_px.shape[0]
+    bucket = np.empty(tracker_buckets.BLOCK, np.uint16)
+    near_dot = np.empty(room, np.uint32)
+    near_px = np.empty((2, room))
+    near_p = np.empty(0, np.uint8)
+    pull = np.empty((2, room), np.int64)
+    in_ring = np.empty(room, np.bool_)
+    counts = np.empty(room, np.bool_)
+    constants = radius_px, ring_inner_px, ring_outer_px, count_radius_px
+    for begin in range(0, x.shape[0], tracker_buckets.BLOCK):
+        end = min(begin + tracker_buckets.BLOCK, x.shape[0])
+        xs = x[begin:end]
+        ys = y[begin:end]
+        crowd = tracker_buckets.look_up(xs, ys, fired, hot, centre_xy_px, first_dot, bucket, near_dot, near_px)
+        _add_pulls(end - begin, near_dot, near_px, *constants, pull, in_ring, counts, sums, ring_events, events)
+        k = 0 if crowd else len(xs)
+        while k < len(xs):
+            k, pairs = tracker_buckets.look_up_crowd(
+                xs, ys, p, k, centre_xy_px, first_dot, bucket_start, bucket_dots, bucket, near_dot, near_px, near_p
+            )
+            _add_pulls(pairs, near_dot, near_px, *constants, pull, in_ring, counts, sums, ring_events, events)
+
+
+@njit(cache=True)
+def _add_pulls(
+    pairs: int,
+    near_dot: NDArray[np.uint32],
+    near_px: NDArray[np.float64],
+    radius_px: float,
+    ring_inner_px: float,
+    ring_outer_px: float,
+    count_radius_px: float,
+    pull: NDArray[np.int64],
+    in_ring: NDArray[np.bool_],
+    counts: NDArray[np.bool_],
+    sums: NDArray[np.int64],
+    ring_events: NDArray[np.int32],
+    events: NDArray[np.int32],
+) -> None:
+    """Count pairs of an event and a dot, and add the pulls; pull, in_ring and counts are work space."""
     ring_inner_px2 = ring_inner_px * ring_inner_px
     ring_outer_px2 = ring_outer_px * ring_outer_px
     count_radius_px2 = count_radius_px * count_radius_px
-    for k in range(x.shape[0]):
-        if x[k] >= FRAME_PX[0] or y[k] >= FRAME_PX[1]:
-            continue
-        # Unsigned, as are the buckets: numba need not look for negative indices, which saves a third of the time.
-        b = np.uint64((y[k] >> _BUCKET_BITS) * _BUCKET_COLUMNS + (x[k] >> _BUCKET_BITS))
-        for entry in range(np.uint64(bucket_start[b]), np.uint64(bucket_start[b + np.uint64(1)])):
-            i = np.uint64(bucket_dots[entry])
-            dx = x[k] - centre_xy_px[i, 0]
-            dy = y[k] - centre_xy_px[i, 1]
-            distance_px2 = dx * dx + dy * dy
-            in_ring = (distance_px2 > ring_inner_px2) & (distance_px2 < ring_outer_px2)
-            # An event on the very centre has no direction and is in no ring: any finite stretch will do.
-            stretch = (1.0 - radius_px / sqrt(max(distance_px2, 1e-12))) * (in_ring * _UNITS)
-            sums[i, 0] += int(stretch * dx)
-            sums[i, 1] += int(stretch * dy)
-            ring_events[i] += in_ring
-            events[i] += distance_px2 < count_radius_px2
+    for k in range(pairs):
+        dx = near_px[0, k]
+        dy = near_px[1, k]
+        distance_px2 = dx * dx + dy * dy
+        in_ring[k] = (distance_px2 > ring_inner_px2) & (distance_px2 < ring_outer_px2)
+        # An event on the very centre has no direction and is in no ring: any finite stretch will do.
+        stretch = (1.0 - radius_px / sqrt(max(distance_px2, 1e-12))) * (in_ring[k] * _UNITS)
+        pull[0, k] = int(stretch * dx)
+        pull[1, k] = int(stretch * dy)
+        counts[k] = distance_px2 < count_radius_px2
+    for k in range(pairs):
+        i = np.uint64(near_dot[k])
+        sums[i, 0] += pull[0, k]
+        sums[i, 1] += pull[1, k]
+        ring_events[i] += in_ring[k]
+        events[i] += counts[k]
 
 
 @njit(cache=True)
@@ -632,7 +598,10 @@ def _measure_rims(
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
     p: NDArray[np.uint8],
+    fired: NDArray[np.uint16],
+    hot: bool,
     centre_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
     bucket_start: NDArray[np.uint32],
     bucket_dots: NDArray[np.uint32],
     radius_px: float,
@@ -644,37 +613,85 @@ def _measure_rims(
     events: NDArray[np.int32],
 ) -> None:
     """Give every event to the dots it is near: count it, and add what it says of the rim (tracker_fit.py)."""
+    room = tracker_buckets.BLOCK + centre_xy_px.shape[0]
+    bucket = np.empty(tracker_buckets.BLOCK, np.uint16)
+    near_dot = np.empty(room, np.uint32)
+    near_px = np.empty((2, room))
+    near_p = np.empty(room, np.uint8)
+    terms = np.empty((7, room), np.int64)
+    in_ring = np.empty(room, np.bool_)
+    counts = np.empty(room, np.bool_)
+    constants = radius_px, half_ring_px, rim_lag_px, count_radius_px
+    for begin in range(0, x.shape[0], tracker_buckets.BLOCK):
+        end = min(begin + tracker_buckets.BLOCK, x.shape[0])
+        xs = x[begin:end]
+        ys = y[begin:end]
+        ps = p[begin:end]
+        crowd = tracker_buckets.look_up(xs, ys, fired, hot, centre_xy_px, first_dot, bucket, near_dot, near_px)
+        _add_rims(end - begin, near_dot, near_px, ps, *constants, terms, in_ring, counts, sums, ring_events, events)
+        k = 0 if crowd else len(xs)
+        while k < len(xs):
+            k, pairs = tracker_buckets.look_up_crowd(
+                xs, ys, ps, k, centre_xy_px, first_dot, bucket_start, bucket_dots, bucket, near_dot, near_px, near_p
+            )
+            _add_rims(pairs, near_dot, near_px, near_p, *constants, terms, in_ring, counts, sums, ring_events, events)
+
+
+@njit(cache=True)
+def _add_rims(
+    pairs: int,
+    near_dot: NDArray[np.uint32],
+    near_px: NDArray[np.float64],
+    near_p: NDArray[np.uint8],
+    radius_px: float,
+    half_ring_px: float,
+    rim_lag_px: float,
+    count_radius_px: float,
+    terms: NDArray[np.int64],
+    in_ring: NDArray[np.bool_],
+    counts: NDArray[np.bool_],
+    sums: NDArray[np.int64],
+    ring_events: NDArray[np.int32],
+    events: NDArray[np.int32],
+) -> None:
+    """Count pairs of an event and a dot, and add what they say; terms (7, ...), in_ring and counts are work space."""
     per_half_ring = 1.0 / half_ring_px
     count_radius_px2 = count_radius_px * count_radius_px
-    for k in range(x.shape[0]):
-        if x[k] >= FRAME_PX[0] or y[k] >= FRAME_PX[1]:
-            continue
+    for k in range(pairs):
+        dx = near_px[0, k]
+        dy = near_px[1, k]
         # A leading rim makes events that get darker (p = 0), a trailing rim brighter ones, both too late.
-        leading = 1.0 if p[k] == 0 else -1.0
+        leading = 1.0 if near_p[k] == 0 else -1.0
         rim_px = radius_px - leading * rim_lag_px
-        side = np.uint64(4 + 3 * (p[k] != 0))  # no branch: the processor could not guess it
-        b = np.uint64((y[k] >> _BUCKET_BITS) * _BUCKET_COLUMNS + (x[k] >> _BUCKET_BITS))
-        for entry in range(np.uint64(bucket_start[b]), np.uint64(bucket_start[b + np.uint64(1)])):
-            i = np.uint64(bucket_dots[entry])
-            dx = x[k] - centre_xy_px[i, 0]
-            dy = y[k] - centre_xy_px[i, 1]
-            distance_px2 = max(dx * dx + dy * dy, 1e-12)
-            distance_px = sqrt(distance_px2)
-            beyond_px = distance_px - rim_px
-            off = beyond_px * per_half_ring
-            shape = max(1.0 - off * off, 0.0)
-            weight = shape * shape * _UNITS
-            nx = dx / distance_px
-            ny = dy / distance_px
-            sums[i, 0] += int(weight * beyond_px * nx)
-            sums[i, 1] += int(weight * beyond_px * ny)
-            sums[i, 2] += int(weight * nx * nx)
-            sums[i, 3] += int(weight * nx * ny)
-            sums[i, side] += int(weight)
-            sums[i, side + np.uint64(1)] += int(weight * nx)
-            sums[i, side + np.uint64(2)] += int(weight * ny)
-            ring_events[i] += shape > 0.0
-            events[i] += distance_px2 < count_radius_px2
+        distance_px2 = max(dx * dx + dy * dy, 1e-12)
+        distance_px = sqrt(distance_px2)
+        beyond_px = distance_px - rim_px
+        off = beyond_px * per_half_ring
+        shape = max(1.0 - off * off, 0.0)
+        weight = shape * shape * _UNITS
+        nx = dx / distance_px
+        ny = dy / distance_px
+        terms[0, k] = int(weight * beyond_px * nx)
+        terms[1, k] = int(weight * beyond_px * ny)
+        terms[2, k] = int(weight * nx * nx)
+        terms[3, k] = int(weight * nx * ny)
+        terms[4, k] = int(weight)
+        terms[5, k] = int(weight * nx)
+        terms[6, k] = int(weight * ny)
+        in_ring[k] = shape > 0.0
+        counts[k] = distance_px2 < count_radius_px2
+    for k in range(pairs):
+        i = np.uint64(near_dot[k])
+        side = np.uint64(4 + 3 * (near_p[k] != 0))  # no branch: the processor could not guess it
+        sums[i, 0] += terms[0, k]
+        sums[i, 1] += terms[1, k]
+        sums[i, 2] += terms[2, k]
+        sums[i, 3] += terms[3, k]
+        sums[i, side] += terms[4, k]
+        sums[i, side + np.uint64(1)] += terms[5, k]
+        sums[i, side + np.uint64(2)] += terms[6, k]
+        ring_events[i] += in_ring[k]
+        events[i] += counts[k]
 
 
 @njit(cache=True)
@@ -689,8 +706,8 @@ def _regulariser_gradient(
         j = neighbours[i, entry]
         if j < 0:
             break
-        dx = centre_xy_px[i, 0] - centre_xy_px[j, 0]
-        dy = centre_xy_px[i, 1] - centre_xy_px[j, 1]
+        dx = centre_xy_px[i, 0] - centre_xy_px[np.uint64(j), 0]
+        dy = centre_xy_px[i, 1] - centre_xy_px[np.uint64(j), 1]
         stretch = 4.0 * (dx * dx + dy * dy - rest_distance_px2[i, entry])
         gradient_x += stretch * dx
         gradient_y += stretch * dy
@@ -807,6 +824,14 @@ def _find_lost(
     lost: NDArray[np.bool_],
 ) -> None:
     """Flag the dots whose displacement is more than LOST_PX from the mean displacement of all their neighbours."""
+    furthest_px2 = 0.0
+    for i in range(lost.shape[0]):
+        away_x = centre_xy_px[i, 0] - rest_xy_px[i, 0]
+        away_y = centre_xy_px[i, 1] - rest_xy_px[i, 1]
+        furthest_px2 = max(furthest_px2, away_x * away_x + away_y * away_y)
+    if 4.0 * furthest_px2 <= LOST_PX * LOST_PX:  # then no two are further apart, and there is no need to look
+        lost[:] = False
+        return
     nobody = np.zeros_like(lost)
     for i in range(lost.shape[0]):
         away_x, away_y, count = _mean_displacement(i, centre_xy_px, rest_xy_px, neighbours, nobody)

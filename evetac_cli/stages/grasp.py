@@ -113,9 +113,8 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
     if model_path is not None:
         with StageFile(model_path, "model") as model:
             sensor = devices.camera.sensor
-            sense = SlipSense.start(
-                model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), tracker.PRESETS[params.tracker]
-            )
+            constants = tracker.PRESETS[params.tracker].for_dots(float(sensor["sensor/dot_radius_px"]))
+            sense = SlipSense.start(model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants)
     touch_ms = round(1000 * parameters["scene"]["time"]["touch_s"])
     ends_ms = (
         touch_ms,

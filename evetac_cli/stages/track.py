@@ -17,7 +17,7 @@ from evetac_cli.store.read import Recording, open_recording
 
 INPUTS = ("recording",)
 OUTPUT = "tracks"
-METHOD = 3
+METHOD = 4
 
 
 def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
@@ -46,14 +46,20 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
     )
     with open_recording(job.inputs[0]) as recording:
         calibration = _calibration(recording, params.calibration)
-        parameters = {"preset": name, "constants": dataclasses.asdict(chosen), "grid": calibration.digest()}
+        parameters = {
+            "preset": name,
+            "constants": dataclasses.asdict(chosen),  # as the preset has them, so that two sensors have one preset
+            "dot_radius_px": calibration.dot_radius_px,
+            "grid": calibration.digest(),
+        }
         recipe = Recipe(OUTPUT, METHOD, parameters, parents=(recording.header,))
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
         rows, columns = calibration.dot_xy_px.shape[:2]
         try:
-            state = tracker.start(calibration.dot_xy_px.reshape(-1, 2), chosen)
+            fitting = chosen.for_dots(calibration.dot_radius_px)
+            state = tracker.start(calibration.dot_xy_px.reshape(-1, 2), fitting)
         except ValueError as error:
             raise InputError(f"the dots cannot be tracked: {error}", where=str(recording.path)) from error
         slices, dots = len(recording), rows * columns
