@@ -27,7 +27,7 @@ from evetac_cli.store.segments import RecordingWriter
 
 INPUTS = ("model",)
 OUTPUT = "recording"
-METHOD = 2
+METHOD = 3
 __all__ = ["dry_run", "jobs", "run"]  # a grasp shows its plan as a recording does
 
 
