@@ -23,8 +23,8 @@ RECIPES ?= steady paper
 STEPS ?= 40000
 STEADY_STEPS ?= $(shell echo $$(( $(STEPS) < 10000 ? $(STEPS) : 10000 )))
 IMAGE_STEPS ?= $(shell echo $$(( $(STEPS) < 3000 ? $(STEPS) : 3000 )))
-# Seven minutes each on a core that is left alone.
-IMAGE_SEEDS ?= 2
+# Eight minutes each on two cores.
+IMAGE_SEEDS ?= 1
 # make force: models of so many seeds are judged on so many trajectories
 FORCE ?= data/force
 FORCE_SEEDS ?= 3
@@ -116,8 +116,8 @@ slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, 
 
 # On a CPU the image baselines run on images summed over 6 x 6 px, for fewer steps, and beside them hist10 for as many.
 slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MODELS= leaves them out (IMAGE_SEEDS, IMAGE_STEPS)
-	@$(LEARN) seeds=$(IMAGE_SEEDS); \
-	for model in hist10 $(IMAGE_MODELS); do \
+	@$(LEARN) seeds=$(SEEDS); learn learn images --model hist10 --recipe steady --max-steps $(IMAGE_STEPS); \
+	seeds=$(IMAGE_SEEDS); for model in $(IMAGE_MODELS); do \
 	learn learn images --model $$model --recipe steady --max-steps $(IMAGE_STEPS); done; \
 	for model in $(filter hist10-img%,$(IMAGE_MODELS)); do for ahead in $(AHEAD); do \
 	learn learn images-ahead --model $$model --ahead $$ahead --recipe steady --max-steps $(IMAGE_STEPS); done; done
@@ -163,7 +163,7 @@ data-rate: $(READY)  ## bytes a second against an RGB sensor, simulated: a table
 	keep data-rate evaluate data-rate "data-rate-*-s$(SEED)-*.recording.h5"
 
 # The first trajectory to be judged on is pushed over every gel in the same way, so that only the gel differs.
-force: $(READY)  ## shear force from dots in events and in frames, simulated: tables in reports/ (FORCE_SEEDS, JUDGED, OTHERS, SEED, JOBS)
+force: $(READY)  ## shear force from dots in events and in frames, simulated: a table in reports/ (FORCE_SEEDS, JUDGED, OTHERS, SEED, JOBS)
 	@$(RUN) mkdir -p $(FORCE); cd $(FORCE); \
 	run record --scene shear --count 4 --seed $(SEED) --out learn --jobs $(JOBS); \
 	run record --scene shear --count $(JUDGED) --seed $$(( $(SEED) + 500 )) --out unseen --jobs $(JOBS); \
@@ -171,12 +171,11 @@ force: $(READY)  ## shear force from dots in events and in frames, simulated: ta
 	run record --scene shear --individual $$other --seed $$(( $(SEED) + 500 )) --out $$other; done; \
 	run track "*/*.recording.h5" --preset stable --jobs $(JOBS); \
 	run rgb "*/*.recording.h5" --jobs $(JOBS); \
-	for recipe in paper mirrored; do for each in $$(seq $(SEED) $$(( $(SEED) + $(FORCE_SEEDS) - 1 ))); do \
-	fit() { run fit "$$1/*.tracks.h5" --recipe $$recipe --seed $$each --out models/$$recipe/$$2-$$each.force-model.h5; }; \
-	fit learn events; fit learn/rgb frames; done; done; \
+	for each in $$(seq $(SEED) $$(( $(SEED) + $(FORCE_SEEDS) - 1 ))); do \
+	run fit "learn/*.tracks.h5" --seed $$each --out models/events-$$each.force-model.h5; \
+	run fit "learn/rgb/*.tracks.h5" --seed $$each --out models/frames-$$each.force-model.h5; done; \
 	others=; for other in $(OTHERS); do others="$$others $$other/*.tracks.h5 $$other/rgb/*.tracks.h5"; done; \
-	judge() { keep $$1 evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model $$2 --seed $(SEED); }; \
-	judge force models/paper; judge force-mirrored models/mirrored
+	keep force evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model models --seed $(SEED)
 
 results:  ## put the tables in reports/ into the README
 	$(PYTHON) scripts/results.py $(REPORTS) README.md

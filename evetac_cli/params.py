@@ -278,7 +278,13 @@ class EvaluateVibration:
     expect: float | None = parameter(
         None, "The tone that was played; default: the truth of a simulation.", unit="Hz", low=0.1, high=1e6
     )
-    tolerance_hz: float = parameter(1.0, "A frequency so near to the tone is right.", unit="Hz", low=0.0, high=1e3)
+    tolerance_hz: float = parameter(
+        1.0,
+        "A frequency so near to the tone is right; at least 0.5 over the window's length, 2 Hz in 0.25 s.",
+        unit="Hz",
+        low=0.0,
+        high=1e3,
+    )
     lowest_hz: float = parameter(25.0, "Lower frequencies are left out.", unit="Hz", low=1.0, high=1e4)
     rate: int = parameter(
         1000, "Frequencies up to half of this; events are counted so often a second.", unit="Hz", low=100, high=20000

@@ -142,7 +142,7 @@ def data_rate(report: Row) -> str:
     return table(title, ["", "ours", "paper"], rows)
 
 
-def vibration(report: Row) -> str:
+def vibration(report: Row, which: str) -> str:
     judged = having(report, "window_s", "correct")
     lengths = list(dict.fromkeys(row["window_s"] for row in judged))
     rows = []
@@ -157,7 +157,8 @@ def vibration(report: Row) -> str:
             cells.append(f"{right}/{windows}" + (f" ({paper:.0%})" if paper is not None else ""))
         rows.append([method, f"{hertz:g}", *cells])
     heads = ["method", "tone [Hz]", *(f"{length:g} s" for length in lengths)]
-    return table("Vibration, windows whose tone is right within 1 Hz (paper):", heads, rows)
+    title = f"Vibration, {which}: windows whose tone is right within 1 Hz (2 Hz in 0.25 s; paper):"
+    return table(title, heads, rows)
 
 
 def force(report: Row) -> str:
@@ -196,7 +197,10 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "tracking-shear-cut": lambda report: tracking(report, "shear, cut gel"),
     "tracking-shear-closed": lambda report: tracking(report, "shear, closed gel"),
     "data-rate": data_rate,
-    "vibration": vibration,
+    "vibration": lambda report: vibration(report, "100 s a tone"),
+    "vibration-drawn": lambda report: vibration(
+        report, "20 times 10 s a tone, loudness, place and harmonics drawn anew"
+    ),
     "force": force,
 }
 

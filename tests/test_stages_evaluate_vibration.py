@@ -151,6 +151,26 @@ def test_beyond_the_band(tmp_path: Path) -> None:
     assert row["beyond_hz"] is None
 
 
+def test_short_windows_are_judged_by_what_they_resolve(tmp_path: Path) -> None:
+    """Assert that a window of 0.25 s, whose frequencies are 4 Hz apart, is right within 2 Hz, and 1 s within 1 Hz."""
+    path = recording(tmp_path, 140.0)
+    for expected_hz, right in ((141.5, [0.0, 1.0]), (143.0, [0.0, 0.0])):
+        rows = evaluated(path, windows="1,0.25", expect=expected_hz, preset="default").rows[2:4]
+        assert [row["tolerance_hz"] for row in rows] == [1.0, 2.0]
+        assert [row["share"] for row in rows] == right
+    wider = evaluated(path, windows="1,0.25", expect=142.5, tolerance_hz=3.0).rows[2:4]
+    assert [row["share"] for row in wider] == [1.0, 1.0]
+
+
+def test_the_picture_shows_each_tone_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that of many recordings of a tone the first alone is drawn, and each whose tone is not known."""
+    drawn: list[str] = []
+    monkeypatch.setattr(vibration, "_draw", lambda figure, spectra, *rest, **more: drawn.extend(n for n, _ in spectra))
+    paths = [recording(tmp_path, hz, truth=True, name=name) for name, hz in (("a", 90.0), ("b", 90.0), ("c", 120.0))]
+    evaluated([*paths, recording(tmp_path, 90.0, name="d")], windows="1")
+    assert drawn == [f"{name}.recording.h5" for name in "acd"]
+
+
 def test_several_recordings(tmp_path: Path) -> None:
     """Assert that recordings come first, each with its methods, then windows, and shares are over all windows."""
     paths = [recording(tmp_path, hz, truth=True, name=str(hz)) for hz in (100.0, 150.0)]

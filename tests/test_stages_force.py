@@ -122,6 +122,24 @@ def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
     assert outcome.summary["force_n_x_most"] <= 10.5
 
 
+def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
+    """Assert that rows have the means over models that differ in the seed, and how much these differ."""
+    learn, judged = [made / f"trial{number}.tracks.h5" for number in range(3)], [made / "trial3.tracks.h5"]
+    rows = []
+    for seed in (1, 2):
+        model = tmp_path / f"{seed}.force-model.h5"
+        run(fit, learn, params.Fit(samples=40, epochs=2, seed=seed), model)
+        chosen = params.EvaluateForce(model=str(model), samples=45)
+        rows.append(run(evaluate_force, judged, chosen, tmp_path / f"{seed}.report.h5")[1].rows[1])
+    chosen = params.EvaluateForce(model=str(tmp_path), samples=45)
+    network = run(evaluate_force, judged, chosen, tmp_path / "both.report.h5")[1].rows[1]
+    assert [row["models"] for row in (*rows, network)] == [1, 1, 2]
+    assert rows[0]["mae_n_x"] != rows[1]["mae_n_x"]
+    for name in ("mae_n_x", "mae_n_y", "sd_n_x", "sd_n_y", "gain"):
+        assert network[name] == pytest.approx((rows[0][name] + rows[1][name]) / 2)
+    assert network["models_sd_n_x"] == pytest.approx(abs(rows[0]["mae_n_x"] - rows[1]["mae_n_x"]) / 2)
+
+
 def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
     """Assert that a gel whose dots move 1.3 times as far gives 1.3 times the force, without the paper beside it."""
     soft = trial(tmp_path, 7, softer=1.3)

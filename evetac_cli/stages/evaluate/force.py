@@ -2,7 +2,12 @@
 
 Each tracks file is judged by the model of its own sensor (events, or frames of an RGB sensor). A file of an individual
 that the model was not fitted on has a row like any other, without the paper's figures beside it; `gain` says what a
-softer or stiffer gel does: the force told for each newton that was there.
+softer or stiffer gel does: the force told for each newton that was there. Of several models of a sensor, fitted with
+other seeds, rows have the means, and how much the models differ.
+
+Why so: within a trajectory force goes with displacement to the noise; from one to the next the force for a displacement
+differs by up to a tenth (simulated), with the place of contact. So an error says how far a trajectory's place is from
+those of the few that were learned from, and a network's also which first weights it had: one of each tells little.
 """
 
 import glob
@@ -24,9 +29,12 @@ from evetac_cli.store.provenance import Header
 
 INPUTS = ("tracks", "recording", "force-model")
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
 PAPER = {"events": "evetac", "frames": "rgb"}  # the sensors of the paper's table
 LOOKS = {"regression": ("C0", "linear regression"), "network": ("C1", "network")}
+
+
+Models = dict[str, list[tuple[Path, Header, ForceModel]]]  # by sensor
 
 
 class Told(NamedTuple):
@@ -37,7 +45,7 @@ class Told(NamedTuple):
     individual: str
     fitted: bool  # whether the model was fitted on this individual
     samples: Samples
-    by: dict[str, forces.Floats]  # model -> (samples, 2) in N
+    by: dict[str, forces.Floats]  # regression or network -> (models, samples, 2) in N
 
 
 def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[Job]:
@@ -60,10 +68,10 @@ def run(job: Job, params: EvaluateForce, *, force: bool = False, progress: Progr
     for path in files:
         with StageFile(path, "tracks") as tracks, with_truth(tracks):
             headers.append(tracks.header)
-            model_path, model_header, model = _model_for(tracks, models)
-            check_grid(model, model_path, tracks)
-            check_disjoint([model_header], [tracks.header], "judged on", [path])
-    parents = [*headers, *(header for _, header, _ in models.values())]
+            for model_path, model_header, model in _models_for(tracks, models):
+                check_grid(model, model_path, tracks)
+                check_disjoint([model_header], [tracks.header], "judged on", [path])
+    parents = [*headers, *(header for of_sensor in models.values() for _, header, _ in of_sensor)]
     told: list[Told] = []
 
     def tell() -> list[Told]:
@@ -83,69 +91,73 @@ def run(job: Job, params: EvaluateForce, *, force: bool = False, progress: Progr
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, tell()), (13.0, 1.0 + 3.2 * sensors))
 
 
-def _models(paths: tuple[Path, ...]) -> dict[str, tuple[Path, Header, ForceModel]]:
-    """The models by their sensor, one each."""
-    found: dict[str, tuple[Path, Header, ForceModel]] = {}
+def _models(paths: tuple[Path, ...]) -> Models:
+    """The models by their sensor; those of one sensor differ in nothing but the seed."""
+    found: Models = {}
     for path in paths:
         header, model = read_model(path)
-        if model.sensor in found:
+        of_sensor = found.setdefault(model.sensor, [])
+        of_sensor.append((path, header, model))
+        first_path, first_header, _ = of_sensor[0]
+        if _but_seed(header) != _but_seed(first_header):
             raise InputError(
-                f"two models of dots tracked in {model.sensor}",
+                f"two models of dots tracked in {model.sensor}, of other recipes or trajectories",
                 where="--model",
-                expected="one for each sensor",
-                found=f"{found[model.sensor][0]}, {path}",
+                expected="one for each sensor, or several that differ in the seed",
+                found=f"{first_path}, {path}",
             )
-        found[model.sensor] = (path, header, model)
     return found
 
 
-def _model_for(
-    tracks: StageFile, models: dict[str, tuple[Path, Header, ForceModel]]
-) -> tuple[Path, Header, ForceModel]:
+def _but_seed(header: Header) -> tuple[Any, ...]:
+    """What a model was made by, and from."""
+    return {**header["parameters"], "seed": None}, header["parents"]
+
+
+def _models_for(tracks: StageFile, models: Models) -> list[tuple[Path, Header, ForceModel]]:
     sensor = sensor_of(tracks.header)
     if sensor not in models:
         raise InputError(
             f"no model of dots tracked in {sensor}",
             where=str(tracks.path),
             expected=f"one that was fitted to {sensor}",
-            found=", ".join(str(path) for path, _, _ in models.values()),
+            found=", ".join(str(path) for of_sensor in models.values() for path, _, _ in of_sensor),
         )
     return models[sensor]
 
 
-def _tell(
-    path: Path,
-    models: dict[str, tuple[Path, Header, ForceModel]],
-    params: EvaluateForce,
-    noise: np.random.Generator,
-) -> Told:
+def _tell(path: Path, models: Models, params: EvaluateForce, noise: np.random.Generator) -> Told:
     with StageFile(path, "tracks") as tracks:
-        _, _, model = _model_for(tracks, models)
+        chosen = [model for _, _, model in _models_for(tracks, models)]
         sensor, individual = sensor_of(tracks.header), str(tracks.read("sensor/individual"))
     samples = read_samples(path, params, noise)
     by = {
-        "regression": forces.apply_regression(model.regression, samples.moved_px),
-        "network": forces.apply_network(model.network, samples.moved_px),
+        "regression": np.stack([forces.apply_regression(model.regression, samples.moved_px) for model in chosen]),
+        "network": np.stack([forces.apply_network(model.network, samples.moved_px) for model in chosen]),
     }
-    return Told(path, sensor, individual, individual in model.individual.split(", "), samples, by)
+    return Told(path, sensor, individual, individual in chosen[0].individual.split(", "), samples, by)
 
 
 def _row(told: Told, name: str) -> dict[str, Any]:
     measured = told.samples.force_n
-    errors = forces.errors(told.by[name], measured)
+    errors = [forces.errors(one, measured) for one in told.by[name]]
+    mean_n, sd_n = np.mean([one.mean_n for one in errors], axis=0), np.mean([one.sd_n for one in errors], axis=0)
+    spread_n = np.std([one.mean_n for one in errors], axis=0)
     row: dict[str, Any] = {
         "file": told.path.name,
         "individual": told.individual,
         "fitted": told.fitted,
         "sensor": told.sensor,
         "model": name,
+        "models": len(errors),
     }
     paper = table("paper")["force"][f"{name}_{PAPER[told.sensor]}"] if told.fitted else None
     for axis, letter in enumerate(forces.AXES):
-        row[f"mae_n_{letter}"] = float(errors.mean_n[axis])
-        row[f"sd_n_{letter}"] = float(errors.sd_n[axis])
+        row[f"mae_n_{letter}"] = float(mean_n[axis])
+        row[f"sd_n_{letter}"] = float(sd_n[axis])
+        row[f"models_sd_n_{letter}"] = float(spread_n[axis])
         row[f"paper_mae_n_{letter}"], row[f"paper_sd_n_{letter}"] = paper[axis] if paper else (None, None)
-    row["gain"] = float((told.by[name] * measured).sum() / (measured**2).sum())
+    row["gain"] = float((told.by[name].mean(axis=0) * measured).sum() / (measured**2).sum())
     return row
 
 
@@ -182,7 +194,7 @@ def _draw(figure: Any, told: list[Told]) -> None:
         for axis, axes in enumerate(row):
             axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, label="force sensor")
             for name, (colour, words) in LOOKS.items():
-                axes.plot(order, one.by[name][:, axis], color=colour, linewidth=1.0, label=words)
+                axes.plot(order, one.by[name][0][:, axis], color=colour, linewidth=1.0, label=words)
             axes.set_title(f"{sensor}, {one.individual}: shear force {forces.AXES[axis]}")
             axes.set_ylabel("force [N]")
             picture.quiet_grid(axes)

@@ -25,10 +25,11 @@ from evetac_cli.store.read import Recording, open_recording
 
 INPUTS = ("recording",)
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
 SHORTEST_MS, LONGEST_MS = 100, 10_000  # of a window: what has a spectrum, and what has room in memory
 READ_MS = 250  # events read at once
 ENOUGH_WINDOWS = 5  # to tell the tone's uncertainty by how much they differ
+PANELS = 10  # of the picture
 TONE = "truth/tone_hz"
 
 Floats = NDArray[np.float64]
@@ -52,6 +53,7 @@ def jobs(files: list[Path], params: EvaluateVibration, out: Path | None) -> list
 def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """A row for each recording and method, then one for each length of window; spectra as a picture beside the report.
 
+    The picture has a panel for the first recording of each tone, and for those whose tone is not known.
     Shares of harmonics (`half`, `double`, `triple`) are how far they move the gel against the tone. The paper's method
     always has an answer, also where nothing vibrates.
     """
@@ -69,6 +71,7 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
             _span(recording, params)
             headers.append(recording.header)
     spectra: list[tuple[str, Survey]] = []
+    drawn_hz: list[float | None] = []
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         first: Rows = []
@@ -81,7 +84,9 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
                     progress(number * of + done, len(job.inputs) * of)
 
                 survey = _survey(recording, start, stop, windows_ms, params, advance)
-            spectra.append((path.name, survey))
+            if len(spectra) < PANELS and (expected_hz is None or expected_hz not in drawn_hz):
+                spectra.append((path.name, survey))
+                drawn_hz.append(expected_hz)
             for method in ("default", "paper") if params.preset == "default" else ("paper",):
                 first.append({"file": path.name, "method": method, **_whole(survey, method, expected_hz, params)})
                 for row in _by_window(survey, method, expected_hz, params):
@@ -216,7 +221,7 @@ def _whole(survey: Survey, method: str, expected_hz: float | None, params: Evalu
         "triple": found.harmonics.get(3.0),
         "beyond_hz": found.beyond.frequency_hz if found.beyond else None,
         "expected_hz": expected_hz,
-        "correct": None if expected_hz is None else _near(frequency_hz, expected_hz, params),
+        "correct": None if expected_hz is None else _near(frequency_hz, expected_hz, params.tolerance_hz),
     }
 
 
@@ -232,8 +237,8 @@ def _uncertainty_hz(survey: Survey, tone: spectrum.Line) -> float:
     return max(tone.uncertainty_hz, float(np.std(near, ddof=1)) / math.sqrt(len(near)))
 
 
-def _near(frequency_hz: float | None, expected_hz: float, params: EvaluateVibration) -> bool:
-    return frequency_hz is not None and abs(frequency_hz - expected_hz) <= params.tolerance_hz
+def _near(frequency_hz: float | None, expected_hz: float, tolerance_hz: float) -> bool:
+    return frequency_hz is not None and abs(frequency_hz - expected_hz) <= tolerance_hz
 
 
 def _by_window(
@@ -253,15 +258,17 @@ def _by_window(
             "no_vibration": len(found) - len(heard),
         }
         if expected_hz is not None:
-            right = sum(_near(frequency_hz, expected_hz, params) for frequency_hz in found)
+            tolerance_hz = max(params.tolerance_hz, 500.0 / length)  # half the distance of a window's frequencies
+            right = sum(_near(frequency_hz, expected_hz, tolerance_hz) for frequency_hz in found)
             doubles_hz = (2 * expected_hz, abs((2 * expected_hz + params.rate / 2) % params.rate - params.rate / 2))
-            wrong = [frequency_hz for frequency_hz in heard if not _near(frequency_hz, expected_hz, params)]
-            half = [_near(frequency_hz, expected_hz / 2, params) for frequency_hz in wrong]
-            double = [any(_near(frequency_hz, place, params) for place in doubles_hz) for frequency_hz in wrong]
+            wrong = [frequency_hz for frequency_hz in heard if not _near(frequency_hz, expected_hz, tolerance_hz)]
+            half = [_near(frequency_hz, expected_hz / 2, tolerance_hz) for frequency_hz in wrong]
+            double = [any(_near(frequency_hz, place, tolerance_hz) for place in doubles_hz) for frequency_hz in wrong]
             published = table.get(f"{expected_hz:g}")
             at = table["window_s"].index(length / 1000) if length / 1000 in table["window_s"] else None
             row |= {
                 "expected_hz": expected_hz,
+                "tolerance_hz": tolerance_hz,
                 "correct": right,
                 "share": right / len(found),
                 "paper_share": published[at] if published and at is not None else None,
