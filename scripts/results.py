@@ -198,9 +198,7 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "tracking-shear-closed": lambda report: tracking(report, "shear, closed gel"),
     "data-rate": data_rate,
     "vibration": lambda report: vibration(report, "100 s a tone"),
-    "vibration-drawn": lambda report: vibration(
-        report, "20 times 10 s a tone, loudness, place and harmonics drawn anew"
-    ),
+    "vibration-drawn": lambda report: vibration(report, "10 s a tone, loudness, place and harmonics drawn anew"),
     "force": force,
 }
 
