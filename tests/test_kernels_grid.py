@@ -1,14 +1,18 @@
-"""The dot grid: any order in, rows and columns out; what is no grid is refused."""
+"""The dot grid: any order in, rows, columns and neighbours out; what is no grid is refused."""
+
+import json
 
 import numpy as np
 import pytest
+from conftest import DATA
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.grid import arrange, lattice, pitch
+from evetac_cli.kernels.grid import arrange, lattice, neighbours, pitch
 
 Grid = NDArray[np.float64]
+CALIBRATION = DATA / "evetac_base_calibration.json"
 
 
 def regular(rows: int, columns: int, pitch_px: float = 60.0) -> Grid:
@@ -194,3 +198,30 @@ def test_lattice_wants_finite_places(places: Grid) -> None:
     """Assert that other shapes and places that are nowhere are refused."""
     with pytest.raises(ValueError, match="expected finite places"):
         lattice(places)
+
+
+def neighbour_counts(dots_px: Grid) -> list[int]:
+    """How many dots have 3, 5 and 8 neighbours; fails if the neighbours are not mutual or of another number."""
+    found = neighbours(dots_px)
+    pairs = {(i, int(j)) for i, row in enumerate(found) for j in row if j >= 0}
+    assert all((j, i) in pairs for i, j in pairs)
+    counts = (found >= 0).sum(axis=1)
+    assert set(counts.tolist()) <= {3, 5, 8}
+    return [int((counts == wanted).sum()) for wanted in (3, 5, 8)]
+
+
+@pytest.mark.skipif(not CALIBRATION.exists(), reason="the real calibration is not here")
+def test_neighbours_of_the_real_grid() -> None:
+    """Assert that on the real 9 x 7 grid, dots in no order, corners have 3 neighbours, edges 5 and all others 8."""
+    dots = np.array(json.loads(CALIBRATION.read_text())["dot_xy_px"])
+    assert neighbour_counts(dots) == [4, 24, 35]
+    corner = int(np.argmin(dots.sum(axis=1)))
+    assert (neighbours(dots)[corner] >= 0).sum() == 3
+
+
+def test_neighbours_of_made_grids() -> None:
+    """Assert that a shuffled, tilted 8 x 7 grid has the right neighbours, and that one dot has none."""
+    rng = np.random.default_rng(8)
+    dots = tilted(regular(7, 8), np.deg2rad(3)).reshape(-1, 2) + rng.uniform(-3, 3, (56, 2))
+    assert neighbour_counts(rng.permutation(dots)) == [4, 22, 30]
+    assert (neighbours(dots[:1]) == -1).all()

@@ -1,7 +1,7 @@
-"""The dot grid: which row and column every dot belongs to.
+"""The dot grid: which row and column every dot belongs to, and which dots are next to it.
 
 `arrange` takes all dots of a grid and refuses anything else; `lattice` makes out a grid among places where dots were
-found, of which some may be missing and others no dots at all.
+found, of which some may be missing and others no dots at all. `neighbours` needs no grid: dots may come in any order.
 """
 
 import numpy as np
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 NEXT_DOOR = 0.3  # how far a step to the next dot may be from the usual one, in pitches
 OFF_LATTICE = 0.35  # ... and a dot from the plane of all
 TURNED = 0.8  # cosine of the most that a step to the right may point up or down
+MAX_NEIGHBOURS = 8
+NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one (2)
 
 
 def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,3 +144,19 @@ def pitch(dot_xy_px: NDArray[np.float64]) -> float:
     distance = np.linalg.norm(dots[:, None] - dots[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     return float(np.median(distance.min(axis=1)))
+
+
+def neighbours(dot_xy_px: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Find the up to 8 grid neighbours of every dot: (n, 8) indices, nearest first, filled up with -1.
+
+    Neighbours are the dots within 1.7 pitches: along rows, columns and both diagonals. Missing dots (NaN) have none.
+    """
+    distance_px = np.linalg.norm(dot_xy_px[:, None] - dot_xy_px[None], axis=2)
+    np.fill_diagonal(distance_px, np.inf)
+    near = distance_px < NEIGHBOUR_PITCHES * pitch(dot_xy_px)
+    indices = np.full((len(dot_xy_px), MAX_NEIGHBOURS), -1, np.int32)
+    for dot in range(len(dot_xy_px)):
+        found = np.flatnonzero(near[dot])
+        found = found[np.argsort(distance_px[dot, found], kind="stable")][:MAX_NEIGHBOURS]
+        indices[dot, : len(found)] = found
+    return indices

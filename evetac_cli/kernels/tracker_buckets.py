@@ -9,6 +9,8 @@ Why so:
   once, several events in one instruction, and added to the dots last.
 - An event near no dot, of a hot pixel or outside the frame is nobody's: nobody is the last row of the arrays of dots,
   far away from all pixels. So every event takes the same way, and there is nothing for the processor to guess wrong.
+- What events add up to is summed as integers of 2**-36. Integer sums do not depend on the order of their terms, so the
+  positions are the same bits in whatever order the events of a slice arrive. A term is cut off by less than 1.5e-11.
 """
 
 import numpy as np
@@ -20,6 +22,7 @@ from evetac_cli.kernels import hot_pixels
 
 MARGIN_PX = 4.0
 BLOCK = 256  # events
+UNITS = 2.0**36  # a sum's integer for 1
 NOBODY_XY_PX = (-1000.0, -1000.0)  # farther from every pixel than any event may be from its dot
 _BITS = 4
 SIZE_PX = 1 << _BITS

@@ -37,8 +37,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-MAX_NEIGHBOURS = 8
-UNITS = 2.0**36  # a sum's integer for 1
+from evetac_cli.kernels import tracker_buckets
+from evetac_cli.kernels.grid import MAX_NEIGHBOURS
+from evetac_cli.kernels.tracker_buckets import UNITS
+
 SUMS = 10  # of every dot: w beyond n (2), w n n^T (xx, xy), then of events that get darker w, w n (2), and of brighter
 SOLVER = 8  # numbers of every dot: inverse matrix (xx, xy, yy), right side (2), correction (2), weight of a neighbour
 CHANCE = 1.0  # both sides may differ by so many standard deviations: sqrt of the sum of w
@@ -46,6 +48,107 @@ ANYTHING = 1e12  # of a chance that explains every difference
 LEAST_SHARE = 0.01  # a camera that has told less than this of one polarity tells only the other
 LEAST_DAMPING = 1e-9  # of the matrix: below this, rounding would decide
 MOST_WEIGHT = 1e12  # beyond this, neighbours are one body to the last bit
+
+
+@njit(cache=True)
+def measure_rims(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    fired: NDArray[np.uint16],
+    hot: bool,
+    centre_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
+    bucket_start: NDArray[np.uint32],
+    bucket_dots: NDArray[np.uint32],
+    radius_px: float,
+    half_ring_px: float,
+    rim_lag_px: float,
+    count_radius_px: float,
+    sums: NDArray[np.int64],
+    ring_events: NDArray[np.int32],
+    events: NDArray[np.int32],
+) -> None:
+    """Give every event to the dots it is near: count it, and add what it says of the rim."""
+    room = tracker_buckets.BLOCK + centre_xy_px.shape[0]
+    bucket = np.empty(tracker_buckets.BLOCK, np.uint16)
+    near_dot = np.empty(room, np.uint32)
+    near_px = np.empty((2, room))
+    near_p = np.empty(room, np.uint8)
+    terms = np.empty((7, room), np.int64)
+    in_ring = np.empty(room, np.bool_)
+    counts = np.empty(room, np.bool_)
+    constants = radius_px, half_ring_px, rim_lag_px, count_radius_px
+    for begin in range(0, x.shape[0], tracker_buckets.BLOCK):
+        end = min(begin + tracker_buckets.BLOCK, x.shape[0])
+        xs = x[begin:end]
+        ys = y[begin:end]
+        ps = p[begin:end]
+        crowd = tracker_buckets.look_up(xs, ys, fired, hot, centre_xy_px, first_dot, bucket, near_dot, near_px)
+        _add_rims(end - begin, near_dot, near_px, ps, *constants, terms, in_ring, counts, sums, ring_events, events)
+        k = 0 if crowd else len(xs)
+        while k < len(xs):
+            k, pairs = tracker_buckets.look_up_crowd(
+                xs, ys, ps, k, centre_xy_px, first_dot, bucket_start, bucket_dots, bucket, near_dot, near_px, near_p
+            )
+            _add_rims(pairs, near_dot, near_px, near_p, *constants, terms, in_ring, counts, sums, ring_events, events)
+
+
+@njit(cache=True)
+def _add_rims(
+    pairs: int,
+    near_dot: NDArray[np.uint32],
+    near_px: NDArray[np.float64],
+    near_p: NDArray[np.uint8],
+    radius_px: float,
+    half_ring_px: float,
+    rim_lag_px: float,
+    count_radius_px: float,
+    terms: NDArray[np.int64],
+    in_ring: NDArray[np.bool_],
+    counts: NDArray[np.bool_],
+    sums: NDArray[np.int64],
+    ring_events: NDArray[np.int32],
+    events: NDArray[np.int32],
+) -> None:
+    """Count pairs of an event and a dot, and add what they say; terms (7, ...), in_ring and counts are work space."""
+    per_half_ring = 1.0 / half_ring_px
+    count_radius_px2 = count_radius_px * count_radius_px
+    for k in range(pairs):
+        dx = near_px[0, k]
+        dy = near_px[1, k]
+        # A leading rim makes events that get darker (p = 0), a trailing rim brighter ones, both too late.
+        leading = 1.0 if near_p[k] == 0 else -1.0
+        rim_px = radius_px - leading * rim_lag_px
+        distance_px2 = max(dx * dx + dy * dy, 1e-12)
+        distance_px = sqrt(distance_px2)
+        beyond_px = distance_px - rim_px
+        off = beyond_px * per_half_ring
+        shape = max(1.0 - off * off, 0.0)
+        weight = shape * shape * UNITS
+        nx = dx / distance_px
+        ny = dy / distance_px
+        terms[0, k] = int(weight * beyond_px * nx)
+        terms[1, k] = int(weight * beyond_px * ny)
+        terms[2, k] = int(weight * nx * nx)
+        terms[3, k] = int(weight * nx * ny)
+        terms[4, k] = int(weight)
+        terms[5, k] = int(weight * nx)
+        terms[6, k] = int(weight * ny)
+        in_ring[k] = shape > 0.0
+        counts[k] = distance_px2 < count_radius_px2
+    for k in range(pairs):
+        i = np.uint64(near_dot[k])
+        side = np.uint64(4 + 3 * (near_p[k] != 0))  # no branch: the processor could not guess it
+        sums[i, 0] += terms[0, k]
+        sums[i, 1] += terms[1, k]
+        sums[i, 2] += terms[2, k]
+        sums[i, 3] += terms[3, k]
+        sums[i, side] += terms[4, k]
+        sums[i, side + np.uint64(1)] += terms[5, k]
+        sums[i, side + np.uint64(2)] += terms[6, k]
+        ring_events[i] += in_ring[k]
+        events[i] += counts[k]
 
 
 @njit(cache=True)

@@ -15,7 +15,6 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels import dot_search, grid, rest_image
 from evetac_cli.kernels.rest_image import RestImage
-from evetac_cli.kernels.tracker import grid_neighbours
 from evetac_cli.params import Calibrate, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
@@ -164,7 +163,7 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
 
 
 def _write(path: Path, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
-    pairs = grid_neighbours(calibration.dot_xy_px.reshape(-1, 2))
+    pairs = grid.neighbours(calibration.dot_xy_px.reshape(-1, 2))
     neighbours = [[int(other) for other in row if other >= 0] for row in pairs]
     provenance = recipe.identity | {"id": recipe.id, "made": made()}
     write_calibration(path, calibration, neighbours, figures, provenance)

@@ -2,7 +2,7 @@
 rows, columns, mask and window_px. The dots may come in any order; rows and columns are found from their centres.
 
 A dot is missing where its centre is null or the mask, one list a row, is false: so a damaged dot is taken out of use
-by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.tracker); files
+by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.grid); files
 that `evetac calibrate` writes list them for other programs, and nothing here reads them.
 """
 
