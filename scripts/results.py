@@ -14,6 +14,7 @@ from typing import Any
 
 BEGIN, END = "<!-- results, written by scripts/results.py -->\n", "<!-- end of results -->\n"
 NETS = {"regression": "linear regression", "network": "network"}
+PRESETS = ("stable", "paper", "unregularised", "official")
 SENSORS = {"events": "Evetac", "frames": "RGB sensor"}
 Row = dict[str, Any]
 
@@ -89,31 +90,39 @@ def model_cost(report: Row) -> str:
     return table("What a detector costs, one core, median:", heads, rows)
 
 
-def tracking(report: Row, where: str) -> str:
+def edges(report: Row) -> str:
     rows = [
         [
             row["preset"],
             f"{row['consistent']} of {row['trajectories']}"
             + (f" ({row['paper_consistent_share']:.0%})" if row["paper_consistent_share"] is not None else ""),
             beside(row["dots_lost_mean"], row["paper_dots_lost_mean"], 1),
-            number(row["error_px_rms"], 3),
-            number(row["error_px_worst"]),
-            number(row["still_px_rms"]),
-            number(row["events_per_dot"], 1),
         ]
-        for row in report["rows"]
-        if "file" not in row
+        for row in presets(report)
     ]
-    heads = [
-        "preset",
-        "ends at rest (paper)",
-        "dots lost where not",
-        "error [px rms]",
-        "worst dot [px]",
-        "standing still [px rms]",
-        "events a dot and slice",
-    ]
-    return table(f"Tracking, {where}:", heads, rows)
+    heads = ["preset", "all dots end where they began (paper)", "dots lost where not (paper)"]
+    return table("Tracking, a finger or a handle rubs over the cut gel:", heads, rows)
+
+
+def presets(report: Row) -> list[Row]:
+    return [row for row in report["rows"] if "file" not in row]
+
+
+def tracking(folder: Path) -> str:
+    rows = []
+    for path in sorted(folder.glob("tracking-*.json")):
+        report = json.loads(path.read_text())
+        scene, gel = path.stem.split("-")[1:]
+        of = {row["preset"]: row for row in presets(report)}
+        cells = [
+            f"{of[name]['error_px_rms']:.2f}, {of[name]['error_px_worst']:.1f}" if name in of else ""
+            for name in PRESETS
+        ]
+        one = next(iter(of.values()))
+        rows.append([f"{scene}, {gel}", str(one["trajectories"]), *cells, number(one["still_px_rms"])])
+        rows[-1].append(number(of["stable"]["events_per_dot"], 1) if "stable" in of else "")
+    heads = ["scene, gel", "trajectories", *PRESETS, "standing still", "events a dot and slice"]
+    return table("Tracking, distance from truth in px, rms and worst dot:", heads, rows)
 
 
 def labels(report: Row) -> str:
@@ -162,26 +171,26 @@ def vibration(report: Row, which: str) -> str:
 
 
 def force(report: Row) -> str:
+    gels = list(dict.fromkeys(row["individual"] for row in report["rows"]))
     rows = []
     for sensor, model in dict.fromkeys((row["sensor"], row["model"]) for row in report["rows"]):
-        groups = dict.fromkeys((row["fitted"], row["individual"]) for row in report["rows"])
-        for fitted, individual in groups:
+        cells = []
+        for gel in gels:
             same = [
                 row
                 for row in report["rows"]
-                if (row["sensor"], row["model"], row["fitted"], row["individual"])
-                == (sensor, model, fitted, individual)
+                if (row["sensor"], row["model"], row["individual"]) == (sensor, model, gel)
             ]
-            cells = []
-            for axis in "xy":
-                ours = sum(row[f"mae_n_{axis}"] for row in same) / len(same)
-                spread = sum(row[f"sd_n_{axis}"] for row in same) / len(same)
-                paper = same[0][f"paper_mae_n_{axis}"]
-                cells.append(f"{ours:.2f} ± {spread:.2f}" + (f" ({paper})" if paper is not None else ""))
-            rows.append([SENSORS[sensor], NETS[model], individual, str(len(same)), *cells])
-    heads = ["sensor", "model", "gel", "trajectories", "Fx error [N] (paper)", "Fy error [N] (paper)"]
+            errors = [sum(row[f"mae_n_{axis}"] for row in same) / len(same) for axis in "xy"]
+            papers = [same[0][f"paper_mae_n_{axis}"] for axis in "xy"]
+            told = papers[0] is not None
+            cells.append(
+                ", ".join(number(error) for error in errors) + (f" ({papers[0]}, {papers[1]})" if told else "")
+            )
+        rows.append([SENSORS[sensor], NETS[model], *cells])
+    title = "Shear force, mean absolute error of Fx, Fy in N on unseen trajectories; fitted to the first gel alone:"
     return table(
-        "Shear force, mean absolute error on unseen trajectories; fitted to the gel `evetac` alone:", heads, rows
+        title, ["sensor", "model", *(f"`{gel}`" + (" (paper)" if gel == gels[0] else "") for gel in gels)], rows
     )
 
 
@@ -190,12 +199,7 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "slip-unseen-objects": slip_unseen,
     "model-cost": model_cost,
     "labels": labels,
-    "tracking-edge-cut": lambda report: tracking(report, "a finger or a handle rubs over the cut gel"),
-    "tracking-edge-closed": lambda report: tracking(report, "the same over the closed gel"),
-    "tracking-slip-cut": lambda report: tracking(report, "slip, cut gel"),
-    "tracking-slip-closed": lambda report: tracking(report, "slip, closed gel"),
-    "tracking-shear-cut": lambda report: tracking(report, "shear, cut gel"),
-    "tracking-shear-closed": lambda report: tracking(report, "shear, closed gel"),
+    "tracking-edge-cut": edges,
     "data-rate": data_rate,
     "vibration": lambda report: vibration(report, "100 s a tone"),
     "vibration-drawn": lambda report: vibration(report, "10 s a tone, loudness, place and harmonics drawn anew"),
@@ -209,6 +213,8 @@ def tables(folder: Path) -> Iterator[str]:
         if path.exists():
             report = json.loads(path.read_text())
             yield ("Simulated. " if report["simulated"] else "") + write(report)
+            if name == "tracking-edge-cut":
+                yield "Simulated. " + tracking(folder)
 
 
 def main() -> None:

@@ -2,7 +2,8 @@
 
 A trajectory that begins and ends with nothing on the gel is tracked with success when all dots end within 20 px of
 where they began: the paper's end-point consistency, which needs no truth. Where a simulation knows the dots, their
-distance from truth is told too, over time in the picture. Tracks of the same recordings by several presets are compared
+distance from truth is told too, over time in the picture, and a trajectory that ends with the gel still sheared is not
+asked for consistency. Tracks of the same recordings by several presets are compared
 row by row.
 """
 
@@ -23,7 +24,7 @@ from evetac_cli.store.read import open_recording
 
 INPUTS = ("tracks", "recording")
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 CONSISTENT_PX = 20.0  # the paper's
 BIN_MS = 20  # of the picture's time axis
 
@@ -66,7 +67,7 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
             "trajectories": len(rows),
             "with_truth": known,
             **_lengths(rows),
-            "dots_lost": sum(row["dots_lost"] for row in rows),
+            "dots_lost": sum(row["dots_lost"] or 0 for row in rows),
         }
         return [*presets, *rows], summary
 
@@ -133,6 +134,8 @@ def _trajectory(tracks: StageFile, true: NDArray[np.float32] | None) -> tuple[di
     error = np.linalg.norm(dots - true[:, there], axis=2).astype(np.float64)
     still = np.linalg.norm(rest - true[:, there], axis=2)
     squares = np.mean(error**2, axis=1)
+    if (still[-1] > CONSISTENT_PX).any():
+        row |= {"consistent": None, "dots_lost": None}
     row |= {
         "error_px_rms": float(np.sqrt(squares.mean())),
         "error_px_worst": float(error.max()),
@@ -156,13 +159,14 @@ def _lengths(rows: Rows) -> dict[str, Any]:
 
 def _preset(name: str, rows: Rows) -> dict[str, Any]:
     """The row of a preset, the paper's figures beside it where it has them."""
-    failed = [row["dots_lost"] for row in rows if not row["consistent"]]
+    asked = [row for row in rows if row["consistent"] is not None]
+    failed = [row["dots_lost"] for row in asked if not row["consistent"]]
     paper = resources.table("paper")["tracking"].get(name, {})
     return {
         "preset": name,
         "trajectories": len(rows),
-        "consistent": len(rows) - len(failed),
-        "consistent_share": (len(rows) - len(failed)) / len(rows),
+        "consistent": len(asked) - len(failed) if asked else None,
+        "consistent_share": (len(asked) - len(failed)) / len(asked) if asked else None,
         "paper_consistent_share": paper.get("success"),
         "dots_lost_mean": float(np.mean(failed)) if failed else None,
         "paper_dots_lost_mean": paper.get("dots_lost"),
@@ -192,7 +196,7 @@ def _draw(figure: Any, presets: Rows, over_time: dict[str, list[Floats]], *, sim
         picture.quiet_grid(panels[0])
     last = panels[-1]
     for place, row in enumerate(presets):
-        last.bar(place, row["consistent_share"], color=f"C{place % 10}", width=0.6)
+        last.bar(place, row["consistent_share"] or 0.0, color=f"C{place % 10}", width=0.6)
         if row["paper_consistent_share"] is not None:
             last.plot(place, row["paper_consistent_share"], **picture.PAPER)
     last.plot([], [], label="paper", **picture.PAPER)
