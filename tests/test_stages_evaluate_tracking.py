@@ -67,6 +67,17 @@ def test_presets_side_by_side(recording: Path) -> None:
     assert outcome.summary["with_truth"] == 2
 
 
+@pytest.mark.parametrize(("px", "asked"), [(19.0, True), (30.0, False)])
+def test_only_where_the_gel_ends_at_rest(recording: Path, px: float, asked: bool) -> None:
+    """Assert that a trajectory whose true dots end more than 20 px off is not asked whether they end at rest."""
+    tracks = tracked(recording, "one")
+    with h5py.File(recording, "r+") as file:
+        file["truth/dot_xy_px"][-1] = file["sensor/dot_xy_px"][:].reshape(-1, 2) + (px, 0.0)
+    preset, row = evaluate(tracks, recordings=recording.parent).rows
+    assert (row["consistent"], row["dots_lost"]) == ((True, 0) if asked else (None, None))
+    assert (preset["consistent"], preset["consistent_share"]) == ((1, 1.0) if asked else (None, None))
+
+
 @pytest.mark.parametrize(("px", "lost"), [(19.9, 0), (20.1, 3)])
 def test_a_dot_off_by_20_px_is_lost(recording: Path, px: float, lost: int) -> None:
     """Assert that without truth the dots that end more than 20 px off are counted, over the trajectories with any."""
