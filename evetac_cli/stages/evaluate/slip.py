@@ -11,6 +11,7 @@ the labels' onset it first felt slip; the same by object; by model; by trajector
 
 import glob
 import json
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +46,7 @@ MOMENTS = (
 )
 SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
 PANELS = 4  # distributions side by side
+TITLE_WIDTH = 38  # characters above one
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,7 @@ def run(job: Job, params: EvaluateSlip, *, force: bool = False, progress: Progre
     parents = [*(model.header for model in models), *headers]
     outcome = report(job, "evaluate slip", METHOD, parameters, parents, measure, force=force)
     settings = len(_settings(outcome.rows))
-    size_in = (13.0, 1.5 + 0.42 * settings + 2.9 * -(-settings // PANELS))
+    size_in = (13.0, 1.5 + 0.42 * settings + 3.1 * -(-settings // PANELS))
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome), size_in)
 
 
@@ -416,7 +418,7 @@ def _draw(figure: Any, outcome: Outcome) -> None:
     """Bars of timing and F1 with the paper's figures, and below, for each setting, the CDF of t_m - t_c."""
     settings = _settings(outcome.rows)
     rows = -(-len(settings) // PANELS)
-    above, below = figure.subfigures(2, 1, height_ratios=[1.2 + 0.42 * len(settings), 2.9 * rows])
+    above, below = figure.subfigures(2, 1, height_ratios=[1.2 + 0.42 * len(settings), 3.1 * rows])
     timing, f1 = above.subplots(1, 2, sharey=True, width_ratios=[3, 2])
     above.suptitle("Slip timing and F1, mean and sd over objects and seeds" + _simulated(outcome), fontsize=12)
     at = np.arange(len(settings), dtype=float)
@@ -471,7 +473,7 @@ def _draw_cdf(axes: Any, trajectories: Rows, title: str) -> None:
     axes.axvspan(slip.EARLIEST_MS, slip.LATEST_MS, color=picture.CORRECT, alpha=0.08)
     axes.axvline(0, color="0.5", linewidth=0.8)
     axes.set(xlim=SHOWN_MS, ylim=(-0.08, 1.02), xlabel="t_m - t_c [ms]")
-    axes.set_title(title, fontsize=9)
+    axes.set_title(textwrap.fill(title, TITLE_WIDTH, break_on_hyphens=False), fontsize=8)
 
 
 def _simulated(outcome: Outcome) -> str:
