@@ -219,9 +219,12 @@ def tables(folder: Path) -> Iterator[str]:
 
 def main() -> None:
     folder, page = Path(sys.argv[1]), Path(sys.argv[2])
+    written = list(tables(folder))
+    if not written:
+        raise SystemExit(f"{folder}: no reports; make tracking, labels, ... leave them there")
     before, rest = page.read_text().split(BEGIN)
     _, after = rest.split(END)
-    page.write_text(before + BEGIN + "\n" + "\n".join(tables(folder)) + "\n" + END + after)
+    page.write_text(before + BEGIN + "\n" + "\n".join(written) + "\n" + END + after)
 
 
 if __name__ == "__main__":
