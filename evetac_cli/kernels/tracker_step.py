@@ -49,12 +49,8 @@ def by_descent(
 ) -> None:
     """One slice by the paper's gradient step; p is not looked at."""
     hot = hot_pixel_events > 0 and hot_pixels.count(x, y, fired, slices, hot_pixel_events, passed)
-    if tracker_buckets.left_margin(centre_xy_px, listed_xy_px):
-        reach_px = max(ring_outer_px, count_radius_px)
-        tracker_buckets.fill(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots)
-    sums[:] = 0
-    ring_events[:] = 0
-    events[:] = 0
+    reach_px = max(ring_outer_px, count_radius_px)
+    _prepare(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots, sums, ring_events, events)
     tracker_descent.pull_dots(
         x,
         y,
@@ -132,12 +128,8 @@ def by_fit(
 ) -> None:
     """One slice by solving for the motion that its events speak of."""
     hot = hot_pixel_events > 0 and hot_pixels.count(x, y, fired, slices, hot_pixel_events, passed)
-    if tracker_buckets.left_margin(centre_xy_px, listed_xy_px):
-        reach_px = max(ring_outer_px, count_radius_px)
-        tracker_buckets.fill(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots)
-    sums[:] = 0
-    ring_events[:] = 0
-    events[:] = 0
+    reach_px = max(ring_outer_px, count_radius_px)
+    _prepare(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots, sums, ring_events, events)
     tracker_fit.measure_rims(
         x,
         y,
@@ -174,6 +166,26 @@ def by_fit(
     if moved:
         _shift_dots(centre_xy_px, shift_px, ring_events, min_events)
     tracker_lost.look_after(moved, rest_slices, centre_xy_px, rest_xy_px, neighbours, ring_events, quiet, lost)
+
+
+@njit(cache=True)
+def _prepare(
+    centre_xy_px: NDArray[np.float64],
+    reach_px: float,
+    listed_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
+    bucket_start: NDArray[np.uint32],
+    bucket_dots: NDArray[np.uint32],
+    sums: NDArray[np.int64],
+    ring_events: NDArray[np.int32],
+    events: NDArray[np.int32],
+) -> None:
+    """Buckets that fit where the dots are, and sums at zero."""
+    if tracker_buckets.left_margin(centre_xy_px, listed_xy_px):
+        tracker_buckets.fill(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots)
+    sums[:] = 0
+    ring_events[:] = 0
+    events[:] = 0
 
 
 @njit(cache=True)
