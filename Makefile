@@ -50,7 +50,7 @@ EVETAC := $(CURDIR)/$(BIN)/evetac
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration data-rate force results test test-all check bench clean
+.PHONY: help setup demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration data-rate force results film test test-all check bench clean
 
 # `run` shows a command and runs it; whatever is made already is skipped, so that every target goes on where it was
 # stopped. `keep NAME COMMAND` leaves an evaluation's JSON, table and picture in REPORTS, anew where its recipe changed.
@@ -68,7 +68,7 @@ setup: $(READY)  ## make a virtual environment of its own in .venv
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[camera,plot,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[camera,convert,plot,dev]'
 	@touch $@
 
 # Trajectories to learn from, to choose threshold and checkpoint on, and to be judged on have seeds of their own.
@@ -188,6 +188,13 @@ strips: demo  ## a picture of every scene, in strips/: what is seen at telling m
 	for scene in lift sideways drop-20g drop-100g; do \
 	run grasp --scene $$scene --object 16 --seed $(SEED) --model $(abspath $(DEMO))/slip.model.h5 --out $$scene.recording.h5; done; \
 	$(CURDIR)/$(BIN)/python $(CURDIR)/scripts/strips.py *.recording.h5 --out .
+
+# The film tells of the farthest slide that was caught: the recording it needs is one that has such a slide.
+film: $(READY)  ## a short film of a catch, simulated: docs/catch.gif (STRIPS)
+	@$(RUN) mkdir -p $(STRIPS); cd $(STRIPS); \
+	run grasp --object 17 --seed 0 --lift-s 7 --balance-s 5 --out catch.recording.h5; \
+	run track catch.recording.h5; \
+	$(CURDIR)/$(BIN)/python $(CURDIR)/scripts/film.py catch.recording.h5 --out $(CURDIR)/docs/catch.gif
 
 test: $(READY)  ## the test suite
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m 'not slow'

@@ -1,0 +1,75 @@
+"""Make a short film of one catch from a simulated grasp: docs/catch.gif, for the README.
+
+python scripts/film.py catch.recording.h5 [--out docs/catch.gif]; `make film` grasps, tracks and draws. The tracks lie
+beside the recording. What is shown: the hand lifts the object, the grip is loosened until the object slips, the
+detector notices, the gripper closes, the object is held. Time runs slowly around the catch, and the picture says so.
+"""
+
+import argparse
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from film_picture import Picture, palette
+from film_story import PICTURE_MS, Story, moments, tell
+from PIL import Image
+
+from evetac_cli.errors import EvetacError
+from evetac_cli.inspect.view_trial import Trial, open_trial
+
+LAST_MS = 1500  # how long the last picture stays
+SHOWN_MS = 5  # the paper's images show 5 ms
+SEE_THROUGH = 127  # the colour of the palette that means: as in the picture before
+
+
+def pictures(trial: Trial, story: Story) -> Iterator[Image.Image]:
+    """All pictures of the film, one after the other, in RGB."""
+    recording, tracks = trial.recording, trial.tracks
+    assert recording is not None and tracks is not None
+    picture = Picture(story)
+    shown = -1
+    for moment in moments(story.acts):
+        at = int(moment)
+        # All events since the picture before, so that no burst is missed, and at least as many ms as the paper shows.
+        first = max(min(shown if shown >= 0 else at, at - SHOWN_MS) + 1, 0)
+        yield picture.draw(
+            at, at + 1 - first, recording.between(first, at + 1), tracks.read("dot_xy_px", at, at + 1)[0]
+        )
+        shown = at
+
+
+def save(drawn: Iterable[Image.Image], out: Path) -> tuple[int, float]:
+    """Write the GIF, of each picture only what differs from the one before; how many pictures, and how many s."""
+    chosen = palette()
+    small = [one.quantize(palette=chosen, dither=Image.Dither.NONE) for one in drawn]
+    durations = [PICTURE_MS] * (len(small) - 1) + [LAST_MS]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    # Only with `optimize` does Pillow leave out what has not changed, in the colour that is to be seen through.
+    small[0].save(
+        out,
+        "GIF",
+        save_all=True,
+        append_images=small[1:],
+        duration=durations,
+        loop=0,
+        optimize=True,
+        transparency=SEE_THROUGH,
+        disposal=1,
+    )
+    return len(small), sum(durations) / 1000
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("docs/catch.gif"))
+    chosen = parser.parse_args()
+    try:
+        with open_trial([chosen.recording]) as trial:
+            count, seconds = save(pictures(trial, tell(trial)), chosen.out)
+    except EvetacError as error:
+        parser.exit(error.exit_code, f"{error}\n")
+    print(f"{chosen.out}: {count} pictures, {seconds:.1f} s, {chosen.out.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()

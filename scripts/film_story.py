@@ -1,0 +1,144 @@
+"""What the film tells (scripts/film.py): which catch, which stretches of time, and how fast each is shown."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US
+from evetac_cli.inspect.view_trial import Trial
+
+PICTURE_MS = 50  # of the film: 20 pictures a second
+BALANCE = 2  # control/phase
+KEPT_MS = 300  # an object that hangs so long after a slide was caught
+
+
+class Act(NamedTuple):
+    """A stretch of the recording, [start, stop) in ms, and how many times faster than it was it is shown."""
+
+    name: str
+    start_ms: int
+    stop_ms: int
+    speed: float
+
+
+class Catch(NamedTuple):
+    """A slide that ended: its first slice, the first after it, and how far the object slid."""
+
+    onset_ms: int
+    stuck_ms: int
+    slid_mm: float
+
+
+@dataclass(frozen=True)
+class Story:
+    """What a recording and its tracks tell, slice by slice; lengths in mm upwards are those of the object."""
+
+    title: str
+    catch: Catch
+    acts: list[Act]
+    object_mm: tuple[float, float]  # width between the fingers, height
+    mm_per_px: float
+    window_px: tuple[int, int, int, int] | None
+    frame_px: tuple[int, int]
+    rest_xy_px: NDArray[np.float64]  # (dots, 2)
+    columns: int  # of the dot grid: dots are row-major
+    height_mm: NDArray[np.float32]  # object above the table
+    down_px: NDArray[np.float32]  # object against the hand, downwards, in the camera's px
+    force_n: NDArray[np.float32]  # normal, of one finger
+    probability: NDArray[np.float32]
+    noticed_ms: int  # when the controller first heard of the slip
+    position_ticks: NDArray[np.int32]  # of the gripper
+    goal_ticks: NDArray[np.int32]  # written to it
+
+
+def farthest_catch(
+    slip: NDArray[np.integer], down_mm: NDArray[np.floating], height_mm: NDArray[np.floating]
+) -> Catch | None:
+    """The farthest slide of an object that still hangs KEPT_MS later; None if nothing slid, or all was dropped."""
+    edges = np.flatnonzero(np.diff(np.r_[0, np.asarray(slip) > 0, 0]))
+    found = [
+        Catch(onset, stuck, float(down_mm[stuck] - down_mm[onset]))
+        for onset, stuck in edges.reshape(-1, 2).tolist()
+        if stuck + KEPT_MS < len(slip) and height_mm[stuck + KEPT_MS] > 1.0 and height_mm[onset] > 1.0
+    ]
+    return max(found, key=lambda catch: catch.slid_mm, default=None)
+
+
+def acts(catch: Catch, rise_ms: int, slices: int) -> list[Act]:
+    """What is shown how fast: one picture a millisecond around the catch."""
+    loosening, slow, held = catch.onset_ms - 340, catch.onset_ms - 20, catch.stuck_ms + 40
+    plan = [
+        Act("lift", max(rise_ms - 150, 0), loosening, 4.0),
+        Act("loosening", loosening, slow, 0.25),
+        Act("catch", slow, held, 0.02),
+        Act("held", held, min(held + 600, slices), 1.0),
+    ]
+    if any(act.start_ms >= act.stop_ms for act in plan):
+        raise InputError(
+            "this catch leaves no time to show what comes before it",
+            expected="a slide half a second after the object was lifted, and time after it",
+            found=f"lifted at {rise_ms} ms, slid from {catch.onset_ms} to {catch.stuck_ms} ms of {slices}",
+        )
+    return plan
+
+
+def moments(plan: list[Act]) -> list[float]:
+    """Recorded time of every picture, in ms, at its end."""
+    return [float(at) for act in plan for at in np.arange(act.start_ms, act.stop_ms, act.speed * PICTURE_MS)]
+
+
+def tell(trial: Trial) -> Story:
+    """Read all but the events; InputError if the recording is no simulated grasp, has no tracks, or shows no catch."""
+    recording, tracks = trial.recording, trial.tracks
+    if recording is None or not (recording.has("control") and recording.has("truth/table_gap_mm")):
+        raise InputError("the film needs a simulated grasp", expected="a recording made by evetac grasp")
+    if tracks is None:
+        raise InputError("there are no tracks beside the recording", where=str(recording.path), hint="evetac track")
+
+    def held(clock: str, path: str) -> NDArray[Any]:
+        """What has a clock of its own, at every slice: the latest value."""
+        rows = np.searchsorted(recording.read(clock), np.arange(len(recording)) * SLICE_US, side="right") - 1
+        values: NDArray[Any] = recording.read(path)[np.maximum(rows, 0)]
+        return values
+
+    made = recording.header["parameters"]
+    thing, mm_per_px = made["object_row"], float(made["individual_row"]["mm_per_px"])
+    if made["scene"]["gel"].get("sideways") or "drop" in made["scene"]:
+        raise InputError("the film shows lifts from the top, without a falling weight", where=str(recording.path))
+    height = recording.read("truth/table_gap_mm")
+    down_px = recording.read("truth/object_xy_px")[:, 0]
+    slip = recording.read("truth/slip")
+    slip[held("control/t_us", "control/phase") != BALANCE] = 0  # only there is the grip loosened
+    catch = farthest_catch(slip, down_px * mm_per_px, height)
+    if catch is None:
+        raise InputError(
+            "nothing slid and was caught in the balancing phase",
+            where=str(recording.path),
+            hint="another object or seed",
+        )
+    rise_ms = int(np.flatnonzero(height > 0.05)[0])
+    plan = acts(catch, rise_ms, len(recording))
+    grid = tracks.read("sensor/dot_xy_px")
+    heard_ms = recording.read("control/t_us")[recording.read("control/slip") > 0] // SLICE_US
+    heard_ms = np.append(heard_ms[heard_ms >= plan[2].start_ms], catch.stuck_ms)
+    return Story(
+        title=f"Catching object {made['object']} by feel: {thing['material']}, {thing['mass_g']:g} g",
+        catch=catch,
+        acts=plan,
+        object_mm=(float(thing.get("grasped_width_mm", thing["width_mm"])), float(thing["height_mm"])),
+        mm_per_px=mm_per_px,
+        window_px=recording.window_px,
+        frame_px=recording.frame_px,
+        rest_xy_px=grid.reshape(-1, 2),
+        columns=grid.shape[1],
+        height_mm=height,
+        down_px=down_px,
+        force_n=recording.read("truth/normal_force_n"),
+        probability=recording.read("control/probability"),
+        noticed_ms=int(heard_ms[0]),
+        position_ticks=held("gripper/t_us", "gripper/position_ticks"),
+        goal_ticks=held("control/t_us", "control/goal_ticks"),
+    )
