@@ -1,11 +1,13 @@
 """Cameras and grippers: three small protocols, and behind them simulated, replayed or real devices alike.
 
 A camera hands out slices in order, empty ones included, and paces whoever reads it. A gripper takes one command and
-gives one reading a cycle. A clock tells device time. Truth comes only from a simulation and goes only into the file.
+gives one reading a cycle. A clock tells device time. What a device lost or dropped it counts, by plain names. Truth
+comes only from a simulation and goes only into the file.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from evetac_cli.events import Events
@@ -17,6 +19,10 @@ class EventCamera(Protocol):
     @property
     def sensor(self) -> Mapping[str, Any]:
         """What is known about the sensor, as datasets `sensor/...` of a recording."""
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """Losses so far by plain name, such as events_dropped; nothing from a camera that cannot lose any."""
 
     def read(self) -> Events | None:
         """The next slice of 1 ms (t in us, absolute), or None once the stream has ended; DeviceError if it broke."""
@@ -34,6 +40,10 @@ class GripperReading(NamedTuple):
 
 class Gripper(Protocol):
     """A parallel gripper driven by motor current or by goal position."""
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """Losses so far by plain name, such as answers_lost; nothing from a gripper that cannot lose any."""
 
     def read(self) -> GripperReading:
         """Measured current and position; DeviceError if it does not answer."""
@@ -55,6 +65,13 @@ class Clock(Protocol):
         """Microseconds since the start of the recording."""
 
 
+class Closable(Protocol):
+    """What has to be let go of at the end."""
+
+    def close(self) -> None:
+        """Let go; a second call does nothing."""
+
+
 @dataclass(frozen=True)
 class Rig:
     """Devices that belong together in one trial."""
@@ -63,13 +80,27 @@ class Rig:
     gripper: Gripper | None
     clock: Clock
     truth: Callable[[], Mapping[str, Any]] | None = None  # one row per slice just read; simulations only
-    holding_ma: float = 0.0  # the current that holds the object stably
+    holding_ma: float = 0.0  # the current that holds the object stably; 0 where nobody knows
     drawn: str = ""  # JSON of what a simulation drew for this trial
+    sensor: Mapping[str, Any] = field(default_factory=dict)  # what is known beyond what the camera says of itself
+    setup: Mapping[str, Any] = field(default_factory=dict)  # what the devices are and how they are set; JSON
+    simulated: bool = True  # what the camera sees comes from a simulation
+    parents: tuple[dict[str, Any], ...] = ()  # headers of the files that the camera plays
+    peers: tuple[Closable, ...] = ()  # what the devices need, such as the virtual ones behind the wire
+
+    def sensor_known(self) -> dict[str, Any]:
+        """All that is known of the sensor, by the camera and beyond it."""
+        return {**self.camera.sensor, **self.sensor}
+
+    def counted(self) -> dict[str, int]:
+        """What was lost so far, as camera.REASON and gripper.REASON."""
+        named = [("camera", self.camera), ("gripper", self.gripper), *(("world", peer) for peer in self.peers)]
+        counts = {name: getattr(device, "counted", {}) for name, device in named if device is not None}
+        return {f"{name}.{why}": count for name, reasons in counts.items() for why, count in reasons.items()}
 
     def close(self) -> None:
-        """Close all devices, the gripper first."""
-        try:
-            if self.gripper is not None:
-                self.gripper.close()
-        finally:
-            self.camera.close()
+        """Close all devices, the gripper first, then what is behind them; an error in one does not keep the others."""
+        with ExitStack() as closing:
+            for device in (*reversed(self.peers), self.camera, self.gripper):
+                if device is not None:
+                    closing.callback(device.close)

@@ -1,6 +1,7 @@
 """Camera, gripper and clock of a simulated world: reading a slice is what makes its time pass."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ DRIVEN = {"press": Pressing, "rub": Rubbing, "tone": Vibration}  # kinds of scen
 
 class SimulatedCamera:
     """A camera that looks at a world, and the clock of that world."""
+
+    counted: Mapping[str, int] = MappingProxyType({})
 
     def __init__(self, world: World | Pressing | Vibration, individual: str, individual_row: Mapping[str, Any]) -> None:
         self._world: World | Pressing | Vibration | None = world
@@ -49,25 +52,27 @@ class SimulatedCamera:
 class SimulatedGripper:
     """A gripper in a world; as on the real one, a command holds until the next."""
 
+    counted: Mapping[str, int] = MappingProxyType({})
+
     def __init__(self, world: World) -> None:
-        self._world = world
+        self.world = world
 
     def read(self) -> GripperReading:
         """Current and integer encoder position."""
-        finger = self._world.finger
+        finger = self.world.finger
         return GripperReading(finger.current_ma, finger.position_ticks)
 
     def write_current(self, current_ma: int) -> None:
         """Current mode."""
-        self._world.command = ("current", current_ma)
+        self.world.command = ("current", current_ma)
 
     def write_position(self, goal_ticks: int) -> None:
         """Position mode."""
-        self._world.command = ("position", goal_ticks)
+        self.world.command = ("position", goal_ticks)
 
     def close(self) -> None:
         """Current zero."""
-        self._world.command = ("current", 0)
+        self.world.command = ("current", 0)
 
 
 def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: float) -> Rig:

@@ -1,0 +1,125 @@
+"""A DVXplorer Mini through the maker's library dv-processing (firmware 10 only): a second way, and one to compare with.
+
+The library finds, reads and decodes; slices are cut here as for our own driver (device_slices.py). Its times are those
+of the camera plus the host's time of day at the start.
+"""
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices.device_slices import DeviceSlices
+from evetac_cli.devices.dvxplorer_protocol import DvxplorerSettings
+from evetac_cli.errors import DeviceError
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
+
+POLL_S = 0.0005
+PATIENCE_US = 10_000  # on top of the flush time: two threads of the library, which gives no word of an empty camera
+
+
+class DvCamera:
+    """A running camera of dv-processing; an EventCamera, and the Clock of its recording.
+
+    serial: which camera, None for the first; library: dv_processing, or what stands in for it. DeviceError, in words.
+    """
+
+    def __init__(
+        self, serial: str | None = None, settings: DvxplorerSettings | None = None, library: Any = None
+    ) -> None:
+        self.settings = settings or DvxplorerSettings()
+        self.where = f"--camera dv{':' + serial if serial else ''}"
+        library = library or _library(self.where)
+        self._camera: Any = None
+        try:
+            self._camera = library.io.camera.DVXplorerM(*([serial] if serial else []))
+            self._set_up(library)
+            name = str(self._camera.getCameraName())
+        except (RuntimeError, IndexError, ValueError, OSError) as error:  # what its bindings raise
+            self.close()
+            raise DeviceError(
+                "dv-processing could not open a camera",
+                where=self.where,
+                expected="a DVXplorer Mini with firmware 10 that no other program uses",
+                found=str(error),
+                hint="ask `evetac doctor` what is wrong; --camera dvxplorer knows the older firmware too",
+            ) from error
+        self.sensor: Mapping[str, Any] = {
+            "sensor/frame_px": np.array(FRAME_PX, np.int32),
+            "sensor/individual": f"dv:{name}",
+        }
+        self._slices = DeviceSlices(self.settings.flush_us + SLICE_US + PATIENCE_US)
+        self._slices.start(_now_us())
+        self._first_us: int | None = None
+        self._ready: deque[Events] = deque()
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """What was lost so far, by reason; what the library loses it does not say."""
+        return {"late_events": self._slices.late_events}
+
+    def read(self) -> Events | None:
+        """The next slice, once it is closed; None after close; DeviceError once the camera is gone."""
+        while self._camera is not None and not self._ready:
+            begun_us = _now_us()
+            batch = self._camera.getNextEventBatch()
+            if batch is not None and batch.size():
+                self._take(batch.numpy())
+                continue
+            if not self._camera.isRunning():
+                raise DeviceError("is no longer on the bus", where=self.where, hint="plug it in again")
+            self._ready += self._slices.close_until(self._slices.over(begun_us))
+            if not self._ready:
+                time.sleep(POLL_S)
+        return self._ready.popleft() if self._camera is not None else None
+
+    def host_us(self, device_us: float) -> float:
+        """time.monotonic() in us at which the camera's clock showed this time of the recording."""
+        return self._slices.host_us(device_us)
+
+    def now_us(self) -> int:
+        """Time of the recording now, by the camera's clock."""
+        return int(self._slices.recording_us(_now_us()))
+
+    def close(self) -> None:
+        """Let go of the camera, which stops it; a second call does nothing."""
+        self._camera = None
+
+    def _take(self, rows: Any) -> None:
+        """Cut one batch, a structured array."""
+        t_us = rows["timestamp"].astype(np.int64)
+        columns = (
+            rows[name].astype(kind) for name, kind in (("x", np.uint16), ("y", np.uint16), ("polarity", np.uint8))
+        )
+        events = Events(t_us, *columns)
+        if self._first_us is None:
+            self._first_us = int(t_us[0])
+        self._ready += self._slices.push(events, self._first_us, int(t_us[-1]), _now_us())
+
+    def _set_up(self, library: Any) -> None:
+        """Settings, and one batch a millisecond."""
+        rate = self.settings.readout_rate.upper().replace("-", "_").replace("LOSSY", "CONSTANT_LOSSY")
+        self._camera.setReadoutFPS(getattr(library.io.camera.DVXplorer.ReadoutFPS, rate))
+        self._camera.setContrastThresholdOn(self.settings.threshold_on)
+        self._camera.setContrastThresholdOff(self.settings.threshold_off)
+        self._camera.setGlobalHold(self.settings.global_hold)
+        self._camera.setMIPITimeoutValue(timedelta(microseconds=self.settings.flush_us))
+        self._camera.setTimeInterval(timedelta(microseconds=SLICE_US))
+
+
+def _library(where: str) -> Any:
+    """dv-processing, or why not."""
+    try:
+        import dv_processing
+    except ImportError as error:
+        raise DeviceError(
+            "dv-processing is not installed", where=where, found=str(error), hint="pip install 'evetac[camera]'"
+        ) from error
+    return dv_processing
+
+
+def _now_us() -> float:
+    return time.monotonic() * 1e6

@@ -1,0 +1,170 @@
+"""Frames of Dynamixel Protocol 2.0, built and taken apart: what the virtual servo speaks.
+
+    FF FF FD 00 | ID | LEN (2) | instruction, parameters ... | CRC (2)
+
+LEN counts the bytes after it. After FF FF FD inside instruction and parameters an FD is stuffed; LEN and CRC are of the
+stuffed form. A status has the instruction 55 and an error byte before its parameters. Source: ROBOTIS e-Manual,
+protocol 2.0.
+
+Why so: the reader goes by LEN and never looks for a header inside a frame, because the Python SDK sends its frames
+without stuffing.
+"""
+
+import struct
+from collections.abc import Iterable
+from enum import IntEnum
+from typing import NamedTuple
+
+HEADER = b"\xff\xff\xfd\x00"
+BROADCAST_ID = 254
+LONGEST = 1024  # LEN beyond this is damage
+_AROUND = 7  # bytes of a frame that LEN does not count
+_ALERT = 0x80
+
+
+class Instruction(IntEnum):
+    """What a frame asks for; STATUS is the answer."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+class Fault(IntEnum):
+    """Error of a status: why an instruction was not carried out."""
+
+    NONE = 0
+    RESULT = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+class Frame(NamedTuple):
+    """A frame taken apart: parameters without stuffing; `sound` is whether the CRC was right; size as on the wire."""
+
+    id: int
+    instruction: int
+    parameters: bytes
+    sound: bool
+    size: int
+
+
+def _crc_table() -> tuple[int, ...]:
+    entries = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = ((crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+        entries.append(crc)
+    return tuple(entries)
+
+
+_CRC = _crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 of Protocol 2.0: polynomial 8005, start 0, not reflected (CRC-16/UMTS)."""
+    crc = 0
+    for byte in data:
+        crc = (crc << 8 ^ _CRC[crc >> 8 ^ byte]) & 0xFFFF
+    return crc
+
+
+def stuffed(body: bytes) -> bytes:
+    """Instruction and parameters with an FD after each FF FF FD."""
+    return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+
+
+def unstuffed(body: bytes) -> bytes:
+    """The inverse of `stuffed`."""
+    return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+
+
+def frame(id_: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """Bytes of an instruction."""
+    body = stuffed(bytes([instruction]) + parameters)
+    before = HEADER + bytes([id_]) + struct.pack("<H", len(body) + 2) + body
+    return before + struct.pack("<H", crc16(before))
+
+
+def status(id_: int, fault: int = Fault.NONE, parameters: bytes = b"", *, alert: bool = False) -> bytes:
+    """Bytes of an answer; alert says that Hardware Error Status is not zero."""
+    return frame(id_, Instruction.STATUS, bytes([fault | (_ALERT if alert else 0)]) + parameters)
+
+
+def fast_status(blocks: Iterable[tuple[int, int, bytes]]) -> bytes:
+    """Bytes of the one answer to a fast sync or bulk read: (error, id, data) of each device in turn.
+
+    After each block comes the CRC of all that was sent so far; nothing is stuffed.
+    """
+    listed = list(blocks)
+    length = 1 + sum(len(data) + 4 for _, _, data in listed)
+    answer = HEADER + bytes([BROADCAST_ID]) + struct.pack("<H", length) + bytes([Instruction.STATUS])
+    for error, id_, data in listed:
+        answer += bytes([error, id_]) + data
+        answer += struct.pack("<H", crc16(answer))
+    return answer
+
+
+class FrameReader:
+    """Takes frames out of a stream of bytes, however it is cut, and finds its way again after damage."""
+
+    def __init__(self) -> None:
+        self._waiting = bytearray()
+
+    @property
+    def partial(self) -> bool:
+        """Whether the beginning of a frame is waiting for its rest."""
+        return bool(self._waiting)
+
+    def forget(self) -> None:
+        """Drop what was begun: its rest did not come."""
+        self._waiting.clear()
+
+    def push(self, data: bytes) -> list[Frame]:
+        """Take the next bytes; return the frames that they end, those with a wrong CRC included."""
+        self._waiting += data
+        frames = []
+        while (found := self._next()) is not None:
+            frames.append(found)
+        return frames
+
+    def _next(self) -> Frame | None:
+        waiting = self._waiting
+        while True:
+            start = waiting.find(HEADER)
+            if start < 0:
+                del waiting[: max(len(waiting) - len(HEADER) + 1, 0)]  # a header may have begun
+                return None
+            del waiting[:start]
+            if len(waiting) < _AROUND:
+                return None
+            length = struct.unpack_from("<H", waiting, 5)[0]
+            if 3 <= length <= LONGEST:
+                break
+            del waiting[: len(HEADER)]
+        size = length + _AROUND
+        if len(waiting) < size:
+            return None
+        whole = bytes(waiting[:size])
+        sound = crc16(whole[:-2]) == struct.unpack("<H", whole[-2:])[0]
+        # after damage LEN may be wrong too, and a good frame lie within
+        del waiting[: size if sound else len(HEADER)]
+        body = unstuffed(whole[_AROUND:-2])
+        return Frame(whole[4], body[0], body[1:], sound, size)

@@ -1,0 +1,158 @@
+"""What `evetac doctor` asks of a machine: cameras on USB, serial ports, grippers on them; it changes nothing.
+
+Everything goes through one object, so that tests put folders in the place of /sys and /proc, and virtual devices in the
+place of real ones.
+"""
+
+import os
+import shutil
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import libusb_package
+import usb.core
+import usb.util
+
+from evetac_cli.devices import dvxplorer_protocol as protocol
+from evetac_cli.devices.dvxplorer import CONTROL_TIMEOUT_MS, FoundCamera, look
+from evetac_cli.devices.dynamixel_bus import ANSWER_MS, SDK_RATES, Bus, Found, latency_timer_ms, scan
+
+FTDI = "0403"  # vendor of the chip in ROBOTIS' U2D2
+# Asked for, of a gripper that answers.
+READ = (
+    "Firmware Version",
+    "Return Delay Time",
+    "Operating Mode",
+    "Hardware Error Status",
+    "Torque Enable",
+    "Current Limit",
+    "Present Input Voltage",
+    "Min Voltage Limit",
+    "Max Voltage Limit",
+    "Present Temperature",
+    "Temperature Limit",
+)
+
+
+class SerialPort(NamedTuple):
+    """A port of a USB adapter, as sysfs knows it."""
+
+    path: Path
+    vendor: str  # four hexadecimal digits, or nothing
+    product: str
+
+
+class CameraAnswer(NamedTuple):
+    """What came of opening a camera: its error number, 0 if none; and the size of its sensor, if it told."""
+
+    errno: int
+    found: str
+    frame_px: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The machine it runs on, or one that a test made up."""
+
+    sysfs: Path = Path("/sys")
+    proc: Path = Path("/proc")
+    dev: Path = Path("/dev")
+    usb_backend: Any = None  # of pyusb; None: libusb
+    answer_ms: float = ANSWER_MS
+    rates: tuple[int, ...] = SDK_RATES
+
+    def has_libusb(self) -> bool:
+        """Whether there is a library to speak USB with."""
+        return self.usb_backend is not None or libusb_package.get_libusb1_backend() is not None
+
+    def cameras(self) -> list[FoundCamera]:
+        """All DVXplorer on the bus."""
+        return look(self.usb_backend)
+
+    def ask_camera(self, camera: FoundCamera) -> CameraAnswer:
+        """Open a camera, claim it, read the size of its sensor, and let go of it."""
+        size = protocol.generation(camera.firmware).value
+        device = camera.device
+        try:
+            usb.util.claim_interface(device, 0)
+            columns, rows = (
+                int.from_bytes(
+                    bytes(
+                        device.ctrl_transfer(
+                            protocol.READ, protocol.CONFIG, protocol.DVS, which, size, CONTROL_TIMEOUT_MS
+                        )
+                    ),
+                    "big",
+                )
+                for which in (protocol.COLUMNS, protocol.ROWS)
+            )
+        except (usb.core.USBError, ValueError, NotImplementedError) as error:
+            number = getattr(error, "errno", None) or -1
+            return CameraAnswer(number, f"{getattr(error, 'strerror', None) or error} (errno {number})", None)
+        finally:
+            with suppress(usb.core.USBError):
+                usb.util.dispose_resources(device)
+        return CameraAnswer(0, "", (columns, rows))
+
+    def serial_ports(self) -> list[SerialPort]:
+        """Serial ports of USB adapters."""
+        found = []
+        for entry in sorted((self.sysfs / "class" / "tty").glob("tty[UA][SC][BM]*")):
+            vendor = product = ""
+            for folder in (entry / "device").resolve().parents:
+                if (folder / "idVendor").is_file():
+                    vendor, product = ((folder / name).read_text().strip() for name in ("idVendor", "idProduct"))
+                    break
+            found.append(SerialPort(self.dev / entry.name, vendor, product))
+        return found
+
+    def latency_ms(self, port: Path) -> int | None:
+        """How long the adapter of a port holds back an answer; None if it has no such timer."""
+        return latency_timer_ms(str(port), self.sysfs / "bus" / "usb-serial" / "devices")
+
+    def users_of(self, path: Path) -> list[str]:
+        """Programs of this user that have a file open, as `name (pid)`; those of others cannot be seen."""
+        wanted = path.resolve()
+        found = []
+        for entry in self.proc.glob("[0-9]*"):
+            with suppress(OSError):
+                if entry.name != str(os.getpid()) and any(
+                    link.readlink() == wanted for link in (entry / "fd").iterdir()
+                ):
+                    found.append(f"{(entry / 'comm').read_text().strip()} ({entry.name})")
+        return sorted(found)
+
+    def scan(self, port: Path) -> list[Found]:
+        """Grippers with id 1 at any rate; if there is none, those with any id at the rates in use."""
+        found = scan(str(port), self.rates, answer_ms=self.answer_ms)
+        for baud in () if found else self.rates:
+            with Bus(str(port), baud, answer_ms=self.answer_ms) as bus:
+                found += [Found(baud, id_, model) for id_, (model, _) in bus.everyone().items()]
+        return found
+
+    def registers(self, port: Path, gripper: Found, names: Iterable[str] = READ) -> dict[str, int]:
+        """Values of a gripper's registers."""
+        with Bus(str(port), gripper.baud, gripper.id, answer_ms=self.answer_ms) as bus:
+            bus.tolerant = True  # what it complains of is what we want to know
+            return {name: bus.read(name) for name in names}
+
+    def free_bytes(self, folder: Path) -> int:
+        """Room on the disk of a folder."""
+        return shutil.disk_usage(folder).free
+
+    def has_package(self, name: str) -> bool:
+        """Whether a module can be imported."""
+        return find_spec(name) is not None
+
+    def distributions(self, names: Iterable[str]) -> list[str]:
+        """Those of some distributions that are installed."""
+        found = []
+        for name in names:
+            with suppress(metadata.PackageNotFoundError):
+                found.append(f"{name} {metadata.version(name)}")
+        return found

@@ -1,0 +1,93 @@
+"""What can go wrong with a camera on USB, in words: where, what was found, and what to do."""
+
+import errno
+
+from evetac_cli.errors import DeviceError, DeviceTimeout
+
+_GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
+_BOARDS = {0: "an FX2 board", 1: "a DVXplorer (FX3)", 2: "a DVXplorer (FX3)", 3: "a DVXplorer (FX3)", 5: "an FX3 gen2"}
+
+
+def gone(error: OSError) -> bool:
+    """Whether the device is no longer there, so that trying again is no use."""
+    return error.errno in _GONE
+
+
+def in_words(error: OSError, where: str, doing: str) -> DeviceError:
+    """The error of libusb, met while doing something, for the user."""
+    found = f"{error.strerror or error} (errno {error.errno}) while {doing}"
+    if gone(error):
+        return DeviceError(
+            "is no longer on the bus",
+            where=where,
+            found=found,
+            hint="plug it in again, in a USB 3 port and with a firm cable; what was recorded until now is kept",
+        )
+    if error.errno == errno.EACCES:
+        return DeviceError(
+            "may not be opened by you",
+            where=where,
+            found=found,
+            hint="install the udev rule that `evetac doctor --print-udev` prints, and plug the camera in again",
+        )
+    if error.errno == errno.EBUSY:
+        return DeviceError(
+            "is used by another program",
+            where=where,
+            found=found,
+            hint="close DV, ROS nodes or another evetac that have it open",
+        )
+    if error.errno == errno.ETIMEDOUT:
+        return DeviceTimeout(
+            "did not answer in time", where=where, found=found, hint="unplug the camera and plug it in again"
+        )
+    return DeviceError("refused, or the link is bad", where=where, found=found, hint="plug it in again, without a hub")
+
+
+def no_libusb() -> DeviceError:
+    """There is no library to speak USB with."""
+    return DeviceError(
+        "there is no libusb",
+        where="--camera dvxplorer",
+        expected="the shared library that the package libusb-package brings",
+        hint="pip install libusb-package",
+    )
+
+
+def wrong_model(where: str, board: int) -> DeviceError:
+    """A DVXplorer, but not a Mini."""
+    return DeviceError(
+        "is not a DVXplorer Mini",
+        where=where,
+        expected="board 4 (bcdDevice 0x04..), the Mini or Micro",
+        found=f"board {board}: {_BOARDS.get(board, 'unknown')}",
+        hint="its events come in another format; record with DV and import: evetac record --from FILE.aedat4",
+    )
+
+
+def not_found(serial: str | None, found: list[str]) -> DeviceError:
+    """No camera, not the wanted one, or several where one is wanted."""
+    several = serial is None and len(found) > 1
+    return DeviceError(
+        "there are several cameras" if several else "there is no such camera",
+        where=f"--camera dvxplorer{':' + serial if serial else ''}",
+        expected="one DVXplorer Mini (USB 152a:8419)" + (f" with serial number {serial}" if serial else ""),
+        found=", ".join(found) or "none on the bus",
+        hint="name one: --camera dvxplorer:SERIAL" if several else "plug it in, and ask `evetac doctor` what is wrong",
+    )
+
+
+def not_ready(where: str) -> DeviceError:
+    """The camera shows no data endpoint: just after it was plugged in, or in its boot loader."""
+    return DeviceError(
+        "is not ready",
+        where=where,
+        expected="a bulk endpoint 0x82",
+        found="none",
+        hint="wait two seconds after plugging it in; if that does not help, its firmware has to be flashed again",
+    )
+
+
+def other_sensor(where: str, size: tuple[int, int]) -> DeviceError:
+    """The camera has another frame."""
+    return DeviceError("has another sensor", where=where, expected="640 x 480", found=f"{size[0]} x {size[1]}")

@@ -1,0 +1,64 @@
+"""Opening a port, finding what is on it, changing its rate: the virtual gripper through the maker's library."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from evetac_cli.devices.dynamixel_bus import Bus, Found, latency_timer_ms, scan
+from evetac_cli.devices.dynamixel_frames import Instruction
+from evetac_cli.devices.rh_p12_rn import RhP12Rn, RhP12RnSettings, change_baud
+from evetac_cli.devices.virtual_gripper import VirtualGripper
+from evetac_cli.errors import DeviceError, DeviceTimeout
+
+SLOW = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540)  # nothing is lost, however busy the machine
+
+
+@pytest.fixture(scope="module")
+def gripper() -> Iterator[VirtualGripper]:
+    with VirtualGripper() as made:
+        yield made
+
+
+def test_what_cannot_be_opened_is_said(gripper: VirtualGripper, tmp_path: Path) -> None:
+    """Assert an error in words for no port, one in use, no such rate, another rate or id, and a plain file."""
+    with pytest.raises(DeviceError, match="no such port"):
+        RhP12Rn(str(tmp_path / "ttyUSB9"))
+    with pytest.raises(DeviceError, match="57600, 115200"):
+        RhP12Rn(gripper.port, baud=12345)
+    with RhP12Rn(gripper.port, settings=SLOW), pytest.raises(DeviceError, match="in use"):
+        RhP12Rn(gripper.port)
+    with pytest.raises(DeviceTimeout, match="baud rate right"):
+        RhP12Rn(gripper.port, baud=57_600)
+    with pytest.raises(DeviceTimeout, match="gripper 7"):
+        RhP12Rn(gripper.port, settings=RhP12RnSettings(id=7))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DeviceError, match="cannot be opened"):
+        RhP12Rn(str(tmp_path / "file"))
+    with pytest.raises(ValueError, match="mode must be"):
+        RhP12Rn(gripper.port, mode="velocity")  # type: ignore[arg-type]
+
+
+def test_baud_rate_is_changed_and_found() -> None:
+    """Assert that the rate changes at both ends, that the same rate again writes nothing, and that a scan finds it."""
+    with VirtualGripper(baud=57_600, registers={"Torque Enable": 1}) as gripper:
+        change_baud(gripper.port, 57_600, 1_000_000, answer_ms=1000)
+        assert gripper.look("Baud Rate") == 3
+        writes = gripper.instructions()[Instruction.WRITE]
+        change_baud(gripper.port, 1_000_000, 1_000_000, answer_ms=1000)
+        assert gripper.instructions()[Instruction.WRITE] == writes + 1  # torque off
+        assert scan(gripper.port, (57_600, 1_000_000)) == [Found(1_000_000, 1, 35074)]
+        with Bus(gripper.port, 1_000_000) as bus:
+            assert bus.everyone() == {1: (35074, 14)}
+        with pytest.raises(ValueError, match="baud"):
+            change_baud(gripper.port, 1_000_000, 123)
+
+
+def test_latency_timer_is_read_where_there_is_one(tmp_path: Path) -> None:
+    """Assert the timer of an adapter, also through a link to its port, and None where there is none."""
+    (tmp_path / "ttyUSB0").mkdir()
+    (tmp_path / "ttyUSB0" / "latency_timer").write_text("16\n")
+    assert latency_timer_ms("/dev/ttyUSB0", tmp_path) == 16
+    (tmp_path / "by-id").symlink_to("/dev/ttyUSB0")
+    assert latency_timer_ms(str(tmp_path / "by-id"), tmp_path) == 16
+    assert latency_timer_ms("/dev/pts/3", tmp_path) is None
