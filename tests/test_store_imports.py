@@ -346,11 +346,13 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
         ("a.txt", "0 1 2 1\n".encode("utf-16"), "begins with"),
         ("a.aedat", b"#!AER-DAT2.0\r\n# x\r\n", "AEDAT2"),
         ("a.aedat", b"#!AER-DAT3.1\r\n", "AEDAT3"),
-        ("a.raw", b"% evt 3.0\n% end\n\x00\x01", "metavision_file_to_csv"),
+        ("a.raw", b"% evt 2.1\n% end\n\x00\x01", "with the maker's tools"),
+        ("a.raw", b"0 1 2 1\n", "begins with b'0 1 2 1"),
+        ("a.db3", b"0 1 2 1\n", "begins with b'0 1 2 1"),
         ("a.npz", b"PK\x03\x04rest", "archive"),
         ("a.txt.gz", b"\x1f\x8b\x08rest", "gunzip"),
         ("a.npy", b"\x93NUMPY\x01\x00", "numpy"),
-        ("a.bag", b"#ROSBAG V2.0\n", "ROS bag"),
+        ("a.bag", b"#ROSBAG V1.2\n", "rosbag migrate"),
     ],
 )
 def test_strangers_are_named(text: Callable[..., Path], name: str, content: bytes, words: str) -> None:
@@ -368,7 +370,9 @@ def test_what_is_no_plain_file_is_refused(tmp_path: Path) -> None:
 
 def test_options_that_would_do_nothing_are_refused(text: Callable[..., Path], dsec: Callable[..., Path]) -> None:
     """Assert that an option of another format is an error."""
-    assert "stream only applies to AEDAT4" in refusal(text("0 1 2 1\n"), frame_px=FRAME, stream="events")
+    assert "stream only applies to AEDAT4 files and ROS bags" in refusal(
+        text("0 1 2 1\n"), frame_px=FRAME, stream="events"
+    )
     assert "dialect only applies to text" in refusal(dsec(), frame_px=FRAME, dialect="t x y p")
 
 

@@ -6,6 +6,7 @@ same reason Ctrl-C waits until then; it would otherwise come up inside that obje
 """
 
 import io
+import shutil
 import signal
 import threading
 from collections.abc import Iterator
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+
+from evetac_cli.errors import InputError
 
 # HDF5 1.14 and everything since opens this; `latest` would need HDF5 2.0, which h5py bundles and others do not have.
 LIBVER = ("earliest", "v114")
@@ -33,6 +36,22 @@ class _Disk(io.FileIO):
         except OSError as error:
             self.error = error
         return len(data)
+
+
+def require_room(path: Path, needed_bytes: float, hint: str) -> None:
+    """Refuse to begin what the disk of `path` (which need not exist yet) has no room for; InputError with figures."""
+    folder = path.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    free_bytes = shutil.disk_usage(folder).free
+    if free_bytes < needed_bytes:
+        raise InputError(
+            "not enough room on this disk",
+            where=str(folder),
+            expected=f"{needed_bytes / 1e6:,.0f} MB",
+            found=f"{free_bytes / 1e6:,.0f} MB free",
+            hint=hint,
+        )
 
 
 @contextmanager

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.store import import_aedat4_child
 from evetac_cli.store.import_aedat4_child import EVENT
-from evetac_cli.store.import_door import Columns, Foreign, at_index, checked_frame
+from evetac_cli.store.import_door import Columns, Foreign, at_index, frame_of
+from evetac_cli.store.import_note import NAME, read_note
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 HEADER_LIMIT_BYTES = 1 << 24
@@ -46,6 +47,7 @@ class Stream:
     name: str
     camera: str
     frame_px: tuple[int, int] | None
+    note: str  # what evetac wrote there, if it did
 
 
 @dataclass(frozen=True)
@@ -74,12 +76,20 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         header = _header(handle, where)
         label, chosen, others = _choose(header, stream, where)
         packets = _walk(handle, header, chosen.number)
-    foreign = Foreign("aedat4", _frame(chosen, frame_px, where), ())
+    foreign = Foreign("aedat4", frame_of(chosen.frame_px, frame_px, where), ())
+    foreign.note = read_note(chosen.note, where) if chosen.note else None
     if others:
         foreign.notes.append(f"took the event stream {label}; also there: {', '.join(others)} (choose with --stream)")
     if packets.spans or not packets.whole or header.table < 0:
         foreign.batches = _columns(_decode(path, header, chosen, packets, foreign.notes))
     return foreign
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a file was closed and all its packets are complete, as far as its frame tells (nothing is decoded)."""
+    with path.open("rb") as handle:
+        header = _header(handle, str(path))
+        return header.table >= 0 and all(_walk(handle, header, stream.number).whole for stream in header.streams)
 
 
 def _columns(packets: "deque[NDArray[np.void]]") -> Iterator[Columns]:
@@ -89,20 +99,6 @@ def _columns(packets: "deque[NDArray[np.void]]") -> Iterator[Columns]:
         packet = packets.popleft()
         yield Columns(packet["t"], packet["x"], packet["y"], packet["p"], partial(at_index, start))
         start += len(packet)
-
-
-def _frame(chosen: Stream, frame_px: tuple[int, int] | None, where: str) -> tuple[int, int]:
-    """The file's own frame; a wish that contradicts it is refused, because it would have no effect."""
-    asked = None if frame_px is None else checked_frame(frame_px, where, "")
-    if asked and chosen.frame_px and asked != chosen.frame_px:
-        raise InputError(
-            "the file says another frame size",
-            where=where,
-            expected="{}x{}".format(*chosen.frame_px),
-            found="{}x{}".format(*asked),
-            hint="leave out --frame-size",
-        )
-    return checked_frame(chosen.frame_px or asked, where, "say it: --frame-size WIDTHxHEIGHT")
 
 
 def _choose(header: Header, wanted: str | None, where: str) -> tuple[str, Stream, list[str]]:
@@ -158,7 +154,8 @@ def _streams(xml: str) -> Iterator[Stream]:
         info = {attr.get("key", ""): attr.text or "" for attr in node.findall("node[@name='info']/attr")}
         frame = (int(info["sizeX"]), int(info["sizeY"])) if "sizeX" in info and "sizeY" in info else None
         name = said.get("originalOutputName", "events")
-        yield Stream(int(node.get("name", "")), said["typeIdentifier"], name, info.get("source", ""), frame)
+        number, note = int(node.get("name", "")), info.get(NAME, "")
+        yield Stream(number, said["typeIdentifier"], name, info.get("source", ""), frame, note)
 
 
 def _walk(handle: BinaryIO, header: Header, number: int) -> Packets:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate, empty
+from evetac_cli.store.import_note import Note
 
 # Beyond 2^53 us (285 years) a float no longer holds whole microseconds. Camera clocks that count from 1970 are at 2^51.
 CLOCK_LIMIT_US = 2**53
@@ -41,6 +42,7 @@ class Foreign:
     batches: Iterable[Columns]
     clock_us: int = 0  # to be added to every t, where a file keeps it apart
     notes: list[str] = field(default_factory=list)
+    note: Note | None = None  # if the file is an export of ours; its times are in the clock of t
 
 
 def at_index(start: int, row: int) -> str:
@@ -51,8 +53,8 @@ def at_index(start: int, row: int) -> str:
 class Normal(NamedTuple):
     """What comes out of the door."""
 
-    events: Events  # the first one at t = 0
-    first_us: int  # its time in the file's clock; 0 without events
+    events: Events  # the first one at t = 0, unless the file says when its recording began
+    first_us: int  # where t = 0 is in the file's clock; 0 without events
     dropped: dict[str, int]  # events left out, by reason
     sorted: int  # events put back in order: those that came after a later one
 
@@ -72,12 +74,37 @@ def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tu
     return int(width), int(height)
 
 
-def normalise(batches: Iterable[Columns], frame_px: tuple[int, int], *, sort: bool = False, where: str = "") -> Normal:
-    """Turn raw batches into one stream of events that starts at t = 0.
+def frame_of(own: tuple[int, int] | None, asked: tuple[int, int] | None, where: str, hint: str = "") -> tuple[int, int]:
+    """The file's own frame, or else the one asked for; a wish that contradicts the file is refused.
+
+    Such a wish would have no effect. InputError with `hint` where neither is there.
+    """
+    wish = None if asked is None else checked_frame(asked, where, "")
+    if wish and own and wish != tuple(own):
+        raise InputError(
+            "the file says another frame size",
+            where=where,
+            expected="{}x{}".format(*own),
+            found="{}x{}".format(*wish),
+            hint="leave out --frame-size",
+        )
+    return checked_frame(own or wish, where, hint or "say it: --frame-size WIDTHxHEIGHT")
+
+
+def normalise(
+    batches: Iterable[Columns],
+    frame_px: tuple[int, int],
+    *,
+    sort: bool = False,
+    start_us: int | None = None,
+    where: str = "",
+) -> Normal:
+    """Turn raw batches into one stream of events that starts at t = 0: with its first event, or at `start_us`.
 
     Events outside the frame and events that are no numbers are dropped and counted. Raises InputError where columns
     differ in length, a coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond
-    2^53 us, time goes backwards and sort is off, the events span more than 24 h, or none of them can be used.
+    2^53 us or before `start_us`, time goes backwards and sort is off, the events span more than 24 h, or none of them
+    can be used.
     """
     dropped = {"not_a_number": 0, "out_of_frame": 0}
     parts = [empty()]
@@ -136,7 +163,7 @@ def normalise(batches: Iterable[Columns], frame_px: tuple[int, int], *, sort: bo
     if late:
         order = np.argsort(events.t, kind="stable")
         events = Events(events.t[order], events.x[order], events.y[order], events.p[order])
-    events, first_us = _from_zero(events, where)
+    events, first_us = _from_zero(events, start_us, where)
     return Normal(events, first_us, dropped, late)
 
 
@@ -182,11 +209,18 @@ def _check_values(batch: Columns, where: str) -> None:
     refuse(far, t, "time out of range", "microseconds within 285 years of 0", "is the unit of time right?")
 
 
-def _from_zero(events: Events, where: str) -> tuple[Events, int]:
-    """Shift the first event to t = 0; returns its time too."""
+def _from_zero(events: Events, start_us: int | None, where: str) -> tuple[Events, int]:
+    """Shift the start, or without one the first event, to t = 0; returns its time too."""
     if not events.size:
-        return events, 0
-    first_us = int(events.t[0])
+        return events, start_us or 0
+    first_us = int(events.t[0]) if start_us is None else start_us
+    if events.t[0] < first_us:
+        raise InputError(
+            "an event lies before the start of the recording that the file's own note tells",
+            where=where,
+            expected=f"times from {first_us} us on",
+            found=f"{events.t[0]} us",
+        )
     span_us = int(events.t[-1]) - first_us
     if span_us > SPAN_LIMIT_US:
         raise InputError(

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.import_door import CLOCK_LIMIT_US, Columns, Foreign, at_index, check_lengths, checked_frame
+from evetac_cli.store.import_door import CLOCK_LIMIT_US, Columns, Foreign, at_index, check_lengths, frame_of
+from evetac_cli.store.import_note import NAME, Note, read_note
 
 BATCH_ROWS = 1 << 20
 LAYOUT = "events/t, events/x, events/y, events/p (the layout of DSEC)"
@@ -20,7 +21,7 @@ DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError)  # what h5py r
 
 
 def open_hdf5(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Events of an HDF5 file; frame_px is needed because the layout does not say it."""
+    """Events of an HDF5 file; frame_px is needed because the layout does not say it (an export of ours does)."""
     import h5py
 
     where = str(path)
@@ -31,10 +32,12 @@ def open_hdf5(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
             lengths = [len(column) for column in columns]
             check_lengths(lengths, where)
             clock_us = _t_offset(file, where)
+            note = _note(file, where)
     except DAMAGE as error:
         raise _unreadable(where, error) from error
-    frame = checked_frame(frame_px, where, "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)")
-    return Foreign("hdf5", frame, _batches(path, lengths[0]), clock_us)
+    hint = "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
+    frame = frame_of(note.frame_px if note else None, frame_px, where, hint)
+    return Foreign("hdf5", frame, _batches(path, lengths[0]), clock_us, note=note)
 
 
 def _batches(path: Path, rows: int) -> Iterator[Columns]:
@@ -65,6 +68,11 @@ def _refuse_own(file: Any, where: str) -> None:
             where=where,
             hint="a recording needs no import: give it to label or track as it is",
         )
+
+
+def _note(file: Any, where: str) -> Note | None:
+    text = file.attrs.get(NAME)
+    return read_note(text, where) if isinstance(text, str) else None
 
 
 def _column(file: Any, name: str, where: str) -> Any:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.import_door import Columns, Foreign, checked_frame
+from evetac_cli.store.import_door import Columns, Foreign, frame_of
+from evetac_cli.store.import_note import NAME, Note, read_note
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
 LINE_LIMIT_CHARS = 1 << 16
@@ -34,21 +35,30 @@ class Layout(NamedTuple):
 
 
 def open_text(path: Path, frame_px: tuple[int, int] | None, dialect: str | None) -> Foreign:
-    """Events of a text file; frame_px is needed because text does not say it."""
+    """Events of a text file; frame_px is needed because text does not say it (an export of ours does)."""
     where = str(path)
-    frame = checked_frame(frame_px, where, "say it: --frame-size WIDTHxHEIGHT, for example 640x480")
+    note = _note(path)
+    hint = "say it: --frame-size WIDTHxHEIGHT, for example 640x480"
+    frame = frame_of(note.frame_px if note else None, frame_px, where, hint)
     names = None
     if dialect is not None:
         names = _names(dialect)
         if names is None:
             raise InputError("unknown dialect", where=where, expected=ORDERS, found=repr(dialect))
-    return Foreign("text", frame, _batches(path, names))
+    return Foreign("text", frame, _batches(path, names, may_be_empty=note is not None), note=note)
 
 
-def _batches(path: Path, names: list[str] | None) -> Iterator[Columns]:
+def _note(path: Path) -> Note | None:
+    """The first line, if it is a comment that evetac wrote."""
+    with path.open(encoding="utf-8-sig", errors="replace") as handle:
+        sign, name, text = [*handle.readline(LINE_LIMIT_CHARS).strip().split(" ", 2), "", ""][:3]
+    return read_note(text, str(path)) if (sign, name) == ("#", NAME) else None
+
+
+def _batches(path: Path, names: list[str] | None, *, may_be_empty: bool) -> Iterator[Columns]:
     """One batch a block of lines; raises InputError with the number of the line that cannot be read."""
     layout = None
-    named = names is not None
+    named = names is not None or may_be_empty
     for number, lines in _blocks(path):
         if layout is None:
             at = next((i for i, line in enumerate(lines) if _data(line)), None)

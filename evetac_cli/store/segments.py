@@ -2,13 +2,18 @@
 
 Why so: a single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every
 segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
-last quarter of a second is on disk. A folder NAME.part/ that is left over means that a recording broke off.
+last quarter of a second is on disk. A folder NAME.part/ that is left over means that a recording broke off; it holds
+all that `evetac repair` needs (store/leftover.py). Segments are not compressed: that would cost a tenth of the time in
+which they fill, at a million events a second, and the recorder must not look away from its devices for so long. Each
+dataset carries its CRC-32 instead, so that damage is seen.
 """
 
 import fcntl
+import json
 import shutil
 import time
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -26,7 +31,13 @@ from evetac_cli.store.provenance import ContentDigest, Header, Recipe
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
 SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
 STATIC = "static.h5"
+SEGMENTS = "[0-9]*.h5"
+JOINED = "joined"  # in a folder whose recording is complete, and which was only not removed
 COUNTS = "events_per_slice"
+# Attributes of a segment, of its datasets, and of STATIC.
+FIRST_SLICE = "first_slice"
+CRC = "crc32"
+RECIPE = "recipe"
 
 
 class RecordingWriter:
@@ -35,16 +46,25 @@ class RecordingWriter:
     Rows are named by their schema path, such as `gripper/t_us`, and may come at any rate of their own.
     """
 
-    def __init__(self, path: Path, static: Mapping[str, Any], *, discard_leftover: bool) -> None:
+    def __init__(
+        self,
+        path: Path,
+        static: Mapping[str, Any],
+        *,
+        discard_leftover: bool,
+        recipe: Recipe | None = None,
+    ) -> None:
         """Make NAME.part/; `static` holds what is known beforehand (sensor/..., t_offset).
 
         A left-over NAME.part/ is thrown away only if `discard_leftover` (a simulation can be made again), else refused.
+        With a `recipe` what is left by a recording that breaks off can be repaired, and is never thrown away.
         """
         self.path = path
         self.folder = path.with_name(path.name.removesuffix(".h5") + ".part")
         self._claim(discard_leftover)
         try:
-            self._write(self.folder / STATIC, static)
+            about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe), allow_nan=False)}
+            self._write(self.folder / STATIC, static, about)
         except BaseException:
             self.discard()
             raise
@@ -53,6 +73,7 @@ class RecordingWriter:
         self._rows: dict[str, list[Any]] = {}
         self._waiting = 0
         self._segments = 0
+        self._slices = 0
         self._closed_at = time.monotonic()
 
     def _claim(self, discard_leftover: bool) -> None:
@@ -70,12 +91,13 @@ class RecordingWriter:
             self._lock.close()
             raise InputError("another process is recording here", where=str(self.folder)) from None
         left = [file for file in self.folder.iterdir() if file.name != "lock"]
-        if left and not discard_leftover:
+        kept = any(file.name[0].isdigit() for file in left) and not (self.folder / JOINED).exists()
+        if kept and (not discard_leftover or _repairable(self.folder)):
             self._lock.close()
             raise InputError(
                 "a recording broke off here and cannot be made again",
                 where=str(self.folder),
-                hint="move the folder away, or write elsewhere with -o",
+                hint=f"evetac repair {self.folder}, or write elsewhere with -o",
             )
         for file in left:
             if file.is_dir():
@@ -88,10 +110,14 @@ class RecordingWriter:
         self._events.append(events)
         self._counts.append(events.size)
         self._waiting += events.size
-        for name, row in (rows or {}).items():
-            self._rows.setdefault(name, []).append(row)
+        self.append_rows(rows or {})
         if self._waiting >= SEGMENT_EVENTS or time.monotonic() - self._closed_at >= SEGMENT_S:
             self.close_segment()
+
+    def append_rows(self, rows: Mapping[str, Any]) -> None:
+        """Add one row to each of the named datasets, beside the slices."""
+        for name, row in rows.items():
+            self._rows.setdefault(name, []).append(row)
 
     def close_segment(self) -> None:
         """Write everything that waits as the next segment."""
@@ -104,8 +130,9 @@ class RecordingWriter:
                 described = table.find(name)
                 assert described is not None, name
                 arrays[name] = np.asarray(rows, dtype=described.dtype)
-            self._write(self.folder / f"{self._segments:06d}.h5", arrays)
+            self._write(self.folder / f"{self._segments:06d}.h5", arrays, {FIRST_SLICE: self._slices})
             self._segments += 1
+            self._slices += len(self._counts)
             self._events, self._counts, self._rows, self._waiting = [], [], {}, 0
         self._closed_at = time.monotonic()
 
@@ -116,8 +143,14 @@ class RecordingWriter:
         """
         self.close_segment()
         header = join(self.folder, self.path, recipe, late or {}, from_device=from_device)
+        with suppress(OSError):  # on a full disk; then the next lines have not much to do
+            (self.folder / JOINED).touch()
         self.discard()
         return header
+
+    def leave(self) -> None:
+        """Let go of the folder as it is: what is in it waits for `evetac repair`."""
+        self._lock.close()
 
     def discard(self) -> None:
         """Throw the folder away: for a trial that can be made again, or is joined."""
@@ -125,12 +158,16 @@ class RecordingWriter:
         self._lock.close()
 
     @staticmethod
-    def _write(path: Path, arrays: Mapping[str, Any]) -> None:
+    def _write(path: Path, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> None:
         temporary = path.with_suffix(".tmp")
         try:
             with new_file(temporary) as h5:
+                h5.attrs.update(about)
                 for name, value in arrays.items():
-                    put(h5, name, value)
+                    if isinstance(value, str):
+                        put(h5, name, value)
+                    else:
+                        h5.create_dataset(name, data=value, track_times=False).attrs[CRC] = crc_of(value)
             temporary.replace(path)
         except OSError as error:
             with suppress(OSError):
@@ -142,33 +179,61 @@ class RecordingWriter:
             ) from error
 
 
-def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], *, from_device: bool) -> Header:
-    """Join the segments of NAME.part/ into one recording, a segment at a time (memory does not grow with length)."""
+def crc_of(value: Any) -> int:
+    """CRC-32 of the bytes of an array."""
+    return zlib.crc32(np.ascontiguousarray(value).tobytes())
+
+
+def _repairable(folder: Path) -> bool:
+    """Whether a left-over folder says what was recorded in it."""
+    try:
+        with h5py.File(folder / STATIC, "r") as static:
+            return RECIPE in static.attrs
+    except OSError:
+        return False
+
+
+def join(
+    folder: Path,
+    path: Path,
+    recipe: Recipe,
+    late: Mapping[str, Any],
+    *,
+    from_device: bool,
+    parts: Sequence[Path | int] | None = None,
+) -> Header:
+    """Join the segments of NAME.part/ into one recording, a segment at a time (memory does not grow with length).
+
+    parts: the segments to join, all if not given; a number stands for so many slices that were lost: they are empty,
+    and what is stored of every slice is NaN there.
+    """
+    if parts is None:
+        parts = sorted(folder.glob(SEGMENTS))
+    per_slice = _float_of_every_slice(parts)
     digest = ContentDigest()
     counts: list[Any] = []
     written: dict[str, tuple[str, tuple[int, ...]]] = {}
     with replacing(path) as h5:
         with h5py.File(folder / STATIC, "r") as static:
-            whole = {name: static[name] for name in _datasets(static)}
+            whole = {name: static[name] for name in datasets_of(static)}
             for name, dataset in whole.items():
                 value = dataset.asstr()[()] if schema.describe_stored(dataset) == "utf8" else dataset[()]
                 _put_whole(h5, name, value, digest, written)
         for name, value in late.items():
             _put_whole(h5, name, value, digest, written)
-        for segment_path in sorted(folder.glob("[0-9]*.h5")):
-            with h5py.File(segment_path, "r") as segment:
-                for name in _datasets(segment):
+        for part in parts:
+            if isinstance(part, int):
+                counts.append(np.zeros(part, np.int64))
+                for name, (dtype, row_shape) in per_slice.items():
+                    _put_more(h5, name, np.full((part, *row_shape), np.nan, dtype), digest, written)
+                continue
+            with h5py.File(part, "r") as segment:
+                for name in datasets_of(segment):
                     rows = segment[name][()]
                     if name == COUNTS:
                         counts.append(rows)
-                        continue
-                    if name not in h5:
-                        create(h5, name, rows.dtype, rows.shape[1:], rows=0, grows=True)
-                    dataset = h5[name]
-                    dataset.resize(len(dataset) + len(rows), axis=0)
-                    dataset[len(dataset) - len(rows) :] = rows
-                    digest.update(name, rows)
-                    written[name] = (rows.dtype.name, dataset.shape)
+                    else:
+                        _put_more(h5, name, rows, digest, written)
         table = schema.load("recording")
         for column in Events._fields:  # a recording without a single slice still has its columns
             name = f"events/{column}"
@@ -185,6 +250,35 @@ def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], *, f
     return header
 
 
+def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, tuple[int, ...]]]:
+    """Name -> (dtype, shape of a row) of what segments hold of every slice beside events, as far as it may be NaN."""
+    table = schema.load("recording")
+    first = next((part for part in parts if isinstance(part, Path)), None)
+    if first is None or len(parts) < 2:
+        return {}
+    with h5py.File(first, "r") as segment:
+        found = {name: (segment[name].dtype, segment[name].shape[1:]) for name in datasets_of(segment)}
+    described = {name: table.find(name) for name in found}
+    return {
+        name: found[name]
+        for name, row in described.items()
+        if row is not None and row.dims and row.dims[0] == "slices" and row.dtype.startswith("float")
+    }
+
+
+def _put_more(
+    h5: h5py.File, name: str, rows: Any, digest: ContentDigest, written: dict[str, tuple[str, tuple[int, ...]]]
+) -> None:
+    """Append rows to a dataset, which is made by the first."""
+    if name not in h5:
+        create(h5, name, rows.dtype, rows.shape[1:], rows=0, grows=True)
+    dataset = h5[name]
+    dataset.resize(len(dataset) + len(rows), axis=0)
+    dataset[len(dataset) - len(rows) :] = rows
+    digest.update(name, rows)
+    written[name] = (rows.dtype.name, dataset.shape)
+
+
 def _put_whole(
     h5: h5py.File, name: str, value: Any, digest: ContentDigest, written: dict[str, tuple[str, tuple[int, ...]]]
 ) -> None:
@@ -193,7 +287,8 @@ def _put_whole(
     written[name] = schema.describe(value)
 
 
-def _datasets(h5: h5py.File) -> list[str]:
+def datasets_of(h5: h5py.File) -> list[str]:
+    """Paths of all datasets."""
     names: list[str] = []
     h5.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
     return names

@@ -1,0 +1,282 @@
+"""doctor: what is wrong with cameras, grippers and this installation, and the command that mends it.
+
+It looks and asks; it writes no register, no setting and no file. So a gripper's rate or an adapter's timer is changed
+by whoever runs the command that is printed.
+"""
+
+import errno
+import itertools
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.devices import dvxplorer_protocol as protocol
+from evetac_cli.devices.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
+from evetac_cli.devices.dvxplorer import SUPER_SPEED, FoundCamera
+from evetac_cli.devices.dynamixel_bus import Found
+from evetac_cli.devices.probe import FTDI, Machine
+from evetac_cli.errors import DeviceError
+from evetac_cli.events import FRAME_PX
+from evetac_cli.params import Doctor
+from evetac_cli.stages import Outcome
+
+RULES = "/etc/udev/rules.d/60-evetac.rules"
+RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
+INSTALL_RULES = f"evetac doctor --print-udev | sudo tee {RULES} && {RELOAD}; then plug it in again"
+OLDEST_FIRMWARE = 8
+LEAST_BAUD, USUAL_BAUD = 1_000_000, 2_000_000  # a cycle of 2 ms needs the first; --gripper PORT takes the second
+LATENCY_MS = 1
+FREE_BYTES = 1 << 30  # some 5 min of a million events a second, at 3.5 bytes each on disk
+SPEEDS = {
+    1: "USB 1, 1.5 Mbit/s",
+    2: "USB 1, 12 Mbit/s",
+    3: "USB 2, 480 Mbit/s",
+    4: "USB 3, 5 Gbit/s",
+    5: "USB 3, 10 Gbit/s",
+}
+EXTRAS = {
+    "camera": ("dv_processing",),
+    "convert": ("rosbags", "faery", "hdf5plugin"),
+    "plot": ("matplotlib", "bokeh", "PIL"),
+}
+OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
+
+Row = dict[str, Any]
+
+
+def udev_rules() -> str:
+    """Rules that let everyone use the camera and the gripper's adapter, and make the adapter answer at once."""
+    return "\n".join(
+        (
+            f"# For {RULES}. Install with:",
+            f"#   evetac doctor --print-udev | sudo tee {RULES}",
+            f"#   {RELOAD}",
+            "# and plug the devices in again.",
+            "# Cameras of iniVation, the DVXplorer Mini (152a:8419) among them.",
+            'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", ATTR{idProduct}=="84[0-1]?", MODE="0666", TAG+="uaccess"',
+            "# Serial adapters of FTDI, ROBOTIS' U2D2 among them: an answer is passed on after 1 ms, not after 16.",
+            'SUBSYSTEM=="tty", KERNEL=="ttyUSB*", DRIVERS=="ftdi_sio", MODE="0666", ATTR{device/latency_timer}="1"',
+        )
+    )
+
+
+def run(params: Doctor, machine: Machine | None = None) -> Outcome:
+    """A row for every check of every device that was found, and of what they need."""
+    machine = machine or Machine()
+    rows = [*_software(machine), _disk(machine, Path.cwd())]
+    cameras = machine.cameras() if machine.has_libusb() else []
+    for camera in cameras:
+        rows += _camera(machine, camera)
+    grippers = 0
+    for path, named in _ports(machine, params):
+        port_rows, found = _port(machine, path, named)
+        rows += port_rows
+        grippers += found
+    wrong = sum(row["ok"] is False for row in rows)
+    return Outcome(rows, False, {"cameras": len(cameras), "grippers": grippers, "wrong": wrong})
+
+
+def show(result: Outcome) -> None:
+    """A block a device: what is well, what is wrong, and what to do about it."""
+    for device, group in itertools.groupby(result.rows, key=lambda row: str(row["device"])):
+        print(device)
+        for row in group:
+            sign = {True: "ok", False: "WRONG", None: "-"}[row["ok"]]
+            expected = f"  (expected: {row['expected']})" if row["ok"] is not True and row["expected"] else ""
+            print(f"  {sign:<6}{row['check']:<16}{row['found']}{expected}")
+            if row["fix"]:
+                print(f"        {'':<16}try: {row['fix']}")
+    found = result.summary
+    if not found["cameras"]:
+        print("no camera found on USB. One that is plugged in: another port, another cable (some only carry power);")
+        print("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need none.")
+    if not found["grippers"]:
+        print("no gripper found. By itself doctor only asks FTDI adapters (U2D2): name another with --gripper PORT.")
+    print(f"{found['wrong']} wrong" if found["wrong"] else "all that was found is fine")
+
+
+def _row(device: str, check: str, ok: bool | None, found: str, expected: str = "", fix: str = "") -> Row:
+    """One check; `fix` also where nothing is wrong, for what one might want otherwise."""
+    return {
+        "device": device,
+        "check": check,
+        "ok": ok,
+        "found": found,
+        "expected": expected or None,
+        "fix": fix or None,
+    }
+
+
+def _software(machine: Machine) -> Iterator[Row]:
+    there = machine.has_libusb()
+    fix = "" if there else "pip install --force-reinstall libusb-package"
+    yield _row("software", "libusb", there, "loads" if there else "none that loads", "one, to speak USB with", fix)
+    for extra, packages in EXTRAS.items():
+        lacking = [name for name in packages if not machine.has_package(name)]
+        found = f"without {', '.join(lacking)}" if lacking else "installed"
+        fix = f'pip install "evetac[{extra}]"' if lacking else ""
+        yield _row("software", f"extra {extra}", None if lacking else True, found, "", fix)
+    several = machine.distributions(OPENCV)
+    yield _row(
+        "software",
+        "opencv",
+        len(several) == 1,
+        ", ".join(several) or "none",
+        "one alone: they overwrite each other",
+        ""
+        if len(several) == 1
+        else f"pip uninstall {' '.join(name.split()[0] for name in several)}; pip install {OPENCV[-1]}",
+    )
+
+
+def _disk(machine: Machine, folder: Path) -> Row:
+    free = machine.free_bytes(folder)
+    enough = free >= FREE_BYTES
+    minutes = free / 3.5e6 / 60
+    found = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events a second"
+    return _row(
+        "disk", "free space", enough, found, f"{FREE_BYTES / 1e9:.1f} GB", "" if enough else "record elsewhere: -o"
+    )
+
+
+def _camera(machine: Machine, camera: FoundCamera) -> Iterator[Row]:
+    name = f"camera {camera.serial or 'at ' + camera.where}"
+    mini = camera.board == protocol.MINI_BOARD
+    fix = "" if mini else "record it with DV, and import: evetac record --from FILE.aedat4"
+    yield _row(name, "model", mini, f"board {camera.board}", f"board {protocol.MINI_BOARD}, a DVXplorer Mini", fix)
+    if mini:
+        known = OLDEST_FIRMWARE <= camera.firmware <= protocol.NEWEST_FIRMWARE
+        old = camera.firmware < OLDEST_FIRMWARE
+        yield _row(
+            name,
+            "firmware",
+            known,
+            str(camera.firmware),
+            f"{OLDEST_FIRMWARE} to {protocol.NEWEST_FIRMWARE}",
+            ""
+            if known
+            else "update it with the maker's DV"
+            if old
+            else "look for a newer evetac; it may work all the same",
+        )
+    if camera.speed is not None:
+        fast = camera.speed >= SUPER_SPEED
+        fix = "" if fast else "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
+        yield _row(name, "link", fast, SPEEDS.get(camera.speed, f"speed {camera.speed}"), "USB 3", fix)
+    answer = machine.ask_camera(camera)
+    yield _row(name, *_opened(machine, camera, answer.errno, answer.found))
+    if answer.frame_px is not None and mini:
+        right = answer.frame_px == FRAME_PX
+        fix = "" if right else "this sensor is not that of a DVXplorer Mini: is it the right camera?"
+        yield _row(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
+
+
+def _opened(machine: Machine, camera: FoundCamera, number: int, found: str) -> tuple[str, bool, str, str, str]:
+    """Check, whether it is well, what was found, expected, and what to do: of opening and asking a camera."""
+    if number == 0:
+        return "access", True, "opens and answers", "", ""
+    node = machine.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
+    if number == errno.EACCES:
+        return "permission", False, f"none, for you ({found})", "a udev rule", INSTALL_RULES
+    if number == errno.EBUSY:
+        users = machine.users_of(node)
+        by = f"used by {', '.join(users)}" if users else "used by another program"
+        fix = (
+            f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
+            if users
+            else f"sudo fuser {node}"
+        )
+        return "busy", False, by, "free", fix
+    if number in (errno.ENODEV, errno.ENOENT):
+        return "access", False, f"it went while it was asked ({found})", "", "a firm cable, another port"
+    if number in (errno.EPIPE, errno.ETIMEDOUT, errno.EIO):
+        return "answers", False, f"no ({found})", "the size of its sensor", "unplug it and plug it in again"
+    return "access", False, found, "", "unplug it and plug it in again, without a hub"
+
+
+def _ports(machine: Machine, params: Doctor) -> Iterator[tuple[Path, bool]]:
+    """Ports to examine, and whether the user named them."""
+    named = None if params.gripper is None else Path(params.gripper.partition("@")[0])
+    for port in machine.serial_ports():
+        if port.vendor == FTDI and (named is None or port.path.resolve() != named.resolve()):
+            yield port.path, False
+    if named is not None:
+        yield named, True
+
+
+def _port(machine: Machine, path: Path, named: bool) -> tuple[list[Row], int]:  # noqa: FBT001
+    """Rows of one port and of the grippers on it, and how many these are."""
+    name = f"port {path}"
+    if not path.exists():
+        fix = "plug the adapter in; `ls /dev/ttyUSB* /dev/ttyACM*` shows what there is"
+        return [_row(name, "there", False, "no such port", "", fix)], 0
+    rows = []
+    if not os.access(path, os.R_OK | os.W_OK):
+        fix = f"sudo usermod -aG dialout $USER, and log in again; or {INSTALL_RULES}"
+        return [_row(name, "permission", False, "none, for you", "", fix)], 0
+    latency_ms = machine.latency_ms(path)
+    if latency_ms is not None:
+        fine = latency_ms <= LATENCY_MS
+        timer = f"/sys/bus/usb-serial/devices/{path.name}/latency_timer"
+        fix = "" if fine else f"echo 1 | sudo tee {timer}; for good: {INSTALL_RULES}"
+        rows.append(
+            _row(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands a second", fix)
+        )
+    users = machine.users_of(path)
+    if users:
+        fix = f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
+        return [*rows, _row(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
+    try:
+        grippers = machine.scan(path)
+    except DeviceError as error:
+        return [*rows, _row(name, "opens", False, " ".join(str(error).split()), "", f"sudo fuser {path}")], 0
+    if not grippers:
+        rates = f"{machine.rates[0]} to {machine.rates[-1]} baud"
+        fix = "switch on its 24 V, check the cable between adapter and gripper"
+        # an adapter that nobody named may well have something else on it
+        return [*rows, _row(name, "gripper", False if named else None, "none answers", f"an answer at {rates}", fix)], 0
+    for gripper in grippers:
+        try:
+            rows += _gripper(machine, path, gripper)
+        except DeviceError as error:
+            found = " ".join(str(error).split())
+            rows.append(_row(f"gripper {gripper.id} at {path}", "answers", False, found, "", "check cable and 24 V"))
+    return rows, len(grippers)
+
+
+def _gripper(machine: Machine, path: Path, gripper: Found) -> Iterator[Row]:
+    name = f"gripper {gripper.id} at {path}"
+    right = gripper.model == MODEL_NUMBER
+    older = " (RH-P12-RN without A: another control table)" if gripper.model == OLD_MODEL_NUMBER else ""
+    fix = "" if right else "this driver serves the RH-P12-RN(A) only"
+    yield _row(name, "model", right, f"{gripper.model}{older}", f"{MODEL_NUMBER}, RH-P12-RN(A)", fix)
+    fast = gripper.baud >= LEAST_BAUD
+    change = f"change_baud('{path}', {gripper.baud}, {USUAL_BAUD}, id_={gripper.id})"
+    slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn import change_baud; {change}" (torque goes off)'
+    unusual = f"name it: --gripper {path}@{gripper.baud}" if gripper.baud != USUAL_BAUD else ""
+    expected = f"{LEAST_BAUD} at least, for 500 commands a second"
+    yield _row(name, "baud", fast, str(gripper.baud), expected, unusual if fast else slow_fix)
+    if not right:
+        return
+    found = machine.registers(path, gripper)
+    delay_us = found["Return Delay Time"] * RETURN_DELAY_US
+    fix = "" if delay_us == 0 else f"evetac record --gripper {path}@{gripper.baud} sets it when it opens the gripper"
+    yield _row(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
+    errors = hardware_errors(found["Hardware Error Status"])
+    fix = "remove the cause, then switch its 24 V off and on" if errors else ""
+    yield _row(name, "hardware error", not errors, ", ".join(errors) or "none", "none", fix)
+    volts = [found[f"{which} Voltage Limit"] / 10 for which in ("Min", "Max")]
+    present = found["Present Input Voltage"] / 10
+    within = volts[0] <= present <= volts[1]
+    fix = "" if within else "check its 24 V supply"
+    yield _row(name, "supply", within, f"{present:.1f} V", f"{volts[0]:.1f} to {volts[1]:.1f} V", fix)
+    cool = found["Present Temperature"] < found["Temperature Limit"]
+    limit = f"below {found['Temperature Limit']} C"
+    yield _row(
+        name, "temperature", cool, f"{found['Present Temperature']} C", limit, "" if cool else "let it cool down"
+    )
+    off = found["Torque Enable"] == 0
+    fix = "" if off else "another program may drive it, or have left it so"
+    yield _row(name, "torque", True if off else None, "off" if off else "on", "off while nobody uses it", fix)
+    yield _row(name, "firmware", True, f"{found['Firmware Version']}; current limit {found['Current Limit']} mA")

@@ -1,0 +1,105 @@
+"""repair: make a valid recording of what one that broke off left behind."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.console import print_table
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import validate
+from evetac_cli.stages import Outcome
+from evetac_cli.store.leftover import SUFFIX, Leftover, held, output_of, read_leftover, was_joined
+from evetac_cli.store.segments import join
+
+ENDED = "broke off, and was repaired"
+
+
+def run(folders: list[Path]) -> Outcome:
+    """A row for every left-over folder: what was kept and lost; or what is wrong. Nothing is lost by repairing."""
+    rows: list[dict[str, Any]] = []
+    simulated = False
+    for folder in _leftovers(folders):
+        try:
+            row, from_simulation = _repair(folder)
+        except InputError as error:
+            row, from_simulation = _row(folder, "not repaired", fault=" ".join(str(error).split())), False
+        rows.append(row)
+        simulated |= from_simulation
+    return Outcome(rows, simulated, {"folders": len(rows), "invalid": sum(row["fault"] is not None for row in rows)})
+
+
+def show(result: Outcome) -> None:
+    """A table."""
+    print_table("repair", result.rows, result.summary, simulated=result.simulated)
+
+
+def _leftovers(folders: list[Path]) -> list[Path]:
+    """The folders NAME.part that are named, or that lie in the folders that are named."""
+    found = []
+    for folder in folders:
+        if folder.name.endswith(SUFFIX):
+            found.append(folder)
+        elif folder.is_dir():
+            found += sorted(path for path in folder.glob(f"*{SUFFIX}") if path.is_dir())
+        else:
+            raise InputError(
+                "not what a recording left", where=str(folder), expected=f"NAME.recording{SUFFIX}, or a folder of them"
+            )
+    return found
+
+
+def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
+    """Join what can be read, validate the result, and only then remove the folder."""
+    output = output_of(folder)
+    with held(folder):
+        if was_joined(folder):
+            _check(output)
+            shutil.rmtree(folder)
+            return _row(folder, "was complete"), False
+        left = read_leftover(folder)
+        if not left.parts:
+            raise InputError(
+                "no slice of it can be read", where=str(folder), found="; ".join(left.unreadable) or "no segment"
+            )
+        if output.exists():
+            raise InputError(
+                "the recording exists; what was left beside it is kept",
+                where=str(output),
+                hint=f"move {output.name} away and repair again, or remove {folder.name}",
+            )
+        late: dict[str, Any] = {"capture/ended": ENDED}
+        if left.lost:
+            late["capture/lost_slices"] = np.array(left.lost, np.int64)
+        join(folder, output, left.recipe, late, from_device=True, parts=left.parts)
+        try:
+            _check(output)
+        except InputError:
+            output.unlink()
+            raise
+        shutil.rmtree(folder)
+    return _row(folder, "repaired", left), left.recipe.simulated
+
+
+def _check(output: Path) -> None:
+    """Read the result again, as `evetac validate` does; InputError with its faults."""
+    (row,) = validate.run([output]).rows
+    if row["faults"] is not None:
+        raise InputError("the result is not valid", where=str(output), found=str(row["faults"]))
+
+
+def _row(folder: Path, status: str, left: Leftover | None = None, *, fault: str | None = None) -> dict[str, Any]:
+    """What is told of one folder; the end that was lost is known only to whoever saw the recording break off."""
+    return {
+        "output": str(output_of(folder)),
+        "status": status,
+        "slices_kept": None if left is None else left.slices - sum(end - first for first, end in left.lost),
+        "slices_lost": None if left is None else sum(end - first for first, end in left.lost),
+        "events_kept": None if left is None else left.events,
+        "gripper_rows_kept": None if left is None else left.gripper_rows,
+        "segments_unreadable": None if left is None else len(left.unreadable),
+        "segments_left_out": None if left is None else left.left_out,
+        "unreadable": None if left is None else "; ".join(left.unreadable) or None,
+        "fault": fault,
+    }

@@ -1,0 +1,49 @@
+"""The note that an export leaves in a foreign file, and an import reads back: what the format itself cannot say.
+
+Formats of events hold events: a recording that begins or ends in silence would come back shorter, text and HDF5 do not
+say how large the frame is, and none says that its events come from a simulation. The note is one line of JSON: in
+AEDAT4 among the stream's metadata, in HDF5 an attribute of the root, in text a comment before the first event.
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from evetac_cli.errors import InputError
+
+NAME = "evetac"
+LONGEST_SLICES = 24 * 3600 * 1000  # as for any import
+
+
+@dataclass(frozen=True)
+class Note:
+    """What the recording was: its first microsecond in the file's clock, its slices, its frame, where it comes from."""
+
+    start_us: int
+    slices: int
+    frame_px: tuple[int, int]
+    simulated: bool
+
+    def text(self) -> str:
+        """As JSON, on one line."""
+        return json.dumps(asdict(self))
+
+
+def read_note(text: str, where: str) -> Note:
+    """Read a note back; InputError if somebody edited it into something else."""
+    try:
+        said: dict[str, Any] = dict(json.loads(text))
+        start_us, slices, (width, height) = said["start_us"], said["slices"], said["frame_px"]
+        whole = all(type(number) is int for number in (start_us, slices, width, height))
+        if set(said) != set(Note.__dataclass_fields__) or not whole or type(said["simulated"]) is not bool:
+            raise ValueError("other entries")
+        if not 0 <= slices <= LONGEST_SLICES:
+            raise ValueError(f"{slices} slices")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(
+            f"the note that evetac left in it is damaged: {str(error)[:80]}",
+            where=where,
+            expected=f"JSON with {', '.join(Note.__dataclass_fields__)}",
+            found=text[:80],
+        ) from None
+    return Note(start_us, slices, (width, height), said["simulated"])

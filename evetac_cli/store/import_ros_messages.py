@@ -1,0 +1,243 @@
+"""ROS messages that hold events, decoded from their bytes: what rosbags hands over, without any ROS.
+
+Read here and not by a general deserialiser because an event as an object costs microseconds, and a second of an Evetac
+has a million of them. Layouts:
+
+    dvs_msgs/EventArray, prophesee_event_msgs/EventArray   header, height, width, {x, y, time, polarity}[]
+    event_camera_msgs/EventPacket (event_array_msgs/EventArray)   ... seq, time_base, encoding, bytes
+        mono          8 bytes an event: 32 bits ns after time_base, 16 bits x, 15 bits y, polarity
+        libcaer       8 bytes an event: valid, polarity, 15 bits y, 15 bits x, 32 bits us after time_base
+        libcaer_cmp   16-bit words, four bits of them a code: time high and low, x, y, and eight rows at once
+        evt2, evt3    Prophesee's own words: see import_prophesee
+    evetac_software/EvetacMsg    no events, but their sum as an image, every pixel 127 + 15 n
+
+ROS 1 packs the fields of a message without gaps; ROS 2 (CDR) aligns each to its size and says the order of bytes first.
+Times are those of the camera's clock, in us; ValueError where bytes do not fit the layout.
+"""
+
+import struct
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+NS = 1000  # in a us
+EVENT_BYTES_ROS1 = 13  # x, y, seconds, nanoseconds, polarity
+EVENT_STRIDE_CDR = 16  # the same, each aligned; the x of all but the first stands before the boundary
+EVENT_ROS1 = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("p", "u1")])
+EVENT_CDR = np.dtype(
+    {
+        "names": ["first", "second", "s", "ns", "p", "next_x"],
+        "formats": ["<u2", "<u2", "<i4", "<u4", "u1", "<u2"],
+        "offsets": [0, 2, 4, 8, 12, 14],
+        "itemsize": EVENT_STRIDE_CDR,
+    }
+)
+GREY = 127  # no event in an EvetacMsg
+STEP = 15  # what an event adds to a pixel, or takes from it
+
+
+class Part(NamedTuple):
+    """Events of one message: t in us, x and y in px, p 0 or 1."""
+
+    t: NDArray[Any]
+    x: NDArray[Any]
+    y: NDArray[Any]
+    p: NDArray[Any]
+
+
+class Packet(NamedTuple):
+    """An EventPacket whose content is not decoded yet."""
+
+    frame_px: tuple[int, int]
+    sequence: int
+    time_base_ns: int
+    encoding: str
+    content: memoryview
+
+
+class Fields:
+    """Takes the fields of a message, one after the other."""
+
+    def __init__(self, content: bytes | memoryview, *, ros2: bool) -> None:
+        self.ros2 = ros2
+        self._bytes = memoryview(content)
+        if ros2:
+            if len(self._bytes) < 4 or self._bytes[1] != 1:
+                raise ValueError("not little-endian CDR")
+            self._bytes = self._bytes[4:]
+        self.at = 0
+
+    def number(self, code: str) -> int:
+        """One number, by its struct code."""
+        size = struct.calcsize("<" + code)
+        self._align(size)
+        (value,) = struct.unpack("<" + code, self._take(size))
+        return int(value)
+
+    def text(self) -> str:
+        """A string; the one of ROS 2 ends with a zero byte."""
+        return bytes(self._take(self.number("I"))).rstrip(b"\0").decode(errors="replace")
+
+    def bytes_(self) -> memoryview:
+        """A list of bytes."""
+        return self._take(self.number("I"))
+
+    def header(self) -> int:
+        """std_msgs/Header; returns its stamp in us."""
+        if not self.ros2:
+            self.number("I")  # a sequence number that ROS 2 has no more
+        seconds, nanoseconds = self.number("i" if self.ros2 else "I"), self.number("I")
+        self.text()
+        return seconds * 1_000_000 + nanoseconds // NS
+
+    def frame(self) -> tuple[int, int]:
+        """Height and width, as (width, height)."""
+        height, width = self.number("I"), self.number("I")
+        return width, height
+
+    def rest(self) -> memoryview:
+        """All that was not taken yet."""
+        return self._bytes[self.at :]
+
+    def _align(self, size: int) -> None:
+        if self.ros2:
+            self.at += -self.at % size
+
+    def _take(self, size: int) -> memoryview:
+        if self.at + size > len(self._bytes):
+            raise ValueError(f"{len(self._bytes)} bytes, of which the first fields want {self.at + size}")
+        self.at += size
+        return self._bytes[self.at - size : self.at]
+
+
+def event_array(fields: Fields) -> tuple[tuple[int, int], Part]:
+    """dvs_msgs/EventArray: frame and events."""
+    fields.header()
+    frame = fields.frame()
+    count = fields.number("I")
+    content = fields.rest()
+    if not fields.ros2:
+        if len(content) != count * EVENT_BYTES_ROS1:
+            raise ValueError(f"{len(content)} bytes for {count} events of {EVENT_BYTES_ROS1}")
+        rows = np.frombuffer(content, EVENT_ROS1)
+        return frame, Part(_us(rows), rows["x"], rows["y"], rows["p"])
+    needed = max(0, count * EVENT_STRIDE_CDR - 3)  # the last one ends with its polarity
+    if not needed <= len(content) < needed + 8:  # a few bytes may follow to a round length
+        raise ValueError(f"{len(content)} bytes for {count} events, not {needed}")
+    rows = np.frombuffer(bytes(content[:needed]) + bytes(count * EVENT_STRIDE_CDR - needed), EVENT_CDR)
+    x, y = rows["first"].copy(), rows["first"].copy()
+    if count:
+        x[1:] = rows["next_x"][:-1]
+        y[0] = rows["second"][0]
+    return frame, Part(_us(rows), x, y, rows["p"])
+
+
+def _us(rows: NDArray[Any]) -> NDArray[np.int64]:
+    us: NDArray[np.int64] = rows["s"].astype(np.int64) * 1_000_000 + rows["ns"] // NS
+    return us
+
+
+def evetac_image(fields: Fields) -> tuple[tuple[int, int], Part]:
+    """evetac_software/EvetacMsg: as many events a pixel as its grey tells, all at the time of the message.
+
+    The image lies on its side: its rows are the columns of the camera.
+    """
+    stamp_us = fields.header()
+    fields.header()
+    height, width = fields.frame()
+    encoding = fields.text()
+    fields.number("B")
+    stride = fields.number("I")
+    content = fields.bytes_()
+    if encoding not in ("mono8", "8UC1") or stride != height or len(content) != width * height:
+        raise ValueError(f"an image of {width} x {height} px, {encoding[:20]!r}, in {len(content)} bytes")
+    image = np.frombuffer(content, np.uint8).reshape(width, height).astype(np.int16) - GREY
+    if (image % STEP).any():
+        raise ValueError(f"greys other than {GREY} + {STEP} n")
+    x, y = np.nonzero(image)
+    times = np.abs(image[x, y]) // STEP
+    x, y = np.repeat(x, times), np.repeat(y, times)
+    return (width, height), Part(np.full(len(x), stamp_us), x, y, (image[x, y] > 0).astype(np.uint8))
+
+
+def event_packet(fields: Fields) -> Packet:
+    """event_camera_msgs/EventPacket."""
+    fields.header()
+    frame = fields.frame()
+    sequence, time_base_ns = fields.number("Q"), fields.number("Q")
+    encoding = fields.text()
+    if fields.number("B"):
+        raise ValueError("big-endian words")
+    if time_base_ns >= 1 << 63:
+        raise ValueError("a time beyond 292 years")
+    return Packet(frame, sequence, time_base_ns, encoding, fields.bytes_())
+
+
+def mono(packet: Packet) -> Part:
+    """Encoding `mono`."""
+    words = _words(packet, "<u8")
+    t_ns = np.uint64(packet.time_base_ns) + (words & np.uint64(0xFFFFFFFF))
+    x, y = (words >> np.uint64(32)) & np.uint64(0xFFFF), (words >> np.uint64(48)) & np.uint64(0x7FFF)
+    return Part(t_ns // np.uint64(NS), x, y, words >> np.uint64(63))
+
+
+def libcaer(packet: Packet) -> Part:
+    """Encoding `libcaer`."""
+    words = _words(packet, "<u4", 8).reshape(-1, 2)
+    us = words[:, 1].view(np.int32).astype(np.int64)
+    us += np.cumsum(np.diff(us, prepend=us[:1]) < 0) << 31  # libcaer's clock has 31 bits
+    data = words[:, 0]
+    return Part(packet.time_base_ns // NS + us, data >> 17, (data >> 2) & 0x7FFF, (data >> 1) & 1)
+
+
+class LibcaerCompressed:
+    """Encoding `libcaer_cmp`. Time begins anew with every packet; column, row and polarity stay."""
+
+    HIGH, LOW, X, Y, BASE_Y, EIGHT = range(6)
+
+    def __init__(self) -> None:
+        self._x = self._base = 0
+
+    def __call__(self, packet: Packet) -> Part:
+        """Events of the next packet."""
+        words = np.concatenate(
+            [np.array([self.X << 12 | self._x, self.BASE_Y << 12 | self._base], np.uint16), _words(packet, "<u2")]
+        )
+        code, value = words >> 12, (words & 0xFFF).astype(np.int64)
+        if (code > self.EIGHT).any():
+            raise ValueError(f"a word of code {code[np.argmax(code > self.EIGHT)]}")
+        high, low, x, base = (self._latest(code == kind, value) for kind in (self.HIGH, self.LOW, self.X, self.BASE_Y))
+        self._x, self._base = int(x[-1]), int(base[-1])
+        # each EIGHT since the last base lies eight rows further
+        eights = np.cumsum(code == self.EIGHT)
+        further = eights - eights[np.maximum.accumulate(np.where(code == self.BASE_Y, np.arange(len(code)), 0))] - 1
+        bits = (value[:, None] >> np.arange(8)) & (code == self.EIGHT)[:, None]
+        rows_of_eight = (base & 0x7FF)[:, None] + 8 * further[:, None] + np.arange(8)
+        single = code == self.Y
+        events = np.concatenate([single[:, None], bits.astype(bool)], axis=1)
+        y = np.concatenate([(value & 0x7FF)[:, None], rows_of_eight], axis=1)[events]
+        word = np.nonzero(events)[0]
+        p = np.where(single[word], value[word] >> 11, base[word] >> 11)
+        t = packet.time_base_ns // NS + (high[word] << 12 | low[word])
+        return Part(t, x[word] & 0x7FF, y, p)
+
+    @staticmethod
+    def _latest(here: NDArray[np.bool_], value: NDArray[np.int64]) -> NDArray[np.int64]:
+        """For every word the last value that stood at one of these places, 0 before the first."""
+        place = np.maximum.accumulate(np.where(here, np.arange(len(here)), -1))
+        return np.where(place >= 0, value[place], 0)
+
+
+def _words(packet: Packet, dtype: str, size: int | None = None) -> NDArray[Any]:
+    size = size or np.dtype(dtype).itemsize
+    if len(packet.content) % size:
+        raise ValueError(f"{len(packet.content)} bytes in words of {size}")
+    return np.frombuffer(packet.content, dtype)
+
+
+def decoder(encoding: str) -> Callable[[Packet], Part] | None:
+    """What decodes the packets of one stream, in order; None for an encoding that is not decoded here."""
+    plain: dict[str, Callable[[Packet], Part]] = {"mono": mono, "libcaer": libcaer}
+    return LibcaerCompressed() if encoding == "libcaer_cmp" else plain.get(encoding)
