@@ -43,6 +43,11 @@ VIBRATION_SEEDS ?= 20
 # make data-rate
 RATE ?= data/data-rate
 TRAJECTORIES ?= 5
+# make grasp-table: trials of each object by each controller, and of contact alone; which controllers
+GRASPS ?= data/grasps
+TRIALS ?= 10
+ALONE ?= 5
+CONTROLLERS ?= paper relatch by-load
 REPORTS ?= reports
 VENV := .venv
 BIN := $(VENV)/bin
@@ -50,7 +55,7 @@ EVETAC := $(CURDIR)/$(BIN)/evetac
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration data-rate force results film test test-all check bench clean
+.PHONY: help setup demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration data-rate force grasp-table results film test test-all check bench clean
 
 # `run` shows a command and runs it; whatever is made already is skipped, so that every target goes on where it was
 # stopped. `keep NAME COMMAND` leaves an evaluation's JSON, table and picture in REPORTS, anew where its recipe changed.
@@ -176,6 +181,28 @@ force: $(READY)  ## shear force from dots in events and in frames, simulated: a 
 	run fit "learn/rgb/*.tracks.h5" --seed $$each --out models/frames-$$each.force-model.h5; done; \
 	others=; for other in $(OTHERS); do others="$$others $$other/*.tracks.h5 $$other/rgb/*.tracks.h5"; done; \
 	keep force evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model models --seed $(SEED)
+
+# Objects of the paper's figure; higher gains where it used them (14 with both); weights, other sensor and closed gel.
+grasp-table: $(READY)  ## lift and balance by feel, all controllers side by side, simulated: tables in reports/ (TRIALS, CONTROLLERS, ALONE, SEED, JOBS)
+	@$(RUN) mkdir -p $(GRASPS); cd $(GRASPS); \
+	grasped() { into=$$1; shift; run grasp $$* --seed $(SEED) --out $$into --jobs $(JOBS); }; \
+	for controller in $(CONTROLLERS); do \
+	gain=; if [ $$controller != by-load ]; then gain="--gain 2"; fi; \
+	grasped $$controller --controller $$controller --object 10-18 --count $(TRIALS); \
+	if [ -n "$$gain" ]; then grasped $$controller-higher --controller $$controller $$gain --object 14,19,20 --count $(TRIALS); \
+	else grasped $$controller --controller $$controller --object 19,20 --count $(TRIALS); fi; \
+	grasped $$controller-tests --controller $$controller --scene sideways --object 16 --count $(TRIALS); \
+	grasped $$controller-tests --controller $$controller --scene drop-20g --object 16 --count $(TRIALS); \
+	grasped $$controller-tests --controller $$controller $$gain --scene drop-100g --object 16 --count $(TRIALS); \
+	for gel in cut closed; do \
+	grasped $$controller-second-$$gel --controller $$controller --individual second --gel $$gel --object 16,17 --count $$(( ($(TRIALS) + 1) / 2 )); \
+	grasped $$controller-second-$$gel --controller $$controller $$gain --individual second --gel $$gel --object 19,20 --count $$(( ($(TRIALS) + 1) / 2 )); \
+	done; done; \
+	grasped alone --controller none --object 10-20 --count $(ALONE) --balance-s 0; \
+	for ticks in 4 8 16; do grasped fixed-$$ticks --controller fixed:$$ticks --object 11,18 --count $(ALONE); done; \
+	keep grasps evaluate grasp $(foreach controller,$(CONTROLLERS),"$(controller)/*.recording.h5 $(controller)-higher/*.recording.h5") \
+	"alone/*.recording.h5 fixed-*/*.recording.h5"; \
+	keep grasp-robustness evaluate grasp $(foreach controller,$(CONTROLLERS),"$(controller)-tests/*.recording.h5 $(controller)-second-*/*.recording.h5")
 
 results:  ## put the tables in reports/ into the README
 	$(PYTHON) scripts/results.py $(REPORTS) README.md

@@ -4,7 +4,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,6 +16,13 @@ FEW_ROWS = 3
 def say(text: str) -> None:
     """A message to the user, on stderr."""
     print(text, file=sys.stderr)
+
+
+def wait_for_enter(text: str) -> None:
+    """Say something and wait for the user, if there is one at the keyboard."""
+    if sys.stdin.isatty():
+        say(text)
+        sys.stdin.readline()
 
 
 @contextmanager
@@ -55,6 +62,20 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
             bar.update(task, completed=done, total=total)
 
         yield advance
+
+
+@contextmanager
+def live() -> Iterator[Callable[[str], None]]:
+    """A text that is shown anew in its place while the block lasts, on stderr; nothing if that is no terminal."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as shown:
+        yield lambda text: shown.update(Text(text), refresh=True)
 
 
 def show(command: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool, as_json: bool) -> None:

@@ -17,7 +17,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from evetac_cli import __version__, console, params, workers
-from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.stages import Job, Outcome
 
 MOST_ROWS = 100  # of one table on a terminal
@@ -37,6 +37,7 @@ class Command:
 
 PIPELINE = (
     Command("record", params.Record, "record", ""),
+    Command("cut", params.Cut, "cut", "Recordings."),
     Command("calibrate", params.Calibrate, "calibrate", "Press recordings; none with --import.", files_needed=False),
     Command("label", params.Label, "label", "Recordings.", "pairs"),
     Command("track", params.Track, "track", "Recordings."),
@@ -60,6 +61,8 @@ EVALUATE = (
 )
 # Of inspect/: a page for people, made again whenever asked for.
 VIEW = Command("view", params.View, "view", "Stage files of one trial; others of its name are found.", "images")
+EXPORT = Command("export", params.Export, "export", "Recordings.", "events")
+DOCTOR = Command("doctor", params.Doctor, "doctor", "")
 
 app = typer.Typer(
     help="Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp.",
@@ -100,6 +103,11 @@ _VIEWING = {name: entry for name, entry in _RUNNING.items() if name not in ("num
     "out": (Path | None, None, "-o/--out", "Page (ends in .html) or folder; default: beside the file."),
     "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
 }
+_EXPORTING = _VIEWING | {
+    "out": (Path | None, None, "-o/--out", "File or folder; default: beside the recording."),
+    "force": (bool, False, "-f/--force", "Replace a file that exists."),
+}
+_EXAMINING = {name: _RUNNING[name] for name in ("as_json", "verbose")}
 
 
 def _add(
@@ -164,7 +172,8 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             )
         if getattr(chosen, "dry_run", False):
             shown: Outcome = stage.dry_run(jobs, chosen)
-            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=True, as_json=running["as_json"])
+            simulated = shown.simulated
+            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=running["as_json"])
             return
         started = time.monotonic()
         results = _run(command, jobs, chosen, running)
@@ -188,8 +197,8 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             raise errors[0]
 
 
-def _view(command: Command, title: str, given: dict[str, Any]) -> None:
-    """Make the page of one trial and say where it is."""
+def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> None:
+    """Make what is not a stage file, for people or other programs, and say where it is."""
     running = {name: given.pop(name) for name in _VIEWING}
     files = given.pop("files")
     with _errors_in_words(running["verbose"]):
@@ -199,6 +208,24 @@ def _view(command: Command, title: str, given: dict[str, Any]) -> None:
             result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
         if not running["quiet"] or running["as_json"]:
             console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=running["as_json"])
+
+
+def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
+    """Say how the devices are; exit code 3 if one of them is not well."""
+    running = {name: given.pop(name) for name in _EXAMINING}
+    with _errors_in_words(running["verbose"]):
+        chosen = params.resolve(command.params, title, given, None)
+        module = importlib.import_module(f".inspect.{command.module}", __package__)
+        if chosen.print_udev:
+            print(module.udev_rules())
+            return
+        result: Outcome = module.run(chosen)
+        if running["as_json"]:
+            console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)
+        else:
+            module.show(result)
+        if result.summary["wrong"]:
+            raise typer.Exit(DeviceError.exit_code)
 
 
 def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
@@ -236,7 +263,8 @@ def _run(command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any]
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]
     results: dict[Path, Outcome | EvetacError] = {}
-    at_once = min(running["number_of_jobs"], len(waiting))
+    on_devices = getattr(chosen, "camera", "sim") != "sim"  # of which there is one each
+    at_once = 1 if on_devices else min(running["number_of_jobs"], len(waiting))
     if at_once > 1:
         with console.progress_bar(command.name, "files", quiet=quiet) as progress:
             done = workers.run_parallel(command.module, waiting, chosen, force, at_once, progress)
@@ -260,7 +288,7 @@ class _errors_in_words:  # noqa: N801 - reads as a phrase in a with statement
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
         if isinstance(error, KeyboardInterrupt):
-            console.say("interrupted: finished files are complete, the one in progress was left out")
+            console.say(str(error) or "interrupted: finished files are complete, the one in progress was left out")
             raise typer.Exit(130) from None
         if isinstance(error, EvetacError):
             if self.verbose:
@@ -274,11 +302,11 @@ class _errors_in_words:  # noqa: N801 - reads as a phrase in a with statement
             raise typer.Exit(InputError.exit_code) from None
 
 
-def _inspector(name: str, help_: str) -> Callable[..., None]:
+def _inspector(name: str, help_: str, eats: str = "Stage files.") -> Callable[..., None]:
     """A command of inspect/: files in, a table or JSON out."""
 
     def call(
-        files: Annotated[list[Path], typer.Argument(help="Stage files.", show_default=False)],
+        files: Annotated[list[Path], typer.Argument(help=eats, show_default=False)],
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
         verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
     ) -> None:
@@ -305,10 +333,21 @@ _add(app, PIPELINE[-1], PIPELINE[-1].name, "Pipeline")
 app.command("info", rich_help_panel="Inspect")(
     _inspector("info", "What stage files hold: kind, duration, events, rates, history.")
 )
-_add(app, VIEW, VIEW.name, "Inspect", _view, _VIEWING)
+_add(app, VIEW, VIEW.name, "Inspect", _write_for_others, _VIEWING)
+_add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, _EXPORTING)
 app.command("validate", rich_help_panel="Inspect")(
     _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")
 )
+
+
+app.command("repair", rich_help_panel="Inspect")(
+    _inspector(
+        "repair",
+        "Make valid recordings of what broke off: NAME.part folders, or folders that hold some. Prints what was kept.",
+        "Folders.",
+    )
+)
+_add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, _EXAMINING)
 
 
 def main() -> None:

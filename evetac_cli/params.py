@@ -35,6 +35,12 @@ def parameter(
     return field(default=default, metadata=about)
 
 
+READOUT_RATES = (
+    *("constant-100", "constant-200", "constant-500", "constant-1000", "lossy-2000", "lossy-5000", "lossy-10000"),
+    *("variable-2000", "variable-5000", "variable-10000", "variable-15000"),
+)
+
+
 @dataclass(frozen=True)
 class Trials:
     """Trials to simulate: what `record` and `grasp` have in common."""
@@ -66,7 +72,8 @@ class Record(Trials):
     )
     source: Path | None = parameter(
         None,
-        "Import this event file instead of simulating: AEDAT4, text `t x y p`, DSEC HDF5.",
+        "Import this event file instead of simulating: AEDAT4, DSEC HDF5, text `t x y p`, Prophesee RAW or DAT, or a"
+        " bag of ROS 1 or ROS 2 (its folder).",
         flag="--from",
         recipe=False,
     )
@@ -74,8 +81,80 @@ class Record(Trials):
         None, "Frame of the imported file where it does not say, as in 640x480.", unit="px"
     )
     sort: bool = parameter(False, "Sort imported events whose time goes backwards, instead of refusing them.")
-    stream: str | None = parameter(None, "Which event stream of the imported file, where it has several.")
-    calibration: Path | None = parameter(None, "Dot grid (JSON) to store with an imported recording.", recipe=False)
+    stream: str | None = parameter(None, "Which event stream, or topic, of the imported file, where it has several.")
+    calibration: Path | None = parameter(
+        None, "Dot grid (JSON) to store with a recording that is imported or from a device.", recipe=False
+    )
+    camera: str = parameter(
+        "sim",
+        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2;"
+        " dvxplorer or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing; replay:FILE.",
+        recipe=False,
+    )
+    gripper: str | None = parameter(
+        None,
+        "Gripper: sim, virtual, none, or its PORT or PORT@BAUD; default: that of the camera, or none.",
+        recipe=False,
+    )
+    seconds: float | None = parameter(
+        None,
+        "Devices: record for so long; default: until the gripper has let go, or Ctrl-C.",
+        unit="s",
+        low=0.001,
+        high=86400.0,
+        recipe=False,
+    )
+    closing_ma: int = parameter(
+        10, "Devices: current that closes the gripper until contact.", unit="mA", low=1, high=500, recipe=False
+    )
+    holding_ma: float | None = parameter(
+        None,
+        "Devices: current that holds the object; default: what a virtual world asks for, 50 otherwise.",
+        unit="mA",
+        low=0.0,
+        high=1000.0,
+        recipe=False,
+    )
+    hold_s: float = parameter(
+        1.0, "Devices: how long it is held before the current falls.", unit="s", low=0.0, high=3600.0, recipe=False
+    )
+    lowest_ma: float = parameter(
+        -50.0,
+        "Devices: the recording ends where the current has fallen to this.",
+        unit="mA",
+        low=-500.0,
+        high=1000.0,
+        recipe=False,
+    )
+    threshold_on: int | None = parameter(
+        None,
+        "Devices: contrast threshold of brighter, 0 sensitive, 17 dull; default: the driver's.",
+        low=0,
+        high=17,
+        recipe=False,
+    )
+    threshold_off: int | None = parameter(
+        None, "Devices: ... of darker; default: the driver's.", low=0, high=17, recipe=False
+    )
+    readout_rate: str | None = parameter(
+        None,
+        "Devices: frames a second that the sensor reads out; default: variable-5000.",
+        choices=READOUT_RATES,
+        recipe=False,
+    )
+    expect: float = parameter(
+        1e6, "Devices: events a second that the disk must have room for.", unit="1/s", low=0.0, high=1e9, recipe=False
+    )
+    resume: bool = parameter(False, "Devices: go on with a series, made with the same set-up.", recipe=False)
+    live: bool = parameter(False, "Show what the camera sees, and write nothing.", recipe=False)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Cut a range of slices out of a recording, as a recording of its own."""
+
+    from_ms: int = parameter(0, "First slice of the piece.", unit="ms", low=0)
+    to_ms: int | None = parameter(None, "Slice after its last; default: the end.", unit="ms", low=1)
 
 
 @dataclass(frozen=True)
@@ -319,13 +398,15 @@ class EvaluateCost:
 
     part: str = parameter(
         "sim",
-        "What is measured; sim: the simulator; label: slip labels; track: the dot tracker; model: slip detectors.",
-        choices=("sim", "label", "track", "model"),
+        "What is measured; sim: the simulator; label: slip labels; track: the dot tracker; model: slip detectors;"
+        " grasp: grasps with a late detector, a slow controller, other detectors.",
+        choices=("sim", "label", "track", "model", "grasp"),
         flag="PART",
     )
     model: Path | None = parameter(
         None,
-        "Part model: model file, a folder of them, or a glob, judged on the features given; without: untrained ones.",
+        "Part model: model file, a folder of them, or a glob, judged on the features given; without: untrained ones."
+        " Part grasp: detectors to try beside the package's.",
         recipe=False,
     )
     seed: int = parameter(0, "Seed of the scenes that are simulated.", low=0, high=2**31 - 1)
@@ -337,7 +418,10 @@ class EvaluateStability:
     """Run the stiff, extreme and nonsensical cases of a part: finite, or refused in words."""
 
     part: str = parameter(
-        "sim", "What is tried; sim: the simulator; track: the dot tracker.", choices=("sim", "track"), flag="PART"
+        "sim",
+        "What is tried; sim: the simulator; track: the dot tracker; grasp: the loop of detector, controller, gripper.",
+        choices=("sim", "track", "grasp"),
+        flag="PART",
     )
     seed: int = parameter(0, "Seed of the cases that are drawn.", low=0, high=2**31 - 1)
     full: bool = parameter(False, "Every theta, longer runs and many more drawn cases; takes a few minutes.")
@@ -368,14 +452,56 @@ class Grasp(Trials):
     )
     controller: str = parameter(
         "paper",
-        "paper: the paper's lift and balance law; none: contact alone, without the detector.",
-        choices=("paper", "none"),
+        "paper: the paper's lift and balance law, whose balance sets its reference at the first slip; relatch: at every"
+        " slip; by-load: ours, a grip in proportion to the load; none: contact alone, without the detector; fixed:N:"
+        " closed N ticks beyond light contact.",
+    )
+    gain: float = parameter(
+        1.0, "K_p in balance, in multiples of the paper's; paper and relatch.", low=0.01, high=100.0
+    )
+    latency_ms: int = parameter(
+        0, "What is felt reaches the controller so much later.", unit="ms", low=0, high=1000
+    )
+    control_hz: float = parameter(
+        500.0, "Steps of the controller a second; 1000 has to be a multiple.", unit="Hz", low=1.0, high=1000.0
     )
     tracker: str = parameter(
         "stable", "Preset of the dot tracker.", choices=("stable", "paper", "official", "unregularised")
     )
     lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0)
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0)
+    camera: str = parameter(
+        "sim",
+        "Camera: sim; virtual (a simulated world behind the real driver, in real time); dvxplorer[:SERIAL];"
+        " dv[:SERIAL]; replay:RECORDING, with --gripper sim what the controller would have done.",
+        recipe=False,
+    )
+    gripper: str | None = parameter(
+        None, "Gripper: sim, virtual, or its PORT[@BAUD]; default: that of the camera.", recipe=False
+    )
+    calibration: Path | None = parameter(
+        None, "Devices: dot grid (JSON) of the sensor; default: what a virtual world says.", recipe=False
+    )
+    arm: bool = parameter(
+        False,
+        "Devices: move a real gripper. Torque is switched off at the end, and at once if the detector, the camera or"
+        " the bus fails: what is held then falls.",
+        recipe=False,
+    )
+    max_current_ma: int = parameter(
+        100, "Devices: the gripper's motor current never exceeds this.", unit="mA", low=1, high=2000, recipe=False
+    )
+    max_seconds: float = parameter(
+        60.0, "Devices: no grasp takes longer.", unit="s", low=1.0, high=3600.0, recipe=False
+    )
+    watchdog_ms: int = parameter(
+        60,
+        "Devices: torque is switched off if detector, camera or computer are silent for so long; a multiple of 20.",
+        unit="ms",
+        low=20,
+        high=2000,
+        recipe=False,
+    )
 
 
 @dataclass(frozen=True)
@@ -391,9 +517,38 @@ class View:
     film: Path | None = parameter(None, "Write an animation too, to this GIF.", recipe=False)
 
 
+@dataclass(frozen=True)
+class Export:
+    """Write the events, or the dot grid, of recordings in a format that other programs read."""
+
+    format: str = parameter(
+        "aedat4",
+        "aedat4: for DV and dv-processing; dsec: HDF5 as in the DSEC data set; text: `t_us x y p` a line;"
+        " calibration: the dot grid as JSON, or with -o NAME.pkl as the official software's pickle.",
+        choices=("aedat4", "dsec", "text", "calibration"),
+        recipe=False,
+    )
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Find cameras and grippers, and say of each what is wrong and the command that mends it; changes nothing.
+
+    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong.
+    """
+
+    print_udev: bool = parameter(False, "Print udev rules and where to put them, and do nothing else.", recipe=False)
+    gripper: str | None = parameter(
+        None,
+        "Examine this port too, with or without @BAUD. By itself it only talks to ports of FTDI adapters (U2D2).",
+        recipe=False,
+    )
+
+
 # A table of a config file for each: [track], [evaluate.slip].
 COMMANDS = (
     "record",
+    "cut",
     "calibrate",
     "label",
     "track",

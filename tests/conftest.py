@@ -38,6 +38,12 @@ def _value(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Real devices that the contract of devices is to be tried on, named as on evetac's command line."""
+    parser.addoption("--camera", default=None, help="a camera on this machine, such as dvxplorer")
+    parser.addoption("--gripper", default=None, help="a gripper on this machine, such as /dev/ttyUSB0; it will move")
+
+
 @dataclass
 class Made:
     """One trial and what was computed from it, and a model and a grasp."""

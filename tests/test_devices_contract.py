@@ -1,38 +1,92 @@
-"""The contract of being a camera or a gripper, run over all of them; a new device gets these tests by a row."""
+"""The contract of being a camera or a gripper, run over all of them; a new device gets these tests by a row.
 
-from collections.abc import Callable
+A real one joins with `pytest tests/test_devices_contract.py --camera dvxplorer --gripper /dev/ttyUSB0`; the gripper
+then moves, with 60 mA.
+"""
+
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 from conftest import Made
 
-from evetac_cli.devices import EventCamera, Gripper, Rig
+from evetac_cli.devices import EventCamera, Rig
+from evetac_cli.devices.naming import CameraSettings, camera_name, gripper_name, open_rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.scene import plan
+from evetac_cli.sim.scene import for_trial, plan
 from evetac_cli.store.read import open_recording
 
+Mode = Literal["current", "position"]
 
-def simulated(made: Made) -> Rig:
+
+def simulated(made: Made, mode: Mode = "current") -> Rig:
     return rig(plan(str(made.scene), "8", "evetac", ("ramp",))[0], np.random.SeedSequence([5, 8, 0]))
 
 
-def lifted(made: Made) -> Rig:
+def lifted(made: Made, mode: Mode = "current") -> Rig:
     return rig(plan("lift", "8", "evetac", ("lift",))[0], np.random.SeedSequence([5, 8, 0]), lift_s=0.1, balance_s=0.0)
 
 
-CAMERAS: dict[str, Callable[[Made], EventCamera]] = {
+def named(camera: str, gripper: str, made: Made, mode: Mode = "current") -> Rig:
+    """What the command line opens for these names."""
+    eye = camera_name(camera)
+    ramp = for_trial(plan(str(made.scene), "8", "evetac", ("ramp",))[0], (5, 8, 0))
+    hand = gripper_name(gripper, eye)
+    return open_rig(eye, hand, CameraSettings(), ramp, np.random.SeedSequence([5, 8, 0]), mode=mode)
+
+
+# Cameras whose stream ends by itself, and those that go on until they are closed.
+ENDING: dict[str, Callable[[Made], EventCamera]] = {
     "simulated": lambda made: simulated(made).camera,
     "replay": lambda made: ReplayCamera(made.recordings[0]),
+    "replay, paced": lambda made: ReplayCamera(made.recordings[0], paced=True),
+}
+ENDLESS = ("virtual", "virtual:prepared=1e5", "virtual:prepared=1e5+firmware=9")
+GRIPPERS: dict[str, Callable[[Made, Mode], Rig]] = {
+    "simulated": simulated,
+    "lifted": lifted,
+    "virtual": lambda made, mode: named("virtual", "virtual", made, mode),
 }
 
 
-@pytest.mark.parametrize("name", CAMERAS)
-def test_camera_hands_out_slices_in_order(name: str, made: Made) -> None:
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Rows of the tables, and the devices that were named on pytest's command line."""
+    real_camera, real_gripper = (metafunc.config.getoption(flag) for flag in ("--camera", "--gripper"))
+    if "camera_of" in metafunc.fixturenames:
+        endless = [*ENDLESS, *([real_camera] if real_camera else [])]
+        metafunc.parametrize("camera_of", [*ENDING, *endless], indirect=True)
+    if "gripper_of" in metafunc.fixturenames:
+        metafunc.parametrize("gripper_of", [*GRIPPERS, *([real_gripper] if real_gripper else [])], indirect=True)
+
+
+@pytest.fixture
+def camera_of(request: pytest.FixtureRequest, made: Made) -> Iterator[tuple[EventCamera, bool]]:
+    """A camera that runs, and whether its stream ends by itself."""
+    if request.param in ENDING:
+        camera = ENDING[request.param](made)
+        yield camera, True
+        camera.close()
+    else:
+        devices = named(request.param, "none", made)
+        yield devices.camera, False
+        devices.close()
+
+
+@pytest.fixture
+def gripper_of(request: pytest.FixtureRequest, made: Made) -> Callable[[Mode], Rig]:
+    """Opens a gripper in a mode, with what makes its time pass; a real one meets a prepared camera."""
+    if request.param in GRIPPERS:
+        return lambda mode: GRIPPERS[request.param](made, mode)
+    return lambda mode: named("virtual:prepared=1e4", request.param, made, mode)
+
+
+def test_camera_hands_out_slices_in_order(camera_of: tuple[EventCamera, bool]) -> None:
     """Assert that slice k holds events of [k, k + 1) ms only, sorted, of the right dtypes, inside the frame."""
-    camera = CAMERAS[name](made)
+    camera, _ = camera_of
     width, height = camera.sensor["sensor/frame_px"]
     for index in range(200):
         events = camera.read()
@@ -44,21 +98,32 @@ def test_camera_hands_out_slices_in_order(name: str, made: Made) -> None:
         assert (events.x < width).all()
         assert (events.y < height).all()
         assert (events.p <= 1).all()
-    camera.close()
 
 
-@pytest.mark.parametrize("name", CAMERAS)
-def test_camera_ends_and_closes(name: str, made: Made) -> None:
+def test_camera_ends_and_closes(camera_of: tuple[EventCamera, bool]) -> None:
     """Assert that a camera gives None after its last slice and after close, as often as asked, and closes twice."""
-    camera = CAMERAS[name](made)
+    camera, ends = camera_of
     slices = 0
-    while camera.read() is not None:
+    while slices < 210 or ends:
+        if camera.read() is None:
+            break
         slices += 1
     assert slices > 200
-    assert camera.read() is None
+    assert ends == (camera.read() is None)
     camera.close()
     camera.close()
     assert camera.read() is None
+    assert camera.read() is None
+
+
+def test_camera_counts_losses(camera_of: tuple[EventCamera, bool]) -> None:
+    """Assert that losses are whole numbers by name, before, while and after it runs."""
+    camera, _ = camera_of
+    for _ in range(3):
+        assert all(isinstance(name, str) and isinstance(count, int) for name, count in camera.counted.items())
+        camera.read()
+    camera.close()
+    assert all(count >= 0 for count in camera.counted.values())
 
 
 def test_replay_is_the_recording(made: Made) -> None:
@@ -73,25 +138,55 @@ def test_replay_is_the_recording(made: Made) -> None:
     camera.close()
 
 
-@pytest.mark.parametrize("make", [simulated, lifted])
-def test_gripper_obeys_the_last_command(make: Callable[[Made], Rig], made: Made) -> None:
-    """Assert that a command holds until the next, that closing raises the position, and that readings are whole."""
-    devices = make(made)
-    gripper: Gripper | None = devices.gripper
+def pass_ms(devices: Rig, duration: int, current_ma: int | None = None) -> None:
+    """Let time pass; where a command is given, again every 2 ms, as a gripper's watchdog wants it."""
+    for index in range(duration):
+        devices.camera.read()
+        if index % 2 == 0 and current_ma is not None and devices.gripper is not None:
+            devices.gripper.write_current(current_ma)
+
+
+def test_gripper_obeys_currents(gripper_of: Callable[[Mode], Rig]) -> None:
+    """Assert that a current holds until the next, closes where it is positive, and that readings are whole."""
+    devices = gripper_of("current")
+    gripper = devices.gripper
     assert gripper is not None
     start = gripper.read()
     assert isinstance(start.position_ticks, int)
-    gripper.write_current(60)
-    for _ in range(50):
-        devices.camera.read()
-    assert gripper.read().current_ma == 60
-    assert gripper.read().position_ticks >= start.position_ticks
-    gripper.write_position(start.position_ticks - 20)
-    for _ in range(90):
-        devices.camera.read()
-    assert gripper.read().position_ticks < start.position_ticks
+    pass_ms(devices, 100, 60)
+    reading = gripper.read()
+    assert reading.current_ma == pytest.approx(60, abs=10)
+    assert reading.position_ticks >= start.position_ticks
+    assert all(isinstance(count, int) for count in gripper.counted.values())
     gripper.close()
     gripper.close()
+    devices.close()
+
+
+def test_gripper_obeys_positions(gripper_of: Callable[[Mode], Rig]) -> None:
+    """Assert that a goal position holds until it is reached: lower numbers open."""
+    devices = gripper_of("position")
+    gripper = devices.gripper
+    assert gripper is not None
+    start = gripper.read().position_ticks
+    for _ in range(60):
+        gripper.write_position(start - 20)
+        pass_ms(devices, 2)
+    assert gripper.read().position_ticks < start
+    devices.close()
+    devices.close()
+
+
+def test_clock_of_a_device_goes_on(camera_of: tuple[EventCamera, bool]) -> None:
+    """Assert that device time never goes back, and is about the end of the slice read last."""
+    camera, ends = camera_of
+    previous = -1
+    for index in range(50):
+        camera.read()
+        now_us = camera.now_us()  # type: ignore[attr-defined]  # every camera here is its own clock
+        assert now_us >= previous - (0 if ends else SLICE_US)
+        assert now_us >= (index + 1) * SLICE_US - (0 if ends else SLICE_US)
+        previous = now_us
 
 
 def test_clock_counts_slices(made: Made) -> None:

@@ -39,6 +39,21 @@ def test_what_cannot_be_opened_is_said(gripper: VirtualGripper, tmp_path: Path) 
         RhP12Rn(gripper.port, mode="velocity")  # type: ignore[arg-type]
 
 
+def test_a_question_damaged_on_its_way_is_asked_again(gripper: VirtualGripper, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a write that reached the gripper with a wrong checksum is sent once more, and counted."""
+    with Bus(gripper.port, 2_000_000, answer_ms=2000) as bus:
+        write = bus._port.writePort
+
+        def damaged(packet: list[int]) -> int:
+            monkeypatch.setattr(bus._port, "writePort", write)
+            return int(write([*packet[:-1], packet[-1] ^ 1]))
+
+        monkeypatch.setattr(bus._port, "writePort", damaged)
+        bus.write("LED Red", 77)
+        assert gripper.look("LED Red") == 77
+        assert bus.counted == {"answers_lost": 0, "answers_damaged": 1, "answers_stray": 0}
+
+
 def test_baud_rate_is_changed_and_found() -> None:
     """Assert that the rate changes at both ends, that the same rate again writes nothing, and that a scan finds it."""
     with VirtualGripper(baud=57_600, registers={"Torque Enable": 1}) as gripper:

@@ -8,7 +8,7 @@ import pytest
 
 from evetac_cli.devices.dynamixel_bus import Bus
 from evetac_cli.devices.dynamixel_frames import Instruction
-from evetac_cli.devices.rh_p12_rn import PATIENT, RhP12Rn, RhP12RnSettings
+from evetac_cli.devices.rh_p12_rn import RhP12Rn, RhP12RnSettings
 from evetac_cli.devices.virtual_gripper import VirtualGripper
 from evetac_cli.errors import DeviceError
 
@@ -183,7 +183,7 @@ def test_watchdog_runs_from_the_first_command_on(fresh: VirtualGripper) -> None:
     driver.close()
 
 
-def test_patient_settings_keep_the_watchdog() -> None:
-    """Assert that waiting twice for an answer does not trip the watchdog, in any settings shipped."""
-    for settings in (RhP12RnSettings(), PATIENT):
-        assert 2 * settings.answer_ms < settings.watchdog_ms
+def test_waiting_for_an_answer_does_not_trip_the_watchdog() -> None:
+    """Assert that asking twice for an answer takes less than the watchdog's time, as the driver is by default."""
+    settings = RhP12RnSettings()
+    assert 2 * settings.answer_ms < settings.watchdog_ms

@@ -113,6 +113,16 @@ def test_another_rate_is_noise(gripper: VirtualGripper, port: Port) -> None:
     assert packets.write1ByteTxRx(port, 1, 8, 4) == (sdk.COMM_SUCCESS, 0)
 
 
+def test_a_stopped_servo_does_not_blame_the_host(gripper: VirtualGripper, port: Port) -> None:
+    """Assert that the watchdog does not trip for the time in which the servo's own process stood still."""
+    packets = sdk.PacketHandler(2.0)
+    assert packets.write1ByteTxRx(port, 1, 546, 50) == (sdk.COMM_SUCCESS, 0)
+    gripper._process.send_signal(signal.SIGSTOP)
+    time.sleep(1.2)
+    gripper._process.send_signal(signal.SIGCONT)
+    assert gripper.look("Bus Watchdog") == 50
+
+
 def test_process_ends_with_its_parent() -> None:
     """Assert that the servo's process is gone after the program that started it was killed."""
     program = (
@@ -146,5 +156,6 @@ def test_close_ends_the_process(gripper: VirtualGripper) -> None:
     other = VirtualGripper(registers={"Model Number": 35073})
     assert other.look("Model Number") == 35073
     other.close()
+    assert other._process.returncode == 0
     other.close()
     assert not os.path.exists(other.port) or other.port == gripper.port

@@ -4,6 +4,7 @@ import dataclasses
 import errno
 import json
 import os
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -85,9 +86,12 @@ def test_nothing_plugged_in_is_no_fault(machine: Made, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("firmware", [8, 9, 10])
-def test_a_good_camera_is_well(machine: Made, firmware: int) -> None:
+def test_a_good_camera_is_well(machine: Made, monkeypatch: pytest.MonkeyPatch, firmware: int) -> None:
     """Assert that both generations of the camera are found, asked and let go, with nothing written to them."""
     there, camera = with_camera(machine, firmware=firmware)
+    handles: list[str] = []
+    monkeypatch.setattr(camera, "open_device", lambda dev: handles.append("opened") or camera)
+    monkeypatch.setattr(camera, "close_device", lambda handle: handles.append("closed"))
     for _ in range(2):
         result = doctor.run(Doctor(), there)
         assert wrong(result) == {}
@@ -99,6 +103,8 @@ def test_a_good_camera_is_well(machine: Made, firmware: int) -> None:
             "opens and answers",
             "640 x 480 px",
         ]
+    assert handles[-2:] == ["opened", "closed"]
+    assert handles.count("opened") == handles.count("closed")
     assert camera.log == []
 
 
@@ -170,6 +176,15 @@ def test_software_and_disk(machine: Made, monkeypatch: pytest.MonkeyPatch) -> No
     assert "pip uninstall opencv-python opencv-contrib-python-headless" in found["opencv"]["fix"]
     extra = of(result, "software")["extra convert"]
     assert (extra["ok"], extra["fix"]) == (None, 'pip install "evetac[convert]"')
+
+
+def test_extras_are_those_that_can_be_installed() -> None:
+    """Assert that every extra a user may lack is asked for, each of its packages by the name it is imported under."""
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    offered = {name: packages for name, packages in project["optional-dependencies"].items() if name != "dev"}
+    assert {name: len(packages) for name, packages in offered.items()} == {
+        name: len(modules) for name, modules in doctor.EXTRAS.items()
+    }
 
 
 def adapter(

@@ -328,6 +328,16 @@ def test_timestamp_far_ahead_needs_the_hosts_clock() -> None:
     assert missing == {}
 
 
+def test_damaged_timestamps_now_and_then_are_no_new_clock() -> None:
+    """Assert that only refusals in a row speak of a new clock."""
+    words = [stamp(1)]
+    for ms in range(2, 2 + 2 * REFUSED_IN_A_ROW):
+        words += [stamp(ms ^ 1 << 21), stamp(ms), column(1, 0, True), group(0, 1)]
+    events, missing = decoded(words, host_ms=100)
+    assert [row[0] for row in events] == [1000 * ms for ms in range(2, 2 + 2 * REFUSED_IN_A_ROW)]
+    assert missing == {"refused_timestamps": 2 * REFUSED_IN_A_ROW}
+
+
 @pytest.mark.parametrize("host_ms", [None, 5000])
 def test_clock_that_starts_anew(host_ms: int | None) -> None:
     """Assert that a camera whose clock is set back is believed after some refusals, and time never goes back."""

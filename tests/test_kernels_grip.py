@@ -1,12 +1,13 @@
 """The grasp controller against the text of the paper (section VII-A), sentence by sentence, in hand-made sequences."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.grip import PAPER, GripLaw, GripState, Phase, start, step
+from evetac_cli.kernels.grip import PAPER, RELATCH, GripLaw, GripState, Phase, start, step
 
 CONTACT, LIFT, BALANCE = Phase.CONTACT, Phase.LIFT, Phase.BALANCE
 
@@ -174,8 +175,8 @@ def test_goal_is_in_whole_ticks() -> None:
     assert step(state, LIFT, False, 190) == 202
     state.u_ff = -2.62
     assert step(state, LIFT, False, 190) == 203
-    assert step(start(), CONTACT, False, 660) == 660
-    assert step(start(), CONTACT, False, 659) == 660
+    assert step(start(), CONTACT, False, 740) == 740
+    assert step(start(), CONTACT, False, 739) == 740
     state = balancing(0, u_ff=2.0)
     assert step(state, BALANCE, False, 1) == 0
     assert all(type(step(start(), phase, False, 5)) is int for phase in Phase)
@@ -204,7 +205,7 @@ def test_the_paper_law() -> None:
     assert (PAPER.balance_slip, PAPER.balance_quiet, PAPER.lowest, PAPER.highest_open) == (-2.0, 0.01, -5.0, 2.0)
 
 
-steps = st.tuples(st.booleans(), st.integers(0, 660))
+steps = st.tuples(st.booleans(), st.integers(0, 740))
 
 
 @given(st.lists(steps, min_size=1, max_size=20), st.lists(steps, max_size=40), st.lists(steps, max_size=40))
@@ -219,14 +220,87 @@ def test_bounds(contact: list[tuple[bool, int]], lift: list[tuple[bool, int]], b
             before = state.slipped and phase is state.phase
             goal = step(state, phase, slip, position)
             switched |= (before and not slip) if phase is LIFT else slip
-            assert 0 <= goal <= 660
+            assert 0 <= goal <= 740
             assert -5.0 <= state.u_ff <= (2.0 if phase is BALANCE else 0.0)
             reference = position if math.isnan(state.x_ref) else state.x_ref
             assert reference in positions
-            assert goal == min(max(round(reference - state.u_ff), 0), 660)
+            assert goal == min(max(round(reference - state.u_ff), 0), 740)
             if not switched:
                 assert math.isnan(state.x_ref)
             if phase is not BALANCE:
                 assert goal >= reference  # "the grasping force can only increase"
             elif not math.isnan(state.x_ref):
                 assert state.u_ff <= 0.0
+
+
+def test_relatch_takes_every_beginning_of_slip() -> None:
+    """Assert that with relatch each step from no slip to slip sets x_ref = x_g(t - 1), and slip that goes on does not."""
+    state = balancing(100)
+    for slip, position, reference in (
+        (False, 99, math.nan),
+        (True, 97, 99.0),  # the first slip
+        (True, 95, 99.0),  # goes on
+        (False, 101, 99.0),
+        (True, 100, 101.0),  # begins again
+        (False, 104, 101.0),
+        (True, 90, 104.0),
+    ):
+        step(state, BALANCE, slip, position, RELATCH)
+        assert state.x_ref == pytest.approx(reference, nan_ok=True)
+
+
+@given(st.lists(steps, min_size=1, max_size=20), st.lists(steps, max_size=40), st.lists(steps, max_size=40))
+@settings(deadline=None)
+def test_relatch_is_the_paper_until_slip_begins_twice(
+    contact: list[tuple[bool, int]], lift: list[tuple[bool, int]], balance: list[tuple[bool, int]]
+) -> None:
+    """Assert that both readings of the latch say the same until slip begins for the second time in balance."""
+    once, every, beginnings, before = start(), start(), 0, True
+    for phase, sequence in ((CONTACT, contact), (LIFT, lift), (BALANCE, balance)):
+        for slip, position in sequence:
+            beginnings += phase is BALANCE and slip and not before
+            if beginnings > 1:
+                return
+            before = slip
+            assert step(once, phase, slip, position) == step(every, phase, slip, position, RELATCH)
+
+
+def test_a_gain_moves_the_goal_away_from_the_fingers_in_balance_alone() -> None:
+    """Assert that with gain 2 the goal is twice as far from the position as without, in balance and nowhere else."""
+    usual, twice = start(), start()
+    doubled = replace(PAPER, gain=2.0)
+    for phase, slip, position in (
+        (CONTACT, False, 100), (LIFT, True, 102), (LIFT, False, 104), (LIFT, False, 105),
+        (BALANCE, False, 103), (BALANCE, True, 99), (BALANCE, True, 98), (BALANCE, False, 100), (BALANCE, False, 110),
+    ):  # fmt: skip
+        away = step(usual, phase, slip, position) - position
+        assert step(twice, phase, slip, position, doubled) - position == (2 if phase is BALANCE else 1) * away
+    assert twice.u_ff == usual.u_ff
+
+
+def test_another_rate_changes_u_ff_as_much_a_second() -> None:
+    """Assert that 0.2 s of slip, or of none, at 50, 100, 250 and 1000 Hz move u_ff as at 500 Hz, clipped alike."""
+    for hz in (50, 100, 250, 500, 1000):
+        law = PAPER.at(hz)
+        quiet = balancing()
+        for _ in range(hz // 5):
+            step(quiet, BALANCE, False, 100, law)
+        assert quiet.u_ff == pytest.approx(1.0)
+        slipping = lifting()
+        step(slipping, LIFT, True, 100, law)
+        assert slipping.u_ff == pytest.approx(max(-500 / hz, -5.0))
+    assert PAPER.at(500) == PAPER
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"approach": 1.0}, {"lift_slip": math.nan}, {"lift_quiet": -0.1}, {"gain": 0.0}, {"gain": math.inf},
+     {"lowest": 1.0}, {"highest_open": math.inf}, {"first_tick": 741}],
+)  # fmt: skip
+def test_what_is_no_law(wrong: dict[str, float]) -> None:
+    """Assert that constants of the wrong sign, not finite, or out of order are refused in words."""
+    with pytest.raises(ValueError, match="expected"):
+        GripLaw(**wrong)
+    for hz in (0.0, -500.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="control_hz"):
+            PAPER.at(hz)

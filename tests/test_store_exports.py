@@ -24,7 +24,7 @@ from evetac_cli.main import app
 from evetac_cli.store import export_hdf5, export_pieces, export_text
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.exports import FORMATS, export, target_of
-from evetac_cli.store.files import write_stage
+from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.import_note import Note, read_note
 from evetac_cli.store.import_pickle import read_pickle
 from evetac_cli.store.imports import read_events
@@ -342,6 +342,8 @@ def test_from_the_command_line(source: Path, tmp_path: Path) -> None:
     run = CliRunner().invoke(app, ["record", "--from", result["rows"][0]["output"], "-o", str(back), "--json"])
     assert run.exit_code == 0, run.output
     assert json.loads(run.stdout)["simulated"] is True
+    with StageFile(back, "recording") as file:
+        assert file.header["simulated"] is True
     with h5py.File(source) as one, h5py.File(back) as other:
         for name in ("events/t", "events/x", "events/y", "events/p", "ms_to_idx", "t_offset", "sensor/frame_px"):
             assert np.array_equal(one[name][()], other[name][()]), name

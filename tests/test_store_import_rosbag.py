@@ -420,6 +420,8 @@ def test_files_of_a_folder_are_bags_too(write: Write) -> None:
         assert rows_of(read_events(file)) == shifted(events)
         assert rows_of(read_events(file.rename(folder / "renamed"))) == shifted(events)
         assert "name the .db3 or .mcap file in it" in refusal(folder)
+    folder = write("db3", types, {"/e": [types.array(listed(events))]}, "compressed", compress=True)
+    assert "name the folder of the bag" in refusal(next(folder.glob("*.db3")))
 
 
 @pytest.mark.parametrize("bag", BAGS)

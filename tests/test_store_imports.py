@@ -3,8 +3,10 @@
 import os
 import pickle
 import struct
+import subprocess
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -532,6 +534,21 @@ def test_a_missing_filter_is_named(
     path = dsec(compressed, p=None)
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
     assert words in refusal(path, frame_px=FRAME)
+
+
+def test_compressed_with_a_plugin(tmp_path: Path) -> None:
+    """Assert that Blosc, as in the DSEC data set, is read where hdf5plugin is installed, without being asked to."""
+    if find_spec("hdf5plugin") is None:
+        pytest.skip("hdf5plugin is not installed")
+    path = tmp_path / "a.h5"
+    writing = (
+        f"import h5py, hdf5plugin, numpy as np; f = h5py.File({str(path)!r}, 'w'); rows = np.arange(5000)\n"
+        "for n in 'txyp': f.create_dataset('events/' + n, data=rows if n == 't' else rows % 2, **hdf5plugin.Blosc())"
+    )
+    reading = f"from evetac_cli.store.imports import read_events; e = read_events({str(path)!r}, frame_px=(640, 480))"
+    for code in (writing, f"{reading}.events; assert e.size == 5000 and e.x.sum() == 2500"):
+        # in processes of their own: a plugin that was loaded once stays, and another test needs it not to be there
+        subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1], timeout=60)
 
 
 def test_broken_hdf5_is_refused(dsec: Callable[..., Path], tmp_path: Path) -> None:

@@ -301,6 +301,8 @@ def scan(
                 try:
                     bus.tolerant = True
                     found.append(Found(baud, id_, bus.ping()))
+                except PortGone:
+                    raise
                 except DeviceError:
                     continue
     return found

@@ -67,6 +67,7 @@ class CameraSettings:
     threshold_on: int | None = None
     threshold_off: int | None = None
     readout_rate: str | None = None
+    flush_us: int | None = None
 
     def given(self) -> dict[str, Any]:
         """Those that are set."""
@@ -148,7 +149,7 @@ def open_rig(
         for device in (servo, hand):
             if device is not None:
                 opened.callback(device.close)
-        eye, eye_setup, parents = _open_camera(camera, settings, world, seeds)
+        eye, eye_setup, parents = open_camera(camera, settings, world, seeds)
         opened.pop_all()
     return Rig(
         eye,
@@ -168,10 +169,10 @@ class Opened(EventCamera, Clock, Protocol):
     """A camera that is running, and its clock."""
 
 
-def _open_camera(
+def open_camera(
     name: CameraName, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
 ) -> tuple[Opened, dict[str, Any], tuple[dict[str, Any], ...]]:
-    """The camera, what it is and how it is set, and headers of what it plays."""
+    """The camera, what it is and how it is set, and headers of what it plays; DeviceError if it cannot be opened."""
     if name.kind == "replay":
         replay = ReplayCamera(Path(name.which or ""), paced=True)
         return replay, {"name": name.kind, "recording": replay.header["id"]}, (replay.header,)
@@ -183,7 +184,8 @@ def _open_camera(
         from evetac_cli.devices.dv import DvCamera
 
         through_dv = DvCamera(name.which, chosen)
-        return through_dv, {"name": name.kind, "serial": through_dv.serial, "settings": asdict(chosen)}, ()
+        which = str(through_dv.sensor["sensor/individual"])
+        return through_dv, {"name": name.kind, "individual": which, "settings": asdict(chosen)}, ()
     backend = None
     if name.kind == "virtual":
         from evetac_cli.devices.virtual_dvxplorer import VirtualDvxplorer

@@ -81,10 +81,6 @@ class RhP12RnSettings:
                 raise ValueError(f"{name} must be {expected}, found {getattr(self, name)}")
 
 
-# For a virtual servo: on a busy machine its process, or the one that commands it, may stand still for 0.1 s.
-PATIENT = RhP12RnSettings(answer_ms=200.0, watchdog_ms=500)
-
-
 class RhP12Rn:
     """A gripper, with torque on from here to `close`; also a context manager."""
 
@@ -104,6 +100,7 @@ class RhP12Rn:
         self._mode, self._settings = mode, settings
         self._closed = False
         self._clamped = self._commands = 0
+        self._alone = threading.RLock()  # at the end of a program another thread may be in the middle of a command
         self._process = os.getpid()  # a child process that inherits this object must not touch the gripper
         self._watched = False
         self._spoken_s = time.monotonic()
@@ -142,12 +139,15 @@ class RhP12Rn:
 
     def close(self) -> None:
         """Current 0, torque off, port closed; a second call does nothing. DeviceError if torque may still be on."""
-        if self._closed or os.getpid() != self._process:
+        if os.getpid() != self._process:
             return
-        try:
-            released = self._release()
-        finally:
-            self._end()
+        with self._alone:
+            if self._closed:
+                return
+            try:
+                released = self._release()
+            finally:
+                self._end()
         if not released:
             raise DeviceError(self._still_on(), where=self._where, hint="switch 24 V off")
 
@@ -246,23 +246,24 @@ class RhP12Rn:
 
     def _attempt(self, action: Callable[[], _T]) -> _T:
         """Do it; on any failure the gripper is let go of, and the error says so."""
-        if self._closed:
-            raise DeviceError("the gripper is closed", where=self._where)
-        self._silent_ms = max(self._silent_ms, (time.monotonic() - self._spoken_s) * 1e3)
-        try:
-            result = action()
-        except DeviceError as error:
-            after = "torque is off" if self._release() else self._still_on()
-            self._end()
-            raise type(error)(f"{error}\n  then:     {after}") from error
-        self._spoken_s = time.monotonic()
-        return result
+        with self._alone:
+            if self._closed:
+                raise DeviceError("the gripper is closed", where=self._where)
+            self._silent_ms = max(self._silent_ms, (time.monotonic() - self._spoken_s) * 1e3)
+            try:
+                result = action()
+            except DeviceError as error:
+                after = "torque is off" if self._release() else self._still_on()
+                self._end()
+                raise type(error)(f"{error}\n  then:     {after}") from error
+            self._spoken_s = time.monotonic()
+            return result
 
     # Letting go
 
     def _still_on(self) -> str:
         watched = f"its watchdog stops it after {self._settings.watchdog_ms} ms"
-        return f"torque could not be switched off; {watched if self._watched else 'its current is 0'}"
+        return f"torque could not be switched off; {watched if self._watched else 'it was not commanded yet'}"
 
     def _release(self) -> bool:
         """Current 0 and torque off; whether the gripper has confirmed it."""

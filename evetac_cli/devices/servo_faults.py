@@ -17,7 +17,7 @@ from evetac_cli.errors import InputError
 
 ANSWER_FAULTS = ("late-answer", "lost-answer", "bad-crc")
 STATE_FAULTS = ("watchdog", "overload", "unplug")
-LATE_S = 0.3
+LATE_S = 0.5
 
 
 @dataclass(frozen=True)

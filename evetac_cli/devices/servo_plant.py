@@ -8,12 +8,12 @@ encoder is not its business. All of it is simulated.
 import math
 import mmap
 import os
-import struct
 import tempfile
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+
+from evetac_cli.devices.shared_row import SharedRow
 
 if TYPE_CHECKING:  # numba is heavy, and a servo on shared memory does without it
     from evetac_cli.sim.contact import ForceCurve
@@ -127,43 +127,6 @@ def _curve(obstacle: Obstacle | None, drive: "Drive") -> "ForceCurve":
     return ForceCurve(1.0, metres, force_n, np.zeros_like(force_n))
 
 
-class _Slot:
-    """A row of numbers in shared memory, written by one process and read by others, never read half written.
-
-    Why so: a checksum beside the row needs no lock and no promise about the order in which memory is written; a reader
-    that meets a half-written row reads again, and keeps to the row before if the writer died over it.
-    """
-
-    _TRIES = 1000
-
-    def __init__(self, memory: mmap.mmap, start: int, form: str) -> None:
-        self._memory = memory
-        self._start = start
-        self._form = struct.Struct("<q" + form)  # a counter comes first
-        self._count = 0
-        self._last: tuple[int, tuple[float, ...]] | None = None
-
-    def write(self, *row: float) -> None:
-        """Replace the row; only one process may."""
-        self._count += 1
-        data = self._form.pack(self._count, *row)
-        data += struct.pack("<I", zlib.crc32(data))
-        self._memory[self._start : self._start + len(data)] = data
-
-    def read(self) -> tuple[int, tuple[float, ...]] | None:
-        """How often it was written, and the row; None if never."""
-        size = self._form.size
-        for _ in range(self._TRIES):
-            data = self._memory[self._start : self._start + size + 4]
-            if data == bytes(size + 4):
-                break
-            if zlib.crc32(data[:size]) == struct.unpack_from("<I", data, size)[0]:
-                count, *row = self._form.unpack_from(data)
-                self._last = count, tuple(row)
-                break
-        return self._last
-
-
 class SharedPlant:
     """The gripper of a world that another process steps, in a block of shared memory.
 
@@ -186,8 +149,8 @@ class SharedPlant:
         self.path = Path(path)
         self._memory = mmap.mmap(handle, self._SIZE)
         os.close(handle)
-        self._goals = _Slot(self._memory, self._GOALS_AT, "6q")
-        self._motion = _Slot(self._memory, self._MOTION_AT, "dqd")
+        self._goals = SharedRow(self._memory, self._GOALS_AT, "6q")
+        self._motion = SharedRow(self._memory, self._MOTION_AT, "dqd")
         self._told: Goals | None = None
 
     def __reduce__(self) -> tuple[type["SharedPlant"], tuple[Path]]:

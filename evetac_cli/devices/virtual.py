@@ -18,10 +18,12 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 import numpy as np
 
+from evetac_cli.devices.outbox import Inbox, Outbox
 from evetac_cli.devices.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
 
@@ -33,23 +35,37 @@ PAPER_P_GAIN = 50  # the servo's gain at which the simulated drive was fitted
 START_S = 120.0  # in which a world must be built, compiling included
 END_S = 2.0
 WARMING = 20  # slices of a first world, which only compile
+TRUTH_SLICES = 10  # whose truth is told at once
 CATCH_UP_S = 1.0  # a world that is later than this is given up on, for the moment
 _LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)  # shared with the process; began: host time of time 0, 0 while it stands
 
 
 class VirtualWorld:
-    """The world's side of a virtual camera (`run`, `take`) and of a virtual gripper (`plant`)."""
+    """The world's side of a virtual camera (`run`, `take`) and of a virtual gripper (`plant`).
 
-    def __init__(self, plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: float) -> None:
+    It may be given to a process that is being spawned: the copy is a source of words like this one, and whoever built
+    the world ends it. `truths` yields lists of the truth of slices, if the world was built to tell it.
+    """
+
+    def __init__(
+        self,
+        plan: Mapping[str, Any],
+        seeds: np.random.SeedSequence,
+        *,
+        tells_truth: bool = False,
+        **durations: float,
+    ) -> None:
         """Build the world of a plan, as devices.simulated.rig does; its time stands still until `run`."""
         context = multiprocessing.get_context("spawn")
         self.plant = SharedPlant()
         self._counters = context.Array("q", 4, lock=False)
         self._orders, orders = context.Pipe()
         self._words, words = context.Pipe(duplex=False)
-        self._process = context.Process(
+        truths, told = context.Pipe(duplex=False) if tells_truth else (None, None)
+        self.truths = None if truths is None else Inbox(truths)
+        self._process: BaseProcess | None = context.Process(
             target=_live,
-            args=(dict(plan), seeds, durations, self.plant, orders, words, self._counters),
+            args=(dict(plan), seeds, durations, self.plant, orders, words, told, self._counters),
             name="evetac-world",
             daemon=True,
         )
@@ -57,6 +73,8 @@ class VirtualWorld:
             self._process.start()
             orders.close()
             words.close()
+            if told is not None:
+                told.close()
             self._greet()
         except BaseException:
             self.close()
@@ -77,6 +95,14 @@ class VirtualWorld:
         self.sensor: Mapping[str, Any] = said["sensor"]
         self.holding_ma: float = said["holding_ma"]
         self.drawn: str = said["drawn"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_process": None, "truths": None}
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the world's process."""
+        return None if self._process is None else self._process.pid
 
     @property
     def counted(self) -> Mapping[str, int]:
@@ -112,7 +138,7 @@ class VirtualWorld:
     def close(self) -> None:
         """End the world; a second call does nothing."""
         self._orders.close()
-        if self._process.pid is not None:
+        if self._process is not None and self._process.pid is not None:
             self._process.join(END_S)
             if self._process.is_alive():
                 self._process.kill()
@@ -128,12 +154,13 @@ def _live(
     plant: SharedPlant,
     orders: Connection,
     words: Connection,
+    truths: Connection | None,
     counters: Any,
 ) -> None:
     """The world's process: build, say so, then obey orders until the other side is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder, which then ends this
     try:
-        ticking = _Ticking(plan, seeds, durations, plant, words, counters)
+        ticking = _Ticking(plan, seeds, durations, plant, words, truths, counters)
     except EvetacError as error:
         orders.send(error)
         return
@@ -148,7 +175,8 @@ def _live(
             if readable:
                 ticking.run(orders.recv())
             ticking.tick()
-        except (EOFError, OSError):  # the recorder is gone
+        except (EOFError, OSError):  # the recorder is gone, perhaps without having been asked
+            plant.path.unlink(missing_ok=True)
             return
 
 
@@ -162,10 +190,11 @@ class _Ticking:
         durations: dict[str, float],
         plant: SharedPlant,
         words: Connection,
+        truths: Connection | None,
         counters: Any,
     ) -> None:
         from evetac_cli.devices.simulated import SimulatedGripper, rig
-        from evetac_cli.kernels.event_words import encode
+        from evetac_cli.kernels.event_words import encode, timestamp
 
         first = rig(plan, np.random.SeedSequence(0), **durations)
         for _ in range(WARMING):  # loads or compiles everything, before there is a clock to keep
@@ -173,6 +202,7 @@ class _Ticking:
             if events is not None:
                 encode(events, FIRST_MS)
         self._encode = encode
+        self._timestamp = timestamp
         self._rig = rig(plan, seeds, **durations)
         if not isinstance(self._rig.gripper, SimulatedGripper):
             raise DeviceError("a virtual gripper needs a scene with a gripper", found=str(plan["scene"]["name"]))
@@ -183,6 +213,8 @@ class _Ticking:
         os.set_blocking(self._fd, False)
         self._words = words
         self._counters = counters
+        self._truths = None if truths is None else Outbox(truths)
+        self._known: list[Mapping[str, Any]] = []  # truth that was not told yet
         self._backlog = b""
         self._running = False
         self._began_s = 0.0  # host time of the world's time 0
@@ -224,8 +256,10 @@ class _Ticking:
             before_ticks = self._world.finger.closing_ticks
             events = self._rig.camera.read()
             self._show(before_ticks)
-            if events is not None and events.size:
-                self._queue(self._encode(events, FIRST_MS).tobytes())
+            data = self._encode(events, FIRST_MS).tobytes() if events is not None else b""
+            # a sensor that is read out 5000 times a second begins the next millisecond, whether or not it saw something
+            self._queue(data + self._timestamp(FIRST_MS + self._world.slices).tobytes())
+            self._tell()
             if time.monotonic() > self._began_s + self._world.slices * SLICE_S + LATE_S:
                 self._counters[_LATE] += 1
         while self._backlog:
@@ -236,6 +270,16 @@ class _Ticking:
         if self._world.finished:
             self._counters[_BEGAN_NS] = 0
         self._counters[_MADE] = self._world.slices
+
+    def _tell(self) -> None:
+        """Tell the truth of the slice just made, some slices at a time."""
+        if self._truths is None or self._rig.truth is None:
+            return
+        self._known.append(self._rig.truth())
+        if len(self._known) >= TRUTH_SLICES or self._world.finished:
+            self._truths.put(self._known)
+            self._known = []
+        self._truths.send()
 
     def _queue(self, data: bytes) -> None:
         if len(self._backlog) + len(data) > BACKLOG_BYTES:

@@ -64,6 +64,15 @@ class Body:
             self._done.add(name)
         return due
 
+    def _hits(self, name: str) -> bool:
+        """Whether a fault that alters words does so now: while it lasts, or later if no words came in that time."""
+        now_s = -1.0 if self._ran_s is None else time.monotonic() - self._ran_s
+        missed = name not in self._done and any(each.name == name and now_s >= each.start_s for each in self._faults)
+        hits = missed or self.has(name)
+        if hits:
+            self._done.add(name)
+        return hits
+
     def read(self, module: int, parameter: int) -> int | None:
         """Value of a parameter; None if there is no such."""
         return self._registers.get((module, parameter))
@@ -90,7 +99,8 @@ class Body:
     def transfer(self, most: int, timeout_s: float) -> bytes:
         """What one bulk transfer brings: when it is full, or when the flush time has passed; b"" if nothing in time."""
         end_s = time.monotonic() + timeout_s
-        self._fill(0.0)  # what came while nobody asked lies in a real camera's buffer
+        while self._fill(0.0):  # what came while nobody asked lies in a real camera's buffer
+            pass
         while True:
             now_s = time.monotonic()
             flush_s = self._sent_s + 1e-6 * self._flush_us
@@ -126,20 +136,23 @@ class Body:
         self._runs = on
         self._source.run(on)
 
-    def _fill(self, timeout_s: float) -> None:
-        """Move words from the source into the buffer, through what is wrong with the camera; the oldest overflow."""
+    def _fill(self, timeout_s: float) -> bool:
+        """Move words from the source into the buffer, through what is wrong with the camera; the oldest overflow.
+
+        False if none came in time.
+        """
         if not self._runs:
             time.sleep(timeout_s)
-            return
+            return False
         data = self._part + self._source.take(self._fifo_bytes, timeout_s)
         whole = len(data) // 4 * 4
         self._part = data[whole:]
-        if not whole or self.has("silence"):
-            return
+        if not whole or self._hits("silence"):
+            return whole > 0
         words = np.frombuffer(data, "<u4", whole // 4)
-        if self.has("lost-timestamps"):
+        if self._hits("lost-timestamps"):
             words = words[words >> 26 != 2]
-        if self.has("damage"):
+        if self._hits("damage"):
             hit = self._random.random(len(words)) < _DAMAGED_SHARE
             words = np.where(hit, self._random.integers(0, 1 << 32, len(words), np.uint32), words)
         self._fifo += self._altered(words).astype("<u4", copy=False).tobytes()
@@ -147,6 +160,7 @@ class Body:
         if over > 0:
             self.overflowed += over
             del self._fifo[: 4 * over]
+        return True
 
     def _altered(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """Words of what is left after crop, flip and flatten, as the registers of firmware 10 say."""

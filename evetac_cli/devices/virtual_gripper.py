@@ -61,6 +61,11 @@ class VirtualGripper:
         )
         self.port: str = self._told()
 
+    @property
+    def pid(self) -> int:
+        """Number of the servo's process."""
+        return self._process.pid
+
     def inject(self, fault: str) -> None:
         """Let a fault strike, at once or as its moment or share says."""
         self._ask(inject=_checked(fault))

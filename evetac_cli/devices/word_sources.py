@@ -17,8 +17,9 @@ _DIFFERENT_FRAMES = 500
 class PreparedWords:
     """A stream of words as a camera would have sent it, at its own pace or as fast as it is fetched.
 
-    paced: a word may be taken once the time of its frame has passed, counted from `run`. Unpaced, device time runs
-    ahead of the host's, and the driver believes no silence of more than a second.
+    paced: a word may be taken once the time of its frame has passed, counted from `run`. Unpaced, there are words
+    whenever somebody waits for them (so that no buffer overflows); device time runs ahead of the host's then, and the
+    driver believes no silence of more than a second.
     """
 
     def __init__(self, words: NDArray[np.uint32], *, paced: bool = True) -> None:
@@ -47,7 +48,7 @@ class PreparedWords:
         """At most so many bytes that are due, waiting for the first of them; b"" if there are none in time."""
         end_s = time.monotonic() + timeout_s
         with self._changed:
-            while (wait_s := self._wait_s()) != 0.0:
+            while (wait_s := self._wait_s(timeout_s > 0)) != 0.0:
                 left_s = end_s - time.monotonic()
                 if left_s <= 0:
                     return b""
@@ -65,9 +66,9 @@ class PreparedWords:
         passed_us = int(self._ran_us + 1e6 * (time.monotonic() - self._began_s))
         return 4 * int(np.searchsorted(self._due_us, passed_us, side="right"))
 
-    def _wait_s(self) -> float | None:
+    def _wait_s(self, waited_for: bool) -> float | None:
         """Until something is due: 0 if it is, None if nothing will be."""
-        if self._due() > self._at:
+        if self._due() > self._at and (waited_for or self._due_us is not None):
             return 0.0
         if self._began_s is None or self._due_us is None or self._at == len(self._data):
             return None

@@ -66,7 +66,9 @@ def step(decoder: Decoder, data: bytes | bytearray | memoryview, host_ms: int | 
     stream = decoder.rest + bytes(data)
     if decoder.rest or decoder.registers[loops.DAMAGED]:
         skipped = loops.torn_bytes(np.frombuffer(stream, np.uint8))
-        decoder.counts[LOSSES.index("torn_bytes")] += skipped
+        if skipped:
+            decoder.counts[LOSSES.index("torn_bytes")] += skipped
+            _distrust(decoder)
         stream = stream[skipped:]
     whole = len(stream) // 4
     decoder.rest = stream[4 * whole :]
@@ -95,10 +97,15 @@ def flush(decoder: Decoder) -> Events:
 
 def bytes_were_lost(decoder: Decoder) -> None:
     """Say that bytes are missing between the last and the next step."""
-    decoder.counts[LOSSES.index("events_in_dropped_frames")] += decoder.frame.size
     decoder.counts[LOSSES.index("torn_bytes")] += len(decoder.rest)
-    decoder.frame = empty()
     decoder.rest = b""
+    _distrust(decoder)
+
+
+def _distrust(decoder: Decoder) -> None:
+    """Drop the open frame, and believe nothing before the next TIMESTAMP."""
+    decoder.counts[LOSSES.index("events_in_dropped_frames")] += decoder.frame.size
+    decoder.frame = empty()
     decoder.registers[loops.WHERE] = loops.LOST
 
 

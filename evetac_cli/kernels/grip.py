@@ -3,11 +3,16 @@
 The paper writes u_c = K_p (x_e + u_ff) with opening widths, so that a negative u_ff closes. The servo itself multiplies
 by K_p (its position P gain register); what the host writes is the goal position x_ref + u_ff. The encoder counts
 upwards when closing, hence goal_ticks = reference_ticks - u_ff.
+
+Why so: a K_p of twice as much is a goal twice as far from where the gripper is. So a higher gain needs no register, and
+is the same for every gripper; it doubles what 2 ms old positions and whole ticks are wrong by, as the register would.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
+
+PAPER_HZ = 500.0  # at which the increments of the law are meant
 
 
 class Phase(IntEnum):
@@ -30,10 +35,39 @@ class GripLaw:
     lowest: float = -5.0  # clip of u_ff, closing
     highest_open: float = 2.0  # clip of u_ff in balance, until the first slip
     first_tick: int = 0
-    last_tick: int = 660  # closed
+    last_tick: int = 740  # closed; the authors' code stops at 660, where fingers without sensors are 10 mm apart
+    relatch: bool = False  # balance: x_ref is set anew wherever slip begins, and not the first time alone
+    gain: float = 1.0  # K_p in balance, in multiples of the servo's
+
+    def __post_init__(self) -> None:
+        """Refuse what is no law."""
+        for name in ("approach", "lift_slip", "balance_slip", "lowest"):
+            if not -1000.0 <= getattr(self, name) <= 0.0:
+                raise ValueError(f"{name}: expected -1000 to 0 ticks, found {getattr(self, name)}")
+        for name in ("lift_quiet", "balance_quiet", "highest_open"):
+            if not 0.0 <= getattr(self, name) <= 1000.0:
+                raise ValueError(f"{name}: expected 0 to 1000 ticks, found {getattr(self, name)}")
+        if not 0.0 < self.gain <= 100.0:
+            raise ValueError(f"gain: expected above 0, up to 100, found {self.gain}")
+        if self.first_tick > self.last_tick:
+            raise ValueError(f"first_tick: expected at most last_tick = {self.last_tick}, found {self.first_tick}")
+
+    def at(self, control_hz: float) -> "GripLaw":
+        """The law for another rate of control: the same change of u_ff a second. ValueError unless it is above 0."""
+        if not (math.isfinite(control_hz) and control_hz > 0.0):
+            raise ValueError(f"control_hz: expected above 0, found {control_hz}")
+        times = PAPER_HZ / control_hz
+        return replace(
+            self,
+            lift_slip=self.lift_slip * times,
+            lift_quiet=self.lift_quiet * times,
+            balance_slip=self.balance_slip * times,
+            balance_quiet=self.balance_quiet * times,
+        )
 
 
 PAPER = GripLaw()
+RELATCH = GripLaw(relatch=True)
 
 
 @dataclass
@@ -58,7 +92,8 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
 
     Lift: each step with slip closes by one tick of u_ff, each without opens by 0.01; where slip ends, the present
     position becomes the reference. Balance: opens by 0.01 a step until the first slip, which closes by 2 and makes the
-    position of the step before the reference; from then on u_ff only closes. (Paper, section VII-A.)
+    position of the step before the reference (with `relatch` every beginning of slip does); from then on u_ff only
+    closes. (Paper, section VII-A.)
     """
     if phase != state.phase:
         if phase is Phase.LIFT:
@@ -67,6 +102,7 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
         else:  # balance goes on with the same u_ff, but x_e is zero again until slip begins in this phase
             state.x_ref = math.nan
         state.phase = phase
+    gain = 1.0
     if phase is Phase.CONTACT:
         state.u_ff = law.approach
         reference = float(position_ticks)
@@ -76,15 +112,17 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
             state.x_ref = float(position_ticks)
         reference = position_ticks if math.isnan(state.x_ref) else state.x_ref
     else:
+        gain = law.gain
         state.u_ff += law.balance_slip if slip else law.balance_quiet
-        if slip and not state.slipped and not state.caught:
+        if slip and not state.slipped and (law.relatch or not state.caught):
             state.caught = True
             state.x_ref = float(state.position)
         state.u_ff = _clip(state.u_ff, law.lowest, 0.0 if state.caught else law.highest_open)
         reference = position_ticks if math.isnan(state.x_ref) else state.x_ref
     state.slipped = slip
     state.position = position_ticks
-    return int(_clip(round(reference - state.u_ff), law.first_tick, law.last_tick))
+    away = gain * (round(reference - state.u_ff) - position_ticks)  # the servo's error, before it multiplies by K_p
+    return int(_clip(round(position_ticks + away), law.first_tick, law.last_tick))
 
 
 def _clip(value: float, low: float, high: float) -> float:

@@ -8,6 +8,7 @@ simulated, one mechanical step of 1 ms a slice; the camera sees the pad at the e
 Why so: down is +x of the image in a grasp from the top, +y in one from the side; an upright object turns with it.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -184,6 +185,11 @@ class World:
         self._gel = gel.start(nodes, self._material, drawn.mass_kg, inertia, body_xy_m=middle_m)
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
         self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
+        self._window_from_middle_m: tuple[float, float] | None = None
+        if self.eye.window_px is not None and self._middle_m.any():
+            window_px = np.array(self.eye.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
+            across_m, down_m = (window_px * self.eye.mm_per_px * 1e-3 - self._middle_m).tolist()
+            self._window_from_middle_m = (across_m, down_m)
         self._at_dots = gel.interpolation(nodes, self.eye.rest_m)
         self._at_cut = gel.interpolation(nodes, self.eye.cut_rest_m)
         self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
@@ -213,11 +219,12 @@ class World:
     def _seen_m(self) -> NDArray[np.float64]:
         """Displacement of the object where the window shows it: an object held off its middle turns, too."""
         moved_m: NDArray[np.float64] = self._gel.pose[:2] - self._middle_m
-        if self.eye.window_px is not None and self._middle_m.any():
-            window_px = np.array(self.eye.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
-            from_middle_m = window_px * self.eye.mm_per_px * 1e-3 - self._middle_m
-            cosine, sine = np.cos(self._gel.pose[2]), np.sin(self._gel.pose[2])
-            moved_m += np.array([[cosine - 1, -sine], [sine, cosine - 1]]) @ from_middle_m
+        turned = float(self._gel.pose[2])
+        if self._window_from_middle_m is not None and turned:
+            across, down = self._window_from_middle_m
+            cosine, sine = math.cos(turned), math.sin(turned)
+            moved_m[0] += (cosine - 1) * across - sine * down
+            moved_m[1] += sine * across + (cosine - 1) * down
         return moved_m
 
     def _contrast(self) -> float:

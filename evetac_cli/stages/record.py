@@ -1,7 +1,7 @@
-"""record: events of one trial into a file, from a simulated scene or from a foreign event file.
+"""record: events of one trial into a file, from a simulated scene, from devices or from a foreign event file.
 
 Where the scene has a gripper, the object is held by motor current, which is lowered at random until the object slips
-out (paper, "Experimental Setup and Data Collection Procedure").
+out (paper, "Experimental Setup and Data Collection Procedure"). With devices stages/capture.py does this.
 """
 
 import re
@@ -17,17 +17,17 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.params import Record, Trials
 from evetac_cli.sim import scene
-from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
+from evetac_cli.stages import Job, Outcome, Progress, capture, live, one_file, outcome, silent
+from evetac_cli.stages.handling import COMMAND_MS, RAMP_MA
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import output_path, up_to_date, write_stage
+from evetac_cli.store.import_rosbag import is_bag_folder
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.segments import RecordingWriter
 
 INPUTS = ()
 OUTPUT = "recording"
 METHOD = 2
-COMMAND_MS = 2  # the gripper is commanded at 500 Hz
-RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
 DRY_SLICES = 200
 LOSS_WORTH_A_WORD = 0.02  # share of imported events
 CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
@@ -36,23 +36,46 @@ CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: on
 def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
     """One recording for every object and trajectory, or for the imported file."""
     if params.source is not None:
-        if params.source.is_dir():
+        if params.source.is_dir() and not is_bag_folder(params.source):
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
         return [Job((params.source,), output_path(params.source, OUTPUT, out))]
+    if params.camera != "sim" or params.gripper not in (None, "sim"):
+        return _from_devices(params, out)
     return trials(("ramp", "hold", "press", "rub", "tone"), params, out, params.tones)
 
 
-def trials(kinds: tuple[str, ...], params: Trials, out: Path | None, tones: str | None = None) -> list[Job]:
+def _from_devices(params: Record, out: Path | None) -> list[Job]:
+    """`count` trials with the devices that are named; a virtual world is simulated as the flags of a scene say."""
+    camera, _ = capture.names(params)
+    if camera.kind == "virtual" and camera.prepared_events_s is None:
+        found = trials(("ramp", "hold"), params, out, prefix="virtual-")
+    else:
+        which = Path(camera.which).name.split(".")[0] if camera.which else ""
+        name = "-".join(filter(None, (camera.kind, which)))
+        folder = out if out is not None and out.suffix != ".h5" else Path()
+        inputs = (Path(camera.which),) if camera.kind == "replay" and camera.which else ()
+        outputs = [folder / f"{name}-s{params.seed}-{trial:03d}.{OUTPUT}.h5" for trial in range(params.count)]
+        if out is not None and out.suffix == ".h5":
+            outputs = [out] * params.count
+        found = [Job(inputs, output, {"trial": trial}) for trial, output in enumerate(outputs)]
+        one_file(found, out)
+    series = tuple(job.output for job in found)
+    return [job._replace(choice={**job.choice, "series": series}) for job in found]
+
+
+def trials(
+    kinds: tuple[str, ...], params: Trials, out: Path | None, tones: str | None = None, prefix: str = ""
+) -> list[Job]:
     """`count` trials of every object or tone in a scene of a kind.
 
-    They are named <scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
+    They are named <prefix><scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
     """
     found = []
     for plan in scene.plan(params.scene, params.objects, params.individual, kinds, params.gel, params.readout, tones):
         thing = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
         thing += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
         for trial in range(params.count):
-            name = f"{plan['scene']['name']}{thing}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
+            name = f"{prefix}{plan['scene']['name']}{thing}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
             output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
             built = scene.for_trial(plan, (params.seed, plan["object"] or 0, trial))
             found.append(Job((), output, {"plan": built, "trial": trial}))
@@ -62,6 +85,8 @@ def trials(kinds: tuple[str, ...], params: Trials, out: Path | None, tones: str 
 
 def seeds(params: Trials, job: Job) -> np.random.SeedSequence:
     """The seeds of one trial: reproducible alone, whatever else is recorded."""
+    if "plan" not in job.choice:
+        return np.random.SeedSequence([params.seed, job.choice["trial"]])
     plan = job.choice["plan"]
     tone_mhz = [round(1000 * plan["tone_hz"])] if "tone_hz" in plan else []
     return np.random.SeedSequence([params.seed, plan["object"] or 0, job.choice["trial"], *tone_mhz])
@@ -69,6 +94,8 @@ def seeds(params: Trials, job: Job) -> np.random.SeedSequence:
 
 def dry_run(jobs: list[Job], params: Trials) -> Outcome:
     """What the first trial builds and leaves out, and what its slices cost here: measured on 0.2 s of it."""
+    if isinstance(params, Record) and "series" in jobs[0].choice:
+        return capture.dry_run(jobs, params)
     if "plan" not in jobs[0].choice:
         raise InputError("an import has no plan to show", where="--dry-run", hint="leave out --from, or --dry-run")
     from time import perf_counter
@@ -96,6 +123,10 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     """Record one trial, or import one file."""
     if params.source is not None:
         return _import(job, params, force)
+    if params.live:
+        return live.run(job, params, seeds(params, job), progress)
+    if "series" in job.choice:
+        return capture.run(job, params, seeds(params, job), force=force, progress=progress)
     parameters = {**job.choice["plan"], "trial": job.choice["trial"]}
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, simulated_source=True)
     if up_to_date(job.output, recipe, force=force):
@@ -107,10 +138,11 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     devices = rig(parameters, drawing)
     scene_ = parameters["scene"]
     longest_ms = round(1000 * _longest_s(scene_["time"]))
-    writer = RecordingWriter(job.output, {**devices.camera.sensor, "t_offset": np.int64(0)}, discard_leftover=True)
+    known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/drawn": devices.drawn}
+    writer = RecordingWriter(job.output, known, discard_leftover=True)
     try:
         slices, events = _follow(devices, writer, Handling.of(scene_), ramp, lambda done: progress(done, longest_ms))
-        writer.finish(recipe, {"truth/drawn": devices.drawn})
+        writer.finish(recipe)
     except BaseException:
         writer.discard()  # a simulation can be made again
         raise
@@ -207,14 +239,14 @@ def _import(job: Job, params: Record, force: bool) -> Outcome:
         "dropped": dict(imported.counts),
         "notes": notes,
     }
-    recipe = Recipe(OUTPUT, METHOD, parameters, content=content_digest(arrays))
+    recipe = Recipe(OUTPUT, METHOD, parameters, content=content_digest(arrays), simulated_source=imported.simulated)
     made = not up_to_date(job.output, recipe, force=force)
     if made:
         write_stage(job.output, recipe, arrays)
     return outcome(
         job,
         made=made,
-        simulated=False,
+        simulated=imported.simulated,
         slices=imported.slices,
         events=events.size,
         dropped=lost,

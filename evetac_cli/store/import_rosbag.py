@@ -20,6 +20,7 @@ from evetac_cli.store.import_ros_messages import Fields, Packet, Part, decoder, 
 SQLITE = b"SQLite format 3\x00"
 MCAP = b"\x89MCAP0\r\n"
 ROS1 = b"#ROSBAG V2.0\n"
+ZSTD = b"\x28\xb5\x2f\xfd"
 PROPHESEE = ("evt2", "evt3")
 ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
 
@@ -169,6 +170,9 @@ def _contents(
 
 def _read(kind: str, message: bytes, ros2: bool, where: str) -> tuple[tuple[int, int], Any]:
     """Frame and content of a message."""
+    if ros2 and message[: len(ZSTD)] == ZSTD:  # only metadata.yaml says so
+        hint = "name the folder of the bag, with its metadata.yaml"
+        raise InputError("the messages of this bag are compressed one by one", where=where, hint=hint)
     with _layout_in_words(where):
         content = TYPES[kind][0](Fields(message, ros2=ros2))
         return (content.frame_px, content) if isinstance(content, Packet) else content

@@ -29,6 +29,10 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
         from evetac_cli.stages.evaluate import model_cost
 
         return model_cost.jobs(files, params, out)
+    if params.part == "grasp" and not files:
+        from evetac_cli.stages.evaluate import grasp_cost
+
+        return grasp_cost.jobs(params, out)
     if files or params.model:
         raise InputError("only the part model is measured on files", where="evaluate cost", found=f"part {params.part}")
     return [Job((), own_report(params.part, "cost", out))]
@@ -40,6 +44,10 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
         from evetac_cli.stages.evaluate import model_cost
 
         return model_cost.run(job, params, force=force, progress=progress)
+    if params.part == "grasp":
+        from evetac_cli.stages.evaluate import grasp_cost
+
+        return grasp_cost.run(job, params, force=force, progress=progress)
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         if params.part == "label":

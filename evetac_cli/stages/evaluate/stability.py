@@ -1,5 +1,6 @@
 """evaluate stability: what a part does where it is stiff, extreme, or handed nonsense; a row for every case."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,7 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
     """A row for every case; how many are ok in the summary."""
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        suite = tracker_stability.suite if params.part == "track" else gel_stability.suite
-        cases = suite(params.seed, full=params.full)
+        cases = _suite(params.part)(params.seed, full=params.full)
         rows: Rows = []
         for case in cases:
             rows.append(case())
@@ -39,8 +39,19 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
     return report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
 
 
+def _suite(part: str) -> Callable[..., Sequence[Callable[[], dict[str, Any]]]]:
+    """The cases of a part."""
+    if part == "grasp":
+        from evetac_cli.stages.evaluate import grasp_stability
+
+        return grasp_stability.suite
+    return tracker_stability.suite if part == "track" else gel_stability.suite
+
+
 def _worst(rows: Rows) -> dict[str, Any]:
-    """The largest residual of the mechanics, or the dots that the tracker lost in all cases together."""
+    """The largest residual of the mechanics, the dots that the tracker lost in all, or the largest current."""
+    if "current_most_ma" in rows[0]:
+        return {"current_most_ma": max(row["current_most_ma"] or 0.0 for row in rows)}
     if "dots_lost" in rows[0]:
         return {"dots_lost": sum(row["dots_lost"] or 0 for row in rows)}
     return {"residual_most": max(row["residual_most"] for row in rows if row["residual_most"] is not None)}

@@ -1,0 +1,104 @@
+"""Messages from a process that must not wait to one that has the time.
+
+Why so: whoever keeps a beat of 1 or 2 ms cannot wait for a recorder that is writing a file. So what does not fit into
+the pipe stays with the writer, and goes with a later `send`. A pipe tells the reader at once when the writer has died,
+and a message that it died over is never delivered.
+"""
+
+import contextlib
+import os
+import pickle
+import struct
+import time
+from collections import deque
+from multiprocessing.connection import Connection
+from typing import Any
+
+MOST_BYTES = 256 << 20
+_PIPE_BYTES = 1 << 20
+_LENGTH = struct.Struct("<Q")
+_AT_ONCE = 1 << 16
+_PAUSE_S = 1e-3
+
+
+class Outbox:
+    """The writing end; takes messages at any time and sends them when there is room."""
+
+    def __init__(self, pipe: Connection, most_bytes: int = MOST_BYTES) -> None:
+        """most_bytes: how much may wait here."""
+        self._pipe = pipe
+        self._waiting: deque[memoryview] = deque()
+        self._most_bytes = most_bytes
+        self.waiting_bytes = 0
+        os.set_blocking(pipe.fileno(), False)
+        with contextlib.suppress(ImportError, OSError):  # more room in the pipe means fewer calls; only Linux has it
+            import fcntl
+
+            fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+
+    def put(self, message: Any) -> bool:
+        """Take a message, to be sent later; False, and it is not taken, if too much is waiting."""
+        data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        size = _LENGTH.size + len(data)
+        if self.waiting_bytes + size > self._most_bytes:
+            return False
+        self._waiting.append(memoryview(_LENGTH.pack(len(data)) + data))
+        self.waiting_bytes += size
+        return True
+
+    def send(self) -> None:
+        """Send as much as there is room for; BrokenPipeError if there is no reader any more."""
+        while self._waiting:
+            first = self._waiting[0]
+            try:
+                sent = os.write(self._pipe.fileno(), first)
+            except BlockingIOError:
+                return
+            self.waiting_bytes -= sent
+            if sent < len(first):
+                self._waiting[0] = first[sent:]
+            else:
+                self._waiting.popleft()
+
+    def flush(self, timeout_s: float) -> bool:
+        """Send everything, waiting for room; False if not all of it went in time."""
+        end_s = time.monotonic() + timeout_s
+        self.send()
+        while self._waiting and time.monotonic() < end_s:
+            time.sleep(_PAUSE_S)
+            self.send()
+        return not self._waiting
+
+
+class Inbox:
+    """The reading end; never waits."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe = pipe
+        self._data = bytearray()
+        self.ended = False  # the writer is gone, and all that it sent has been handed out
+
+    def fileno(self) -> int:
+        """For select: readable when there is something to take, or the writer has gone."""
+        return self._pipe.fileno()
+
+    def take(self) -> list[Any]:
+        """The messages that have come whole since the last call, oldest first."""
+        os.set_blocking(self._pipe.fileno(), False)
+        while not self.ended:
+            try:
+                data = os.read(self._pipe.fileno(), _AT_ONCE)
+            except BlockingIOError:
+                break
+            self._data += data
+            self.ended = not data
+        messages = []
+        at = 0
+        while len(self._data) - at >= _LENGTH.size:
+            (size,) = _LENGTH.unpack_from(self._data, at)
+            if len(self._data) - at - _LENGTH.size < size:
+                break
+            at += _LENGTH.size + size
+            messages.append(pickle.loads(self._data[at - size : at]))  # from a process of our own
+        del self._data[:at]
+        return messages

@@ -1,0 +1,379 @@
+"""Recording from devices: whatever ends it, the file is valid and says what happened."""
+
+import dataclasses
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Made
+
+from evetac_cli.devices import GripperReading, Rig
+from evetac_cli.devices.naming import gripper_name
+from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.events import SLICE_US, Events, slice_starts
+from evetac_cli.inspect import repair, validate
+from evetac_cli.params import Record
+from evetac_cli.resources import PACKAGE
+from evetac_cli.stages import capture, record
+from evetac_cli.store import disk
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.read import open_recording
+
+
+class Camera:
+    """A camera that makes ten events in every slice, and fails or ends when told."""
+
+    def __init__(self, slices: int = 10**9, fails_at: int = 10**9) -> None:
+        self.sensor: Mapping[str, Any] = {
+            "sensor/frame_px": np.array([640, 480], np.int32),
+            "sensor/individual": "dvxplorer:T1",
+        }
+        self.counted = {"late_events": 3, "usb_errors": 0}
+        self._slices, self._fails_at = slices, fails_at
+        self.closed = False
+        self.k = 0
+
+    def read(self) -> Events | None:
+        if self.k >= self._fails_at:
+            raise DeviceError("is no longer on the bus", where="camera T1")
+        if self.k >= self._slices:
+            return None
+        time.sleep(2e-4)
+        self.k += 1
+        t = (self.k - 1) * SLICE_US + np.arange(10, dtype=np.int64)
+        return Events(t, np.arange(10, dtype=np.uint16), np.arange(10, dtype=np.uint16), np.ones(10, np.uint8))
+
+    def now_us(self) -> int:
+        return self.k * SLICE_US
+
+    def host_us(self, device_us: float) -> float:
+        return time.monotonic() * 1e6 - self.k * SLICE_US + device_us - 40.0
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Hand:
+    """A gripper that stands still, and fails when told."""
+
+    def __init__(self, fails_at: int = 10**9) -> None:
+        self.counted = {"answers_lost": 2}
+        self.written: list[int] = []
+        self._fails_at = fails_at
+        self.closed = False
+
+    def read(self) -> GripperReading:
+        if len(self.written) >= self._fails_at:
+            raise DeviceError("no answer", where="gripper")
+        return GripperReading(5.0, 400)
+
+    def write_current(self, current_ma: int) -> None:
+        self.written.append(current_ma)
+
+    def write_position(self, goal_ticks: int) -> None:
+        raise AssertionError("the current is commanded")
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def rig_is(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Rig]:
+    """Let these devices stand for what is opened by name."""
+
+    def put(camera: Camera, hand: Hand | None = None, serial: str = "T1") -> Rig:
+        rig = Rig(camera, hand, camera, setup={"camera": {"serial": serial}, "gripper": "none"}, simulated=False)
+        monkeypatch.setattr(capture, "open_rig", lambda *named, **more: rig)
+        return rig
+
+    return put
+
+
+def recording(out: Path, **flags: Any) -> tuple[Path, Any]:
+    """Record with `--camera dvxplorer` and these flags; returns the file and the outcome."""
+    params = Record(camera="dvxplorer", expect=1e4, **flags)
+    jobs = record.jobs([], params, out)
+    for job in jobs:
+        made = record.run(job, params)
+    return jobs[-1].output, made
+
+
+def faults(path: Path) -> Any:
+    return validate.run([path]).rows[0]["faults"]
+
+
+def test_after_the_seconds(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that it is as long as asked for, valid, not simulated, and carries rate, lateness and every loss."""
+    rig = rig_is(Camera())
+    path, made = recording(tmp_path, seconds=0.5)
+    assert faults(path) is None
+    with open_recording(path) as file:
+        assert [events.size for events in file] == [10] * 500
+        assert file.read("capture/ended") == "after the seconds asked for"
+        assert int(file.read("capture/lost/camera.late_events")) == 3
+        assert float(file.read("capture/slices_per_s")) > 100
+        late_us = file.read("capture/slice_late_us")
+        assert 39.0 <= late_us[0] <= late_us[1] <= late_us[2]
+        assert not file.has("gripper")
+        header = file.header
+    assert not header["simulated"]
+    assert header["content"] is not None
+    assert header["parameters"]["setup"] == rig.setup
+    row = made.rows[0]
+    assert (row["slices"], row["events"], row["lost"]) == (500, 5000, "camera.late_events 3")
+    json.dumps(made.rows)
+    assert rig.camera.closed
+
+
+def test_every_command_is_in_the_file(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that what was written to the gripper is in the file, one row a command, target and whole number."""
+    hand = Hand()
+    rig_is(Camera(), hand)
+    path, made = recording(tmp_path, hold_s=0.0, holding_ma=3.0, lowest_ma=2.5)
+    assert faults(path) is None
+    with open_recording(path) as file:
+        assert file.read("gripper/current_written_ma").tolist() == hand.written
+        target = file.read("gripper/current_target_ma")
+        assert file.read("capture/ended") == "the current reached its lower limit"
+        assert (np.diff(file.read("gripper/t_us")) >= 0).all()
+        assert int(file.read("capture/lost/gripper.answers_lost")) == 2
+    assert [round(value) for value in target] == hand.written
+    assert target[-1] <= 2.5 < target[-2]
+    assert made.rows[0]["commands"] == len(hand.written)
+    assert hand.closed
+
+
+@pytest.mark.parametrize("part", ["camera", "gripper"])
+def test_failing_device_leaves_a_valid_file(part: str, rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that an unplugged device ends with its error, which names the file with all that came before."""
+    rig = rig_is(Camera(fails_at=300), Hand()) if part == "camera" else rig_is(Camera(), Hand(fails_at=20))
+    with pytest.raises(DeviceError, match="no longer on the bus" if part == "camera" else "no answer") as failed:
+        recording(tmp_path)
+    (path,) = tmp_path.iterdir()
+    assert str(path) in str(failed.value)
+    assert faults(path) is None
+    with open_recording(path) as file:
+        assert len(file) == 300 if part == "camera" else len(file) > 10
+        assert file.read("capture/ended") == str(failed.value).splitlines()[0]
+        if part == "gripper":
+            assert file.length("gripper/t_us") == 20
+    assert rig.camera.closed
+    assert rig.gripper.closed
+
+
+def test_device_that_fails_at_once_leaves_nothing(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that without a single slice there is no file, no folder, and the error says so."""
+    rig_is(Camera(fails_at=0))
+    with pytest.raises(DeviceError, match="nothing was recorded"):
+        recording(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_stream_that_ends(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that a camera whose stream ends is the end of the recording."""
+    rig_is(Camera(slices=77))
+    path, _ = recording(tmp_path)
+    with open_recording(path) as file:
+        assert len(file) == 77
+        assert "stream ended" in file.read("capture/ended")
+
+
+def test_existing_recording_is_not_replaced(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that a recording from a device is replaced only by force."""
+    rig_is(Camera())
+    path, _ = recording(tmp_path, seconds=0.05)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="cannot be made again"):
+        recording(tmp_path, seconds=0.05)
+    assert path.read_bytes() == before
+    params = Record(camera="dvxplorer", expect=1e4, seconds=0.07)
+    (job,) = record.jobs([], params, tmp_path)
+    record.run(job, params, force=True)
+    with open_recording(path) as file:
+        assert len(file) == 70
+
+
+def test_series_goes_on(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that a resumed series keeps what there is and adds the rest, with trial numbers of their own."""
+    rig_is(Camera())
+    recording(tmp_path, seconds=0.05, count=2)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    rig_is(Camera())
+    recording(tmp_path, seconds=0.05, count=3, resume=True)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [f"dvxplorer-s0-00{trial}.recording.h5" for trial in range(3)]
+    assert all(path.read_bytes() == data for path, data in before.items())
+    for trial, name in enumerate(names):
+        with StageFile(tmp_path / name) as file:
+            assert file.header["parameters"]["trial"] == trial
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"serial": "T2"}, "serial"), ({"seed": 5}, "handling_seed"), ({"hold_s": 3.0}, "hold_s")],
+)
+def test_changed_setup_is_refused(
+    change: dict[str, Any], said: str, rig_is: Callable[..., Rig], tmp_path: Path
+) -> None:
+    """Assert that a series is not continued with another camera or other settings, and the difference is named."""
+    rig_is(Camera(), Hand())
+    params = Record(camera="dvxplorer", expect=1e4, seconds=0.05, count=1, gripper="/dev/ttyUSB0")
+    (job,) = record.jobs([], params, tmp_path)
+    record.run(job, params)
+    rig = rig_is(Camera(), Hand(), change.pop("serial", "T1"))
+    params = dataclasses.replace(params, count=2, resume=True, **change)
+    jobs = record.jobs([], params, tmp_path)
+    if "seed" in change:  # it names other files: of this series by hand
+        series = (job.output, tmp_path / "b.recording.h5")
+        jobs = [job_._replace(output=path, choice={**job_.choice, "series": series}) for job_, path in zip(jobs, series)]
+    with pytest.raises(InputError, match="another set-up") as refused:
+        record.run(jobs[1], params)
+    assert said in str(refused.value)
+    assert not jobs[1].output.exists()
+    assert rig.camera.closed
+    assert rig.gripper.closed
+
+
+def test_room_is_asked_for_before(
+    rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a disk without room for what was announced is refused with both figures, and nothing is opened."""
+    rig = rig_is(Camera())
+    free = 10_000_000
+    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
+    params = Record(camera="dvxplorer", expect=1e6, seconds=10.0)
+    (job,) = record.jobs([], params, tmp_path / "new" / "folder")
+    with pytest.raises(InputError, match="not enough room") as refused:
+        record.run(job, params)
+    needed = 1e6 * 10 * capture.BYTES_AN_EVENT
+    assert f"{needed / 1e6:,.0f} MB" in str(refused.value)
+    assert "10 MB free" in str(refused.value)
+    assert not rig.camera.closed
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_dry_run_touches_nothing(rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a plan names devices, settings and files, opens none and writes none."""
+    monkeypatch.setattr(capture, "open_rig", lambda *named, **more: pytest.fail("opened"))
+    params = Record(camera="dvxplorer:T1", gripper="/dev/ttyUSB0@57600", threshold_on=4, count=2, dry_run=True)
+    shown = record.dry_run(record.jobs([], params, tmp_path), params)
+    text = json.dumps(shown.rows)
+    for said in ("dvxplorer:T1", "/dev/ttyUSB0@57600", "threshold_on 4", "dvxplorer-T1-s0-001.recording.h5", "MB"):
+        assert said in text
+    assert not shown.simulated
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        {"camera": "sim", "gripper": "virtual"},
+        {"camera": "dvxplorer", "gripper": "sim"},
+        {"camera": "dvxplorer", "source": Path("a.aedat4")},
+        {"camera": "replay:a", "gripper": "sim"},
+    ],
+)
+def test_what_does_not_fit_is_refused(flags: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that half a simulation, and a camera and a file at once, are refused."""
+    params = Record(**flags)
+    with pytest.raises(InputError):
+        capture.names(params)
+
+
+def test_replay_is_recorded_as_it_was(made: Made, tmp_path: Path) -> None:
+    """Assert that a replayed recording is recorded event by event, knows its dots, its parent, and is simulated too."""
+    params = Record(camera=f"replay:{made.recordings[0]}", expect=1e4)
+    (job,) = record.jobs([], params, tmp_path)
+    assert job.inputs == (made.recordings[0],)
+    result = record.run(job, params)
+    assert result.simulated
+    with open_recording(job.output) as one, open_recording(made.recordings[0]) as other:
+        assert len(one) == len(other)
+        for ours, theirs in zip(one.between(0, len(one)), other.between(0, len(other)), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(one.dot_xy_px, other.dot_xy_px)
+        assert one.header["parents"] == [other.header["id"]]
+        assert not one.has("truth")
+    assert faults(job.output) is None
+
+
+def evetac(*arguments: str, **more: Any) -> "subprocess.Popen[str]":
+    """The program in a process of its own."""
+    run = [sys.executable, "-m", "evetac_cli", *arguments]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(run, cwd=PACKAGE.parent, **pipes, **more)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_recording_is_complete(number: int, made: Made, tmp_path: Path) -> None:
+    """Assert that Ctrl-C ends a recording with exit code 130, a valid file of what there is, and no folder."""
+    output = tmp_path / "a.recording.h5"
+    run = evetac("record", "--camera", f"replay:{made.recordings[0]}", "--expect", "1e5", "-o", str(output))
+    while not (output.with_suffix(".part") / "000000.h5").exists():
+        assert run.poll() is None, run.stderr.read()
+        time.sleep(0.01)
+    os.kill(run.pid, number)
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert f"slices in {output}" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["a.recording.h5"]
+    assert faults(output) is None
+    with open_recording(output) as file:
+        assert file.read("capture/ended") == capture.INTERRUPTED
+
+
+def quiet_then_busy(path: Path) -> Path:
+    """A recording of 0.4 s with few events and 0.6 s with many."""
+    counts = np.array([20] * 400 + [2000] * 600)
+    t = np.repeat(np.arange(1000, dtype=np.int64) * SLICE_US, counts)
+    arrays: dict[str, Any] = {
+        "events/t": t,
+        "events/x": np.zeros(len(t), np.uint16),
+        "events/y": np.zeros(len(t), np.uint16),
+        "events/p": np.zeros(len(t), np.uint8),
+        "ms_to_idx": slice_starts(t, 1000),
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array([640, 480], np.int32),
+        "sensor/individual": "unknown",
+    }
+    write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)
+    return path
+
+
+def test_full_disk(tmp_path: Path) -> None:
+    """Assert that a disk that fills up is an error in words that says where the rest is, and repair makes it a file.
+
+    A limit on the size of files stands in for the full disk.
+    """
+    played = quiet_then_busy(tmp_path / "played.recording.h5")
+    output = tmp_path / "a.recording.h5"
+    run = evetac(
+        "record", "--camera", f"replay:{played}", "--expect", "1e5", "-o", str(output),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY)),
+    )  # fmt: skip
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 2, said
+    assert "File too large" in said
+    assert f"{output.with_suffix('.part')}, for `evetac repair`" in said
+    assert not output.exists()
+    (row,) = repair.run([tmp_path]).rows
+    assert row["status"] == "repaired"
+    assert 200 <= row["slices_kept"] <= 600
+    assert faults(output) is None
+
+
+def test_gripper_of_a_name_that_is_not_given() -> None:
+    """Assert that a camera alone moves no gripper."""
+    camera, gripper = capture.names(Record(camera="dvxplorer"))
+    assert gripper == gripper_name("none", camera)
