@@ -452,9 +452,9 @@ class Grasp(Trials):
     )
     controller: str = parameter(
         "paper",
-        "paper: the paper's lift and balance law, whose balance sets its reference at the first slip; relatch: at every"
-        " slip; by-load: ours, a grip in proportion to the load; none: contact alone, without the detector; fixed:N:"
-        " closed N ticks beyond light contact.",
+        "Law of the grip; paper: the paper's, whose balance sets its reference at the first slip; relatch: at every"
+        " slip; by-load: ours, in proportion to the load; none: contact alone, without the detector; fixed:N: closed N"
+        " ticks beyond light contact.",
     )
     gain: float = parameter(
         1.0, "K_p in balance, in multiples of the paper's; paper and relatch.", low=0.01, high=100.0

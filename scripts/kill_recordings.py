@@ -63,7 +63,9 @@ def main() -> None:
             repaired += good
             lost_s.append(ran_s - (row["slices_kept"] or 0) / 1000)
             kept = f"{row['slices_kept']} slices, {row['gripper_rows_kept']} gripper rows"
-            print(f"{trial + 1:3d}: ran {ran_s:.3f} s, {row['status']}, kept {kept}, lost {lost_s[-1]:.3f} s", flush=True)
+            print(
+                f"{trial + 1:3d}: ran {ran_s:.3f} s, {row['status']}, kept {kept}, lost {lost_s[-1]:.3f} s", flush=True
+            )
     print(f"repaired {repaired} of {chosen.count}, lost at most {max(lost_s):.3f} s")
 
 

@@ -109,7 +109,8 @@ def test_slices_and_clock() -> None:
     assert silent[0].t.tolist() == [4000]
     assert sum(part.size for part in silent[1:] if part is not None) == 0
     mini.batches.append(batch([5000, 5001, 10**7]))
-    assert camera.read() is not None
+    while mini.batches:  # on a busy machine several slices may have been closed already
+        camera.read()
     assert camera.counted == {"late_events": 2}
     camera.close()
     camera.close()

@@ -66,14 +66,31 @@ def test_one_spoiled_answer_is_counted(fresh: VirtualGripper, fault: str, counte
 @pytest.mark.parametrize("fault", ["lost-answer%20", "bad-crc%20"])
 def test_many_spoiled_answers(fault: str) -> None:
     """Assert that with a fifth of all answers spoiled, losses are counted until the driver gives up in words."""
-    with VirtualGripper(faults=[fault], seed=3) as gripper:
-        driver = None
+    with VirtualGripper(seed=3) as gripper:
+        driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=30, watchdog_ms=1000))
+        gripper.inject(fault)
         with pytest.raises(DeviceError, match="answer"):
-            driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=30, watchdog_ms=1000))
             cycles(driver, 2000)
         assert gripper.look("Torque Enable") == 0
-        if driver is not None:
-            assert driver.counted["answers_lost"] + driver.counted["answers_damaged"] >= 2
+        assert driver.counted["answers_lost"] + driver.counted["answers_damaged"] >= 2
+
+
+def test_set_up_is_repeated_after_a_loss() -> None:
+    """Assert that the driver sets up anew when an answer was late, so that no answer is taken for another's."""
+    with VirtualGripper(faults=["late-answer"]) as gripper:
+        with RhP12Rn(gripper.port, settings=QUICK) as driver:
+            assert driver.described["eeprom_written"] == {"Operating Mode": [5, 0], "Return Delay Time": [250, 0]}
+            assert driver.described["range_ticks"] == [0, 740]
+            assert driver.counted["answers_lost"] >= 1
+        assert gripper.instructions()[Instruction.PING] >= 3  # the first, once more, and the one of the second set-up
+
+
+def test_set_up_gives_up_on_a_bad_line() -> None:
+    """Assert that a line on which nearly every set-up loses an answer is refused in words, with torque off."""
+    with VirtualGripper(faults=["lost-answer%20"], seed=1) as gripper:
+        with pytest.raises(DeviceError, match="answer"):
+            RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=20, watchdog_ms=1000))
+        assert gripper.look("Torque Enable") == 0
 
 
 def test_overload_is_named(fresh: VirtualGripper) -> None:

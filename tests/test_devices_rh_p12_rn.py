@@ -116,7 +116,7 @@ def test_other_models_are_refused(registers: dict[str, int], words: str) -> None
         {"id": 253},
         {"p_gain": -1},
         {"max_current_ma": 0},
-        {"first_tick": 660},
+        {"first_tick": 740},
         {"watchdog_ms": 30},
         {"watchdog_ms": 0},
         {"return_delay_us": 1},

@@ -85,6 +85,7 @@ def test_sdk_reads_and_writes(gripper: VirtualGripper, port: Port) -> None:
         assert reads.getData(1, 550, 2) == 45
     assert packets.regWriteTxRx(port, 1, 550, 2, [46, 0]) == (ok, 0)
     assert packets.action(port, 1) == ok
+    time.sleep(0.2)  # the library does not wait for the answer, and would take it for the next one's
     assert gripper.look("Goal Current") == 46
     assert packets.clearMultiTurn(port, 1) == (ok, 0)
 

@@ -234,7 +234,7 @@ def test_bounds(contact: list[tuple[bool, int]], lift: list[tuple[bool, int]], b
 
 
 def test_relatch_takes_every_beginning_of_slip() -> None:
-    """Assert that with relatch each step from no slip to slip sets x_ref = x_g(t - 1), and slip that goes on does not."""
+    """Assert that with relatch each beginning of slip sets x_ref = x_g(t - 1), and slip that goes on does not."""
     state = balancing(100)
     for slip, position, reference in (
         (False, 99, math.nan),

@@ -73,7 +73,7 @@ def test_by_load_hears_the_drag() -> None:
 
 
 def test_contact_alone_stays_without_a_push() -> None:
-    """Assert that after light contact the goal is wherever the fingers are, slip or not: they rest in their friction."""
+    """Assert that after light contact the goal is wherever the fingers are, slip or not."""
     control = Control(law_of("none"))
     assert control.step(CONTACT, Felt(), 100) == 102
     for phase, count, position in ((LIFT, 5, 104), (LIFT, 9, 103), (BALANCE, 12, 99)):

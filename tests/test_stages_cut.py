@@ -69,7 +69,10 @@ def test_every_group_is_cut(tmp_path: Path) -> None:
 
 def test_every_dataset_of_a_simulation_is_cut(made: Made, tmp_path: Path) -> None:
     """Assert that a piece has every dataset that the whole has, cut along its slices, its events or its commands."""
-    with open_recording(piece(made.grasp, tmp_path, from_ms=100, to_ms=300)) as part, open_recording(made.grasp) as whole:
+    with (
+        open_recording(piece(made.grasp, tmp_path, from_ms=100, to_ms=300)) as part,
+        open_recording(made.grasp) as whole,
+    ):
         assert part.contents().keys() == whole.contents().keys()
         table = schema.load("recording")
         for name in whole.contents():
@@ -116,7 +119,9 @@ def test_features_of_a_beginning_are_those_of_the_whole(made: Made, tmp_path: Pa
         assert compared >= 2
 
 
-@pytest.mark.parametrize("flags", [{"from_ms": 5, "to_ms": 5}, {"from_ms": 6, "to_ms": 2}, {"from_ms": 12}, {"to_ms": 13}])
+@pytest.mark.parametrize(
+    "flags", [{"from_ms": 5, "to_ms": 5}, {"from_ms": 6, "to_ms": 2}, {"from_ms": 12}, {"to_ms": 13}]
+)
 def test_no_such_slices(flags: dict[str, int], tmp_path: Path) -> None:
     """Assert that an empty range, and one beyond the recording, are refused, and nothing is written."""
     whole = rich_recording(tmp_path / "a.recording.h5")

@@ -93,6 +93,30 @@ def test_words_before_the_first_time_are_left_out(tmp_path: Path) -> None:
     assert imported.notes == [f"left out {2 * (begins - 2)} bytes before the first time stamp"]
 
 
+def test_words_without_time_of_the_older_encoding(tmp_path: Path) -> None:
+    """Assert the same of EVT2: without its first time stamp, a file begins with the second."""
+    events = drawn(400)
+    whole = write(tmp_path / "a.raw", events, "evt2").read_bytes()
+    begins = whole.index(b"% geometry 640x480\n") + 19
+    words = np.frombuffer(whole[begins:], "<u4")
+    high = np.flatnonzero(words >> 28 == 8)
+    assert high[0] == 0
+    path = tmp_path / "b.raw"
+    path.write_bytes(whole[:begins] + words[1:].tobytes())
+    left = events.t[events.t >= (int(words[high[1]]) & 0xFFFFFFF) << 6]
+    imported = read_events(path)
+    assert imported.notes == [f"left out {4 * (high[1] - 1)} bytes before the first time stamp"]
+    assert np.array_equal(imported.events.t + imported.t_offset_us, left)
+
+
+def test_words_that_look_like_a_header(tmp_path: Path) -> None:
+    """Assert that the header ends at its end, though the words go on with `% `."""
+    words = [int.from_bytes(b"% ", "little"), 0x0A, *evt3([0, 7])]
+    imported = read_events(raw(tmp_path / "a.raw", words))
+    assert imported.events.size == 2
+    assert imported.notes == ["left out 4 bytes before the first time stamp"]
+
+
 def test_vectors_are_read(tmp_path: Path) -> None:
     """Assert that words of twelve and of eight columns give an event for every bit."""
     words = [

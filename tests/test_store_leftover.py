@@ -29,9 +29,7 @@ def events_of(k: int, count: int = 3) -> Events:
     return Events(t, np.full(count, k % 640, np.uint16), np.arange(count, dtype=np.uint16), np.ones(count, np.uint8))
 
 
-def broken_off(
-    folder: Path, slices_per_segment: list[int], rows: Any = None, recipe: Recipe | None = RECIPE
-) -> Path:
+def broken_off(folder: Path, slices_per_segment: list[int], rows: Any = None, recipe: Recipe | None = RECIPE) -> Path:
     """Segments of so many slices each, left behind; returns NAME.part."""
     writer = RecordingWriter(folder / "a.recording.h5", STATIC, discard_leftover=False, recipe=recipe)
     k = 0

@@ -16,7 +16,7 @@ class ClosingSettings:
     current_ma: int = 10
     still_cycles: int = 150  # without a new position: contact
     longest_cycles: int = 10_000
-    last_tick: int = 660  # here the fingers meet each other
+    last_tick: int = 717  # here the gap is 0 (sim/gripper), and the fingers met each other
 
     def __post_init__(self) -> None:
         for name in ("current_ma", "still_cycles", "longest_cycles"):

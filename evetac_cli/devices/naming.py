@@ -1,7 +1,7 @@
 """Devices by name, as on the command line: `--camera dvxplorer:DXM00042 --gripper /dev/ttyUSB0@2000000`.
 
-A name is understood without touching a device; `open_rig` then opens what was named. Drivers are imported only when they
-are named, so that nobody needs the libraries of a device that he has not.
+A name is understood without touching a device; `open_rig` then opens what was named. Drivers are imported only when
+they are named, so that nobody needs the libraries of a device that he has not.
 """
 
 from collections.abc import Mapping
@@ -143,7 +143,7 @@ def open_rig(
         if plan is not None and camera.kind == "virtual" and camera.prepared_events_s is None:
             from evetac_cli.devices.virtual import VirtualWorld
 
-            world = VirtualWorld(plan, seeds, **durations)
+            world = VirtualWorld(plan, seeds, tells_truth=False, **durations)
             opened.callback(world.close)
         hand, servo, hand_setup = _open_gripper(gripper, world, mode)
         for device in (servo, hand):

@@ -11,6 +11,7 @@ import pickle
 import struct
 import time
 from collections import deque
+from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -76,14 +77,14 @@ class Inbox:
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
         self._data = bytearray()
-        self.ended = False  # the writer is gone, and all that it sent has been handed out
+        self.ended = False  # the writer is gone, and what it sent is here
 
     def fileno(self) -> int:
         """For select: readable when there is something to take, or the writer has gone."""
         return self._pipe.fileno()
 
-    def take(self) -> list[Any]:
-        """The messages that have come whole since the last call, oldest first."""
+    def take(self) -> Iterator[Any]:
+        """The messages that have come whole, oldest first; what is not taken now is there for the next call."""
         os.set_blocking(self._pipe.fileno(), False)
         while not self.ended:
             try:
@@ -92,13 +93,10 @@ class Inbox:
                 break
             self._data += data
             self.ended = not data
-        messages = []
-        at = 0
-        while len(self._data) - at >= _LENGTH.size:
-            (size,) = _LENGTH.unpack_from(self._data, at)
-            if len(self._data) - at - _LENGTH.size < size:
+        while len(self._data) >= _LENGTH.size:
+            end = _LENGTH.size + _LENGTH.unpack_from(self._data)[0]
+            if len(self._data) < end:
                 break
-            at += _LENGTH.size + size
-            messages.append(pickle.loads(self._data[at - size : at]))  # from a process of our own
-        del self._data[:at]
-        return messages
+            message = bytes(self._data[_LENGTH.size : end])
+            del self._data[:end]
+            yield pickle.loads(message)  # from a process of our own

@@ -14,20 +14,17 @@ EEPROM is written only where it differs from what is needed (operating mode, ret
 P gain 50 are those of a driver by Evetac's authors.
 """
 
-import atexit
-import contextlib
 import operator
 import os
-import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Any, Literal, TypeVar
 
 from evetac_cli.devices import GripperReading
+from evetac_cli.devices.at_exit import close_at_exit, closed
 from evetac_cli.devices.control_table import (
     CURRENT_MODE,
     MODEL_NUMBER,
@@ -45,6 +42,7 @@ from evetac_cli.errors import DeviceError
 Mode = Literal["current", "position"]
 CHECK_EVERY = 100  # commands between two that are answered
 RELEASE_TRIES = 5
+SET_UP_TRIES = 5
 SETTLE_S = 0.1  # while setting up there is time to wait for an answer that is late
 _PRESENT = REGISTERS["Present Current"].address
 _PRESENT_SIZE = REGISTERS["Present Position"].address + REGISTERS["Present Position"].size - _PRESENT
@@ -60,7 +58,7 @@ class RhP12RnSettings:
     p_gain: int = 50  # register Position P Gain (paper: K_p)
     max_current_ma: int | None = None
     first_tick: int = 0  # open
-    last_tick: int = 660  # closed, with fingers as wide as Evetac's
+    last_tick: int = 740  # closed, with the maker's fingers; wider ones meet before
     watchdog_ms: int = 100
     return_delay_us: int | None = 0  # None leaves the device's
     answer_ms: float = ANSWER_MS
@@ -106,10 +104,10 @@ class RhP12Rn:
         self._spoken_s = time.monotonic()
         self._silent_ms = 0.0  # the longest silence since a command was answered
         self._bus = Bus(port, baud, settings.id, answer_ms=settings.answer_ms)
-        _release_at_exit(self)
+        close_at_exit(self)
         try:
             self._bus.settle_s = SETTLE_S
-            self.described: Mapping[str, Any] = self._set_up()
+            self.described: Mapping[str, Any] = self._set_up_soundly()
             self._bus.settle_s = 0.0
         except BaseException:
             self._release()
@@ -165,7 +163,24 @@ class RhP12Rn:
 
     # Setting up
 
-    def _set_up(self) -> dict[str, Any]:
+    def _set_up_soundly(self) -> dict[str, Any]:
+        """Set up until no answer was lost on the way: one that came late may have been taken for another's."""
+        written: dict[str, list[int]] = {}
+        for _ in range(SET_UP_TRIES):
+            before = sum(self._bus.counted.values())
+            described = self._set_up(written)
+            if sum(self._bus.counted.values()) == before:
+                return described
+            time.sleep(SETTLE_S)
+        raise DeviceError(
+            "answers are lost all the time",
+            where=self._where,
+            expected=f"a set-up without loss in {SET_UP_TRIES} tries",
+            found=", ".join(f"{name} {count}" for name, count in self._bus.counted.items()),
+            hint="check cable, power and ground",
+        )
+
+    def _set_up(self, written: dict[str, list[int]]) -> dict[str, Any]:
         bus, settings = self._bus, self._settings
         check_model(bus.ping(), self._where)
         bus.send("Status Return Level", 2)  # else it may not answer what follows
@@ -174,7 +189,6 @@ class RhP12Rn:
         needed = {"Operating Mode": CURRENT_MODE if self._mode == "current" else POSITION_MODE}
         if settings.return_delay_us is not None:
             needed["Return Delay Time"] = settings.return_delay_us // RETURN_DELAY_US
-        written = {}
         for name, value in needed.items():
             if (before := bus.read(name)) != value:
                 bus.write(name, value)
@@ -284,7 +298,7 @@ class RhP12Rn:
     def _end(self) -> None:
         self._bus.close()
         self._closed = True
-        _OPEN.discard(self)
+        closed(self)
 
 
 def check_model(model: int, where: str) -> None:
@@ -320,28 +334,3 @@ def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms:
     with Bus(port, new_baud, id_, answer_ms=answer_ms) as bus:
         bus.tolerant = True
         bus.ping()
-
-
-_OPEN: set[RhP12Rn] = set()
-
-
-def _release_all() -> None:
-    for gripper in list(_OPEN):
-        with contextlib.suppress(DeviceError):
-            gripper.close()
-
-
-def _end_in_order(number: int, frame: FrameType | None) -> None:
-    sys.exit(128 + number)
-
-
-def _release_at_exit(gripper: RhP12Rn) -> None:
-    """Close it when the program ends; signals that would end it on the spot end it in order from now on."""
-    if not _OPEN:
-        atexit.unregister(_release_all)
-        atexit.register(_release_all)
-    _OPEN.add(gripper)
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, _end_in_order)

@@ -34,7 +34,8 @@ FIRST_MS = 1  # device time of the first slice: a camera whose clock reads 0 loo
 PAPER_P_GAIN = 50  # the servo's gain at which the simulated drive was fitted
 START_S = 120.0  # in which a world must be built, compiling included
 END_S = 2.0
-WARMING = 20  # slices of a first world, which only compile
+WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp comes to the moment at which a hand rises
+WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
 TRUTH_SLICES = 10  # whose truth is told at once
 CATCH_UP_S = 1.0  # a world that is later than this is given up on, for the moment
 _LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)  # shared with the process; began: host time of time 0, 0 while it stands
@@ -44,7 +45,7 @@ class VirtualWorld:
     """The world's side of a virtual camera (`run`, `take`) and of a virtual gripper (`plant`).
 
     It may be given to a process that is being spawned: the copy is a source of words like this one, and whoever built
-    the world ends it. `truths` yields lists of the truth of slices, if the world was built to tell it.
+    the world ends it. `truths` gives lists of the truth of slices, and None after the last, if asked for.
     """
 
     def __init__(
@@ -199,8 +200,12 @@ class _Ticking:
         first = rig(plan, np.random.SeedSequence(0), **durations)
         for _ in range(WARMING):  # loads or compiles everything, before there is a clock to keep
             events = first.camera.read()
-            if events is not None:
-                encode(events, FIRST_MS)
+            if events is None:
+                break
+            encode(events, FIRST_MS)
+            timestamp(FIRST_MS)
+            if isinstance(first.gripper, SimulatedGripper) and plan["scene"]["kind"] == "lift":
+                first.gripper.write_position(first.gripper.read().position_ticks + WARMING_TICKS)
         self._encode = encode
         self._timestamp = timestamp
         self._rig = rig(plan, seeds, **durations)
@@ -279,6 +284,8 @@ class _Ticking:
         if len(self._known) >= TRUTH_SLICES or self._world.finished:
             self._truths.put(self._known)
             self._known = []
+        if self._world.finished:
+            self._truths.put(None)
         self._truths.send()
 
     def _queue(self, data: bytes) -> None:

@@ -59,7 +59,11 @@ class VirtualGripper:
             env={**os.environ, "PYTHONPATH": found_at},
             start_new_session=True,
         )
-        self.port: str = self._told()
+        try:
+            self.port: str = self._told()
+        except BaseException:
+            self.close()
+            raise
 
     @property
     def pid(self) -> int:

@@ -111,6 +111,6 @@ def rain(events_per_s: float, seconds: float, rng: np.random.Generator) -> NDArr
         chosen = rng.choice(64 * patches, each, replace=False)
         polarity = np.broadcast_to(rng.integers(0, 2, patches)[:, np.newaxis], (patches, 64))
         parts.append((x.ravel()[chosen], y.ravel()[chosen], polarity.ravel()[chosen]))
-    t = np.repeat(np.arange(frames, dtype=np.int64) * _FRAME_US, each)
+    t = np.repeat(_FRAME_US * np.arange(frames, dtype=np.int64) + _FRAME_US // 2, each)
     x, y, p = (np.resize(np.concatenate(column), len(t)) for column in zip(*parts, strict=True))
     return encode(Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)))

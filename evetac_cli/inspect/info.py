@@ -78,7 +78,7 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "individual": recording.read("sensor/individual"),
             "dots": "none" if grid is None else f"{grid.shape[0]} rows x {grid.shape[1]} columns",
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
-            "groups": " ".join(group for group in ("gripper", "truth", "control") if recording.has(group)) or "none",
+            "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture"))) or "none",
         }
 
 

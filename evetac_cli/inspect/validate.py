@@ -71,6 +71,7 @@ def _may_be_nan(name: str) -> bool:
         "gripper/current_target_ma",
         "control/x_ref_ticks",
         "control/probability",
+        "control/latency_us",
         "sensor/dot_xy_px",
         "dot_xy_px",
     )

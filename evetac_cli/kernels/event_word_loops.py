@@ -218,7 +218,7 @@ def decode(
             counts[wrong] += 1
             counts[_EVENTS] += found - complete
             found = complete
-            where = LOST if wrong in (_UNKNOWN, _MISSING) else DROPPING
+            where = DROPPING if wrong == _OUTSIDE else LOST
     registers[WHERE] = where
     registers[FRAME_T] = frame_t
     registers[COLUMN] = column

@@ -6,7 +6,9 @@ TIMESTAMP word. A frame is accepted or dropped whole, as by the maker's parser. 
 however it is cut (loops: event_word_loops.py).
 
 After damage that may hide lost words nothing is believed before the next TIMESTAMP (at most 1 ms of a busy sensor),
-since one may be among them; where only a row or a column is impossible, nothing before the next frame is.
+since one may be among them; where only a row or a column is impossible, nothing before the next frame is. The maker's
+parser (dv-processing 2.0.4, run beside this one) makes the same of sound streams; of damaged ones it also hands out
+pixels outside the frame and frames with unknown words in them.
 
 Why so: a TIMESTAMP counts milliseconds modulo 2**22, so that a single damaged one would read as up to 70 minutes. One
 that is far ahead is believed only as far as the host's clock allows; from many refused in a row the decoder concludes
@@ -120,6 +122,7 @@ def encode(events: Events, first_ms: int = 1, frame_us: int = 1) -> NDArray[np.u
     Times are rounded down to the readout period `frame_us`, which starts anew every millisecond. A frame can hold one
     event of a pixel, and one polarity of a group of rows: what does not fit goes to the next free microsecond of the
     same millisecond, so that no event is lost and none changes its slice. ValueError for what no camera could send.
+    (The maker's parser, not ours, gives up if the very first frame of a stream has the time of its TIMESTAMP.)
     """
     if not 1 <= frame_us <= SLICE_US:
         raise ValueError(f"frame_us: expected 1..{SLICE_US}, found {frame_us}")

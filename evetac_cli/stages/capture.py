@@ -1,9 +1,12 @@
 """Recording from devices: whatever ends it, what was recorded until then is kept.
 
 The camera gives the pace: its slices are written as they come. A gripper is commanded by a thread of its own
-(stages/handling.py). The end of the time, Ctrl-C, a gripper that has let go and a device that fails all end with a valid
-file, which says why it ended, what was lost and how well time was kept. A full disk and a kill leave a NAME.part/ for
-`evetac repair`.
+(stages/handling.py). The end of the time, Ctrl-C, a gripper that has let go and a device that fails all end with a
+valid file, which says why it ended, what was lost and how well time was kept. A full disk and a kill leave a NAME.part/
+for `evetac repair`.
+
+Several cameras of one trial fill a file each; these share a trajectory id and say how their clocks lie to each other.
+The first camera leads: it gives the number of slices, and its file has the gripper.
 """
 
 import signal
@@ -11,34 +14,33 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 
 from evetac_cli import console
 from evetac_cli.devices import GripperReading, Rig
-from evetac_cli.devices.naming import CameraName, CameraSettings, GripperName, camera_name, gripper_name, open_rig
+from evetac_cli.devices.naming import GripperName, open_rig
 from evetac_cli.errors import DeviceError, EvetacError, InputError
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.params import Record
 from evetac_cli.stages import Job, Outcome, Progress, outcome
+from evetac_cli.stages.beside import SliceThread
+from evetac_cli.stages.capture_plan import HOLDING_MA, names, needed_bytes, settings
+from evetac_cli.stages.capture_series import check_series, header_of, recipe_of
 from evetac_cli.stages.handling import GripperLoop, Hold, start, step
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.disk import require_room
-from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Recipe, first_difference
+from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import RecordingWriter
 
-OUTPUT = "recording"
-METHOD = 1  # of recordings from devices
 INTERRUPTED = "interrupted"
 LOST = "capture/lost/"
-HOLDING_MA = 50.0  # where nobody says
-SECONDS = 60.0  # room on the disk for so long, where nobody says how long it will take
-BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
 SWITCH_S = 5e-4  # the interpreter's threads take turns so often: a command waits no longer for the camera's thread
 
 
@@ -55,6 +57,15 @@ class Captured:
     late_us: "array[float]" = field(default_factory=lambda: array("d"))
     loop: GripperLoop | None = None
 
+    def keep(self, events: Events, came_s: float, camera: Any) -> None:
+        """Count one slice."""
+        self.began_s = self.began_s or came_s
+        self.last_s = came_s
+        self.slices += 1
+        self.events += events.size
+        if hasattr(camera, "host_us"):
+            self.late_us.append(came_s * 1e6 - camera.host_us(self.slices * SLICE_US))
+
     def figures(self, rig: Rig) -> dict[str, Any]:
         """The datasets capture/... of the recording."""
         passed_s = self.last_s - self.began_s
@@ -63,116 +74,123 @@ class Captured:
             rows["capture/slices_per_s"] = np.float64((self.slices - 1) / passed_s)
         rows |= {LOST + name: np.int64(count) for name, count in rig.counted().items()}
         if self.late_us:
-            rows["capture/slice_late_us"] = _spread(self.late_us)
+            rows["capture/slice_late_us"] = spread(self.late_us)
         if self.loop is not None and self.loop.commands:
             if passed_s > 0:
                 rows["capture/commands_per_s"] = np.float64(self.loop.commands / passed_s)
             rows["capture/command_misses"] = np.int64(self.loop.misses)
-            rows["capture/command_us"] = _spread(self.loop.cycle_us)
+            rows["capture/command_us"] = spread(self.loop.cycle_us)
         return rows
 
 
-def _spread(values: "array[float]") -> Any:
+def spread(values: "array[float]") -> Any:
     """Median, 99th percentile and most."""
     return np.percentile(np.frombuffer(values), [50, 99, 100])
 
 
-def names(params: Record) -> tuple[CameraName, GripperName]:
-    """The devices that are named; InputError for names that there are not, and for flags that do not fit them."""
-    camera = camera_name(params.camera)
-    gripper = gripper_name(params.gripper, camera)
-    if (camera.kind == "sim") != (gripper.kind == "sim"):
-        raise InputError(
-            "a simulated device has no peer outside its simulation",
-            where="--camera, --gripper",
-            expected="both sim, or neither",
-            found=f"{camera}, {gripper}",
-        )
-    if params.source is not None and camera.kind != "sim":
-        raise InputError("either a file or a camera", where="--from, --camera", found=f"{params.source}, {camera}")
-    return camera, gripper
+@dataclass
+class Taking:
+    """One camera of a trial, and the file that it fills."""
+
+    output: Path
+    rig: Rig
+    recipe: Recipe
+    writer: RecordingWriter
+    captured: Captured = field(default_factory=Captured)
+    beside: SliceThread | None = None  # reads the camera, if it is not the first
+
+    def keep(self, events: Events, came_s: float) -> None:
+        """Write one slice."""
+        self.captured.keep(events, came_s, self.rig.camera)
+        self.writer.append(events)
+
+    def offset_to(self, first: Rig) -> dict[str, Any]:
+        """How the clock of this camera lies to that of the first; nothing where a camera cannot tell."""
+        cameras = (self.rig.camera, first.camera)
+        if not all(hasattr(camera, "host_us") for camera in cameras):
+            return {}
+        ours_us, theirs_us = (camera.host_us(0) for camera in cameras)  # type: ignore[attr-defined]
+        return {"capture/clock_offset_us": np.float64(ours_us - theirs_us)}
 
 
-def dry_run(jobs: list[Job], params: Record) -> Outcome:
-    """What would be opened and done; no device and no file is touched."""
-    camera, gripper = names(params)
-    seconds = params.seconds if params.seconds is not None else SECONDS
-    rows = [
-        {"part": "camera", "what": str(camera), "detail": _told(asdict(_settings(params))) or "the driver's settings"},
-        {"part": "gripper", "what": str(gripper), "detail": "not moved" if gripper.kind == "none" else _plan(params)},
-        {
-            "part": "end",
-            "what": "until it lets go, or Ctrl-C" if params.seconds is None else f"after {params.seconds:g} s",
-            "detail": f"room for {_needed(params) / 1e6:,.0f} MB is asked for, {params.expect:,.0f} events/s"
-            f" for {seconds:g} s",
-        },
-        *({"part": "file", "what": str(job.output), "detail": f"trial {job.choice['trial']}"} for job in jobs),
-    ]
-    return Outcome(rows, camera.kind == "virtual", {"files": len(jobs)}, made=False)
-
-
-def _told(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in values.items() if value is not None)
-
-
-def _plan(params: Record) -> str:
-    holding = "the world's" if params.holding_ma is None and params.camera.startswith("virtual") else HOLDING_MA
-    holding = params.holding_ma if params.holding_ma is not None else holding
-    return (
-        f"closes with {params.closing_ma:g} mA until contact, holds with {holding} mA for {params.hold_s:g} s,"
-        f" lets the current fall to {params.lowest_ma:g} mA"
-    )
-
-
-def _settings(params: Record) -> CameraSettings:
-    return CameraSettings(params.threshold_on, params.threshold_off, params.readout_rate)
-
-
-def _needed(params: Record) -> float:
-    seconds = params.seconds if params.seconds is not None else SECONDS
-    return params.expect * seconds * BYTES_AN_EVENT
-
-
-def run(
-    job: Job, params: Record, seeds: np.random.SeedSequence, *, force: bool = False, progress: Progress
-) -> Outcome:
+def run(job: Job, params: Record, seeds: np.random.SeedSequence, *, force: bool = False, progress: Progress) -> Outcome:
     """Record one trial from devices."""
-    camera, gripper = names(params)
-    if job.output.exists() and not force:
-        if params.resume:
-            return outcome(job, made=False, simulated=_header(job.output)["simulated"])
-        raise InputError(
-            "the output exists, and a recording from a device cannot be made again",
-            where=str(job.output),
-            hint="--resume goes on with a series, --force replaces it, -o NAME writes elsewhere",
-        )
-    require_room(job.output.parent, _needed(params), "--expect EVENTS_PER_S and --seconds say what is needed")
+    cameras, gripper = names(params)
+    outputs: tuple[Path, ...] = job.choice["outputs"]
+    if not force and all(output.exists() for output in outputs) and params.resume:
+        rows = [row for output in outputs for row in _kept(job._replace(output=output)).rows]
+        return Outcome(rows, header_of(outputs[0])["simulated"], made=False)
+    for output in outputs:
+        if output.exists() and not force:
+            raise InputError(
+                "the output exists, and a recording from a device cannot be made again",
+                where=str(output),
+                hint="--resume goes on with a series, --force replaces it, -o NAME writes elsewhere",
+            )
+    needed = needed_bytes(params) * len(cameras)
+    require_room(job.output.parent, needed, "--expect EVENTS_PER_S and --seconds say what is needed")
     rng = np.random.default_rng(seeds.spawn(1)[0])
     if job.choice["trial"] and params.camera.startswith("dv") and not params.resume:
         console.wait_for_enter(f"trial {job.choice['trial']}: put the object in place, then press Enter")
-    rig = open_rig(camera, gripper, _settings(params), job.choice.get("plan"), seeds)
-    for note in getattr(rig.camera, "notes", ()):
-        console.say(note)
-    try:
-        hold = _hold(params, rig)
-        sensor = {**rig.sensor_known(), "t_offset": np.int64(0)}
-        if params.calibration is not None:
-            width, height = sensor["sensor/frame_px"]
-            sensor |= read_calibration(params.calibration, (int(width), int(height))).arrays()
-        recipe = _recipe(job, params, rig, hold, sensor)
-        if params.resume:
-            _check_series(job, recipe)
-        writer = RecordingWriter(job.output, sensor, discard_leftover=False, recipe=recipe)
-        with _signals_counted() as came:
-            captured = _write(rig, hold, rng, writer, params, came, progress)
-            figures = captured.figures(rig)
-            if captured.slices == 0:
-                writer.discard()
-            else:
-                _finish(writer, recipe, figures)
-    finally:
-        rig.close()
-    return _tell(job, recipe, figures, captured)
+    with ExitStack() as opened:
+        takings: list[Taking] = []
+        opened.push(lambda kind, error, trace: _let_go(takings, failed=error is not None))
+        trajectory = {"trajectory": uuid4().hex} if len(cameras) > 1 else {}
+        for at, camera in enumerate(cameras):
+            hand = GripperName("none") if at else gripper
+            rig = open_rig(camera, hand, settings(params), job.choice.get("plan"), seeds)
+            opened.callback(rig.close)
+            for note in getattr(rig.camera, "notes", ()):
+                console.say(note)
+            takings.append(_taking(job, params, rig, at, trajectory))
+        with signals_counted() as came:
+            _write(takings, _hold(params, takings[0].rig), rng, params, came, progress)
+            figures = _finish(takings)
+    return _tell(job, takings, figures)
+
+
+def _kept(job: Job) -> Outcome:
+    return outcome(job, made=False, simulated=header_of(job.output)["simulated"])
+
+
+def _taking(job: Job, params: Record, rig: Rig, at: int, trajectory: Mapping[str, Any]) -> Taking:
+    """What the camera number `at` of a trial needs to be recorded."""
+    output = job.choice["outputs"][at]
+    sensor = {**rig.sensor_known(), "t_offset": np.int64(0)}
+    if params.calibration is not None:
+        width, height = sensor["sensor/frame_px"]
+        sensor |= read_calibration(params.calibration, (int(width), int(height))).arrays()
+    recipe = recipe_of(job, params, rig, _hold(params, rig), sensor, trajectory)
+    if params.resume:
+        check_series((outputs[at] for outputs in job.choice["series"]), recipe)
+    return Taking(output, rig, recipe, RecordingWriter(output, sensor, discard_leftover=False, recipe=recipe))
+
+
+def _let_go(takings: Sequence[Taking], *, failed: bool) -> None:
+    """Where nothing was recorded before something failed, nothing is left."""
+    for taking in takings:
+        if failed and taking.captured.slices == 0:
+            taking.writer.discard()
+
+
+def _finish(takings: Sequence[Taking]) -> list[dict[str, Any]]:
+    """Join every file, also where another cannot be; what they say of the capture."""
+    told: list[dict[str, Any]] = []
+    errors: list[EvetacError] = []
+    for taking in takings:
+        told.append(taking.captured.figures(taking.rig))
+        if taking is not takings[0]:
+            told[-1] |= taking.offset_to(takings[0].rig)
+        if taking.captured.slices == 0:
+            taking.writer.discard()
+            continue
+        try:
+            finish(taking.writer, taking.recipe, told[-1])
+        except EvetacError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
+    return told
 
 
 def _hold(params: Record, rig: Rig) -> Hold | None:
@@ -182,56 +200,8 @@ def _hold(params: Record, rig: Rig) -> Hold | None:
     return Hold(params.closing_ma, holding_ma, params.hold_s, params.lowest_ma)
 
 
-def _recipe(job: Job, params: Record, rig: Rig, hold: Hold | None, sensor: Mapping[str, Any]) -> Recipe:
-    """What is known of a recording beforehand; its content stands in for the rest."""
-    calibrated = {name: np.asarray(value).tolist() for name, value in sensor.items() if name.startswith("sensor/")}
-    parameters = {
-        **job.choice.get("plan", {}),
-        "trial": job.choice["trial"],
-        "setup": dict(rig.setup),
-        "sensor": _without_nan(calibrated),
-        "handling": None if hold is None else asdict(hold),
-        "handling_seed": params.seed,
-    }
-    return Recipe(OUTPUT, METHOD, parameters, parents=rig.parents, simulated_source=rig.simulated)
-
-
-def _without_nan(value: Any) -> Any:
-    """JSON has no NaN, which stands for a missing dot."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(item) for item in value]
-    return None if value != value else value
-
-
-def _header(path: Any) -> dict[str, Any]:
-    with StageFile(path, OUTPUT) as file:
-        return file.header
-
-
-def _check_series(job: Job, recipe: Recipe) -> None:
-    """Refuse to go on with a series that was begun with another set-up."""
-    for other in job.choice["series"]:
-        if not other.exists():
-            continue
-        header = _header(other)
-        same = {name: header["parameters"].get(name) for name in ("trial", "object", "object_row", "individual_row")}
-        wanted = {**recipe.parameters, **{name: value for name, value in same.items() if name in recipe.parameters}}
-        now = Recipe(
-            OUTPUT, METHOD, wanted, header["seed"], recipe.parents, header["content"], recipe.simulated_source
-        )
-        if now.id != header["id"]:
-            raise InputError(
-                "the series was begun with another set-up",
-                where=str(other),
-                found=first_difference(now, header),
-                hint="set it up as it was, or begin a series of its own with -o",
-            )
-
-
 @contextmanager
-def _signals_counted() -> Iterator[list[int]]:
+def signals_counted() -> Iterator[list[int]]:
     """Ctrl-C and SIGTERM are counted at first, so that a recording ends between slices; a second one breaks off."""
     came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
@@ -252,74 +222,69 @@ def _signals_counted() -> Iterator[list[int]]:
 
 
 def _write(
-    rig: Rig,
+    takings: Sequence[Taking],
     hold: Hold | None,
     rng: np.random.Generator,
-    writer: RecordingWriter,
     params: Record,
     came: list[int],
     progress: Progress,
-) -> Captured:
-    """Follow the camera until something ends the recording; a device that failed is in the result."""
-    captured = Captured()
-    if rig.gripper is not None and hold is not None:
+) -> None:
+    """Follow the cameras until something ends the recording; a device that failed is in the result."""
+    first = takings[0]
+    if first.rig.gripper is not None and hold is not None:
         state, law = start(hold), hold
 
         def act(reading: GripperReading) -> tuple[float, str]:
             target_ma = step(state, law, reading, rng)
             return target_ma, state.ended
 
-        captured.loop = GripperLoop(rig.gripper, act, rig.clock.now_us)
+        first.captured.loop = GripperLoop(first.rig.gripper, act, first.rig.clock.now_us)
+    for taking in takings[1:]:
+        taking.beside = SliceThread(taking.rig.camera)
     most = round(1000 * params.seconds) if params.seconds is not None else None
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     try:
-        _follow(rig, writer, captured, most, came, progress)
+        _follow(takings, most, came, progress)
     except DeviceError as error:
-        captured.error = error
-        captured.ended = str(error).splitlines()[0]
+        first.captured.error = error
+        first.captured.ended = str(error).splitlines()[0]
     except BaseException as error:
-        if captured.slices == 0:
-            writer.discard()
+        if first.captured.slices == 0:
             raise
-        writer.leave()
-        if isinstance(error, EvetacError):
-            raise _with_hint(error, writer) from error
-        raise
+        for taking in takings:
+            taking.writer.leave()
+        raise with_hint(error, first.writer) from None
     finally:
         sys.setswitchinterval(interval)
-        if captured.loop is not None:
-            captured.loop.stop()
-    for row in captured.loop.rows() if captured.loop is not None else ():
-        writer.append_rows(row)
-    return captured
+        if first.captured.loop is not None:
+            first.captured.loop.stop()
+        for taking in takings[1:]:
+            if taking.beside is not None:
+                taking.beside.stop()
+    _fetch(takings)
+    for taking in takings[1:]:
+        taking.captured.ended = first.captured.ended
 
 
-def _follow(
-    rig: Rig, writer: RecordingWriter, captured: Captured, most: int | None, came: list[int], progress: Progress
-) -> None:
-    host_us = getattr(rig.camera, "host_us", None)
-    loop = captured.loop
+def _follow(takings: Sequence[Taking], most: int | None, came: list[int], progress: Progress) -> None:
+    first = takings[0]
+    captured, loop = first.captured, first.captured.loop
+    for taking in takings[1:]:
+        assert taking.beside is not None
+        taking.beside.start()
     while captured.slices != most:
-        events = rig.camera.read()
-        captured.last_s = time.monotonic()
+        events = first.rig.camera.read()
         if events is None:
             captured.ended = "the camera's stream ended"
             return
-        if captured.slices == 0:
-            captured.began_s = captured.last_s
-            if loop is not None:
-                loop.start()
-        captured.slices += 1
-        captured.events += events.size
-        if host_us is not None:
-            captured.late_us.append(captured.last_s * 1e6 - host_us(captured.slices * SLICE_US))
-        if loop is not None:
-            for row in loop.rows():
-                writer.append_rows(row)
-        writer.append(events)
-        if loop is not None and loop.error is not None:
-            raise loop.error
+        if captured.slices == 0 and loop is not None:
+            loop.start()
+        _fetch(takings)
+        first.keep(events, time.monotonic())
+        failed = [part.error for part in (loop, *(taking.beside for taking in takings)) if part and part.error]
+        if failed:
+            raise failed[0]
         if loop is not None and loop.ended:
             captured.ended = loop.ended
             return
@@ -331,35 +296,60 @@ def _follow(
     captured.ended = "after the seconds asked for"
 
 
-def _finish(writer: RecordingWriter, recipe: Recipe, figures: Mapping[str, Any]) -> None:
+def _fetch(takings: Sequence[Taking]) -> None:
+    """Write what came beside the slices of the first camera: commands, and slices of the others."""
+    first = takings[0]
+    if first.captured.loop is not None:
+        for row in first.captured.loop.rows():
+            first.writer.append_rows(row)
+    for taking in takings[1:]:
+        if taking.beside is not None:
+            for events, came_s in taking.beside.take():
+                taking.keep(events, came_s)
+
+
+def finish(writer: RecordingWriter, recipe: Recipe, figures: Mapping[str, Any]) -> None:
+    """Join the segments; whatever keeps it from that says where they are."""
     try:
         writer.finish(recipe, figures, from_device=True)
     except BaseException as error:
         writer.leave()
-        if isinstance(error, EvetacError):
-            raise _with_hint(error, writer) from error
-        raise
+        raise with_hint(error, writer) from None
 
 
-def _with_hint(error: EvetacError, writer: RecordingWriter) -> EvetacError:
-    return type(error)(f"{error}\n  kept:     {writer.folder}, for `evetac repair`")
+def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
+    """An error for the user, or Ctrl-C, that says too what is left for `evetac repair`; any other as it is."""
+    kept = f"{writer.folder}, for `evetac repair`"
+    if isinstance(error, EvetacError):
+        return type(error)(f"{error}\n  kept:     {kept}")
+    if isinstance(error, KeyboardInterrupt):
+        return KeyboardInterrupt(f"interrupted: what was recorded is in {kept}")
+    return error
 
 
-def _tell(job: Job, recipe: Recipe, figures: Mapping[str, Any], captured: Captured) -> Outcome:
-    """The row of a recording; an error or Ctrl-C goes on from here, and says what there is."""
-    kept = f"{captured.slices:,} slices in {job.output}" if captured.slices else "nothing was recorded"
+def _tell(job: Job, takings: Sequence[Taking], figures: Sequence[Mapping[str, Any]]) -> Outcome:
+    """A row for each file; an error or Ctrl-C goes on from here, and says what there is."""
+    captured = takings[0].captured
+    files = [f"{taking.captured.slices:,} slices in {taking.output}" for taking in takings if taking.captured.slices]
+    kept = ", ".join(files) or "nothing was recorded"
     if captured.error is not None:
         kind = type(captured.error) if isinstance(captured.error, EvetacError) else DeviceError
         raise kind(f"{captured.error}\n  kept:     {kept}") from captured.error
     if captured.ended == INTERRUPTED:
         raise KeyboardInterrupt(f"interrupted: {kept}")
+    rows = [_row(job, taking, figures_) for taking, figures_ in zip(takings, figures, strict=True)]
+    return Outcome(rows, any(taking.recipe.simulated for taking in takings))
+
+
+def _row(job: Job, taking: Taking, figures: Mapping[str, Any]) -> dict[str, Any]:
+    captured = taking.captured
     lost = {name.removeprefix(LOST): int(count) for name, count in figures.items() if name.startswith(LOST) and count}
     none = (None, None, None)
     late_us, command_us = (figures.get(f"capture/{name}", none) for name in ("slice_late_us", "command_us"))
-    return outcome(
-        job,
+    (row,) = outcome(
+        job._replace(output=taking.output),
         made=True,
-        simulated=recipe.simulated,
+        simulated=taking.recipe.simulated,
         slices=captured.slices,
         events=captured.events,
         ended=captured.ended,
@@ -369,7 +359,8 @@ def _tell(job: Job, recipe: Recipe, figures: Mapping[str, Any], captured: Captur
         commands=captured.loop.commands if captured.loop is not None else None,
         command_misses=captured.loop.misses if captured.loop is not None else None,
         command_us_median=_plain(command_us[0]),
-    )
+    ).rows
+    return row
 
 
 def _plain(value: Any) -> float | None:

@@ -6,30 +6,25 @@ fold over a file (slip_sense.py). It counts slices with slip; the controller ask
 """
 
 import json
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from evetac_cli import resources
-from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import grip_control, tracker
+from evetac_cli.kernels import grip_control
 from evetac_cli.kernels.grip_control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
-from evetac_cli.stages.grasp_loop import SLICES_S, Kept, Timing, hold
-from evetac_cli.stages.record import dry_run, seeds, trials
-from evetac_cli.stages.slip_sense import SlipSense
+from evetac_cli.stages import Job, Outcome, Progress, outcome, record, silent
+from evetac_cli.stages.grasp_loop import Kept, hold
+from evetac_cli.stages.grasp_setup import law_of, model_of, parameters_of, parents_of, sense_of, timing_of
+from evetac_cli.stages.record import seeds, trials
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
-from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.provenance import Recipe
 
 INPUTS = ("model",)
 OUTPUT = "recording"
 METHOD = 4
-__all__ = ["SlipSense", "dry_run", "jobs", "run"]  # a grasp shows its plan as a recording does
 
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
@@ -39,63 +34,33 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
         raise InputError(
             f"no detector is used with --controller {params.controller}", where="--model", found=str(params.model)
         )
+    if (params.camera, params.gripper) not in (("sim", None), ("sim", "sim")):
+        from evetac_cli.stages import grasp_live  # with all that belongs to devices
+
+        return grasp_live.jobs(params, out)
     found = trials(("lift",), params, out)
     timing_of(params, found[0].choice["plan"]["scene"]).every_ms  # noqa: B018 - refuses a rate that cannot be kept
     return found
 
 
-def law_of(params: Grasp) -> Any:
-    """The controller's law; InputError if there is none of that name, or none with that gain."""
-    try:
-        return grip_control.law_of(params.controller, params.gain)
-    except ValueError as error:
-        where = "--controller" if params.gain == 1.0 else "--controller, --gain"
-        raise InputError("unknown value", where=where, expected=str(error).removeprefix("expected ")) from None
+def dry_run(jobs: list[Job], params: Grasp) -> Outcome:
+    """What would be built or done, and what that costs."""
+    if params.camera != "sim":
+        from evetac_cli.stages import grasp_live
 
-
-def model_of(params: Grasp) -> Path | None:
-    """The model file that a grasp feels with: the one named, else the package's; None without a detector."""
-    if not grip_control.feels(law_of(params)):
-        return None
-    return params.model if params.model is not None else resources.MODEL
-
-
-def timing_of(params: Grasp, scene: dict[str, Any]) -> Timing:
-    """When the phases of a scene end, and how the controller is timed."""
-    touch_ms, lift_ms, balance_ms = (
-        round(SLICES_S * seconds) for seconds in (scene["time"]["touch_s"], params.lift_s, params.balance_s)
-    )
-    return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)
-
-
-def sense_of(model: StageFile, devices: Rig, preset: str) -> SlipSense:
-    """The detector of a model, for the sensor of these devices."""
-    sensor = devices.camera.sensor
-    constants = tracker.PRESETS[preset].for_dots(float(sensor["sensor/dot_radius_px"]))
-    return SlipSense.start(model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants)
+        return grasp_live.dry_run(jobs, params)
+    return record.dry_run(jobs, params)
 
 
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Grasp one object in simulation and record everything."""
-    model_path, law = model_of(params), law_of(params)
-    control = Control(law, params.control_hz)
-    feeling = {"preset": params.tracker, "constants": asdict(tracker.PRESETS[params.tracker])}
-    parameters: dict[str, Any] = {
-        **job.choice["plan"],
-        "trial": job.choice["trial"],
-        "controller": params.controller,
-        "gain": params.gain,
-        "law": control.parameters(),
-        "latency_ms": params.latency_ms,
-        "control_hz": params.control_hz,
-        "tracker": None if model_path is None else feeling,
-        "lift_s": params.lift_s,
-        "balance_s": params.balance_s,
-    }
-    parents: tuple[Header, ...] = ()
-    if model_path is not None:
-        with StageFile(model_path, "model") as model:
-            parents = (model.header,)
+    """Grasp one object and record everything: in simulation, or in real time (grasp_live)."""
+    if params.camera != "sim":
+        from evetac_cli.stages import grasp_live
+
+        return grasp_live.run(job, params, seeds(params, job), force=force, progress=progress)
+    model_path, control = model_of(params), Control(law_of(params), params.control_hz)
+    parameters = parameters_of(job, params, control)
+    parents = parents_of(model_path)
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=parents, simulated_source=True)
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=True)
@@ -108,7 +73,7 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
         sense = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:
-                sense = sense_of(model, devices, params.tracker)
+                sense = sense_of(model, devices.camera.sensor, params.tracker)
         slices = hold(devices, sense, control, timing, kept.append, lambda done: progress(done, timing.end_ms))
     finally:
         devices.close()

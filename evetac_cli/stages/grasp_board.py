@@ -44,7 +44,7 @@ class Board:
 
     def _attach(self) -> None:
         memory = memoryview(self._block).cast("B")
-        self._sign = SharedRow(memory, 0, f"qddqdddd{REMEMBERED}d")
+        self._sign = SharedRow(memory, 0, f"q3dq3d{REMEMBERED}d")
         self._stop = SharedRow(memory, _STOP_AT, "q")
 
     def __getstate__(self) -> dict[str, object]:
@@ -56,19 +56,19 @@ class Board:
 
     def tell(self, sign: Sign) -> None:
         """For the detector."""
-        slips, probability, *drag_px = sign.felt
         known = sign.slip_us[-REMEMBERED:]
         unknown = (float("nan"),) * (REMEMBERED - len(known))
-        self._sign.write(slips, probability, *drag_px[:1], sign.slices, *drag_px[1:], *sign[2:5], *unknown, *known)
+        self._sign.write(*sign.felt, *sign[1:5], *unknown, *known)
 
     def look(self) -> Sign | None:
         """For the controller: the latest sign; None before the first."""
         found = self._sign.read()
         if found is None:
             return None
-        slips, probability, x_px, slices, y_px, at_us, heard_us, zero_us, *slip_us = found[1]
-        known = tuple(slip_us[len(slip_us) - min(int(slips), REMEMBERED) :])
-        return Sign(Felt(int(slips), probability, x_px, y_px), int(slices), at_us, heard_us, zero_us, known)
+        slips, *felt, slices, at_us, heard_us, zero_us = found[1][:8]
+        known = min(int(slips), REMEMBERED)
+        slip_us = found[1][8 + REMEMBERED - known :]
+        return Sign(Felt(int(slips), *felt), int(slices), at_us, heard_us, zero_us, slip_us)
 
     def stop(self) -> None:
         """For whoever started both: end, as soon as possible."""

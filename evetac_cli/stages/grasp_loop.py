@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from evetac_cli.devices import Rig
+from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.grip import Phase
@@ -100,6 +100,26 @@ class Kept:
         return {**columns, "ms_to_idx": starts.astype(np.int64), **self.row_arrays()}
 
 
+def row_of(
+    control: Control, phase: Phase, felt: Felt, reading: GripperReading, goal: int, now_us: int
+) -> dict[str, Any]:
+    """What is recorded of a step of the controller."""
+    return {
+        "gripper/t_us": now_us,
+        "gripper/current_target_ma": float("nan"),
+        "gripper/current_written_ma": 0,
+        "gripper/current_ma": reading.current_ma,
+        "gripper/position_ticks": reading.position_ticks,
+        "control/t_us": now_us,
+        "control/u_ff_ticks": control.u_ff_ticks,
+        "control/x_ref_ticks": control.x_ref_ticks,
+        "control/goal_ticks": goal,
+        "control/slip": control.slip,
+        "control/phase": phase,
+        "control/drag_px": (felt.drag_x_px, felt.drag_y_px),
+    }
+
+
 def hold(
     devices: Rig,
     sense: Sense | None,
@@ -125,21 +145,7 @@ def hold(
             reading = gripper.read()
             goal = control.step(phase, felt, reading.position_ticks)
             gripper.write_position(goal)
-            now_us = devices.clock.now_us()
-            rows |= {
-                "gripper/t_us": now_us,
-                "gripper/current_target_ma": float("nan"),
-                "gripper/current_written_ma": 0,
-                "gripper/current_ma": reading.current_ma,
-                "gripper/position_ticks": reading.position_ticks,
-                "control/t_us": now_us,
-                "control/u_ff_ticks": control.u_ff_ticks,
-                "control/x_ref_ticks": control.x_ref_ticks,
-                "control/goal_ticks": goal,
-                "control/slip": control.slip,
-                "control/phase": phase,
-                "control/drag_px": (felt.drag_x_px, felt.drag_y_px),
-            }
+            rows |= row_of(control, phase, felt, reading, goal, devices.clock.now_us())
         keep(events, rows)
         slices += 1
         if slices % 100 == 0:

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from evetac_cli import console
 from evetac_cli.devices import Rig
-from evetac_cli.devices.naming import CameraSettings, GripperName, camera_name, open_rig
+from evetac_cli.devices.naming import GripperName, camera_name, open_rig
 from evetac_cli.events import Events
 from evetac_cli.params import Record
 from evetac_cli.stages import Job, Outcome, Progress
+from evetac_cli.stages.capture_plan import settings
 
 COLUMNS, ROWS = 80, 30  # characters, which are twice as high as wide
 SHOWN_MS = 100  # events of so long make one picture
@@ -28,8 +29,7 @@ def run(job: Job, params: Record, seeds: np.random.SeedSequence, progress: Progr
 
         rig = simulated(job.choice["plan"], seeds)
     else:
-        settings = CameraSettings(params.threshold_on, params.threshold_off, params.readout_rate)
-        rig = open_rig(camera, GripperName("none"), settings, job.choice.get("plan"), seeds)
+        rig = open_rig(camera, GripperName("none"), settings(params), job.choice.get("plan"), seeds)
     try:
         most = round(1000 * params.seconds) if params.seconds is not None else None
         row = _watch(rig, most, paced=camera.kind == "sim")

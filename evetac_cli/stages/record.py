@@ -5,7 +5,7 @@ out (paper, "Experimental Setup and Data Collection Procedure"). With devices st
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.devices import Gripper, Rig
+from evetac_cli.devices.naming import CameraName
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.params import Record, Trials
 from evetac_cli.sim import scene
-from evetac_cli.stages import Job, Outcome, Progress, capture, live, one_file, outcome, silent
+from evetac_cli.stages import Job, Outcome, Progress, capture, capture_plan, live, one_file, outcome, silent
 from evetac_cli.stages.handling import COMMAND_MS, RAMP_MA
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import output_path, up_to_date, write_stage
@@ -46,21 +47,33 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
 
 def _from_devices(params: Record, out: Path | None) -> list[Job]:
     """`count` trials with the devices that are named; a virtual world is simulated as the flags of a scene say."""
-    camera, _ = capture.names(params)
-    if camera.kind == "virtual" and camera.prepared_events_s is None:
+    cameras, _ = capture_plan.names(params)
+    if cameras[0].kind == "virtual" and cameras[0].prepared_events_s is None:
         found = trials(("ramp", "hold"), params, out, prefix="virtual-")
+        found = [job._replace(choice={**job.choice, "outputs": (job.output,)}) for job in found]
     else:
-        which = Path(camera.which).name.split(".")[0] if camera.which else ""
-        name = "-".join(filter(None, (camera.kind, which)))
-        folder = out if out is not None and out.suffix != ".h5" else Path()
-        inputs = (Path(camera.which),) if camera.kind == "replay" and camera.which else ()
-        outputs = [folder / f"{name}-s{params.seed}-{trial:03d}.{OUTPUT}.h5" for trial in range(params.count)]
-        if out is not None and out.suffix == ".h5":
-            outputs = [out] * params.count
-        found = [Job(inputs, output, {"trial": trial}) for trial, output in enumerate(outputs)]
-        one_file(found, out)
-    series = tuple(job.output for job in found)
+        inputs = tuple(Path(camera.which) for camera in cameras if camera.kind == "replay" and camera.which)
+        named = [_outputs(cameras, params.seed, trial, out) for trial in range(params.count)]
+        one_file([output for outputs in named for output in outputs], out)
+        found = [Job(inputs, outputs[0], {"trial": trial, "outputs": outputs}) for trial, outputs in enumerate(named)]
+    series = tuple(job.choice["outputs"] for job in found)
     return [job._replace(choice={**job.choice, "series": series}) for job in found]
+
+
+def _outputs(cameras: Sequence[CameraName], seed: int, trial: int, out: Path | None) -> tuple[Path, ...]:
+    """A file for each camera of a trial: <kind>[-<which>][-<number>]-s<seed>-<trial>.recording.h5."""
+    if out is not None and out.suffix == ".h5":
+        return (out,) * len(cameras)
+    names = ["-".join(filter(None, (camera.kind, _stem(camera.which)))) for camera in cameras]
+    numbered = [
+        f"{name}-{names[:at].count(name) + 1}" if names.count(name) > 1 else name for at, name in enumerate(names)
+    ]
+    return tuple((out or Path()) / f"{name}-s{seed}-{trial:03d}.{OUTPUT}.h5" for name in numbered)
+
+
+def _stem(which: str | None) -> str:
+    """Serial number, or the name of a recording without its ending."""
+    return Path(which).name.split(".")[0] if which else ""
 
 
 def trials(
@@ -95,7 +108,7 @@ def seeds(params: Trials, job: Job) -> np.random.SeedSequence:
 def dry_run(jobs: list[Job], params: Trials) -> Outcome:
     """What the first trial builds and leaves out, and what its slices cost here: measured on 0.2 s of it."""
     if isinstance(params, Record) and "series" in jobs[0].choice:
-        return capture.dry_run(jobs, params)
+        return capture_plan.dry_run(jobs, params)
     if "plan" not in jobs[0].choice:
         raise InputError("an import has no plan to show", where="--dry-run", hint="leave out --from, or --dry-run")
     from time import perf_counter

@@ -7,5 +7,6 @@ files       open, check, skip, write all-or-nothing
 segments    recordings that grow: closed segments, joined at the end
 read        the documented reading API: recordings as slices, features as a data set
 imports     foreign event files -> our columns; import_* are its formats and the one door they all go through
+exports     recordings -> files that other programs read; export_* are its formats
 calibration dot grids as JSON
 """

@@ -56,7 +56,7 @@ def read_head(path: Path) -> Head:
         content = file.read(HEAD_LIMIT_BYTES)
     said: dict[str, str] = {}
     size = 0
-    while content.startswith(b"% ", size):
+    while content.startswith(b"% ", size) and "end" not in said:
         end = content.find(b"\n", size)
         if end < 0:
             raise InputError("the file ends inside its header", where=where, hint="copy it again")

@@ -38,7 +38,7 @@ class Extent:
     trials: int = 1
     controllers: tuple[str, ...] = ("paper", "by-load")
     latencies_ms: tuple[int, ...] = (5, 10, 20, 50)
-    rates_hz: tuple[float, ...] = (50.0, 100.0, 250.0, 1000.0)
+    rates_hz: tuple[float, ...] = (50.0, 100.0, 1000.0)
 
     def settings(self, models: list[Path]) -> list["Setting"]:
         """The usual setting and all that differ from it."""
@@ -64,7 +64,13 @@ class Setting:
 
 
 USUAL = Extent()
-FULL = Extent((10, 11, 12, 13, 17, 18), 3, ("paper", "relatch", "by-load"), (2, 5, 10, 20, 30, 50))
+FULL = Extent(
+    (10, 11, 12, 13, 17, 18),
+    3,
+    ("paper", "relatch", "by-load"),
+    (2, 5, 10, 20, 30, 50),
+    (50.0, 100.0, 200.0, 250.0, 1000.0),
+)
 
 
 @dataclass

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.devices import Rig
 from evetac_cli.errors import EvetacError
@@ -27,7 +28,7 @@ Plan = dict[str, Any]
 USUAL_CONTROLLERS = ("paper", "by-load")
 BALANCE_S = 3.0
 SETTLED_MS = 500  # at the end, in which fingers are looked at
-MOST_SWING_TICKS = 4  # of the encoder in that time: a step of an integer goal moves the fingers by less
+MOST_SWING_TICKS = 4.0  # of the encoder in that time: a step of an integer goal moves the fingers by less
 USUAL_OBJECT = 11
 
 
@@ -162,7 +163,7 @@ def judged(name: str, held: Held) -> Row:
     goals = rows["control/goal_ticks"]
     in_range = bool(goals.min() >= grip.PAPER.first_tick and goals.max() <= grip.PAPER.last_tick)
     late = rows["gripper/t_us"] >= rows["gripper/t_us"][-1] - 1000 * SETTLED_MS
-    swing_ticks = int(np.ptp(rows["gripper/position_ticks"][late]))
+    swing_ticks = _swing(rows["gripper/t_us"][late], rows["gripper/position_ticks"][late])
     calm = swing_ticks <= MOST_SWING_TICKS or not figures["balanced"]  # fingers that lost their object close or open
     ok = finite and in_range and current_ma <= Drive.current_limit_ma and calm
     fate = "held" if figures["balanced"] else "lost in balance" if figures["lifted"] else "not lifted"
@@ -173,6 +174,13 @@ def judged(name: str, held: Held) -> Row:
         "moved_mm": figures["moved_mm"] if figures["balanced"] else None,
     }
     return _row(name, ok, fate if finite else "not finite", **more)
+
+
+def _swing(t_us: NDArray[np.int64], position_ticks: NDArray[np.int32]) -> float:
+    """How far fingers go to and fro, in ticks: about a straight line, as they may be opening slowly."""
+    seconds = (t_us - t_us[0]) * 1e-6
+    line = np.polynomial.Polynomial.fit(seconds, position_ticks, 1)
+    return float(np.ptp(position_ticks - line(seconds)))
 
 
 def _row(name: str, ok: bool, outcome: str, **more: Any) -> Row:

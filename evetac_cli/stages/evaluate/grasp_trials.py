@@ -4,8 +4,8 @@ The hand rises as in the scene, but the lift ends soon after 50 mm, and the bala
 """
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from evetac_cli.stages.grasp_loop import SLICES_S, Kept, Sense, Timing, hold
 from evetac_cli.store.files import StageFile
 
 LIFT_S = 3.5  # 50 mm are reached at 3.1 s
+LOST_MM = 25.0  # an object that moved so far in the gripper is lost
 CONTROLLERS = ("paper", "relatch", "by-load")
 
 
@@ -47,6 +48,34 @@ class Timed:
         return self.sense.felt
 
 
+@dataclass
+class UntilLost:
+    """A camera whose stream ends once the object has moved too far in the gripper: it would slide at length."""
+
+    devices: Rig
+    mm_per_px: float
+
+    @property
+    def sensor(self) -> Mapping[str, Any]:
+        """That of the camera."""
+        return self.devices.camera.sensor
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """That of the camera."""
+        return self.devices.camera.counted
+
+    def read(self) -> Events | None:
+        """The next slice; None once the object is lost."""
+        assert self.devices.truth is not None
+        moved_px = self.devices.truth()["truth/object_xy_px"]
+        return None if float(np.hypot(*moved_px)) * self.mm_per_px > LOST_MM else self.devices.camera.read()
+
+    def close(self) -> None:
+        """Close the camera."""
+        self.devices.camera.close()
+
+
 @dataclass(frozen=True)
 class Short:
     """A grasp to make: which object, by which controller, and how it is timed."""
@@ -54,6 +83,7 @@ class Short:
     object: int
     controller: str
     gain: float = 1.0
+    lift_s: float = LIFT_S
     balance_s: float = 4.0
     latency_ms: int = 0
     control_hz: float = 500.0
@@ -89,15 +119,16 @@ def grasp(
     change(plan)
     touch_ms = round(SLICES_S * plan["scene"]["time"]["touch_s"])
     timing = Timing(
-        touch_ms, round(SLICES_S * LIFT_S), round(SLICES_S * short.balance_s), short.control_hz, short.latency_ms
+        touch_ms, round(SLICES_S * short.lift_s), round(SLICES_S * short.balance_s), short.control_hz, short.latency_ms
     )
-    devices = rig(plan, np.random.SeedSequence([seed, short.object]), lift_s=LIFT_S, balance_s=short.balance_s)
+    devices = rig(plan, np.random.SeedSequence([seed, short.object]), lift_s=short.lift_s, balance_s=short.balance_s)
     control = Control(grip_control.law_of(short.controller, short.gain), short.control_hz)
     kept = Kept()
     try:
         with StageFile(model or resources.MODEL, "model") as file:
-            timed = Timed(through(sense_of(file, devices, Grasp().tracker), devices))
-        hold(devices, timed, control, timing, lambda _, rows: kept.append_rows(rows), lambda _: None)
+            timed = Timed(through(sense_of(file, devices.camera.sensor, Grasp().tracker), devices))
+        watched = replace(devices, camera=UntilLost(devices, plan["individual_row"]["mm_per_px"]))
+        hold(watched, timed, control, timing, lambda _, rows: kept.append_rows(rows), lambda _: None)
     finally:
         devices.close()
     rows = kept.row_arrays()
