@@ -499,7 +499,7 @@ class Grasp(Trials):
         "Devices: torque is switched off if detector, camera or computer are silent for so long; a multiple of 20.",
         unit="ms",
         low=20,
-        high=2000,
+        high=500,
         recipe=False,
     )
 

@@ -54,6 +54,25 @@ def test_a_question_damaged_on_its_way_is_asked_again(gripper: VirtualGripper, m
         assert bus.counted == {"answers_lost": 0, "answers_damaged": 1, "answers_stray": 0}
 
 
+def test_a_late_answer_does_not_shift_those_that_follow(gripper: VirtualGripper) -> None:
+    """Assert that of questions that follow each other closely each gets its own answer again, soon after a late one."""
+    with Bus(gripper.port, 2_000_000, answer_ms=250) as bus:
+        bus.write("LED Red", 11)
+        bus.write("LED Blue", 22)
+        gripper.inject("late-answer")
+        asked = 0
+        while bus.counted["answers_stray"] == 0 and asked < 20_000:
+            bus.read("LED Red")
+            bus.send("LED Green", asked % 250)
+            bus.read("LED Blue")
+            asked += 2
+        for green in range(50):
+            red = bus.read("LED Red")
+            bus.send("LED Green", green)
+            assert (red, bus.read("LED Blue")) == (11, 22)
+        assert bus.counted["answers_lost"] >= 1
+
+
 def test_baud_rate_is_changed_and_found() -> None:
     """Assert that the rate changes at both ends, that the same rate again writes nothing, and that a scan finds it."""
     with VirtualGripper(baud=57_600, registers={"Torque Enable": 1}) as gripper:

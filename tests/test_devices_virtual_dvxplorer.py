@@ -345,3 +345,5 @@ def test_rain_beyond_the_frame() -> None:
     for rate in (1e9, 10.0):
         with pytest.raises(ValueError, match="expected 5000"):
             rain(rate, 0.01, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="seconds"):
+        rain(1e5, 0.0, np.random.default_rng(0))

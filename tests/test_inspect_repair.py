@@ -122,6 +122,15 @@ def test_folder_of_a_complete_recording_is_removed(tmp_path: Path) -> None:
     assert folder.is_dir()
 
 
+def test_kill_while_joining(tmp_path: Path) -> None:
+    """Assert that what a join that was killed left goes too, and nothing else of that folder."""
+    broken_off(tmp_path, [2])
+    (tmp_path / ".a.recording.h5.4711.tmp").write_bytes(b"half")
+    (tmp_path / ".b.recording.h5.4711.tmp").write_bytes(b"of another")
+    assert repair.run([tmp_path]).rows[0]["status"] == "repaired"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".b.recording.h5.4711.tmp", "a.recording.h5"]
+
+
 def test_nothing_to_repair(tmp_path: Path) -> None:
     """Assert that a folder without a segment, and what is no folder, are refused in words; an empty search is none."""
     writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False, recipe=RECIPE)

@@ -18,7 +18,7 @@ import pytest
 from conftest import Made
 
 from evetac_cli.devices import GripperReading, Rig
-from evetac_cli.devices.naming import gripper_name
+from evetac_cli.devices.naming import gripper_name, open_rig
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.inspect import repair, validate
@@ -180,6 +180,32 @@ def test_device_that_fails_at_once_leaves_nothing(rig_is: Callable[..., Rig], tm
     assert list(tmp_path.iterdir()) == []
 
 
+def test_gripper_is_let_go_of_before_the_file_is_joined(
+    rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that torque does not wait for the disk, and that a gripper that will not let go is told afterwards."""
+    hand = Hand()
+    join = segments.join
+
+    def joined(*given: Any, **more: Any) -> Any:
+        assert hand.closed
+        return join(*given, **more)
+
+    def refuse() -> None:
+        hand.closed = True
+        raise DeviceError("torque could not be switched off")
+
+    monkeypatch.setattr(segments, "join", joined)
+    rig_is(Camera(), hand)
+    recording(tmp_path / "one", seconds=0.05)
+    hand = Hand()
+    monkeypatch.setattr(hand, "close", refuse)
+    rig_is(Camera(), hand)
+    with pytest.raises(DeviceError, match="torque could not"):
+        recording(tmp_path / "two", seconds=0.05)
+    assert [faults(path) for path in (tmp_path / "two").iterdir()] == [None]
+
+
 @pytest.mark.parametrize("failure", [InputError("cannot be written: No space left"), KeyboardInterrupt()])
 def test_failing_end_keeps_the_segments(
     failure: BaseException, rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -219,6 +245,23 @@ def test_existing_recording_is_not_replaced(rig_is: Callable[..., Rig], tmp_path
     record.run(job, params, force=True)
     with open_recording(path) as file:
         assert len(file) == 70
+
+
+def test_calibration_is_stored(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that --calibration gives a recording its dots, as part of its set-up; another frame is refused."""
+    dots = [[[100.0 + 60 * column, 100.0 + 60 * row] for column in range(4)] for row in range(3)]
+    path = tmp_path / "gel.json"
+    path.write_text(json.dumps({"frame_px": [640, 480], "radius_px": 6.0, "dot_xy_px": dots}))
+    rig_is(Camera())
+    made, _ = recording(tmp_path / "a", seconds=0.05, calibration=path)
+    with open_recording(made) as file:
+        np.testing.assert_array_equal(file.dot_xy_px, dots)
+        assert file.header["parameters"]["sensor"]["sensor/dot_xy_px"] == dots
+    path.write_text(json.dumps({"frame_px": [320, 240], "radius_px": 6.0, "dot_xy_px": [[[9, 9], [99, 9]]]}))
+    rig_is(Camera())
+    with pytest.raises(InputError):
+        recording(tmp_path / "b", seconds=0.05, calibration=path)
+    assert not (tmp_path / "b").exists()
 
 
 def test_series_goes_on(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
@@ -323,6 +366,73 @@ def test_replay_is_recorded_as_it_was(made: Made, tmp_path: Path) -> None:
         np.testing.assert_array_equal(one.dot_xy_px, other.dot_xy_px)
         assert one.header["parents"] == [other.header["id"]]
         assert not one.has("truth")
+    assert faults(job.output) is None
+
+
+WRITES = (0x03, 0x83)  # instructions that write registers: with an answer, and without
+
+
+def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the real drivers record from virtual devices every slice, event, and command that the servo got."""
+    counts: list[int] = []
+    opened: list[Rig] = []
+
+    def count_writes() -> None:
+        (servo,) = opened[0].peers
+        given = servo.instructions()  # type: ignore[attr-defined]  # of a virtual gripper
+        counts.append(sum(given.get(code, 0) for code in WRITES))
+
+    def open_and_count(*named: Any, **more: Any) -> Rig:
+        opened.append(open_rig(*named, **more))
+        count_writes()
+        return opened[0]
+
+    def release_and_count(takings: Any) -> None:
+        count_writes()
+        release(takings)
+
+    release = capture._release
+    monkeypatch.setattr(capture, "open_rig", open_and_count)
+    monkeypatch.setattr(capture, "_release", release_and_count)
+    camera = "virtual:prepared=1e5"
+    params = Record(camera=camera, gripper="virtual", seconds=0.7, hold_s=0.05, holding_ma=30.0, expect=1e5)
+    (job,) = record.jobs([], params, tmp_path)
+    shown = record.run(job, params)
+    assert shown.simulated
+    assert faults(job.output) is None
+    with open_recording(job.output) as file:
+        assert [events.size for events in file] == [100] * 700
+        rows = file.length("gripper/t_us")
+        written = file.read("gripper/current_written_ma")
+        lost = {name: int(file.read(name)) for name in file.contents() if name.startswith(capture.LOST)}
+        assert (np.diff(file.read("gripper/t_us")) > 0).all()
+        assert file.header["parameters"]["setup"]["gripper"]["model"] == "RH-P12-RN(A)"
+    assert not any(count for name, count in lost.items() if "camera" in name)
+    repeated = 2 * lost["capture/lost/gripper.answers_lost"]
+    assert rows <= counts[1] - counts[0] <= rows + 1 + repeated  # and once the watchdog
+    assert written[0] == 10
+
+
+@pytest.mark.parametrize("fault", ["overload@1.2", "unplug@1.2"])
+def test_gripper_fault(fault: str, tmp_path: Path) -> None:
+    """Assert that a gripper that fails ends the recording with its error, and what was recorded is valid."""
+    params = Record(camera="virtual:prepared=1e4", gripper=f"virtual:{fault}", seconds=30.0, expect=1e3)
+    (job,) = record.jobs([], params, tmp_path)
+    with pytest.raises(DeviceError):
+        record.run(job, params)
+    if job.output.exists():  # a slow computer may not have come to the first slice
+        assert faults(job.output) is None
+        with open_recording(job.output) as file:
+            assert "gripper" in file.read("capture/ended")
+
+
+@pytest.mark.parametrize("fault", ["unplug@0.3", "stall-for-good@0.3"])
+def test_camera_fault(fault: str, tmp_path: Path) -> None:
+    """Assert that a camera that fails ends the recording with its error, and what was recorded is valid."""
+    params = Record(camera=f"virtual:prepared=1e4+{fault}", gripper="none", seconds=30.0, expect=1e3)
+    (job,) = record.jobs([], params, tmp_path)
+    with pytest.raises(DeviceError, match="slices in"):
+        record.run(job, params)
     assert faults(job.output) is None
 
 

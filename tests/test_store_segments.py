@@ -406,3 +406,42 @@ def test_segments_are_plain_hdf5(tmp_path: Path) -> None:
         assert h5["events/t"].shape == (3,)
         assert h5["gripper/t_us"][()].tolist() == [0, 1, 2]
     writer.discard()
+
+
+def test_segments_tell_their_place_and_their_bytes(tmp_path: Path) -> None:
+    """Assert that a segment says with which slice it begins, and carries a checksum of every dataset."""
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False)
+    for k in range(5):
+        writer.append(some_events(k, 2), {"gripper/t_us": k})
+        if k in (1, 3):
+            writer.close_segment()
+    writer.close_segment()
+    firsts = []
+    for path in sorted(writer.folder.glob(segments.SEGMENTS)):
+        with h5py.File(path) as h5:
+            firsts.append(int(h5.attrs[segments.FIRST_SLICE]))
+            for name in segments.datasets_of(h5):
+                assert h5[name].attrs[segments.CRC] == segments.crc_of(h5[name][()])
+    assert firsts == [0, 2, 4]
+    writer.discard()
+
+
+def test_folder_without_a_segment_is_no_loss(tmp_path: Path) -> None:
+    """Assert that a recording that broke off before its first segment does not stand in the way of the next."""
+    path = tmp_path / "a.recording.h5"
+    RecordingWriter(path, STATIC, discard_leftover=False, recipe=RECIPE).leave()
+    assert (tmp_path / "a.recording.part" / "static.h5").exists()
+    write(path, [1, 2], set(), 1)
+    assert everything(tmp_path) == ["a.recording.h5"]
+
+
+def test_lost_slices_are_empty(tmp_path: Path) -> None:
+    """Assert that joining with a number in place of a segment makes so many slices without an event."""
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False)
+    for k in (0, 1):
+        writer.append(some_events(k, 3))
+    writer.close_segment()
+    segments.join(writer.folder, writer.path, RECIPE, {}, from_device=True, parts=[writer.folder / "000000.h5", 4])
+    with open_recording(writer.path) as recording:
+        assert [events.size for events in recording] == [3, 3, 0, 0, 0, 0]
+    writer.discard()

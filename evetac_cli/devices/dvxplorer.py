@@ -4,6 +4,7 @@ A thread (usb_reader.py) moves buffers from the camera into a queue; words are d
 (word_slices.py) by whoever calls `read`. Only these two modules and the camera's virtual twin import pyusb.
 """
 
+import errno
 from collections import deque
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -46,15 +47,21 @@ def look(backend: Any = None) -> list[FoundCamera]:
         raise no_libusb()
     found = []
     for device in usb.core.find(find_all=True, idVendor=protocol.VENDOR, idProduct=protocol.PRODUCT, backend=backend):
-        try:
-            serial = usb.util.get_string(device, device.iSerialNumber)
-        except (ValueError, usb.core.USBError):  # pyusb says ValueError where it may not open the device
-            serial = None
+        serial = _serial(device)
         usb.util.dispose_resources(device)
         board, firmware = device.bcdDevice >> 8, device.bcdDevice & 0xFF
         where = f"USB bus {device.bus} address {device.address}"
         found.append(FoundCamera(serial, board, firmware, device.speed, where, device))
     return found
+
+
+def _serial(device: Any) -> str | None:
+    """Serial number of a camera, None if it cannot be read."""
+    try:
+        text: str | None = usb.util.get_string(device, device.iSerialNumber)
+    except (ValueError, usb.core.USBError):  # pyusb says ValueError where it may not open the device
+        return None
+    return text
 
 
 def _choose(serial: str | None, backend: Any) -> FoundCamera:
@@ -93,7 +100,7 @@ class DvxplorerCamera:
         self.firmware = found.firmware
         self._generation = protocol.generation(found.firmware)
         self.notes: tuple[str, ...] = ()
-        if found.speed is not None and found.speed < SUPER_SPEED:
+        if found.speed and found.speed < SUPER_SPEED:
             self.notes += (f"{self.where} is linked by USB 2 and will lose events when much moves: use a USB 3 port",)
         if found.firmware > protocol.NEWEST_FIRMWARE:
             self.notes += (f"{self.where} has firmware {found.firmware}; known are 8 to {protocol.NEWEST_FIRMWARE}",)
@@ -103,7 +110,7 @@ class DvxplorerCamera:
         self._reader = UsbReader(self._device, self.where, queue_bytes)
         try:
             self._claim()
-            self.serial = found.serial or usb.util.get_string(self._device, self._device.iSerialNumber)
+            self.serial = found.serial or _serial(self._device)
             self._set_up()
             held_us = self.settings.flush_us if self._generation is Generation.PARAMETERS else HOLDING_BACK_US
             self._slices = WordSlices(held_us + patience_us)
@@ -135,14 +142,14 @@ class DvxplorerCamera:
     def read(self) -> Events | None:
         """The next slice, once it is closed; None after close; DeviceError once the camera has failed."""
         while self._open and not self._ready:
-            block, gap = self._reader.take()
+            block = self._reader.take()
             if block is None:
                 if self._reader.failure is not None and self._open:
                     self._left = self._slices.open_events
                     raise self._reader.failure
                 return None
-            emptied = len(block.data) < READ_BYTES
-            self._ready += self._slices.push_words(block.data, block.begun_us, block.ended_us, emptied=emptied, gap=gap)
+            times, emptied = (block.begun_us, block.ended_us), len(block.data) < READ_BYTES
+            self._ready += self._slices.push_words(block.data, *times, emptied=emptied, gap=block.gap)
         return self._ready.popleft() if self._open else None
 
     def host_us(self, device_us: float) -> float:
@@ -206,6 +213,10 @@ class DvxplorerCamera:
                 self._device.read(protocol.DATA_ENDPOINT, READ_BYTES, READ_TIMEOUT_MS)
             except usb.core.USBTimeoutError:
                 return
+            except usb.core.USBError as error:
+                if error.errno != errno.EPIPE:
+                    raise
+                self._device.clear_halt(protocol.DATA_ENDPOINT)
 
     def _request(self, request: int, value: int) -> None:
         self._device.ctrl_transfer(protocol.WRITE, request, value, 0, None, CONTROL_TIMEOUT_MS)

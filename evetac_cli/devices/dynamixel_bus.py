@@ -33,6 +33,9 @@ from evetac_cli.errors import DeviceError, DeviceTimeout
 
 ANSWER_MS = 20.0  # beyond the time on the wire; a serial adapter at its usual latency timer answers after 16 ms
 WRITE_S = 1.0  # a port that takes no bytes for so long is broken
+WARY_S = 2.0  # after a lost answer
+FOLLOWS_S = 1e-3  # an answer follows its question within this, and the time on the wire
+LONGEST_ANSWER = 40  # bytes, with its question
 PAUSE_S = 100e-6  # servos miss what follows too closely on an instruction without answer
 SDK_RATES = tuple(rate for rate in BAUD_RATES.values() if rate <= 4_000_000)
 _FAULTS = {
@@ -73,6 +76,8 @@ class _Port(PortHandler):  # type: ignore[misc]
         super().__init__(name)
         self._answer_ms = answer_ms
         self._pause_until_s = 0.0
+        self._heard_s = 0.0
+        self._wary_until_s = 0.0
         self.strays = 0  # answers that came when nobody waited for them
 
     def setupPort(self, cflag_baud: int) -> bool:
@@ -90,7 +95,17 @@ class _Port(PortHandler):  # type: ignore[misc]
     def setPacketTimeout(self, packet_length: int) -> None:
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self._answer_ms)
 
+    def be_wary(self) -> None:
+        """An answer was lost and may still come: for a while, see whether another follows the one that was taken.
+
+        Else the next question would get the answer to this one, and so on for as long as questions follow closely.
+        """
+        self._wary_until_s = time.monotonic() + WARY_S
+
     def clearPort(self) -> None:
+        if time.monotonic() < self._wary_until_s:
+            left_s = self._heard_s + FOLLOWS_S + LONGEST_ANSWER * self.tx_time_per_byte * 1e-3 - time.monotonic()
+            time.sleep(max(left_s, 0.0))
         if self.ser.in_waiting:
             self.strays += 1
         super().clearPort()
@@ -107,7 +122,10 @@ class _Port(PortHandler):  # type: ignore[misc]
         if not self.ser.in_waiting:
             left_ms = self.packet_timeout - self.getTimeSinceStart()
             select.select([self.ser.fileno()], [], [], max(left_ms, 0.0) * 1e-3 + PAUSE_S)
-        return bytes(self.ser.read(length))
+        data = bytes(self.ser.read(length))
+        if data:
+            self._heard_s = time.monotonic()
+        return data
 
     def pause_after(self, size: int) -> None:
         """Send nothing until so many bytes are on the wire and the servo had time to take them."""
@@ -220,6 +238,7 @@ class Bus:
                 self._judge(error, what)
             lost = "answers_damaged" if result in (COMM_SUCCESS, COMM_RX_CORRUPT) else "answers_lost"
             self._counted[lost] += 1
+            self._port.be_wary()
             time.sleep(self.settle_s)
         if lost == "answers_damaged":
             raise DeviceError(f"damaged answers to: {what}", where=self._where, hint="check the cable and its length")

@@ -4,11 +4,21 @@ Why so: a beat of 1 ms is longer than what a usual scheduler promises on a busy 
 the user (`ulimit -r`, `ulimit -e`): it is tried, and what came of it is said.
 """
 
+import contextlib
 import os
 import sys
 
 NICE = -10
 USUAL = "as usual"
+
+
+def relax() -> None:
+    """Take back what `hurry` did for this process, as far as permitted."""
+    if sys.platform != "linux":
+        return
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.setpriority(os.PRIO_PROCESS, 0, 0)
 
 
 def hurry(rank: int, process: int = 0) -> str:

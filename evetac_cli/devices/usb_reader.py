@@ -5,6 +5,7 @@ thread from its next transfer. If whoever empties the queue is too slow, the old
 counted.
 """
 
+import errno
 import time
 from array import array
 from collections import Counter, deque
@@ -32,6 +33,7 @@ class Block(NamedTuple):
     data: bytes
     begun_us: float
     ended_us: float
+    gap: bool  # whether bytes before it were lost
 
 
 def now_us() -> float:
@@ -49,24 +51,22 @@ class UsbReader(Thread):
         self._queue_bytes = queue_bytes
         self._blocks: deque[Block] = deque()
         self._waiting_bytes = 0
-        self._gap = False  # whether bytes are missing before the first of the blocks
         self._changed = Condition()
         self._running = True
         self.failure: DeviceError | None = None
         self.lost: Counter[str] = Counter()
         self.messages: deque[str] = deque(maxlen=100)
 
-    def take(self) -> tuple[Block | None, bool]:
-        """Wait for the next block, and whether bytes before it were lost; None after the last one."""
+    def take(self) -> Block | None:
+        """Wait for the next block; None after the last one."""
         with self._changed:
             while not self._blocks and self._running and self.failure is None:
                 self._changed.wait()
             if not self._blocks:
-                return None, False
+                return None
             block = self._blocks.popleft()
             self._waiting_bytes -= len(block.data)
-            gap, self._gap = self._gap, False
-            return block, gap
+            return block
 
     def end(self) -> None:
         """Stop reading and wait until the thread has ended."""
@@ -92,6 +92,7 @@ class UsbReader(Thread):
     def _read_on(self) -> None:
         buffer = array("B", bytes(READ_BYTES))
         failures = 0
+        gap = False
         next_log_s = time.monotonic()
         while self._running:
             begun_us = now_us()
@@ -101,12 +102,14 @@ class UsbReader(Thread):
             except usb.core.USBTimeoutError:
                 count = 0
             except usb.core.USBError as error:
-                count = 0
                 failures += 1
                 self.lost["usb_errors"] += 1
                 if not self._mended(error, failures):
                     return
-            self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, now_us()))
+                gap |= error.errno != errno.EPIPE  # what a halted endpoint holds is not lost
+                continue
+            self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, now_us(), gap))
+            gap = False
             if time.monotonic() >= next_log_s:
                 next_log_s = time.monotonic() + LOG_EVERY_S
                 self._read_log()
@@ -114,13 +117,14 @@ class UsbReader(Thread):
     def _put(self, block: Block) -> None:
         with self._changed:
             if not block.data and self._blocks and not self._blocks[-1].data:
-                self._blocks.pop()  # of two empty reads in a row the later one says all
+                before = self._blocks.pop()  # of two empty reads in a row the later one says all
+                block = block._replace(gap=block.gap or before.gap)
             self._blocks.append(block)
             self._waiting_bytes += len(block.data)
             while self._waiting_bytes > self._queue_bytes and len(self._blocks) > 1:
                 gone = self._blocks.popleft().data
                 self._waiting_bytes -= len(gone)
-                self._gap = True
+                self._blocks[0] = self._blocks[0]._replace(gap=True)
                 self.lost["events_in_full_queue"] += events_in(np.frombuffer(gone, "<u4", len(gone) // 4))
             self._changed.notify_all()
 

@@ -36,8 +36,8 @@ START_S = 120.0  # in which a world must be built, compiling included
 END_S = 2.0
 WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp comes to the moment at which a hand rises
 WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
-TRUTH_SLICES = 10  # whose truth is told at once
-CATCH_UP_S = 1.0  # a world that is later than this is given up on, for the moment
+TRUTH_SLICES = 50  # whose truth is told at once
+CATCH_UP_S = 10.0  # a world that is later than this is given up on, for the moment
 _LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)  # shared with the process; began: host time of time 0, 0 while it stands
 
 
@@ -45,7 +45,8 @@ class VirtualWorld:
     """The world's side of a virtual camera (`run`, `take`) and of a virtual gripper (`plant`).
 
     It may be given to a process that is being spawned: the copy is a source of words like this one, and whoever built
-    the world ends it. `truths` gives lists of the truth of slices, and None after the last, if asked for.
+    the world ends it. `truths` gives the truth of slices, a row of every array
+    for each, and None after the last, if asked for.
     """
 
     def __init__(
@@ -282,7 +283,7 @@ class _Ticking:
             return
         self._known.append(self._rig.truth())
         if len(self._known) >= TRUTH_SLICES or self._world.finished:
-            self._truths.put(self._known)
+            self._truths.put({name: np.asarray([row[name] for row in self._known]) for name in self._known[0]})
             self._known = []
         if self._world.finished:
             self._truths.put(None)

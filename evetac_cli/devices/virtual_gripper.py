@@ -42,9 +42,10 @@ class VirtualGripper:
         with or without an obstacle. faults: as `servo_faults` names them. registers: values that differ from the
         factory's, by name. seed: of the faults that strike by chance.
         """
-        moved: dict[str, Any] = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
         if isinstance(plant, SharedPlant):
-            moved = {"shared": str(plant.path)}
+            moved: dict[str, Any] = {"shared": str(plant.path)}
+        else:
+            moved = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
         choice = {
             "plant": moved,
             "faults": [_checked(fault) for fault in faults],

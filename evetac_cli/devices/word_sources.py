@@ -103,6 +103,8 @@ def rain(events_per_s: float, seconds: float, rng: np.random.Generator) -> NDArr
     patches = -(-each // 32)
     if not 0 < patches <= width * height // 64:
         raise ValueError(f"events_per_s: expected 5000..768e6, found {events_per_s}")
+    if frames < 1:
+        raise ValueError(f"seconds: expected at least {_FRAME_US * 1e-6}, found {seconds}")
     parts = []
     for _ in range(min(frames, _DIFFERENT_FRAMES)):
         patch = rng.choice(width * height // 64, patches, replace=False)
@@ -111,6 +113,12 @@ def rain(events_per_s: float, seconds: float, rng: np.random.Generator) -> NDArr
         chosen = rng.choice(64 * patches, each, replace=False)
         polarity = np.broadcast_to(rng.integers(0, 2, patches)[:, np.newaxis], (patches, 64))
         parts.append((x.ravel()[chosen], y.ravel()[chosen], polarity.ravel()[chosen]))
-    t = np.repeat(_FRAME_US * np.arange(frames, dtype=np.int64) + _FRAME_US // 2, each)
-    x, y, p = (np.resize(np.concatenate(column), len(t)) for column in zip(*parts, strict=True))
-    return encode(Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)))
+    t = np.repeat(_FRAME_US * np.arange(len(parts), dtype=np.int64) + _FRAME_US // 2, each)
+    x, y, p = (np.concatenate(column) for column in zip(*parts, strict=True))
+    once = Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+    times, rest = divmod(frames, _DIFFERENT_FRAMES)
+    words = np.tile(encode(once), (times, 1))
+    again_ms = _DIFFERENT_FRAMES * _FRAME_US // SLICE_US * np.arange(times, dtype=np.uint32)[:, np.newaxis]
+    words = np.where(words >> 26 == 2, words + again_ms, words)
+    last = encode(once.part(0, rest * each), first_ms=1 + _DIFFERENT_FRAMES * _FRAME_US // SLICE_US * times)
+    return np.concatenate([words.ravel(), last])

@@ -79,6 +79,8 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
             output.unlink()
             raise
         shutil.rmtree(folder)
+        for unfinished in output.parent.glob(f".{output.name}.*.tmp"):  # of a recorder that was killed while it joined
+            unfinished.unlink()
     return _row(folder, "repaired", left), left.recipe.simulated
 
 

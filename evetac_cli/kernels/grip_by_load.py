@@ -54,8 +54,9 @@ class LoadLaw:
     creep_px: float = 0.01
     fall: float = 0.03  # share by which the drag falls under a steady grip when the object slides
     fall_px: float = 0.02
-    doubt: float = 0.004  # slip that comes while the drag has not changed by this share is caught, but teaches nothing
-    doubt_px: float = 0.004
+    doubt: float = 0.01  # slip while the drag has not changed by this share is doubted: it teaches nothing,
+    doubt_px: float = 0.01
+    sure_s: float = 0.008  # ... and is not caught before it has been felt for so long
     quiet_s: float = 0.1  # without slip, before anything is released and slip counts as new
 
     band_ticks: float = 1.94  # of push that the gear's friction takes
@@ -102,6 +103,8 @@ class LoadState:
     position: int = 0
     quiet_s: float = 0.0  # since the last slip
     slip_s: float = 0.0  # since slip began, with the pauses in it
+    felt_s: float = 0.0  # ... without them
+    caught: bool = False  # since then
     pause_s: float = 0.0  # until the next push that opens
     pulses: int = 0  # since the encoder changed
     u_ff: float = 0.0  # push, negative closes: for the record
@@ -163,15 +166,12 @@ def _balance(state: LoadState, slip: bool, load_px: float, dt_s: float, law: Loa
     state.slip_s += dt_s
     if slip and load_px > MEANT_PX:
         if state.quiet_s >= law.quiet_s:
-            state.slip_s = 0.0
-            here = _ratio_here(state, load_px)
-            if max(load_px - state.least_px, state.most_px - load_px) > law.doubt * load_px + law.doubt_px:
-                _learn(state, here, load_px, law)
-            state.least_px, state.most_px = math.inf, 0.0
-            state.ratio = max(state.ratio, here * (1.0 + law.catch) + law.catch_ticks / load_px)
+            state.slip_s, state.felt_s, state.caught = 0.0, 0.0, False
+        state.felt_s += dt_s
+        if not state.caught:
+            _catch(state, load_px, law)
         elif state.slip_s > law.quiet_s:
-            state.ratio += state.ratio * law.catch * dt_s / law.catch_s
-        state.ratio = min(state.ratio, law.most_ratio)
+            state.ratio = min(state.ratio + state.ratio * law.catch * dt_s / law.catch_s, law.most_ratio)
     elif state.quiet_s >= law.quiet_s:
         state.least_px, state.most_px = min(state.least_px, load_px), max(state.most_px, load_px)
         if not state.needed and load_px > state.least_px * (1.0 + law.creep) + law.creep_px:
@@ -181,6 +181,18 @@ def _balance(state: LoadState, slip: bool, load_px: float, dt_s: float, law: Loa
         time_s = law.settle_s if state.needed else law.release_s
         state.spare_ticks = max(state.spare_ticks * (1.0 - dt_s / law.release_s), law.spare_ticks)
         state.ratio = max(state.ratio - state.ratio * dt_s / time_s, min(state.ratio, lowest))
+
+
+def _catch(state: LoadState, load_px: float, law: LoadLaw) -> None:
+    """Close on slip that the drag shows too, and learn from it; or on slip that lasts, and wait and see before."""
+    shown = max(load_px - state.least_px, state.most_px - load_px) > law.doubt * load_px + law.doubt_px
+    if not shown and state.felt_s < law.sure_s:
+        return
+    here = _ratio_here(state, load_px)
+    if shown:
+        _learn(state, here, load_px, law)
+    state.ratio = min(max(state.ratio, here * (1.0 + law.catch) + law.catch_ticks / load_px), law.most_ratio)
+    state.least_px, state.most_px, state.caught = math.inf, 0.0, True
 
 
 def _ratio_here(state: LoadState, load_px: float) -> float:

@@ -15,7 +15,7 @@ import threading
 import time
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -104,13 +104,14 @@ class Taking:
         self.captured.keep(events, came_s, self.rig.camera)
         self.writer.append(events)
 
-    def offset_to(self, first: Rig) -> dict[str, Any]:
-        """How the clock of this camera lies to that of the first; nothing where a camera cannot tell."""
-        cameras = (self.rig.camera, first.camera)
-        if not all(hasattr(camera, "host_us") for camera in cameras):
-            return {}
-        ours_us, theirs_us = (camera.host_us(0) for camera in cameras)  # type: ignore[attr-defined]
-        return {"capture/clock_offset_us": np.float64(ours_us - theirs_us)}
+    def figures(self, first: Rig) -> dict[str, Any]:
+        """The datasets capture/...; how the clock of this camera lies to that of the first, if it is another."""
+        told = self.captured.figures(self.rig)
+        clocks = [getattr(rig.camera, "host_us", None) for rig in (self.rig, first)]
+        if self.rig is not first and all(clocks):
+            ours_us, theirs_us = (clock(0) for clock in clocks if clock)
+            told["capture/clock_offset_us"] = np.float64(ours_us - theirs_us)
+        return told
 
 
 def run(job: Job, params: Record, seeds: np.random.SeedSequence, *, force: bool = False, progress: Progress) -> Outcome:
@@ -145,7 +146,9 @@ def run(job: Job, params: Record, seeds: np.random.SeedSequence, *, force: bool 
             takings.append(_taking(job, params, rig, at, trajectory))
         with signals_counted() as came:
             _write(takings, _hold(params, takings[0].rig), rng, params, came, progress)
-            figures = _finish(takings)
+            figures = [taking.figures(takings[0].rig) for taking in takings]
+            _release(takings)
+            _finish(takings, figures)
     return _tell(job, takings, figures)
 
 
@@ -173,24 +176,28 @@ def _let_go(takings: Sequence[Taking], *, failed: bool) -> None:
             taking.writer.discard()
 
 
-def _finish(takings: Sequence[Taking]) -> list[dict[str, Any]]:
-    """Join every file, also where another cannot be; what they say of the capture."""
-    told: list[dict[str, Any]] = []
-    errors: list[EvetacError] = []
+def _release(takings: Sequence[Taking]) -> None:
+    """Let go of all devices before the files are joined, which may take a while: torque must not wait for it."""
     for taking in takings:
-        told.append(taking.captured.figures(taking.rig))
-        if taking is not takings[0]:
-            told[-1] |= taking.offset_to(takings[0].rig)
+        try:
+            taking.rig.close()
+        except DeviceError as error:
+            takings[0].captured.error = takings[0].captured.error or error
+
+
+def _finish(takings: Sequence[Taking], figures: Sequence[Mapping[str, Any]]) -> None:
+    """Join every file, also where another cannot be."""
+    errors: list[EvetacError] = []
+    for taking, told in zip(takings, figures, strict=True):
         if taking.captured.slices == 0:
             taking.writer.discard()
             continue
         try:
-            finish(taking.writer, taking.recipe, told[-1])
+            finish(taking.writer, taking.recipe, told)
         except EvetacError as error:
             errors.append(error)
     if errors:
         raise errors[0]
-    return told
 
 
 def _hold(params: Record, rig: Rig) -> Hold | None:
@@ -253,6 +260,8 @@ def _write(
         if first.captured.slices == 0:
             raise
         for taking in takings:
+            with suppress(EvetacError):  # of a full disk, which is the error already
+                taking.writer.close_segment()
             taking.writer.leave()
         raise with_hint(error, first.writer) from None
     finally:

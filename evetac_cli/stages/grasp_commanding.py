@@ -31,7 +31,7 @@ from evetac_cli.stages.grasp_board import Board, Sign
 from evetac_cli.stages.grasp_loop import Timing, row_of
 
 RANK = 30  # of urgency
-PIECE_STEPS = 10  # whose rows the recorder gets at once
+PIECE_STEPS = 25  # whose rows the recorder gets at once
 COMMAND_BYTES = 19  # of a goal position on the wire, 10 bits each
 FROZEN_US = 10_000.0  # a step that looks so much later than due was stopped, or waited for an answer
 FRESH_US = 200.0  # age of the news at which a step should look: the detector is not always as fast
@@ -164,8 +164,9 @@ def live(commanding: Commanding, board: Board, pipe: Connection) -> None:
             gc.collect()
             gc.freeze()
             gc.disable()  # the loop makes no cycles
+            watch = Watch(commanding.watchdog_ms)
             wire_us = COMMAND_BYTES * 1e7 / commanding.baud
-            told = command(gripper, control, board, timing, commanding.watchdog_ms, outbox, wire_us)
+            told = command(gripper, control, board, timing, watch, outbox, wire_us)
     except BrokenPipeError:  # whoever started this is gone
         return
     except EvetacError as error:
@@ -182,7 +183,7 @@ def command(
     control: Control,
     board: Board,
     timing: Timing,
-    watchdog_ms: float,
+    watch: Watch,
     outbox: Outbox,
     wire_us: float,
     clock: Callable[[], float] = time.monotonic,
@@ -193,7 +194,6 @@ def command(
         gripper.close()
         return CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, clock() * 1e6, dict(gripper.counted))
     pace = Pace(1.0 / timing.control_hz, clock, sleep)
-    watch = Watch(watchdog_ms)
     cycle_us = array("d")
     rows: list[dict[str, Any]] = []
     ended, error = "", None

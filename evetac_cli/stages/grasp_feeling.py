@@ -4,6 +4,7 @@ Everything that takes long is done before the camera runs: loading, compiling, a
 goes to the recorder in pieces of a few slices, without waiting for it.
 """
 
+import contextlib
 import gc
 import os
 import signal
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual import VirtualWorld
 
 RANK = 20  # of urgency: behind the controller, whose steps are short
-PIECE_MS = 20  # slices that the recorder gets at once
+PIECE_MS = 50  # slices that the recorder gets at once
 FLUSH_US = 250  # a quiet camera's words are sent this often: a slice is felt the sooner
 WARMING = 30  # slices of noise that are felt before the camera runs
 WARMING_EVENTS = 3000
@@ -131,7 +132,8 @@ def live(feeling: Feeling, board: Board, world: "VirtualWorld | None", orders: C
         error = DeviceError(f"the detector failed: {type(failed).__name__}: {failed}")
     finally:
         if camera is not None:
-            camera.close()
+            with contextlib.suppress(DeviceError):  # it may have failed already
+                camera.close()
     outbox.put(FeelingEnded(dict(camera.counted) if camera is not None else {}, error))
     outbox.flush(FLUSH_S)
 
@@ -148,7 +150,7 @@ def feel(camera: Opened, sense: Sense | None, board: Board, outbox: Outbox, most
     while slices < most and not board.stopping:
         events = camera.read()
         if events is None:
-            break
+            raise DeviceError("the camera's stream ended", expected=f"{most} slices", found=f"{slices}")
         slices += 1
         probability = float("nan") if sense is None else sense.step(events)
         felt = Felt() if sense is None else sense.felt

@@ -9,11 +9,12 @@ import multiprocessing
 import select
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.devices.outbox import Inbox
 from evetac_cli.errors import DeviceError
@@ -33,8 +34,9 @@ if TYPE_CHECKING:
 LOAD_S = 120.0  # in which both must be ready, compiling included
 OPEN_S = 30.0  # in which the camera must run
 LAST_S = 0.5  # that one of both has, once the other has ended, to end by itself
-END_S = 10.0
+END_S = 3.0
 LOOK_S = 0.05
+ALIVE = "it is still there"
 FELL = "the object fell"
 _T = TypeVar("_T")
 
@@ -100,7 +102,7 @@ def exit_of(process: Any) -> str:
     """How a process ended."""
     process.join(1.0)
     code = process.exitcode
-    return "it is still there" if code is None else f"signal {-code}" if code < 0 else f"exit code {code}"
+    return ALIVE if code is None else f"signal {-code}" if code < 0 else f"exit code {code}"
 
 
 @dataclass
@@ -117,7 +119,7 @@ class Recorded:
     slice_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     step_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     latency_us: "array[float]" = field(default_factory=lambda: array("d"))
-    steps: Kept = field(default_factory=Kept)  # few enough to be kept in memory too: what became of it is told by them
+    steps: Kept = field(default_factory=Kept)  # of the controller: what tells what became of it
     truth: Kept = field(default_factory=Kept)  # of a virtual world
     truths: int = 0  # slices whose truth is known
     world_over: bool = False
@@ -151,7 +153,7 @@ class Recorded:
         """Steps of the controller, which are written."""
         for row in rows:
             writer.append_rows(row)
-            self.steps.append_rows(row)
+            self.steps.append_rows({name: row[name] for name in grasp_outcome.NEEDED if name in row})
             self.step_late_us.append(row["control/late_us"])
             if row["control/phase"] != Phase.CONTACT and not math.isnan(row["control/latency_us"]):
                 self.latency_us.append(row["control/latency_us"])  # in contact nobody listens for slip
@@ -170,14 +172,14 @@ class Recorded:
             self.slices += 1
         self.events += first
 
-    def take_truth(self, rows: list[dict[str, Any]] | None) -> None:
-        """Truth of slices of a virtual world; None once it is over, which it is too when the object has fallen."""
+    def take_truth(self, rows: Mapping[str, NDArray[Any]] | None) -> None:
+        """Truth of some slices of a virtual world; None once it is over, which it is too when the object has fallen."""
         if rows is None:
             self.world_over = True
             return
-        for row in rows:
-            self.truth.append_rows(row)
-        self.truths += len(rows)
+        for name, values in rows.items():
+            self.truth.rows.setdefault(name, []).extend(values)
+        self.truths += len(next(iter(rows.values())))
 
     def is_to_stop(self) -> bool:
         """Whether something has come up for which the other processes have to end now."""
@@ -195,10 +197,10 @@ class Recorded:
         if commanding is None:
             died = f"the controller died ({exit_of(loops.controller)}); the servo's own watchdog switches torque off"
             self.error = DeviceError(died)
-        elif feeling is None:
-            self.error = DeviceError(f"the detector died ({exit_of(loops.detector)}); torque is off")
+        elif feeling is None and (exit_ := exit_of(loops.detector)) != ALIVE:
+            self.error = DeviceError(f"the detector died ({exit_}); torque is off")
         else:
-            self.error = feeling.error or commanding.error
+            self.error = (feeling and feeling.error) or commanding.error
         if self.ended in (INTERRUPTED, FELL):
             self.error = None
         else:
@@ -255,5 +257,10 @@ def record(
         if stopped_s == math.inf and (recorded.is_to_stop() or now_s > first_end_s + LAST_S):
             loops.board.stop()
             stopped_s = now_s
+    until_s = time.monotonic() + LAST_S
+    while truths is not None and recorded.truths < recorded.slices and time.monotonic() < until_s:
+        select.select([truths], [], [], LOOK_S)
+        for message in truths.take():
+            recorded.take_truth(message)
     recorded.conclude(loops)
     return recorded

@@ -33,6 +33,8 @@ def run(job: Job, params: Record, seeds: np.random.SeedSequence, progress: Progr
     try:
         most = round(1000 * params.seconds) if params.seconds is not None else None
         row = _watch(rig, most, paced=camera.kind == "sim")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("stopped; nothing was written") from None
     finally:
         rig.close()
     row = {"camera": str(camera), **row}

@@ -53,7 +53,7 @@ def _paper(name: str, numbers: list[int]) -> list[tuple[str, list[float], list[f
     if not points:
         return []
     at_x, values = (list(column) for column in zip(*points, strict=True))
-    return [("paper", at_x, values)]
+    return [("printed in the paper", at_x, values)]
 
 
 def _place(number: int) -> int:

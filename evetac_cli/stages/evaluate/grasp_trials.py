@@ -19,8 +19,8 @@ from evetac_cli.kernels import grip_control
 from evetac_cli.kernels.grip_control import Control, Felt
 from evetac_cli.params import Grasp
 from evetac_cli.sim import grasp_outcome, scene
-from evetac_cli.stages.grasp import sense_of
 from evetac_cli.stages.grasp_loop import SLICES_S, Kept, Sense, Timing, hold
+from evetac_cli.stages.grasp_setup import sense_of
 from evetac_cli.store.files import StageFile
 
 LIFT_S = 3.5  # 50 mm are reached at 3.1 s
