@@ -11,6 +11,7 @@ from typing import Any
 from evetac_cli.stages import Progress, silent
 
 FEW_ROWS = 3
+MOST_NAMING = 3  # columns that are repeated where a table is split
 
 
 def say(text: str) -> None:
@@ -95,32 +96,60 @@ def print_table(title: str, rows: list[dict[str, Any]], summary: dict[str, Any],
     console = Console(soft_wrap=not sys.stdout.isatty(), markup=False, emoji=False)
     heading = title + (" (simulated)" if simulated else "")
     for _, group in itertools.groupby(rows, key=tuple):  # rows of other columns are a table of their own
-        console.print(_table(heading, list(group), console.width))
+        for table in _tables(heading, list(group), console.width):
+            console.print(table)
     for name, value in summary.items():
         console.print(f"{name}: {format_value(value)}", highlight=False, soft_wrap=True)
 
 
-def _table(title: str, rows: list[dict[str, Any]], width: int) -> Any:
-    """Rows of the same columns as a table; a few rows that are too wide get a line for every figure."""
+def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]:
+    """Rows of the same columns as a table.
+
+    Where that is too wide, a few rows get a line for every figure, and many get several tables, each with the columns
+    that name a row.
+    """
     from rich.table import Table
 
-    cells = [[format_value(value) for value in row.values()] for row in rows]
-    table = Table(title=title, title_justify="left")
     names = list(rows[0])
-    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
-    if len(rows) <= FEW_ROWS and sum(widths) + 3 * len(names) > width:
-        table.show_header = False
+    cells = [[format_value(value) for value in row.values()] for row in rows]
+    widths = [3 + max(map(len, column)) for column in zip(names, *cells, strict=True)]
+    if len(rows) <= FEW_ROWS and 1 + sum(widths) > width:
+        table = Table(title=title, title_justify="left", show_header=False)
         for _ in range(1 + len(rows)):
             table.add_column(overflow="fold")
-        for column in zip(names, *cells, strict=True):
-            table.add_row(*column)
-        return table
-    for name in names:
-        numeric = all(isinstance(row[name], (int, float, type(None))) for row in rows)
-        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
-    for line in cells:
-        table.add_row(*line)
-    return table
+        for line in zip(names, *cells, strict=True):
+            table.add_row(*line)
+        yield table
+        return
+    for columns in _side_by_side(widths, _naming(rows), width):
+        table = Table(title=title, title_justify="left")
+        for column in columns:
+            numeric = all(isinstance(row[names[column]], (int, float, type(None))) for row in rows)
+            table.add_column(names[column], justify="right" if numeric else "left", overflow="fold")
+        for values in cells:
+            table.add_row(*(values[column] for column in columns))
+        yield table
+        title = ""
+
+
+def _naming(rows: list[dict[str, Any]]) -> list[int]:
+    """The leading columns that tell one row from another: the first, and the next ones for as long as that takes."""
+    values = [tuple(map(str, row.values())) for row in rows]
+    for count in range(1, MOST_NAMING):
+        if len({value[:count] for value in values}) == len(values):
+            return list(range(count))
+    return list(range(min(MOST_NAMING, len(rows[0]))))
+
+
+def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[list[int]]:
+    """Columns of each table, so that every one fits; one that is too wide for that is alone with those that name."""
+    columns = list(naming)
+    for column in range(len(naming), len(widths)):
+        if len(columns) > len(naming) and 1 + sum(widths[other] for other in [*columns, column]) > width:
+            yield columns
+            columns = list(naming)
+        columns.append(column)
+    yield columns
 
 
 def format_value(value: Any) -> str:

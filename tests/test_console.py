@@ -99,6 +99,23 @@ def test_table_shows_every_column(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[-1] == "files: 2"
 
 
+def test_wide_tables_are_split(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that no line is wider than the terminal, no figure is lost, and each part says which rows it shows."""
+    rows = [
+        {"object": row, "seed": 0} | {f"figure_{column}": f"{row}-{column}" for column in range(20)} for row in range(5)
+    ]
+    console.print_table("wide", rows, {}, simulated=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    for row in range(5):
+        shown = [
+            line.split("│")[1:-1] for line in lines if line.startswith("│") and line.split("│")[1].strip() == str(row)
+        ]
+        assert len(shown) > 1
+        figures = [cell.strip() for line in shown for cell in line if "-" in cell]
+        assert figures == [f"{row}-{column}" for column in range(20)]
+
+
 def test_simulated_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     """Assert that figures from simulation say so, and others do not."""
     assert "track (simulated)" in table(capsys, ROWS, {}, simulated=True)
