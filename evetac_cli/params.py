@@ -472,12 +472,12 @@ class Grasp(Trials):
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0)
     camera: str = parameter(
         "sim",
-        "Camera: sim; virtual (a simulated world behind the real driver, in real time); dvxplorer[:SERIAL];"
-        " dv[:SERIAL]; replay:RECORDING, with --gripper sim what the controller would have done.",
+        "Camera: sim; virtual (a simulated world behind the real driver, in real time); dvxplorer, dvxplorer:SERIAL;"
+        " dv, dv:SERIAL; replay:RECORDING, with --gripper sim what the controller would have done.",
         recipe=False,
     )
     gripper: str | None = parameter(
-        None, "Gripper: sim, virtual, or its PORT[@BAUD]; default: that of the camera.", recipe=False
+        None, "Gripper: sim, virtual, or its PORT or PORT@BAUD; default: that of the camera.", recipe=False
     )
     calibration: Path | None = parameter(
         None, "Devices: dot grid (JSON) of the sensor; default: what a virtual world says.", recipe=False

@@ -1,13 +1,14 @@
 """The virtual world: what its camera sends is what the simulation sees, its gripper follows the servo's registers."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 from conftest import Made
 
-from evetac_cli.devices.servo_plant import Goals
+from evetac_cli.devices import virtual
+from evetac_cli.devices.servo_plant import Goals, Motion
 from evetac_cli.devices.simulated import rig
 from evetac_cli.devices.virtual import FIRST_MS, VirtualWorld
 from evetac_cli.errors import DeviceError, SceneError
@@ -16,6 +17,8 @@ from evetac_cli.kernels import event_words
 from evetac_cli.sim import scene
 
 SLICES = 250
+LONGEST_S = 20.0
+SHORT_MS = 3000
 
 
 def plan_of(made: Made) -> dict[str, object]:
@@ -83,19 +86,29 @@ def test_time_stands_still_until_it_runs(world: VirtualWorld) -> None:
     assert world.take(65536, 0.1) == b""
 
 
+def test_looking_comes_to_an_end(world: VirtualWorld) -> None:
+    """Assert that who looks for words until there are none is not kept by those that a late world still makes."""
+    world.run(True)
+    time.sleep(0.3)
+    made = 0
+    while world.take(65536, 0.0):
+        made = max(made, world._counters[virtual._MADE])
+    assert made >= 250  # all that was due when it was first looked
+    assert made < SHORT_MS
+
+
 def goals(**registers: int) -> Goals:
     """Registers of a servo with torque."""
     usual = {"mode": 0, "goal_current_ma": 0, "current_limit_ma": 661, "goal_ticks": 0, "p_gain": 50}
     return Goals(True, **(usual | registers))
 
 
-def after(world: VirtualWorld, wanted: Goals, seconds: float) -> int:
-    """Pass these registers to the world while it runs, and look at the position."""
-    world.plant.advance(wanted, 0.0)
+def until(world: VirtualWorld, wanted: Goals, holds: Callable[[Motion], bool]) -> Motion:
+    """Pass these registers to the world until what the servo measures is as expected, or the world has had its time."""
     began = time.monotonic()
-    while time.monotonic() < began + seconds:
+    while not holds(motion := world.plant.advance(wanted, 0.0)) and time.monotonic() < began + LONGEST_S:
         world.take(65536, 0.01)
-    return world.plant.advance(wanted, 0.0).position_ticks
+    return motion
 
 
 def test_finger_follows_the_servo(world: VirtualWorld) -> None:
@@ -103,19 +116,18 @@ def test_finger_follows_the_servo(world: VirtualWorld) -> None:
     started = world.plant.advance(Goals(), 0.0).position_ticks
     assert started > 0
     world.run(True)
-    pressed = after(world, goals(goal_current_ma=200), 0.3)
-    assert pressed > started
-    opened = after(world, goals(mode=5, goal_current_ma=661, goal_ticks=started - 30), 0.6)
-    assert opened < started
+    pressed = until(world, goals(goal_current_ma=200), lambda motion: motion.position_ticks > started)
+    assert pressed.position_ticks > started
+    opening = goals(mode=5, goal_current_ma=661, goal_ticks=started - 30)
+    opened = until(world, opening, lambda motion: motion.position_ticks < started)
+    assert opened.position_ticks < started
 
 
 def test_servo_without_torque_has_no_force(world: VirtualWorld) -> None:
     """Assert that once there was torque, its end is the end of the current."""
     world.run(True)
-    after(world, goals(goal_current_ma=60), 0.1)
-    assert world.plant.advance(goals(goal_current_ma=60), 0.0).current_ma == 60
-    after(world, Goals(False), 0.2)
-    assert world.plant.advance(Goals(False), 0.0).current_ma == 0
+    assert until(world, goals(goal_current_ma=60), lambda motion: motion.current_ma == 60).current_ma == 60
+    assert until(world, Goals(False), lambda motion: motion.current_ma == 0).current_ma == 0
 
 
 def test_scenes_that_cannot_be_built(made: Made) -> None:

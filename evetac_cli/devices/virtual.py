@@ -60,6 +60,8 @@ class VirtualWorld:
         """Build the world of a plan, as devices.simulated.rig does; its time stands still until `run`."""
         context = multiprocessing.get_context("spawn")
         self.plant = SharedPlant()
+        self._asked_ns = 0
+        self._looking = False  # whether words were found by the last call, which had no time to wait
         self._counters = context.Array("q", 4, lock=False)
         self._orders, orders = context.Pipe()
         self._words, words = context.Pipe(duplex=False)
@@ -119,17 +121,25 @@ class VirtualWorld:
             raise DeviceError("the process of the virtual world died") from None
 
     def take(self, most: int, timeout_s: float) -> bytes:
-        """Event words, little-endian, as they come; b"" if none came in time, and none are due from before the call."""
-        asked_ns = time.monotonic_ns()
+        """Event words, little-endian, as they come; b"" if none came in time, and none are due from before the call.
+
+        Who looks again and again without time to wait, until there are no words, has asked when he first looked.
+        """
+        if timeout_s > 0 or not self._looking:
+            self._asked_ns = time.monotonic_ns()
+        give_up_ns = time.monotonic_ns() + int(CATCH_UP_S * 1e9)
+        looks = timeout_s == 0
         behind = True
         while behind:
-            behind = self._is_behind(asked_ns) and time.monotonic_ns() < asked_ns + CATCH_UP_S * 1e9
+            behind = self._is_behind(self._asked_ns) and time.monotonic_ns() < give_up_ns
             if select.select([self._words], [], [], timeout_s)[0]:
                 data = os.read(self._words.fileno(), most)
                 if not data:
                     raise DeviceError("the process of the virtual world died")
+                self._looking = looks
                 return data
             timeout_s = SLICE_S
+        self._looking = False
         return b""
 
     def _is_behind(self, now_ns: int) -> bool:
@@ -241,6 +251,8 @@ class _Ticking:
         if on and not self._running:
             self._began_s = time.monotonic() - self._world.slices * SLICE_S
         self._running = on
+        if not on:
+            self._tell_known()
         self._counters[_BEGAN_NS] = int(self._began_s * 1e9) if on and not self._world.finished else 0
 
     @property
@@ -283,11 +295,16 @@ class _Ticking:
             return
         self._known.append(self._rig.truth())
         if len(self._known) >= TRUTH_SLICES or self._world.finished:
-            self._truths.put({name: np.asarray([row[name] for row in self._known]) for name in self._known[0]})
-            self._known = []
+            self._tell_known()
         if self._world.finished:
             self._truths.put(None)
         self._truths.send()
+
+    def _tell_known(self) -> None:
+        if self._truths is not None and self._known:
+            self._truths.put({name: np.asarray([row[name] for row in self._known]) for name in self._known[0]})
+            self._truths.send()
+            self._known = []
 
     def _queue(self, data: bytes) -> None:
         if len(self._backlog) + len(data) > BACKLOG_BYTES:

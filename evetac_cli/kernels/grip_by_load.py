@@ -10,8 +10,8 @@ at every moment, which follows a load that grows before anything slips. The rati
 most slippery objects would be held. Where slip is felt in the lift it grows. In balance it falls slowly, by the same
 share a second whatever the object weighs, until slip is felt, or until the object sinks a little, as it does when the
 edge of its patch begins to slip: that is the ratio which this object needs. On slip the grip closes well beyond it,
-because an object that slides is held by less friction, and comes back to stay a little above it. Weight that is added
-later finds the same ratio.
+because an object that slides is held by less friction, and comes back to stay a little above it; where the object only
+sinks, the grip stays as it is. Weight that is added later finds the same ratio.
 
 Why so: fingers with a geared motor stand still within a wide band of the goal (1.94 ticks either way), and whole ticks
 of the goal are steps of 2 N. Whoever lets the goal wander opens in jumps. Here the fingers are opened by pushes of
@@ -175,8 +175,7 @@ def _balance(state: LoadState, slip: bool, load_px: float, dt_s: float, law: Loa
     elif state.quiet_s >= law.quiet_s:
         state.least_px, state.most_px = min(state.least_px, load_px), max(state.most_px, load_px)
         if not state.needed and load_px > state.least_px * (1.0 + law.creep) + law.creep_px:
-            _learn(state, _ratio_here(state, load_px), load_px, law)
-            state.ratio = max(state.ratio, state.needed)
+            state.needed = state.ratio  # not yet slip of the whole: no margin
         lowest = max(state.needed, law.least_ratio)
         time_s = law.settle_s if state.needed else law.release_s
         state.spare_ticks = max(state.spare_ticks * (1.0 - dt_s / law.release_s), law.spare_ticks)
@@ -188,20 +187,11 @@ def _catch(state: LoadState, load_px: float, law: LoadLaw) -> None:
     shown = max(load_px - state.least_px, state.most_px - load_px) > law.doubt * load_px + law.doubt_px
     if not shown and state.felt_s < law.sure_s:
         return
-    here = _ratio_here(state, load_px)
+    here = max(state.place_ticks - state.rest_ticks - state.spare_ticks, 0.0) / load_px
     if shown:
-        _learn(state, here, load_px, law)
+        state.needed = min(here * (1.0 + law.margin) + law.margin_ticks / load_px, law.most_ratio)
     state.ratio = min(max(state.ratio, here * (1.0 + law.catch) + law.catch_ticks / load_px), law.most_ratio)
     state.least_px, state.most_px, state.caught = math.inf, 0.0, True
-
-
-def _ratio_here(state: LoadState, load_px: float) -> float:
-    return max(state.place_ticks - state.rest_ticks - state.spare_ticks, 0.0) / load_px
-
-
-def _learn(state: LoadState, here: float, load_px: float, law: LoadLaw) -> None:
-    """Slip begins at this ratio: what is needed is a little more."""
-    state.needed = min(here * (1.0 + law.margin) + law.margin_ticks / load_px, law.most_ratio)
 
 
 def _push(state: LoadState, position_ticks: int, dt_s: float, law: LoadLaw) -> int:

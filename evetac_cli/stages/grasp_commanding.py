@@ -9,6 +9,7 @@ Why so: a sensor's noise alone gives events in every slice, at rest too. So a ca
 not idle.
 """
 
+import contextlib
 import gc
 import math
 import os
@@ -42,6 +43,7 @@ FIRST_SIGN_S = 30.0  # in which the camera must be found and give its first slic
 WAITING_S = 0.01
 OVER = "the grasp is over"
 STOPPED = "stopped"
+TOO_LONG = "the time allowed is over"
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ class Commanding:
     law: Any
     timing: Timing
     watchdog_ms: int
+    most_s: float  # however long the camera's clock says that the grasp has yet to go
 
 
 class Ready(NamedTuple):
@@ -72,7 +75,7 @@ class CommandingEnded(NamedTuple):
     missed: int  # deadlines
     seconds: float  # from the first step to the last
     cycle_us: "array[float]"  # of every step, from its beginning to the end of its command
-    alive_us: float  # last sign of life of the camera where it is silent, of the detector otherwise; NaN without any
+    alive_us: float  # last sign of life of the camera where it is silent, else of the detector; NaN if the bus failed
     released_us: float  # when torque was off; NaN where nobody knows
     counted: dict[str, int]
 
@@ -136,26 +139,24 @@ class Watch:
         """The controller was stopped until now."""
         self._awake_us = now_us
 
-    def reason(self, sign: Sign, now_us: float) -> str:
-        """What is wrong; "" if nothing is."""
+    def wrong(self, sign: Sign, now_us: float) -> tuple[str, float]:
+        """What is wrong, "" if nothing is, and the last sign of life of what that is about."""
         for what, alive_us in (
             ("the detector died or hangs: no sign of life", sign.at_us),
             ("the camera is silent: not a single event", sign.heard_us),
         ):
-            silent_us = now_us - max(alive_us, self._awake_us)
-            if silent_us > self._watchdog_us:
-                return f"{what} for {(now_us - alive_us) * 1e-3:.0f} ms"
-        return ""
+            if now_us - max(alive_us, self._awake_us) > self._watchdog_us:
+                return f"{what} for {(now_us - alive_us) * 1e-3:.0f} ms", alive_us
+        return "", sign.at_us
 
 
-def live(commanding: Commanding, board: Board, pipe: Connection) -> None:
-    """Be the controller's process: open the gripper, say so, command until the end, switch torque off, say why."""
+def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connection) -> None:
+    """Be the controller's process: wait for word, open the gripper, command until the end, torque off, say why."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder, which then stops this
     outbox = Outbox(pipe)
-    timing = commanding.timing
     told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
-        control = Control(commanding.law, timing.control_hz)
+        orders.recv()
         urgency = hurry(RANK)
         with RhP12Rn(commanding.port, commanding.baud, "position", commanding.settings) as gripper:
             setup = {name: value for name, value in gripper.described.items() if name != "eeprom_written"}
@@ -164,10 +165,8 @@ def live(commanding: Commanding, board: Board, pipe: Connection) -> None:
             gc.collect()
             gc.freeze()
             gc.disable()  # the loop makes no cycles
-            watch = Watch(commanding.watchdog_ms)
-            wire_us = COMMAND_BYTES * 1e7 / commanding.baud
-            told = command(gripper, control, board, timing, watch, outbox, wire_us)
-    except BrokenPipeError:  # whoever started this is gone
+            told = command(gripper, board, commanding, outbox)
+    except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as error:
         told = told._replace(ended=str(error).splitlines()[0], error=error)
@@ -175,34 +174,52 @@ def live(commanding: Commanding, board: Board, pipe: Connection) -> None:
         failed = DeviceError(f"the controller failed: {type(error).__name__}: {error}")
         told = told._replace(ended=str(failed), error=failed)
     outbox.put(told)
-    outbox.flush(FLUSH_S)
+    with contextlib.suppress(BrokenPipeError):
+        outbox.flush(FLUSH_S)
 
 
 def command(
     gripper: Gripper,
-    control: Control,
     board: Board,
-    timing: Timing,
-    watch: Watch,
+    commanding: Commanding,
     outbox: Outbox,
-    wire_us: float,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> CommandingEnded:
     """Command until the grasp is over, the board says stop, or something fails; then torque off."""
-    if not _first_sign(board, clock, sleep):
-        gripper.close()
-        return CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, clock() * 1e6, dict(gripper.counted))
+    told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
+    if _first_sign(board, clock, sleep):
+        told = _command(gripper, board, commanding, outbox, clock, sleep)
+    try:
+        gripper.close()  # without effect where the driver has let go of it already
+    except DeviceError as failed:
+        return told._replace(ended=str(failed).splitlines()[0], error=failed, counted=dict(gripper.counted))
+    bus_failed = told.error is not None and math.isnan(told.alive_us)  # the error says whether torque is off
+    released_us = math.nan if bus_failed else clock() * 1e6
+    return told._replace(released_us=released_us, counted=dict(gripper.counted))
+
+
+def _command(
+    gripper: Gripper,
+    board: Board,
+    commanding: Commanding,
+    outbox: Outbox,
+    clock: Callable[[], float],
+    sleep: Callable[[float], None],
+) -> CommandingEnded:
+    """The loop; what it leaves to say is when torque was off."""
+    timing = commanding.timing
+    control = Control(commanding.law, timing.control_hz)
     pace = Pace(1.0 / timing.control_hz, clock, sleep)
+    watch = Watch(commanding.watchdog_ms)
+    parent = os.getppid()
+    wire_us = COMMAND_BYTES * 1e7 / commanding.baud
     cycle_us = array("d")
     rows: list[dict[str, Any]] = []
-    ended, error = "", None
-    alive_us = released_us = math.nan
-    parent = os.getppid()
+    ended, error, alive_us = "", None, math.nan
     began_s = last_s = clock()
     told_missed = seen = 0
-    wrong = ""
-    while not ended:
+    while True:
         late_us = pace.wait()
         begun_s = clock()
         try:
@@ -213,22 +230,23 @@ def command(
             if now_us - begun_s * 1e6 + late_us > FROZEN_US:
                 watch.slept_until(now_us)
             pace.shift(shift_us(now_us - sign.at_us))
-            slice_ = int(now_us - sign.zero_us) // SLICE_US
-            wrong = watch.reason(sign, now_us)
-            alive_us = sign.heard_us if "camera" in wrong else sign.at_us
+            slice_ = max(int(now_us - sign.zero_us) // SLICE_US, 0)
+            wrong, alive_us = watch.wrong(sign, now_us)
             if slice_ >= timing.end_ms:
                 ended = OVER
             elif board.stopping or os.getppid() != parent:
                 ended = STOPPED
+            elif begun_s > began_s + commanding.most_s:
+                ended = TOO_LONG
             elif wrong:
                 ended, error = wrong, DeviceError(f"{wrong}; torque is off")
             if ended:
                 break
-            phase = timing.phase(max(slice_, 0))
+            phase = timing.phase(slice_)
             goal = control.step(phase, sign.felt, reading.position_ticks)
             gripper.write_position(goal)
         except DeviceError as failed:
-            ended, error = str(failed).splitlines()[0], failed
+            ended, error, alive_us = str(failed).splitlines()[0], failed, math.nan
             break
         last_s = clock()
         cycle_us.append((last_s - begun_s) * 1e6)
@@ -243,23 +261,9 @@ def command(
             outbox.put(rows)
             outbox.send()
             rows = []
-    try:
-        gripper.close()  # without effect where the driver has let go of it already
-        released_us = math.nan if isinstance(error, DeviceError) and not wrong else clock() * 1e6
-    except DeviceError as failed:
-        ended, error = str(failed).splitlines()[0], failed
     outbox.put(rows)
-    return CommandingEnded(
-        ended,
-        error,
-        len(cycle_us),
-        pace.missed,
-        last_s - began_s,
-        cycle_us,
-        alive_us,
-        released_us,
-        dict(gripper.counted),
-    )
+    seconds = last_s - began_s
+    return CommandingEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
 
 
 def _first_sign(board: Board, clock: Callable[[], float], sleep: Callable[[float], None]) -> bool:

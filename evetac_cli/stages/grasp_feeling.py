@@ -135,7 +135,8 @@ def live(feeling: Feeling, board: Board, world: "VirtualWorld | None", orders: C
             with contextlib.suppress(DeviceError):  # it may have failed already
                 camera.close()
     outbox.put(FeelingEnded(dict(camera.counted) if camera is not None else {}, error))
-    outbox.flush(FLUSH_S)
+    with contextlib.suppress(BrokenPipeError):
+        outbox.flush(FLUSH_S)
 
 
 def feel(camera: Opened, sense: Sense | None, board: Board, outbox: Outbox, most: int) -> None:

@@ -38,7 +38,7 @@ from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.disk import require_room
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import open_recording
-from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.segments import RecordingWriter, refuse_leftover
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual import VirtualWorld
@@ -93,11 +93,15 @@ def jobs(params: Grasp, out: Path | None) -> list[Job]:
     except ValueError as error:
         raise InputError(str(error), where="--watchdog-ms") from None
     if gripper.kind == "port" and not (params.arm or params.dry_run):
+        console.say(
+            f"{camera} and {gripper}: {params.controller} at {params.control_hz:g} Hz for {timing.end_ms * 1e-3:g} s,"
+            f" with at most {params.max_current_ma} mA; {FALLS}"
+        )
         raise InputError(
             "this would move a real gripper",
             where=str(gripper),
             expected="--arm, once nothing is between the fingers that must not be",
-            hint=f"--dry-run shows the plan; {FALLS}",
+            hint="--dry-run shows all of the plan",
         )
     if camera.kind == "virtual" and camera.prepared_events_s is None:
         return trials(("lift",), params, out, prefix="virtual-")
@@ -161,9 +165,12 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
             where=str(job.output),
             hint="--force replaces it, -o NAME writes elsewhere",
         )
+    refuse_leftover(job.output)
     timing = timing_of(params)
     require_room(job.output.parent, EVENTS_S * timing.end_ms * 1e-3 * BYTES_AN_EVENT, "a shorter --balance-s")
     if gripper.kind == "port":
+        if job.choice["trial"]:
+            console.wait_for_enter(f"trial {job.choice['trial']}: put the object in place, then press Enter")
         console.say(f"{gripper} moves now; {FALLS}")
     with ExitStack() as opened, signals_counted() as came:
         world, servo = _virtual_peers(job, params, camera, gripper, seeds, opened)
@@ -176,6 +183,7 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
             grasp_setup.law_of(params),
             timing,
             params.watchdog_ms,
+            params.max_seconds,
         )
         loops = Loops(feeling, commanding, world)
         opened.callback(loops.close)

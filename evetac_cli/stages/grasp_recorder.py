@@ -45,30 +45,36 @@ class Loops:
     """Detector and controller, each in a process of its own; closing them switches torque off."""
 
     def __init__(self, feeling: Feeling, commanding: Commanding, world: "VirtualWorld | None") -> None:
-        """Start both; they load, and wait: the controller for a first slice, the detector for `begin`."""
+        """Start both; they load, and wait for `begin`."""
         context = multiprocessing.get_context("spawn")
         self.board = Board()
-        self._orders, orders = context.Pipe()
+        self._orders = []  # to the detector and to the controller
+        theirs = []
+        for _ in range(2):
+            heard, ours = context.Pipe(duplex=False)
+            self._orders.append(ours)
+            theirs.append(heard)
         seen, seeing = context.Pipe(duplex=False)
         done, doing = context.Pipe(duplex=False)
         self.seen, self.done = Inbox(seen), Inbox(done)
         self.detector = context.Process(
-            target=grasp_feeling.live, args=(feeling, self.board, world, orders, seeing), name="evetac-detector"
+            target=grasp_feeling.live, args=(feeling, self.board, world, theirs[0], seeing), name="evetac-detector"
         )
         self.controller = context.Process(
-            target=grasp_commanding.live, args=(commanding, self.board, doing), name="evetac-controller"
+            target=grasp_commanding.live, args=(commanding, self.board, theirs[1], doing), name="evetac-controller"
         )
         for process in (self.detector, self.controller):
             process.daemon = True
             process.start()
-        for end in (orders, seeing, doing):  # ours; else a pipe would not end with the process at its other end
+        for end in (*theirs, seeing, doing):  # ours; else a pipe would not end with the process at its other end
             end.close()
 
     def begin(self, came: list[int]) -> tuple[Seen, Ready]:
-        """Wait until both are ready, let the camera run; what they are. EvetacError if something does not come up."""
+        """Open the gripper once the detector has loaded, then the camera; what they are. EvetacError if one fails."""
         self._wait_for(str, self.seen, self.detector, LOAD_S, came)
+        self._orders[1].send("begin")
         ready = self._wait_for(Ready, self.done, self.controller, LOAD_S, came)
-        self._orders.send("begin")
+        self._orders[0].send("begin")
         return self._wait_for(Seen, self.seen, self.detector, OPEN_S, came), ready
 
     @staticmethod
@@ -90,7 +96,8 @@ class Loops:
     def close(self) -> None:
         """End both; torque is off afterwards, or the servo's watchdog sees to it."""
         self.board.stop()
-        self._orders.close()
+        for orders in self._orders:
+            orders.close()
         for process in (self.controller, self.detector):
             process.join(END_S)
             if process.is_alive():

@@ -60,7 +60,7 @@ class RecordingWriter:
         With a `recipe` what is left by a recording that breaks off can be repaired, and is never thrown away.
         """
         self.path = path
-        self.folder = path.with_name(path.name.removesuffix(".h5") + ".part")
+        self.folder = _folder_of(path)
         self._claim(discard_leftover)
         try:
             about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe), allow_nan=False)}
@@ -90,16 +90,15 @@ class RecordingWriter:
         except OSError:
             self._lock.close()
             raise InputError("another process is recording here", where=str(self.folder)) from None
-        left = [file for file in self.folder.iterdir() if file.name != "lock"]
-        kept = any(file.name[0].isdigit() for file in left) and not (self.folder / JOINED).exists()
-        if kept and (not discard_leftover or _repairable(self.folder)):
-            self._lock.close()
-            raise InputError(
-                "a recording broke off here and cannot be made again",
-                where=str(self.folder),
-                hint=f"evetac repair {self.folder}, or write elsewhere with -o",
-            )
-        for file in left:
+        if not discard_leftover or _repairable(self.folder):
+            try:
+                refuse_leftover(self.path)
+            except InputError:
+                self._lock.close()
+                raise
+        for file in self.folder.iterdir():
+            if file.name == "lock":
+                continue
             if file.is_dir():
                 self._lock.close()
                 raise InputError("this folder is not from a recording", where=str(file), hint="move it away")
@@ -177,6 +176,23 @@ class RecordingWriter:
                 where=str(path.parent),
                 hint="free some space on this disk",
             ) from error
+
+
+def refuse_leftover(path: Path) -> None:
+    """InputError where a recording of this name broke off, and its segments wait for repair."""
+    folder = _folder_of(path)
+    if not folder.is_dir() or (folder / JOINED).exists():
+        return
+    if any(file.name[0].isdigit() for file in folder.iterdir()):
+        raise InputError(
+            "a recording broke off here and cannot be made again",
+            where=str(folder),
+            hint=f"evetac repair {folder}, or write elsewhere with -o",
+        )
+
+
+def _folder_of(path: Path) -> Path:
+    return path.with_name(path.name.removesuffix(".h5") + ".part")
 
 
 def crc_of(value: Any) -> int:

@@ -180,7 +180,7 @@ def _swing(t_us: NDArray[np.int64], position_ticks: NDArray[np.int32]) -> float:
     """How far fingers go to and fro, in ticks: about a straight line, as they may be opening slowly."""
     seconds = (t_us - t_us[0]) * 1e-6
     line = np.polynomial.Polynomial.fit(seconds, position_ticks, 1)
-    return float(np.ptp(position_ticks - line(seconds)))
+    return round(float(np.ptp(position_ticks - line(seconds))), 2)
 
 
 def _row(name: str, ok: bool, outcome: str, **more: Any) -> Row:
