@@ -136,7 +136,8 @@ def _add(
         flag = params.flag_of(item)
         told = item.default is not None and item.default is not False and item.default != ""
         default = f" \\[default: {item.default}]" if told else ""
-        help_ = item.metadata["help"] + choices + unit + default
+        told_of = item.metadata["help"].replace("[", "\\[")  # text, not markup
+        help_ = told_of + choices + unit + default
         option: Any  # typer's own types of arguments and options
         if flag.startswith("--"):
             option = typer.Option(flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}", help=help_)

@@ -20,6 +20,7 @@ from evetac_cli.kernels.grip_control import Control, Felt
 from evetac_cli.stages.grasp_board import Board, Sign
 from evetac_cli.stages.grasp_commanding import (
     COMMAND_BYTES,
+    FRESH_US,
     MOST_SHIFT_US,
     OVER,
     STOPPED,
@@ -97,7 +98,7 @@ def test_steps_follow_the_news(age_us: float) -> None:
     assert shift_us(age_us + 1000.0) == pytest.approx(shift, abs=1e-6)
     for _ in range(1000):
         age_us = (age_us + shift_us(age_us)) % 1000.0
-    assert age_us == pytest.approx(200.0, abs=1.0)
+    assert age_us == pytest.approx(FRESH_US, abs=1.0)
 
 
 def test_watch() -> None:

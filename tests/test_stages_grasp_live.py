@@ -6,19 +6,28 @@ import signal
 import subprocess
 import sys
 import time
+from array import array
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from evetac_cli.devices import GripperReading
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.grip import Phase
+from evetac_cli.kernels.grip import PAPER, Phase
+from evetac_cli.kernels.grip_control import Control, Felt
 from evetac_cli.params import Grasp
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages import grasp
+from evetac_cli.stages import Job, grasp, grasp_live
+from evetac_cli.stages.grasp_commanding import CommandingEnded, Ready
+from evetac_cli.stages.grasp_feeling import FeelingEnded, Piece, Seen, noise
+from evetac_cli.stages.grasp_loop import row_of
+from evetac_cli.stages.grasp_recorder import Recorded
 from evetac_cli.store.read import open_recording
+from evetac_cli.store.segments import RecordingWriter
 
 PORT = "/dev/ttyNothing"
 # Long enough for a machine that runs many tests at once; nothing here is about time.
@@ -85,14 +94,127 @@ def test_no_dot_grid(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_gripper_that_is_not_there(tmp_path: Path) -> None:
-    """Assert that the driver's words come through two processes, that both end, and that nothing is left."""
+@pytest.fixture
+def armed(tmp_path: Path) -> tuple[Grasp, Job]:
+    """A grasp with a gripper that does not exist, at a gel whose dots are known."""
     source = tmp_path / "grid.json"
     columns, rows = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
     grid = np.stack([columns, rows], axis=-1)
     source.write_text(json.dumps({"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": grid.tolist()}))
     params = Grasp(camera="virtual:prepared=10000", gripper=PORT, arm=True, calibration=source)
     (job,) = grasp.jobs([], params, tmp_path / "b.recording.h5")
+    return params, job
+
+
+class Loops:
+    """In place of detector and controller: two that are ready, and do nothing."""
+
+    closed = 0
+
+    def __init__(self, *made_of: Any) -> None:
+        pass
+
+    def begin(self, came: list[int]) -> tuple[Seen, Ready]:
+        sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "dvxplorer:T1"}
+        return Seen(sensor, {"serial": "T1"}, (), "as usual"), Ready({"mode": "position"}, "as usual")
+
+    def close(self) -> None:
+        Loops.closed += 1
+
+
+@pytest.fixture
+def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
+    """Let a function stand for detector, controller and recorder."""
+
+    def put(record: Any) -> None:
+        Loops.closed = 0
+        monkeypatch.setattr(grasp_live, "Loops", Loops)
+        monkeypatch.setattr(grasp_live, "record", record)
+        monkeypatch.setattr(grasp_live, "hurry", lambda rank: None)
+
+    return put
+
+
+def some(writer: RecordingWriter, ended: str, error: Exception | None = None, steps: int = 2) -> Recorded:
+    """What is recorded of a grasp of a few slices."""
+    recorded = Recorded(1000, ended=ended, error=error)
+    piece = Piece(noise(np.random.default_rng(0), 0), [3000], [0.5], [1.0], [600.0])
+    recorded.take_slices(piece, writer)
+    control = Control(PAPER)
+    row = row_of(control, Phase.LIFT, Felt(), GripperReading(5.0, 400), 402, 1000)
+    late = {"control/late_us": 5.0, "control/missed": 1, "control/latency_us": 2500.0, "control/slices_felt": 1}
+    recorded.take_steps([{**row, **late}] * steps, writer)
+    cycle_us = array("d", [700.0] * steps)
+    recorded.commanding = CommandingEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
+    recorded.feeling = FeelingEnded({"late_events": 3}, None)
+    return recorded
+
+
+def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
+    """Assert that misses, latency, losses and urgency are in file and row, and that both processes are ended."""
+    recorder_is(lambda loops, world, writer, *more: some(writer, "the grasp is over"))
+    row = grasp.run(armed[1], armed[0]).rows[0]
+    assert Loops.closed
+    assert (row["command_misses"], row["latency_us_median"], row["latencies"]) == (1, 2500.0, 2)
+    assert row["lost"] == "camera.late_events 3; gripper.answers_lost 4"
+    with open_recording(armed[1].output) as file:
+        assert file.read("capture/latency_us").tolist() == [2500.0] * 3
+        assert file.read("capture/slice_late_us").tolist() == [600.0] * 3
+        assert not file.has("capture/released_us")
+        assert "as usual" in file.read("capture/urgency")
+        assert file.header["parameters"]["setup"]["camera"] == {"serial": "T1"}
+
+
+def test_a_failure_is_told_and_kept(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
+    """Assert that what failed is raised, with what is kept, and that the file says it and how long torque stayed on."""
+    failed = DeviceError("the camera is silent; torque is off")
+    recorder_is(lambda loops, world, writer, *more: some(writer, "the camera is silent", failed))
+    with pytest.raises(DeviceError, match="silent(.|\n)*kept: .*1 slices in"):
+        grasp.run(armed[1], armed[0])
+    assert validate.run([armed[1].output]).rows[0]["faults"] is None
+    with open_recording(armed[1].output) as file:
+        assert file.read("capture/ended") == "the camera is silent"
+        assert float(file.read("capture/released_us")) == pytest.approx(70_000.0)
+
+
+def test_interrupted(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
+    """Assert that Ctrl-C goes on as such, once the file is there."""
+    recorder_is(lambda loops, world, writer, *more: some(writer, "interrupted"))
+    with pytest.raises(KeyboardInterrupt, match="torque is off: 1 slices"):
+        grasp.run(armed[1], armed[0])
+    assert validate.run([armed[1].output]).rows[0]["faults"] is None
+
+
+def test_nothing_happened(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
+    """Assert that a grasp without a step leaves no file, and says why it ended."""
+    recorder_is(lambda loops, world, writer, *more: some(writer, "no answer", DeviceError("no answer"), steps=0))
+    with pytest.raises(DeviceError, match="no answer(.|\n)*nothing was recorded"):
+        grasp.run(armed[1], armed[0])
+    assert not armed[1].output.exists()
+    assert not list(armed[1].output.parent.glob("*.part"))
+
+
+def test_a_full_disk(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
+    """Assert that what was written waits for repair, that it is said, and that nobody grasps over it."""
+
+    def fails(loops: Any, world: Any, writer: RecordingWriter, *more: Any) -> None:
+        some(writer, "")
+        writer.close_segment()
+        raise InputError("a segment cannot be written")
+
+    recorder_is(fails)
+    with pytest.raises(InputError, match="cannot be written(.|\n)*evetac repair"):
+        grasp.run(armed[1], armed[0])
+    assert Loops.closed
+    Loops.closed = 0
+    with pytest.raises(InputError, match="broke off here"):
+        grasp.run(armed[1], armed[0])
+    assert not Loops.closed
+
+
+def test_a_gripper_that_is_not_there(armed: tuple[Grasp, Job], tmp_path: Path) -> None:
+    """Assert that the driver's words come through two processes, that both end, and that nothing is left."""
+    params, job = armed
     with pytest.raises(DeviceError, match="there is no such port"):
         grasp.run(job, params)
     assert not job.output.exists()

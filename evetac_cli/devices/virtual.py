@@ -32,6 +32,7 @@ LATE_S = 5e-3  # a slice whose words leave later than this after its end was lat
 BACKLOG_BYTES = 4 << 20  # of words that nobody fetched; further slices are dropped and counted
 FIRST_MS = 1  # device time of the first slice: a camera whose clock reads 0 looks as if it had wrapped
 PAPER_P_GAIN = 50  # the servo's gain at which the simulated drive was fitted
+WORD_BYTES = 4
 START_S = 120.0  # in which a world must be built, compiling included
 END_S = 2.0
 WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp comes to the moment at which a hand rises
@@ -274,9 +275,12 @@ class _Ticking:
             before_ticks = self._world.finger.closing_ticks
             events = self._rig.camera.read()
             self._show(before_ticks)
-            data = self._encode(events, FIRST_MS).tobytes() if events is not None else b""
-            # a sensor that is read out 5000 times a second begins the next millisecond, whether or not it saw something
-            self._queue(data + self._timestamp(FIRST_MS + self._world.slices).tobytes())
+            # A sensor that is read out 5000 times a second begins every millisecond, whether or not it sees something:
+            # its TIMESTAMP comes once, at the end of the slice before, but for the very first.
+            if self._world.slices == 1:
+                self._queue(self._timestamp(FIRST_MS).tobytes())
+            words = b"" if events is None else self._encode(events, FIRST_MS).tobytes()[WORD_BYTES:]
+            self._queue(words + self._timestamp(FIRST_MS + self._world.slices).tobytes())
             self._tell()
             if time.monotonic() > self._began_s + self._world.slices * SLICE_S + LATE_S:
                 self._counters[_LATE] += 1

@@ -209,7 +209,7 @@ def _push(state: LoadState, position_ticks: int, dt_s: float, law: LoadLaw) -> i
         state.pulses += 1
         harder = state.pulses // max(law.dry_pulses, 1)
         return -min(max(math.ceil(law.band_ticks - held + law.surplus_ticks), 1) + harder, int(law.most_push))
-    return round(held)
+    return round(min(held, law.most_push))
 
 
 def _clip_whole(goal: float, last_tick: int) -> int:

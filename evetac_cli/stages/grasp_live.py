@@ -26,7 +26,7 @@ from evetac_cli.kernels.grip_control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, grasp_replay, grasp_setup, one_file, outcome
-from evetac_cli.stages.capture import INTERRUPTED, LOST, finish, signals_counted
+from evetac_cli.stages.capture import INTERRUPTED, LOST, finish, signals_counted, with_hint
 from evetac_cli.stages.capture_plan import BYTES_AN_EVENT
 from evetac_cli.stages.capture_series import without_nan
 from evetac_cli.stages.grasp_commanding import Commanding
@@ -199,7 +199,11 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
         sensor = {**seen.sensor, **sensor, "t_offset": np.int64(0)}
         recipe = _recipe(job, params, camera, setup, sensor)
         writer = RecordingWriter(job.output, sensor, discard_leftover=False, recipe=recipe)
-        recorded = record(loops, world, writer, timing.end_ms, came, lambda done: progress(done, timing.end_ms))
+        try:
+            recorded = record(loops, world, writer, timing.end_ms, came, lambda done: progress(done, timing.end_ms))
+        except BaseException as error:
+            writer.leave()
+            raise with_hint(error, writer) from None
         loops.close()
         relax()
         figures = {**recorded.figures(), "capture/urgency": f"detector {seen.urgency}, controller {ready.urgency}"}
