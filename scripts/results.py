@@ -194,6 +194,45 @@ def force(report: Row) -> str:
     )
 
 
+def grasps(report: Row, which: str) -> str:
+    rows = [
+        [
+            row["setting"],
+            str(row["trials"]),
+            beside(row["success"], row["paper_success"]),
+            number(row["force_end_n"]),
+            number(row["moved_mm_median"]),
+            number(row["moved_mm_mean"]),
+            beside(row["reduction"], row["paper_reduction"]),
+        ]
+        for row in having(report, "columns")
+    ]
+    heads = ["controller", "trials", "lifted and kept (paper)", "grip at the end [N]", "moved, median [mm]", "mean"]
+    return table(f"Grasps, {which}:", [*heads, "opened again in balance (paper)"], rows)
+
+
+def objects(report: Row) -> str:
+    """Objects down, controllers across, where several held them all."""
+    rows = having(report, "object", "trials")
+    settings = [name for name in dict.fromkeys(row["setting"] for row in rows) if name != "none"]
+    settings = [name for name in settings if not name.startswith("fixed")]
+    lines = []
+    for number_ in sorted({row["object"] for row in rows}):
+        of = {row["setting"]: row for row in rows if row["object"] == number_}
+        cells = []
+        for name in settings:
+            row = of.get(name)
+            figures = () if row is None else (number(row["opening_end_ticks"], 1), number(row["force_end_n"], 1))
+            cells.append("" if row is None else ", ".join((f"{row['success']:.0%}", *figures)))
+        told = [row["paper_opening_end_ticks"] for row in of.values() if row["paper_opening_end_ticks"] is not None]
+        lines.append([str(number_), *cells, number(told[0], 1) if told else ""])
+    return table("Grasps by object: kept, ticks closed at the end, N:", ["object", *settings, "paper, ticks"], lines)
+
+
+def grasp_tables(report: Row) -> str:
+    return grasps(report, "objects 10-20, lifted and balanced by feel") + "\nSimulated. " + objects(report)
+
+
 TABLES: dict[str, Callable[[Row], str]] = {
     "slip-training-objects": slip_training,
     "slip-unseen-objects": slip_unseen,
@@ -204,6 +243,8 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "vibration": lambda report: vibration(report, "100 s a tone"),
     "vibration-drawn": lambda report: vibration(report, "10 s a tone, loudness, place and harmonics drawn anew"),
     "force": force,
+    "grasps": grasp_tables,
+    "grasp-robustness": lambda report: grasps(report, "sideways, with a falling weight, on another sensor"),
 }
 
 
