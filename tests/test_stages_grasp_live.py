@@ -130,7 +130,6 @@ def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
         Loops.closed = 0
         monkeypatch.setattr(grasp_live, "Loops", Loops)
         monkeypatch.setattr(grasp_live, "record", record)
-        monkeypatch.setattr(grasp_live, "hurry", lambda rank: None)
 
     return put
 

@@ -20,7 +20,7 @@ from evetac_cli import console
 from evetac_cli.devices.dynamixel_bus import ANSWER_MS
 from evetac_cli.devices.naming import VIRTUAL_ANSWER_MS, CameraName, GripperName, camera_name, gripper_name
 from evetac_cli.devices.rh_p12_rn import RhP12RnSettings
-from evetac_cli.devices.urgency import hurry, relax
+from evetac_cli.devices.urgency import hurry
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.kernels.grip_control import Control
 from evetac_cli.params import Grasp
@@ -48,8 +48,7 @@ OUTPUT = "recording"
 METHOD = 1  # of grasps in real time
 EVENTS_S = 500_000  # that the disk must have room for
 SLOWEST_HZ = 100.0  # below, the watchdog would be blind
-WORLD_RANK, SERVO_RANK = 10, 40  # of urgency: hardware does not wait for a scheduler
-RECORDER_RANK = 5
+SERVO_RANK = 40  # of urgency: hardware does not wait for a scheduler
 VIRTUAL_PATIENCE = 5
 LAST_TICK = 740  # closed; the law's own limit
 FALLS = "torque is switched off at the end, and at once if detector, camera or bus fail: what is held then falls"
@@ -187,12 +186,9 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
         )
         loops = Loops(feeling, commanding, world)
         opened.callback(loops.close)
-        for peer, rank in ((world, WORLD_RANK), (servo, SERVO_RANK)):
-            if peer is not None and peer.pid is not None:
-                hurry(rank, peer.pid)
-        opened.callback(relax)
+        if servo is not None and servo.pid is not None:
+            hurry(SERVO_RANK, servo.pid)
         seen, ready = loops.begin(came)
-        hurry(RECORDER_RANK)
         for note in seen.notes:
             console.say(note)
         setup = {"camera": dict(seen.setup), "gripper": {"name": gripper.kind, **ready.setup}}
@@ -205,7 +201,6 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
             writer.leave()
             raise with_hint(error, writer) from None
         loops.close()
-        relax()
         figures = {**recorded.figures(), "capture/urgency": f"detector {seen.urgency}, controller {ready.urgency}"}
         if world is not None:
             figures |= {f"{LOST}world.{why}": np.int64(count) for why, count in world.counted.items()}
