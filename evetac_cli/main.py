@@ -173,8 +173,8 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             )
         if getattr(chosen, "dry_run", False):
             shown: Outcome = stage.dry_run(jobs, chosen)
-            simulated = shown.simulated
-            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=running["as_json"])
+            as_json, simulated = running["as_json"], shown.simulated
+            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
             return
         started = time.monotonic()
         results = _run(command, jobs, chosen, running)

@@ -131,8 +131,10 @@ class Watch:
     controller itself has been awake, and a detector that was stopped with it has the watchdog's time to go on.
     """
 
-    def __init__(self, watchdog_ms: float) -> None:
+    def __init__(self, watchdog_ms: float, gone: Callable[[], bool] = lambda: False) -> None:
+        """`gone` says whether the detector's process has ended, which needs no waiting."""
         self._watchdog_us = 1e3 * watchdog_ms
+        self._gone = gone
         self._awake_us = -math.inf
 
     def slept_until(self, now_us: float) -> None:
@@ -141,8 +143,10 @@ class Watch:
 
     def wrong(self, sign: Sign, now_us: float) -> tuple[str, float]:
         """What is wrong, "" if nothing is, and the last sign of life of what that is about."""
+        if self._gone():
+            return "the detector died", sign.at_us
         for what, alive_us in (
-            ("the detector died or hangs: no sign of life", sign.at_us),
+            ("the detector hangs: no sign of life", sign.at_us),
             ("the camera is silent: not a single event", sign.heard_us),
         ):
             if now_us - max(alive_us, self._awake_us) > self._watchdog_us:
@@ -150,8 +154,11 @@ class Watch:
         return "", sign.at_us
 
 
-def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connection) -> None:
-    """Be the controller's process: wait for word, open the gripper, command until the end, torque off, say why."""
+def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connection, detector: Connection) -> None:
+    """Be the controller's process: wait for word, open the gripper, command until the end, torque off, say why.
+
+    detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder, which then stops this
     outbox = Outbox(pipe)
     told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
@@ -165,7 +172,7 @@ def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connect
             gc.collect()
             gc.freeze()
             gc.disable()  # the loop makes no cycles
-            told = command(gripper, board, commanding, outbox)
+            told = command(gripper, board, commanding, outbox, gone=detector.poll)
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as error:
@@ -185,11 +192,12 @@ def command(
     outbox: Outbox,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
+    gone: Callable[[], bool] = lambda: False,
 ) -> CommandingEnded:
     """Command until the grasp is over, the board says stop, or something fails; then torque off."""
     told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     if _first_sign(board, clock, sleep):
-        told = _command(gripper, board, commanding, outbox, clock, sleep)
+        told = _command(gripper, board, commanding, outbox, clock, sleep, gone)
     try:
         gripper.close()  # without effect where the driver has let go of it already
     except DeviceError as failed:
@@ -206,12 +214,13 @@ def _command(
     outbox: Outbox,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
+    gone: Callable[[], bool],
 ) -> CommandingEnded:
     """The loop; what it leaves to say is when torque was off."""
     timing = commanding.timing
     control = Control(commanding.law, timing.control_hz)
     pace = Pace(1.0 / timing.control_hz, clock, sleep)
-    watch = Watch(commanding.watchdog_ms)
+    watch = Watch(commanding.watchdog_ms, gone)
     parent = os.getppid()
     wire_us = COMMAND_BYTES * 1e7 / commanding.baud
     cycle_us = array("d")

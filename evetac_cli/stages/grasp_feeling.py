@@ -104,8 +104,18 @@ def noise(rng: np.random.Generator, slice_: int) -> Events:
     return Events(t.astype(np.int64), x, y, p)
 
 
-def live(feeling: Feeling, board: Board, world: "VirtualWorld | None", orders: Connection, pipe: Connection) -> None:
-    """Be the detector's process: load, say `ready`, wait for word, open the camera, feel until told to stop."""
+def live(
+    feeling: Feeling,
+    board: Board,
+    world: "VirtualWorld | None",
+    orders: Connection,
+    pipe: Connection,
+    alive: Connection,
+) -> None:
+    """Be the detector's process: load, say `ready`, wait for word, open the camera, feel until told to stop.
+
+    alive: held, and never written to: it closes when this process ends, however it ends.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder, which then stops this
     outbox = Outbox(pipe)
     camera = None
@@ -137,6 +147,7 @@ def live(feeling: Feeling, board: Board, world: "VirtualWorld | None", orders: C
     outbox.put(FeelingEnded(dict(camera.counted) if camera is not None else {}, error))
     with contextlib.suppress(BrokenPipeError):
         outbox.flush(FLUSH_S)
+    alive.close()
 
 
 def feel(camera: Opened, sense: Sense | None, board: Board, outbox: Outbox, most: int) -> None:

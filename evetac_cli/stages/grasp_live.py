@@ -181,7 +181,7 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
             settings_of(params, gripper),
             grasp_setup.law_of(params),
             timing,
-            params.watchdog_ms,
+            (VIRTUAL_PATIENCE if world is not None else 1) * params.watchdog_ms,  # a late world holds up its camera
             params.max_seconds,
         )
         loops = Loops(feeling, commanding, world)

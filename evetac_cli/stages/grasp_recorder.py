@@ -56,17 +56,28 @@ class Loops:
             theirs.append(heard)
         seen, seeing = context.Pipe(duplex=False)
         done, doing = context.Pipe(duplex=False)
+        detector, alive = context.Pipe(duplex=False)  # nothing is sent: it ends when the detector does
         self.seen, self.done = Inbox(seen), Inbox(done)
         self.detector = context.Process(
-            target=grasp_feeling.live, args=(feeling, self.board, world, theirs[0], seeing), name="evetac-detector"
+            target=grasp_feeling.live,
+            args=(feeling, self.board, world, theirs[0], seeing, alive),
+            name="evetac-detector",
         )
         self.controller = context.Process(
-            target=grasp_commanding.live, args=(commanding, self.board, theirs[1], doing), name="evetac-controller"
+            target=grasp_commanding.live,
+            args=(commanding, self.board, theirs[1], doing, detector),
+            name="evetac-controller",
         )
         for process in (self.detector, self.controller):
             process.daemon = True
             process.start()
-        for end in (*theirs, seeing, doing):  # ours; else a pipe would not end with the process at its other end
+        for end in (
+            *theirs,
+            seeing,
+            doing,
+            detector,
+            alive,
+        ):  # ours; else a pipe would not end with the process at its other end
             end.close()
 
     def begin(self, came: list[int]) -> tuple[Seen, Ready]:
