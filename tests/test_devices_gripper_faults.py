@@ -18,6 +18,8 @@ from evetac_cli.devices.virtual_gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.resources import PACKAGE
 
+pytestmark = pytest.mark.slow  # minutes in real time: make test-all
+
 SLOW = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540)  # nothing is lost, however busy the machine
 QUICK = RhP12RnSettings(answer_ms=250, watchdog_ms=1000)  # where answers are lost on purpose
 
