@@ -278,7 +278,7 @@ def _run(command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any]
     return [results[job.output] for job in jobs]
 
 
-class _errors_in_words:  # noqa: N801 - reads as a phrase in a with statement
+class _errors_in_words:  # reads as a phrase in a with statement
     """End the program with an error in words and the exit code of its kind; Ctrl-C exits 130."""
 
     def __init__(self, verbose: bool) -> None:

@@ -1,6 +1,7 @@
 """Files of every kind, each made by the real stage from the smallest scene; shared by the tests of a session."""
 
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,9 @@ from typing import Any
 import pytest
 
 from evetac_cli import params
+from evetac_cli.devices.dynamixel_bus import Bus
+from evetac_cli.devices.rh_p12_rn import RhP12RnSettings
+from evetac_cli.devices.virtual_gripper import VirtualGripper
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import featurize, fit, grasp, label, record, track, train
 
@@ -113,3 +117,28 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)
     return made
+
+
+# A gripper to try the driver on.
+
+SLOW = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540)  # nothing is lost, however busy the machine
+
+
+@pytest.fixture(scope="module")
+def gripper() -> Iterator[VirtualGripper]:
+    """The virtual gripper of a file of tests."""
+    with VirtualGripper() as made:
+        yield made
+
+
+@pytest.fixture
+def fresh(gripper: VirtualGripper) -> VirtualGripper:
+    """The module's gripper, as after switching it off and on."""
+    with Bus(gripper.port, 2_000_000, answer_ms=SLOW.answer_ms) as bus:
+        bus.tolerant = True
+        bus.reboot()
+    return gripper
+
+
+def is_off(gripper: VirtualGripper) -> bool:
+    return gripper.look("Torque Enable") == 0 and gripper.look("Goal Current") == 0

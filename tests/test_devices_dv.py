@@ -50,13 +50,13 @@ class FakeMini:
             raise AttributeError(name)
         return lambda value: self.told.__setitem__(name, value)
 
-    def getCameraName(self) -> str:  # noqa: N802 - the library's name
+    def getCameraName(self) -> str:  # the library's name
         return "DVXplorerM_FAKE"
 
-    def getNextEventBatch(self) -> Batch | None:  # noqa: N802
+    def getNextEventBatch(self) -> Batch | None:
         return self.batches.popleft() if self.batches else None
 
-    def isRunning(self) -> bool:  # noqa: N802
+    def isRunning(self) -> bool:
         return self.running
 
 

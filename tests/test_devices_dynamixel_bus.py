@@ -5,10 +5,10 @@ import pty
 import select
 import threading
 import tty
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from conftest import SLOW
 
 from evetac_cli.devices.control_table import REGISTERS
 from evetac_cli.devices.dynamixel_bus import Bus, Found, latency_timer_ms, scan
@@ -16,14 +16,6 @@ from evetac_cli.devices.dynamixel_frames import FrameReader, Instruction, status
 from evetac_cli.devices.rh_p12_rn import RhP12Rn, RhP12RnSettings, change_baud
 from evetac_cli.devices.virtual_gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
-
-SLOW = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540)  # nothing is lost, however busy the machine
-
-
-@pytest.fixture(scope="module")
-def gripper() -> Iterator[VirtualGripper]:
-    with VirtualGripper() as made:
-        yield made
 
 
 def test_what_cannot_be_opened_is_said(gripper: VirtualGripper, tmp_path: Path) -> None:

@@ -6,10 +6,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from conftest import SLOW, is_off
 
 from evetac_cli.devices.dynamixel_bus import Bus, PortGone
 from evetac_cli.devices.dynamixel_frames import Instruction
@@ -20,27 +20,7 @@ from evetac_cli.resources import PACKAGE
 
 pytestmark = pytest.mark.slow  # minutes in real time: make test-all
 
-SLOW = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540)  # nothing is lost, however busy the machine
 QUICK = RhP12RnSettings(answer_ms=250, watchdog_ms=1000)  # where answers are lost on purpose
-
-
-@pytest.fixture(scope="module")
-def gripper() -> Iterator[VirtualGripper]:
-    with VirtualGripper() as made:
-        yield made
-
-
-@pytest.fixture
-def fresh(gripper: VirtualGripper) -> VirtualGripper:
-    """The module's gripper, as after switching it off and on."""
-    with Bus(gripper.port, 2_000_000, answer_ms=SLOW.answer_ms) as bus:
-        bus.tolerant = True
-        bus.reboot()
-    return gripper
-
-
-def is_off(gripper: VirtualGripper) -> bool:
-    return gripper.look("Torque Enable") == 0 and gripper.look("Goal Current") == 0
 
 
 def cycles(driver: RhP12Rn, count: int) -> None:

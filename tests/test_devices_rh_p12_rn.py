@@ -1,38 +1,15 @@
 """The gripper driver against the virtual gripper: set-up, limits, commands, watchdog."""
 
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from conftest import SLOW, is_off
 
-from evetac_cli.devices.dynamixel_bus import Bus
 from evetac_cli.devices.dynamixel_frames import Instruction
 from evetac_cli.devices.rh_p12_rn import RhP12Rn, RhP12RnSettings
 from evetac_cli.devices.virtual_gripper import VirtualGripper
 from evetac_cli.errors import DeviceError
-
-SLOW = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540)  # nothing is lost, however busy the machine
-
-
-@pytest.fixture(scope="module")
-def gripper() -> Iterator[VirtualGripper]:
-    with VirtualGripper() as made:
-        yield made
-
-
-@pytest.fixture
-def fresh(gripper: VirtualGripper) -> VirtualGripper:
-    """The module's gripper, as after switching it off and on."""
-    with Bus(gripper.port, 2_000_000, answer_ms=SLOW.answer_ms) as bus:
-        bus.tolerant = True
-        bus.reboot()
-    return gripper
-
-
-def is_off(gripper: VirtualGripper) -> bool:
-    return gripper.look("Torque Enable") == 0 and gripper.look("Goal Current") == 0
-
 
 # Setting up
 

@@ -29,12 +29,6 @@ class Port(sdk.PortHandler):
         return super().readPort(length)
 
 
-@pytest.fixture(scope="module")
-def gripper() -> Iterator[VirtualGripper]:
-    with VirtualGripper() as made:
-        yield made
-
-
 @pytest.fixture
 def port(gripper: VirtualGripper) -> Iterator[Port]:
     """The port at the servo's rate, the servo as after reboot."""

@@ -14,7 +14,7 @@ from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import cost, grasp_cost, grasp_picture, grasp_stability, stability
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate.grasp import setting_of, tables, without_gain
-from evetac_cli.stages.evaluate.grasp_trials import Held, Short, grasp
+from evetac_cli.stages.evaluate.grasp_trials import Held, Says, Short, grasp, truthful
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 PLANNED = {
@@ -215,7 +215,7 @@ def test_detectors_that_are_lied_to() -> None:
         assert counts.slices == pytest.approx(5000 * times, rel=0.03)
         assert np.isnan(told).mean() == pytest.approx(lost, abs=0.02)
     for says in (True, False):
-        sense = grasp_stability.Says(Counts(), says)
+        sense = Says(Counts(), lambda says=says: says)
         assert [sense.step(None) for _ in range(3)] == [float(says)] * 3
         assert sense.felt == Felt(3 * says, drag_x_px=1.5)
 
@@ -277,7 +277,7 @@ def test_the_truth_as_a_detector() -> None:
             self.now += 1
             return {"truth/slip": self.now in (2, 3, 7)}
 
-    sense = grasp_cost.Truthful(Counts(), Devices())
+    sense = truthful(Counts(), Devices())
     assert [sense.step(None) for _ in range(8)] == [0, 1, 1, 0, 0, 0, 1, 0]
     assert sense.felt == Felt(3, drag_x_px=1.5)
 

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from importing import refusal, rows_of
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.store.imports import Imported, read_events
+from evetac_cli.store.imports import read_events
 
 faery = pytest.importorskip("faery")
 from faery.file_encoder import events_to_file  # noqa: E402
@@ -31,19 +32,6 @@ def write(path: Path, events: Events, kind: str) -> Path:
         array[name] = column
     events_to_file([array[:2000], array[2000:]], path, FRAME, version=kind, zero_t0=False)
     return path
-
-
-def rows_of(imported: Imported) -> list[tuple[int, ...]]:
-    return [tuple(int(value) for value in row) for row in zip(*imported.events, strict=True)]
-
-
-def refusal(path: Path, **options: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        read_events(path, **options)
-    words = str(caught.value)
-    assert words.startswith(f"{path}: ")
-    assert "Traceback" not in words
-    return words
 
 
 @pytest.mark.parametrize(("kind", "suffix"), KINDS)

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from importing import refusal, rows_of
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.store import import_rosbag
 from evetac_cli.store.import_ros_messages import Fields, LibcaerCompressed, Packet, event_array
-from evetac_cli.store.imports import Imported, read_events
+from evetac_cli.store.imports import read_events
 
 rosbags = pytest.importorskip("rosbags.rosbag1")
 from rosbags import rosbag1, rosbag2  # noqa: E402
@@ -111,19 +112,6 @@ def write(tmp_path: Path) -> Write:
         return path
 
     return make
-
-
-def rows_of(imported: Imported) -> list[tuple[int, ...]]:
-    return [tuple(int(value) for value in row) for row in zip(*imported.events, strict=True)]
-
-
-def refusal(path: Path, **options: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        read_events(path, **options)
-    words = str(caught.value)
-    assert words.startswith(str(path))
-    assert "Traceback" not in words
-    return words
 
 
 def drawn(count: int, seed: int = 3, gap_us: int = 40) -> Events:

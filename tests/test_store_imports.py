@@ -16,13 +16,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from importing import refusal, rows_of
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.store import import_aedat4, import_text
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.import_door import Columns, normalise
-from evetac_cli.store.imports import Imported, read_events
+from evetac_cli.store.imports import read_events
 from evetac_cli.store.provenance import Recipe, content_digest
 
 REAL = Path(__file__).parents[2] / "shared" / "data"
@@ -47,16 +48,6 @@ def real(name: str) -> Path:
 def same(a: Events, b: Events) -> bool:
     pairs: list[tuple[Any, Any]] = list(zip(a, b, strict=True))
     return all(np.array_equal(left, right) and left.dtype == right.dtype for left, right in pairs)
-
-
-def refusal(path: Path, **options: Any) -> str:
-    """The words with which a file is refused; they name the file and hold no trace of the libraries."""
-    with pytest.raises(InputError) as caught:
-        read_events(path, **options)
-    words = str(caught.value)
-    assert words.startswith(f"{path}: ")
-    assert "Traceback" not in words and "Stacktrace" not in words and "std::" not in words
-    return words
 
 
 # --- the door -----------------------------------------------------------------------------------------------------
@@ -191,10 +182,6 @@ def text(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
-
-
-def rows_of(imported: Imported) -> list[tuple[int, ...]]:
-    return [tuple(int(value) for value in row) for row in zip(*imported.events, strict=True)]
 
 
 ROWS = [(0, 1, 2, 1), (1500, 3, 4, 0), (2000, 5, 6, 1)]

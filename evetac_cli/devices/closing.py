@@ -27,7 +27,7 @@ class ClosingSettings:
 class Closing:
     """Where closing stands: command `settings.current_ma`, and ask `step` of every reading."""
 
-    def __init__(self, settings: ClosingSettings = ClosingSettings()) -> None:  # noqa: B008 - frozen
+    def __init__(self, settings: ClosingSettings = ClosingSettings()) -> None:  # frozen: may be shared
         self.settings = settings
         self._cycles = self._still = 0
         self._furthest: int | None = None

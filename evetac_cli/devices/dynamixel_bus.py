@@ -12,8 +12,8 @@ import select
 import termios
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple
 
 import serial
@@ -132,7 +132,7 @@ class _Port(PortHandler):  # type: ignore[misc]
         self._pause_until_s = time.monotonic() + size * self.tx_time_per_byte * 1e-3 + PAUSE_S
 
 
-class Bus:
+class Bus(AbstractContextManager["Bus"]):
     """A device with an id on a port at a rate; registers by the names of the control table."""
 
     def __init__(self, port: str, baud: int, id_: int = 1, *, answer_ms: float = ANSWER_MS) -> None:
@@ -213,12 +213,7 @@ class Bus:
             except _BROKEN:
                 self._port.is_open = False
 
-    def __enter__(self) -> "Bus":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

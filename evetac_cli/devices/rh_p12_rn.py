@@ -19,8 +19,8 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Literal, TypeVar
 
 from evetac_cli.devices import GripperReading
@@ -79,7 +79,7 @@ class RhP12RnSettings:
                 raise ValueError(f"{name} must be {expected}, found {getattr(self, name)}")
 
 
-class RhP12Rn:
+class RhP12Rn(AbstractContextManager["RhP12Rn"]):
     """A gripper, with torque on from here to `close`; also a context manager."""
 
     def __init__(
@@ -87,7 +87,7 @@ class RhP12Rn:
         port: str,
         baud: int = 2_000_000,
         mode: Mode = "current",
-        settings: RhP12RnSettings = RhP12RnSettings(),  # noqa: B008 - frozen
+        settings: RhP12RnSettings = RhP12RnSettings(),  # frozen: may be shared
     ) -> None:
         """Open the port, set the gripper up, switch torque on: at 0 mA, or at its present position.
 
@@ -149,12 +149,7 @@ class RhP12Rn:
         if not released:
             raise DeviceError(self._still_on(), where=self._where, hint="switch 24 V off")
 
-    def __enter__(self) -> "RhP12Rn":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

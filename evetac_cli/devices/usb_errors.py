@@ -5,6 +5,26 @@ import errno
 from evetac_cli.errors import DeviceError, DeviceTimeout
 
 _GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
+_NOT_THERE = (
+    DeviceError,
+    "is no longer on the bus",
+    "plug it in again, in a USB 3 port and with a firm cable; what was recorded until now is kept",
+)
+_WORDS: dict[int | None, tuple[type[DeviceError], str, str]] = {
+    **dict.fromkeys(_GONE, _NOT_THERE),
+    errno.EACCES: (
+        DeviceError,
+        "may not be opened by you",
+        "install the udev rule that `evetac doctor --print-udev` prints, and plug the camera in again",
+    ),
+    errno.EBUSY: (
+        DeviceError,
+        "is used by another program",
+        "close DV, ROS nodes or another evetac that have it open",
+    ),
+    errno.ETIMEDOUT: (DeviceTimeout, "did not answer in time", "unplug the camera and plug it in again"),
+}
+_OTHERWISE = (DeviceError, "refused, or the link is bad", "plug it in again, without a hub")
 _BOARDS = {0: "an FX2 board", 1: "a DVXplorer (FX3)", 2: "a DVXplorer (FX3)", 3: "a DVXplorer (FX3)", 5: "an FX3 gen2"}
 
 
@@ -16,32 +36,8 @@ def gone(error: OSError) -> bool:
 def in_words(error: OSError, where: str, doing: str) -> DeviceError:
     """The error of libusb, met while doing something, for the user."""
     found = f"{error.strerror or error} (errno {error.errno}) while {doing}"
-    if gone(error):
-        return DeviceError(
-            "is no longer on the bus",
-            where=where,
-            found=found,
-            hint="plug it in again, in a USB 3 port and with a firm cable; what was recorded until now is kept",
-        )
-    if error.errno == errno.EACCES:
-        return DeviceError(
-            "may not be opened by you",
-            where=where,
-            found=found,
-            hint="install the udev rule that `evetac doctor --print-udev` prints, and plug the camera in again",
-        )
-    if error.errno == errno.EBUSY:
-        return DeviceError(
-            "is used by another program",
-            where=where,
-            found=found,
-            hint="close DV, ROS nodes or another evetac that have it open",
-        )
-    if error.errno == errno.ETIMEDOUT:
-        return DeviceTimeout(
-            "did not answer in time", where=where, found=found, hint="unplug the camera and plug it in again"
-        )
-    return DeviceError("refused, or the link is bad", where=where, found=found, hint="plug it in again, without a hub")
+    kind, what, hint = _WORDS.get(error.errno, _OTHERWISE)
+    return kind(what, where=where, found=found, hint=hint)
 
 
 def no_libusb() -> DeviceError:

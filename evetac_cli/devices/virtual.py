@@ -177,7 +177,7 @@ def _live(
     except EvetacError as error:
         orders.send(error)
         return
-    except Exception as error:  # noqa: BLE001 - told by the other process
+    except Exception as error:  # told by the other process
         orders.send(f"{type(error).__name__}: {error}")
         return
     orders.send(ticking.described())

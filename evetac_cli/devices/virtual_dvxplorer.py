@@ -162,10 +162,10 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def ctrl_transfer(
         self,
         dev_handle: Any,
-        bmRequestType: int,  # noqa: N803 - names of pyusb
-        bRequest: int,  # noqa: N803
-        wValue: int,  # noqa: N803
-        wIndex: int,  # noqa: N803
+        bmRequestType: int,  # names of pyusb
+        bRequest: int,
+        wValue: int,
+        wIndex: int,
         data: Any,
         timeout: int,
     ) -> int:

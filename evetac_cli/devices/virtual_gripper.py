@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping
-from types import TracebackType
+from contextlib import AbstractContextManager
 from typing import Any
 
 from evetac_cli.devices.control_table import baud_code
@@ -23,7 +23,7 @@ from evetac_cli.resources import PACKAGE
 END_S = 5.0
 
 
-class VirtualGripper:
+class VirtualGripper(AbstractContextManager["VirtualGripper"]):
     """A servo on a pseudo terminal; `port` is its path."""
 
     def __init__(
@@ -97,12 +97,7 @@ class VirtualGripper:
             self._process.wait()
         self._process.stdout.close()
 
-    def __enter__(self) -> "VirtualGripper":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _ask(self, **question: Any) -> Any:

@@ -205,7 +205,7 @@ def _ports(machine: Machine, params: Doctor) -> Iterator[tuple[Path, bool]]:
         yield named, True
 
 
-def _port(machine: Machine, path: Path, named: bool) -> tuple[list[Row], int]:  # noqa: FBT001
+def _port(machine: Machine, path: Path, named: bool) -> tuple[list[Row], int]:
     """Rows of one port and of the grippers on it, and how many these are."""
     name = f"port {path}"
     if not path.exists():

@@ -36,5 +36,5 @@ class SliceThread:
         try:
             while self._running and (events := self._camera.read()) is not None:
                 self._slices.append((events, time.monotonic()))
-        except Exception as error:  # noqa: BLE001 - told by the thread that records
+        except Exception as error:  # told by the thread that records
             self.error = error

@@ -177,7 +177,7 @@ def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connect
         return
     except EvetacError as error:
         told = told._replace(ended=str(error).splitlines()[0], error=error)
-    except Exception as error:  # noqa: BLE001 - told by the process that started this
+    except Exception as error:  # told by the process that started this
         failed = DeviceError(f"the controller failed: {type(error).__name__}: {error}")
         told = told._replace(ended=str(failed), error=failed)
     outbox.put(told)

@@ -138,7 +138,7 @@ def live(
         return
     except EvetacError as failed:
         error = failed
-    except Exception as failed:  # noqa: BLE001 - told by the process that started this
+    except Exception as failed:  # told by the process that started this
         error = DeviceError(f"the detector failed: {type(failed).__name__}: {failed}")
     finally:
         if camera is not None:

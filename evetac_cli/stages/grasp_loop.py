@@ -34,7 +34,10 @@ class Sense(Protocol):
 
 @dataclass(frozen=True)
 class Timing:
-    """When phases end, in slices from the start, and how the controller is timed."""
+    """When phases end, in slices from the start, and how the controller is timed.
+
+    InputError where the steps of the controller are no whole number of slices apart.
+    """
 
     touch_ms: int
     lift_ms: int
@@ -42,16 +45,17 @@ class Timing:
     control_hz: float = 500.0
     latency_ms: int = 0  # between what is felt and the controller that hears of it
 
-    @property
-    def every_ms(self) -> int:
-        """Slices between steps of the controller; InputError where that is no whole number."""
-        every = SLICES_S / self.control_hz
-        if every != int(every):
+    def __post_init__(self) -> None:
+        if SLICES_S % self.control_hz:
             expected = "a rate of which 1000 is a multiple, as in 50, 100, 250, 500, 1000"
             raise InputError(
                 "slices end every millisecond", where="--control-hz", expected=expected, found=f"{self.control_hz:g}"
             )
-        return int(every)
+
+    @property
+    def every_ms(self) -> int:
+        """Slices between steps of the controller."""
+        return round(SLICES_S / self.control_hz)
 
     @property
     def end_ms(self) -> int:

@@ -132,7 +132,7 @@ class GripperLoop:
                     self.misses += missed
                     due += missed * COMMAND_MS * 1e-3
                 self._stop.wait(max(0.0, due - now))
-        except Exception as error:  # noqa: BLE001 - told by the thread that records
+        except Exception as error:  # told by the thread that records
             self.error = error
 
     def _command(self) -> None:

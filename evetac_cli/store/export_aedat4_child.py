@@ -41,7 +41,7 @@ def main(file: str, width: int, height: int, note: str) -> int:
                     packet.push_back(*row)
                 writer.writeEventPacket(packet.toPacket())
         del writer  # closes the file
-    except Exception as error:  # noqa: BLE001 - C++ exceptions arrive as all kinds of types, with a stack trace inside
+    except Exception as error:  # C++ exceptions arrive as all kinds of types, with a stack trace inside
         text = str(error).split("Stacktrace:")[0].strip().split("\n")
         print(text[-1] or type(error).__name__, file=sys.stderr)
         return NOT_INSTALLED if isinstance(error, ImportError) else REFUSED

@@ -44,7 +44,7 @@ def main(file: str, camera: str, stream: str, seconds: int) -> int:
                 events[ours] = found[theirs]
             out.write(struct.pack("<q", len(events)) + events.tobytes())
             out.flush()
-    except Exception as error:  # noqa: BLE001 - C++ exceptions arrive as all kinds of types, with a stack trace inside
+    except Exception as error:  # C++ exceptions arrive as all kinds of types, with a stack trace inside
         text = str(error).split("Stacktrace:")[0].split("\n")
         print(([line.strip() for line in text if line.strip()] or [type(error).__name__])[-1], file=sys.stderr)
         return NOT_INSTALLED if isinstance(error, ImportError) else REFUSED

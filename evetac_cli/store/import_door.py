@@ -112,13 +112,12 @@ def normalise(
     first_late = ""
     latest_us = -CLOCK_LIMIT_US
     negative = zero = False
-    for batch in batches:
-        check_lengths([len(column) for column in batch[:4]], where)
-        total += len(batch.t)
-        rows = _finite_rows(batch)
-        dropped["not_a_number"] += len(batch.t) - len(rows)
-        if len(rows) < len(batch.t):
-            batch = _at(batch, rows)  # noqa: PLW2901
+    for given in batches:
+        check_lengths([len(column) for column in given[:4]], where)
+        total += len(given.t)
+        rows = _finite_rows(given)
+        dropped["not_a_number"] += len(given.t) - len(rows)
+        batch = _at(given, rows) if len(rows) < len(given.t) else given
         _check_values(batch, where)
         t, x, y, p, place = batch
         negative = negative or bool(np.any(p == -1))

@@ -105,8 +105,9 @@ def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str)
             if isinstance(content, Packet):
                 assert decode is not None
                 with _layout_in_words(where):
-                    content = decode(content)  # noqa: PLW2901
-            part: Part = content
+                    part: Part = decode(content)
+            else:
+                part = content
             if kind.startswith("evetac") and len(part.t):
                 stamps.append(int(part.t[0]))
             yield Columns(*part, partial(_place, number))
@@ -232,7 +233,7 @@ def _bag_in_words(where: str, what: str) -> Iterator[None]:
         yield
     except (MemoryError, InputError):
         raise
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         found = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         hint = "rosbag reindex" if "index" in found else "the recorder may have been stopped; copy it again"
         raise InputError(f"{what} cannot be read", where=where, found=found, hint=hint) from None

@@ -18,12 +18,10 @@ import numpy as np
 
 from evetac_cli import resources
 from evetac_cli.devices import Rig
-from evetac_cli.events import Events
-from evetac_cli.kernels.grip_control import Felt
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report
-from evetac_cli.stages.evaluate.grasp_trials import Held, Short, grasp
+from evetac_cli.stages.evaluate.grasp_trials import Held, Short, grasp, truthful
 from evetac_cli.stages.grasp_loop import Sense
 from evetac_cli.store.files import StageFile
 
@@ -73,33 +71,11 @@ FULL = Extent(
 )
 
 
-@dataclass
-class Truthful:
-    """In a detector's place: slip as the simulation knows it, and the detector's drag."""
-
-    sense: Sense
-    devices: Rig
-    count: int = 0
-
-    def step(self, events: Events) -> float:
-        """1 in slip, 0 otherwise."""
-        self.sense.step(events)
-        assert self.devices.truth is not None
-        slips = bool(self.devices.truth()["truth/slip"])
-        self.count += slips
-        return float(slips)
-
-    @property
-    def felt(self) -> Felt:
-        """The true count."""
-        return self.sense.felt._replace(slips=self.count)
-
-
 def grasp_cost(seed: int, extent: Extent, models: list[Path]) -> Iterator[dict[str, Any]]:
     """Rows of every setting and controller, one after the other."""
     for controller in extent.controllers:
         for setting in extent.settings(models):
-            through = Truthful if setting.truth else _as_it_is
+            through = truthful if setting.truth else _as_it_is
             short = Short(0, controller, balance_s=8.0, latency_ms=setting.latency_ms, control_hz=setting.control_hz)
             held = [
                 grasp(replace(short, object=number), seed + trial, setting.model, through=through)

@@ -20,7 +20,7 @@ from evetac_cli.events import Events
 from evetac_cli.kernels import grip
 from evetac_cli.kernels.grip_control import Felt
 from evetac_cli.sim.gripper import Drive
-from evetac_cli.stages.evaluate.grasp_trials import CONTROLLERS, Held, Short, grasp
+from evetac_cli.stages.evaluate.grasp_trials import CONTROLLERS, Held, Says, Short, grasp
 from evetac_cli.stages.grasp_loop import Sense
 
 Row = dict[str, Any]
@@ -30,26 +30,6 @@ BALANCE_S = 3.0
 SETTLED_MS = 500  # at the end, in which fingers are looked at
 MOST_SWING_TICKS = 4.0  # of the encoder in that time: a step of an integer goal moves the fingers by less
 USUAL_OBJECT = 11
-
-
-@dataclass
-class Says:
-    """A detector that always says the same, whatever the gel does."""
-
-    sense: Sense
-    slip: bool
-    count: int = 0
-
-    def step(self, events: Events) -> float:
-        """1 or 0."""
-        self.sense.step(events)
-        self.count += self.slip
-        return float(self.slip)
-
-    @property
-    def felt(self) -> Felt:
-        """The drag is that of the gel."""
-        return self.sense.felt._replace(slips=self.count)
 
 
 @dataclass
@@ -114,8 +94,8 @@ def cases(*, full: bool) -> list[Case]:
         *(Case(f"mass {mass:g} g", partial(_object, "mass_g", mass)) for mass in masses),
         *(Case(f"friction {mu:g}", partial(_object, "static_friction", mu)) for mu in frictions),
         *(Case(f"gel stiffness x{factor:g}", partial(_gel, factor)) for factor in factors),
-        Case("detector never fires", through=lambda sense, devices, rng: Says(sense, False)),
-        Case("detector always fires", through=lambda sense, devices, rng: Says(sense, True)),
+        Case("detector never fires", through=lambda sense, devices, rng: Says(sense, lambda: False)),
+        Case("detector always fires", through=lambda sense, devices, rng: Says(sense, lambda: True)),
         Case("one slice in five lost", through=lambda sense, devices, rng: Uneven(sense, rng, lost=0.2)),
         Case("one slice in five twice", through=lambda sense, devices, rng: Uneven(sense, rng, twice=0.2)),
         Case("latency 50 ms", timing=(("latency_ms", 50),)),

@@ -49,6 +49,34 @@ class Timed:
 
 
 @dataclass
+class Says:
+    """In a detector's place: something else says whether there is slip; the drag is the detector's."""
+
+    sense: Sense
+    slips: Callable[[], bool]
+    count: int = 0
+
+    def step(self, events: Events) -> float:
+        """1 or 0."""
+        self.sense.step(events)
+        slips = self.slips()
+        self.count += slips
+        return float(slips)
+
+    @property
+    def felt(self) -> Felt:
+        """The count of what was said."""
+        return self.sense.felt._replace(slips=self.count)
+
+
+def truthful(sense: Sense, devices: Rig) -> Sense:
+    """Slip as the simulation knows it."""
+    truth = devices.truth
+    assert truth is not None
+    return Says(sense, lambda: bool(truth()["truth/slip"]))
+
+
+@dataclass
 class UntilLost:
     """A camera whose stream ends once the object has moved too far in the gripper: it would slide at length."""
 
