@@ -8,7 +8,7 @@ import pytest
 from evetac_cli.kernels import tracker
 from evetac_cli.kernels.tracker import PRESETS
 from evetac_cli.sim import tracker_cost, tracker_stability
-from evetac_cli.sim.tracker_stability import case_row, cases, duplicated_row, nonsense, refusal_row
+from evetac_cli.sim.tracker_stability import ROWS, case_row, cases, duplicated_row, nonsense
 
 SHORT = tracker_cost.Extent((60, 25, 60), 25)
 CASES = {case.name: case for case in cases()}
@@ -60,7 +60,7 @@ def test_order_does_not_matter_when_events_come_twice(preset):
 @pytest.mark.parametrize("name", NONSENSE)
 def test_nonsense_is_refused(name):
     """Assert that nonsense is refused with the reason."""
-    row = refusal_row(name, NONSENSE[name])
+    row = ROWS.refusal(name, NONSENSE[name])
     assert row["ok"]
     assert len(row["outcome"]) > len("refused: ") + 10
 
@@ -90,6 +90,6 @@ def test_faults_are_seen(monkeypatch):
     assert row["outcome"].startswith("not finite")
     monkeypatch.undo()
     assert tracker.step is not step
-    assert refusal_row("x", lambda: None)["outcome"] == "accepted"
-    assert not refusal_row("x", lambda: None)["ok"]
-    assert not refusal_row("x", lambda: 1 / 0)["ok"]
+    assert ROWS.refusal("x", lambda: None)["outcome"] == "accepted"
+    assert not ROWS.refusal("x", lambda: None)["ok"]
+    assert not ROWS.refusal("x", lambda: 1 / 0)["ok"]

@@ -289,7 +289,7 @@ def test_stability_is_a_report(tmp_path, monkeypatch) -> None:
 
     def row(case: grasp_stability.Case, controller: str, seed: int) -> dict:
         name, current_ma = f"{controller}: {case.name}", 25.0 if controller == "paper" else 50.0
-        return grasp_stability._row(name, True, "held", current_most_ma=current_ma)
+        return grasp_stability.ROWS.row(name, True, "held", current_most_ma=current_ma)
 
     monkeypatch.setattr(grasp_stability, "case_row", row)
     chosen = params.EvaluateStability(part="grasp")

@@ -1,11 +1,13 @@
-"""Whether the simulated mechanics and camera stay sane where they are stiff, extreme, or handed nonsense.
+"""Whether the simulated mechanics stay sane where they are stiff, extreme, or handed nonsense; the simulator's suite.
+
+The suite also holds the cases of the camera, which are in `camera_stability`.
 
 Every case is a row: `ok`, `outcome` in words, and for the gel what its steps cost and whether energy came from nowhere.
 A case is ok when everything stays finite and no energy is gained beyond rounding, or when it is refused in words. Cases
 of nonsense (NaN, infinite, negative) are ok only when refused.
 
 Energy gained is the largest, over the steps of a case, of energy less that at the start, less the work of outer forces;
-negative where some is always lost. here is that of the balance, which is found to 1e-6 of all forces: a gain counts
+negative where some is always lost. Rounding here is that of the balance, found to 1e-6 of all forces: a gain counts
 from GAIN_SHARE of the largest energy or work of the case.
 """
 
@@ -18,11 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.sim import camera, gel, gripper, optics
+from evetac_cli.sim import gel, gripper
+from evetac_cli.sim.camera_stability import camera_cases, camera_row, wrong_models, wrong_slices
 from evetac_cli.sim.contact import ForceCurve, force_curve, gap_profile, pad_nodes, pressure
+from evetac_cli.sim.stability_rows import SIMULATOR, Row
 
 Floats = NDArray[np.float64]
-Row = dict[str, Any]
 
 GRAVITY_M_S2 = 9.81
 X_RANGE_M, Y_RANGE_M = (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)
@@ -32,22 +35,6 @@ SLIPPERY = gel.Friction(0.8, 0.5)
 UNDAMPED = gel.GelMaterial(viscous_time_s=0.0, maxwell_share=0.0, with_mass=False)
 GAIN_SHARE = 1e-6
 DRAWN, DRAWN_FULL = 10, 200
-
-
-def _row(case: str, ok: bool, outcome: str, **figures: float | int | None) -> Row:
-    """A row; figures that a case does not have are None."""
-    names = ("sweeps_mean", "sweeps_most", "residual_most", "energy_gained_j")
-    return {"case": case, "ok": ok, "outcome": outcome, **{name: figures.get(name) for name in names}}
-
-
-def _in_words(case: str, run: Callable[[], Row]) -> Row:
-    """The row of a case, also where it raises: refused in words is ok, any other failure is not."""
-    try:
-        return run()
-    except ValueError as error:
-        return _row(case, bool(str(error)), f"refused: {error}")
-    except Exception as error:  # a suite has to survive what it looks for
-        return _row(case, False, f"failed: {type(error).__name__}: {error}")
 
 
 # -- gel ---------------------------------------------------------------------------------------------------------------
@@ -171,7 +158,7 @@ def drawn_case(seed: int, number: int) -> GelCase:
 
 def gel_row(case: GelCase, steps: int = 100, theta: float = 0.55) -> Row:
     """Run a case for some steps."""
-    return _in_words(case.name, lambda: _gel_row(case, steps, theta))
+    return SIMULATOR.in_words(case.name, lambda: _gel_row(case, steps, theta))
 
 
 def _gel_row(case: GelCase, steps: int, theta: float) -> Row:
@@ -207,7 +194,7 @@ def _gel_row(case: GelCase, steps: int, theta: float) -> Row:
     outcome += "" if rounding else ", energy gained"
     unbalanced = sum(residual > 1e-6 for residual in residuals)
     outcome += f", {unbalanced} of {steps} steps without balance" if unbalanced else ""
-    return _row(
+    return SIMULATOR.row(
         case.name,
         finite and rounding,
         outcome,
@@ -245,7 +232,7 @@ def finger_cases() -> list[FingerCase]:
 
 def finger_row(case: FingerCase, steps: int = 200) -> Row:
     """Close a finger: ok where it never turns back and, if it came to rest, rests inside its band of friction."""
-    return _in_words(case.name, lambda: _finger_row(case, steps))
+    return SIMULATOR.in_words(case.name, lambda: _finger_row(case, steps))
 
 
 def _finger_curve(finger_n_m: float) -> ForceCurve:
@@ -270,90 +257,7 @@ def _finger_row(case: FingerCase, steps: int) -> Row:
     outcome = "finite" if finite else "not finite"
     outcome += f", turned back {turns} times" if turns else ""
     outcome += f", rests at {state.force_n:.3g} N" if rests else f", still closing at {state.force_n:.3g} N"
-    return _row(case.name, sane, outcome)
-
-
-# -- camera ------------------------------------------------------------------------------------------------------------
-
-DOTS_PX = np.stack(np.meshgrid(61.0 + 62.3 * np.arange(8), 41.0 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
-QUIET = camera.CameraModel(noise_rate_hz=0.0, hot_pixels=0)
-
-
-@dataclass(frozen=True)
-class CameraCase:
-    """A camera, and where dots and object are at each whole millisecond, as shifts in px from where they began."""
-
-    name: str
-    model: camera.CameraModel
-    dots: Callable[[int], tuple[float, float]] = lambda _: (0.0, 0.0)
-    object: Callable[[int], tuple[float, float]] = lambda _: (0.0, 0.0)
-    window_px: tuple[int, int, int, int] = (540, 0, 640, 480)
-    events: tuple[int, int] = (0, 1_000_000)  # a slice has this many, ends included
-
-
-def camera_cases() -> list[CameraCase]:
-    """The extremes, by name."""
-    usual, most = camera.CameraModel(), 1_000_000
-    return [
-        CameraCase("camera: nothing moves, no noise", QUIET, events=(0, 0)),
-        CameraCase("camera: noise of 1e4 Hz a pixel", replace(QUIET, noise_rate_hz=1e4), events=(most, most)),
-        CameraCase(
-            "camera: 1e5 hot pixels of 1e4 Hz",
-            replace(QUIET, hot_pixels=100_000, hot_rate_hz=(1e4, 1e4)),
-            events=(900_000, most),
-        ),
-        CameraCase(
-            "camera: texture over the whole frame at 50 px/ms, threshold 0.01",
-            replace(QUIET, threshold=0.01),
-            object=lambda k: (0.0, 50.0 * k),
-            window_px=(0, 0, 640, 480),
-            events=(most, most),
-        ),
-        CameraCase("camera: all dots jump by 50 px and back", usual, dots=lambda k: (50.0 * (k % 2), 0.0)),
-        CameraCase("camera: all dots at 50 px/ms, out of the frame", usual, dots=lambda k: (-50.0 * k, 0.0)),
-        CameraCase(
-            "camera: dots and object at 1e5 px/ms",
-            usual,
-            dots=lambda k: (1e5 * (k % 9), 0.0),
-            object=lambda k: (0.0, 1e5 * (k % 9)),
-        ),
-        CameraCase("camera: dots tremble by 1e-9 px", QUIET, dots=lambda k: (1e-9 * (k % 2), 0.0), events=(0, 0)),
-        CameraCase("camera: threshold of 100", replace(QUIET, threshold=100.0), dots=lambda k: (3.0 * k, 0.0)),
-    ]
-
-
-def camera_row(case: CameraCase, slices: int = 10, seed: int = 0) -> Row:
-    """Run a camera for some slices."""
-    return _in_words(case.name, lambda: _camera_row(case, slices, np.random.default_rng(seed)))
-
-
-def _camera_row(case: CameraCase, slices: int, rng: np.random.Generator) -> Row:
-    state = _camera(case.model, case.window_px, rng)
-    counts, faults = [], []
-    for k in range(slices):
-        moved, object_px = (np.array([path(k), path(k + 1)]) for path in (case.dots, case.object))
-        start, end = DOTS_PX + moved[0], DOTS_PX + moved[1]
-        events = camera.step(state, start, end, object_px[0], object_px[1], 1.0, 1000 * k, rng)
-        counts.append(len(events.t))
-        if not case.events[0] <= counts[-1] <= case.events[1]:
-            faults.append(f"{counts[-1]} events in slice {k}")
-        if counts[-1]:
-            if (np.diff(events.t) < 0).any() or not 1000 * k <= events.t[0] <= events.t[-1] < 1000 * (k + 1):
-                faults.append(f"time stamps of slice {k}")
-            if events.x.max() >= case.model.frame_px[0] or events.y.max() >= case.model.frame_px[1]:
-                faults.append(f"coordinates of slice {k}")
-    finite = bool(np.isfinite(state.reference).all() and np.isfinite(state.strip_reference).all())
-    outcome = "finite" if finite else "not finite"
-    outcome += f", {min(counts)} to {max(counts)} events a slice"
-    outcome += f", {state.dropped} beyond the most that a slice holds" if state.dropped else ""
-    outcome += f"; wrong: {'; '.join(faults)}" if faults else ""
-    return _row(case.name, finite and not faults, outcome)
-
-
-def _camera(
-    model: camera.CameraModel, window_px: tuple[int, int, int, int], rng: np.random.Generator
-) -> camera.CameraState:
-    return camera.start(model, DOTS_PX, None, window_px, optics.texture(rng, (256, 256), 4.0, 0.5), rng)
+    return SIMULATOR.row(case.name, sane, outcome)
 
 
 # -- nonsense ----------------------------------------------------------------------------------------------------------
@@ -390,15 +294,12 @@ def nonsense() -> Iterator[tuple[str, Callable[[], object]]]:
         yield f"grip of {value:g} N", partial(step, nodal_force_n=np.full((6, 8), value))
         yield f"theta {value:g}", partial(step, theta=value)
         yield f"gripper, time step {value:g} s", partial(_wrong_finger, 10.0, value)
-        for name in ("threshold", "mismatch", "noise_rate_hz", "edge_sigma_px", "log_contrast", "dot_radius_px"):
-            yield f"camera, {name} {value:g}", partial(replace, camera.CameraModel(), **{name: value})
+        yield from wrong_models(value)
     for value in (math.nan, math.inf, -math.inf):
         yield f"force of {value:g} N on the object", partial(step, body_force_n=(value, 0.0, 0.0))
         yield f"prescribed speed {value:g} m/s", partial(step, prescribed_twist=(value, 0.0, 0.0))
         yield f"gripper, command {value:g}", partial(_wrong_finger, value, 1e-3)
-        yield f"camera, a dot at {value:g} px", partial(_wrong_slice, dot_px=value)
-        yield f"camera, the object at {value:g} px", partial(_wrong_slice, object_px=value)
-        yield f"camera, contrast {value:g}", partial(_wrong_slice, contrast=value)
+        yield from wrong_slices(value)
     yield "nodes that are no regular grid", partial(gel.start, nodes**2 + nodes, gel.GelMaterial(), 0.1, 4e-5)
     yield "a state overwritten with NaN", partial(_spoilt, gel_state())
 
@@ -411,24 +312,6 @@ def _spoilt(state: gel.GelState) -> object:
 def _wrong_finger(command: float, dt_s: float) -> object:
     drive, curve = gripper.Drive(), _finger_curve(1.8e3)
     return gripper.step(gripper.start(drive, curve, gripper.ticks_at_gap(0.06)), drive, curve, "current", command, dt_s)
-
-
-def _wrong_slice(dot_px: float = 0.0, object_px: float = 0.0, contrast: float = 1.0) -> object:
-    rng = np.random.default_rng(0)
-    state = _camera(camera.CameraModel(frame_px=(64, 48)), (32, 0, 64, 48), rng)
-    dots = DOTS_PX.copy()
-    dots[5, 1] += dot_px
-    return camera.step(state, DOTS_PX, dots, (0.0, 0.0), (0.0, object_px), contrast, 0, rng)
-
-
-def refusal_row(case: str, call: Callable[[], object]) -> Row:
-    """Ok where the call is refused with a ValueError that says why."""
-
-    def run() -> Row:
-        call()
-        return _row(case, False, "accepted")
-
-    return _in_words(case, run)
 
 
 # -- the suite ---------------------------------------------------------------------------------------------------------
@@ -444,7 +327,7 @@ def suite(seed: int = 0, *, full: bool = False, steps: int = 100) -> list[Callab
         runs += [partial(gel_row, case, gel_steps, theta) for case in named]
     runs += [partial(finger_row, case) for case in finger_cases()]
     runs += [partial(camera_row, case, min(steps, 10), seed) for case in camera_cases()]
-    runs += [partial(refusal_row, name, call) for name, call in nonsense()]
+    runs += [partial(SIMULATOR.refusal, name, call) for name, call in nonsense()]
     return runs
 
 

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX, Events, Slicer
 from evetac_cli.kernels import tracker
 from evetac_cli.kernels.tracker import PRESETS
+from evetac_cli.sim.stability_rows import Row, Rows
 from evetac_cli.sim.tracker_cost import DOTS_PX, rim_events
 
-Row = dict[str, Any]
 Columns = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+ROWS = Rows(("dots_lost", "error_px_worst"))
 
 GAINS = (0.003, 0.03, 0.3, 1.0, 10.0, 1e3)
 WEIGHTS = (0.0, 1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
@@ -115,7 +116,7 @@ def _moving_rims(before: NDArray[np.float64], after: NDArray[np.float64], rng: n
 
 def case_row(case: Case, preset: str, slices: int = 200, seed: int = 0) -> Row:
     """Track a case with a preset."""
-    return _in_words(f"{preset}: {case.name}", lambda: _case_row(case, preset, slices, seed))
+    return ROWS.in_words(f"{preset}: {case.name}", lambda: _case_row(case, preset, slices, seed))
 
 
 def _case_row(case: Case, preset: str, slices: int, seed: int) -> Row:
@@ -139,7 +140,7 @@ def _case_row(case: Case, preset: str, slices: int, seed: int) -> Row:
     error_px = np.linalg.norm(state.dot_xy_px - place, axis=1)[visible]
     outcome = f"{'finite' if finite else 'not finite'}, at most {most:,} events a slice"
     worst_px = float(error_px.max()) if error_px.size else None
-    return _row(f"{preset}: {case.name}", finite, outcome, int(state.lost.sum()), worst_px)
+    return ROWS.row(f"{preset}: {case.name}", finite, outcome, dots_lost=int(state.lost.sum()), error_px_worst=worst_px)
 
 
 def nonsense() -> list[tuple[str, Callable[[], object]]]:
@@ -185,31 +186,13 @@ def duplicated_row(preset: str, slices: int = 50, seed: int = 0) -> Row:
     finite = bool(np.isfinite(states[0].dot_xy_px).all())
     outcome = ("finite" if finite else "not finite") + ("" if same else ", order matters")
     worst_px = float(np.linalg.norm(states[0].dot_xy_px - DOTS_PX, axis=1).max())
-    return _row(f"{preset}: every event twice", finite and same, outcome, int(states[0].lost.sum()), worst_px)
-
-
-def refusal_row(case: str, call: Callable[[], object]) -> Row:
-    """Ok where the call is refused with a reason."""
-
-    def accepted() -> Row:
-        call()
-        return _row(case, False, "accepted")
-
-    return _in_words(case, accepted)
-
-
-def _row(case: str, ok: bool, outcome: str, dots_lost: int | None = None, error_px_worst: float | None = None) -> Row:
-    return {"case": case, "ok": ok, "outcome": outcome, "dots_lost": dots_lost, "error_px_worst": error_px_worst}
-
-
-def _in_words(case: str, run: Callable[[], Row]) -> Row:
-    """The row of a case, also where it raises: refused in words is ok, any other failure is not."""
-    try:
-        return run()
-    except ValueError as error:
-        return _row(case, bool(str(error)), f"refused: {error}")
-    except Exception as error:  # a suite has to survive what it looks for
-        return _row(case, False, f"failed: {type(error).__name__}: {error}")
+    return ROWS.row(
+        f"{preset}: every event twice",
+        finite and same,
+        outcome,
+        dots_lost=int(states[0].lost.sum()),
+        error_px_worst=worst_px,
+    )
 
 
 def suite(seed: int, *, full: bool, slices: int = 200) -> Sequence[Callable[[], Row]]:
@@ -219,4 +202,4 @@ def suite(seed: int, *, full: bool, slices: int = 200) -> Sequence[Callable[[], 
     for preset in PRESETS:
         rows += [partial(case_row, case, preset, length, seed) for case in cases()]
         rows.append(partial(duplicated_row, preset, seed=seed))
-    return rows + [partial(refusal_row, name, call) for name, call in nonsense()]
+    return rows + [partial(ROWS.refusal, name, call) for name, call in nonsense()]

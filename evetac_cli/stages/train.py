@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import features, inputs, slip
+from evetac_cli.kernels import features, inputs, sampling, slip
 from evetac_cli.kernels.detector import Detector
 from evetac_cli.kernels.inputs import Trajectory
+from evetac_cli.kernels.sampling import Samples
 from evetac_cli.params import Train, recipe_of
 from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
@@ -28,7 +29,7 @@ from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import
-    from evetac_cli.kernels.training import Kept, Samples, Training
+    from evetac_cli.kernels.training import Kept, Training
 
 INPUTS = ("features",)
 OUTPUT = "model"
@@ -87,7 +88,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
 
     import torch
 
-    from evetac_cli.kernels import networks, training
+    from evetac_cli.kernels import networks
 
     if params.device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
@@ -96,7 +97,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
     architecture = slip.ARCHITECTURES[params.model]
     try:
         learned = (read_trajectory(path, architecture) for path in job.inputs[:learn])
-        samples = training.gather(learned, architecture, *shape, params.ahead)
+        samples = sampling.gather(learned, architecture, *shape, params.ahead)
         result, resumed = _train(job, params, recipe, samples, progress)
         kept = result.checkpoints[-slip.LAST_CHECKPOINTS :]
         graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in kept]
@@ -151,7 +152,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
 
 
 def _train(
-    job: Job, params: Train, recipe: Recipe, samples: "Samples", progress: Progress
+    job: Job, params: Train, recipe: Recipe, samples: Samples, progress: Progress
 ) -> tuple["Training", int | None]:
     """Train from the beginning or from where an interrupted run was kept; says at which step that was."""
     from evetac_cli.kernels import training

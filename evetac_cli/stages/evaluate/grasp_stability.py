@@ -20,11 +20,12 @@ from evetac_cli.events import Events
 from evetac_cli.kernels import grip
 from evetac_cli.kernels.grip_control import Felt
 from evetac_cli.sim.gripper import Drive
+from evetac_cli.sim.stability_rows import Row, Rows
 from evetac_cli.stages.evaluate.grasp_trials import CONTROLLERS, Held, Says, Short, grasp
 from evetac_cli.stages.grasp_loop import Sense
 
-Row = dict[str, Any]
 Plan = dict[str, Any]
+ROWS = Rows(("force_most_n", "current_most_ma", "swing_ticks", "moved_mm"))
 USUAL_CONTROLLERS = ("paper", "by-load")
 BALANCE_S = 3.0
 SETTLED_MS = 500  # at the end, in which fingers are looked at
@@ -130,7 +131,7 @@ def case_row(case: Case, controller: str, seed: int) -> Row:
     try:
         held = grasp(short, seed, change=case.change, through=lambda sense, devices: case.through(sense, devices, rng))
     except (ValueError, EvetacError) as error:
-        return _row(name, True, f"refused: {error}")
+        return ROWS.row(name, True, f"refused: {error}")
     return judged(name, held)
 
 
@@ -153,7 +154,7 @@ def judged(name: str, held: Held) -> Row:
         "swing_ticks": swing_ticks,
         "moved_mm": figures["moved_mm"] if figures["balanced"] else None,
     }
-    return _row(name, ok, fate if finite else "not finite", **more)
+    return ROWS.row(name, ok, fate if finite else "not finite", **more)
 
 
 def _swing(t_us: NDArray[np.int64], position_ticks: NDArray[np.int32]) -> float:
@@ -161,8 +162,3 @@ def _swing(t_us: NDArray[np.int64], position_ticks: NDArray[np.int32]) -> float:
     seconds = (t_us - t_us[0]) * 1e-6
     line = np.polynomial.Polynomial.fit(seconds, position_ticks, 1)
     return round(float(np.ptp(position_ticks - line(seconds))), 2)
-
-
-def _row(name: str, ok: bool, outcome: str, **more: Any) -> Row:
-    empty = dict.fromkeys(("force_most_n", "current_most_ma", "swing_ticks", "moved_mm"))
-    return {"case": name, "ok": ok, "outcome": outcome, **empty, **more}
