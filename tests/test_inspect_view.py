@@ -24,7 +24,9 @@ from typer.testing import CliRunner
 
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import slice_starts
-from evetac_cli.inspect import view, view_data, view_page
+from evetac_cli.inspect import view, view_lines, view_page, view_pictures
+from evetac_cli.inspect.view_data import Look
+from evetac_cli.inspect.view_look import look
 from evetac_cli.inspect.view_trial import open_trial
 from evetac_cli.kernels.features import event_image
 from evetac_cli.kernels.slip import ARCHITECTURES
@@ -138,11 +140,11 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recording.with_name("a.html")
 
 
-def shown(path: Path, **chosen: Any) -> view_data.Look:
+def shown(path: Path, **chosen: Any) -> Look:
     """What would be drawn."""
     params = View(**chosen)
     with open_trial([path]) as trial:
-        return view_data.look(trial, params, view._span(trial, params), lambda done, total: None)
+        return look(trial, params, view._span(trial, params), lambda done, total: None)
 
 
 def data_of(page: Path) -> dict[str, Any]:
@@ -170,8 +172,8 @@ def test_extremes_are_kept(length: int, seed: int, holes: bool) -> None:
         asked.append(stop - start)
         return rows[start:stop]
 
-    for column, (at, value) in zip(rows.T, view_data.extremes(length, read), strict=True):
-        assert len(at) == len(value) <= 2 * view_data.BINS
+    for column, (at, value) in zip(rows.T, view_lines.extremes(length, read), strict=True):
+        assert len(at) == len(value) <= 2 * view_lines.BINS
         assert (np.diff(at) > 0).all()
         finite = np.isfinite(value)
         np.testing.assert_array_equal(value[finite], column[at][finite])
@@ -179,7 +181,7 @@ def test_extremes_are_kept(length: int, seed: int, holes: bool) -> None:
         known = column[np.isfinite(column)]
         if len(known):
             assert (np.nanmin(value), np.nanmax(value)) == (known.min(), known.max())
-    assert max(asked) <= view_data.BLOCK_ROWS
+    assert max(asked) <= view_lines.BLOCK_ROWS
 
 
 @settings(deadline=None, max_examples=25)
@@ -189,7 +191,7 @@ def test_no_slip_is_lost(length: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     states = rng.choice(np.array([-1, 0, 1], np.int8), length, p=[0.3, 0.6, 0.1])
     states = np.repeat(states, 3)[:length]
-    slip, unknown = view_data.stretches(length, lambda first, last: states[first:last, None])
+    slip, unknown = view_lines.stretches(length, lambda first, last: states[first:last, None])
     covered = np.zeros(length, np.int8)
     for value, found in ((1, slip), (-1, unknown)):
         for first, last in found:
@@ -197,26 +199,26 @@ def test_no_slip_is_lost(length: int, seed: int) -> None:
             assert (covered[first:last] == 0).all()
             covered[first:last] = value
     assert (covered[states == 1] == 1).all()
-    if length <= view_data.BINS:
+    if length <= view_lines.BINS:
         np.testing.assert_array_equal(covered, states)
 
 
 def test_a_picture_is_the_paper_s(trial: Path) -> None:
     """Assert that the PNG of a moment holds white, black and grey where the event image has +1, -1 and 0."""
     with open_recording(trial) as recording:
-        png, count = view_data.picture(recording, 20, 5)
+        png, count = view_pictures.picture(recording, 20, 5)
         events = recording.between(20, 25)
     levels = np.asarray(Image.open(io.BytesIO(png)).convert("L")).astype(int)
-    expected = np.array(view_data.GREYS)[event_image(events.x, events.y, events.p, (WIDTH, HEIGHT)) + 1]
+    expected = np.array(view_pictures.GREYS)[event_image(events.x, events.y, events.p, (WIDTH, HEIGHT)) + 1]
     np.testing.assert_array_equal(levels, expected)
     assert count == events.size == 20
 
 
 def test_many_events_are_drawn_from_the_end(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that at a huge rate only the last events of a moment are read and drawn, and all are counted."""
-    monkeypatch.setattr(view_data, "MOST_EVENTS", 3)
+    monkeypatch.setattr(view_pictures, "MOST_EVENTS", 3)
     with open_recording(trial) as recording:
-        png, count = view_data.picture(recording, 20, 5)
+        png, count = view_pictures.picture(recording, 20, 5)
         last = recording.between(24, 25)
     levels = np.asarray(Image.open(io.BytesIO(png)).convert("L"))
     drawn = event_image(last.x[1:], last.y[1:], last.p[1:], (WIDTH, HEIGHT))
@@ -230,8 +232,8 @@ def test_a_large_frame_is_drawn_coarsely(tmp_path: Path, monkeypatch: pytest.Mon
     write_recording(path, 10, truth=False)
     with open_recording(path) as recording:
         monkeypatch.setattr(type(recording), "frame_px", (65535, 65535))
-        png, _ = view_data.picture(recording, 0, 5)
-    assert max(Image.open(io.BytesIO(png)).size) <= view_data.LARGEST_IMAGE_PX
+        png, _ = view_pictures.picture(recording, 0, 5)
+    assert max(Image.open(io.BytesIO(png)).size) <= view_pictures.LARGEST_IMAGE_PX
 
 
 # What is shown --------------------------------------------------------------------------------------------------------
@@ -322,9 +324,9 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         real.features, real.model = features, model  # type: ignore[assignment]
         real_files = [file for file in real.files if file not in (features, model)]
         monkeypatch.setattr(type(real), "files", real_files)
-        whole = view_data.look(real, View(), (0, SLICES), lambda done, total: None)
-        monkeypatch.setattr(view_data, "BLOCK_ROWS", 7)
-        part = view_data.model_output(real, (40, 90))
+        whole = look(real, View(), (0, SLICES), lambda done, total: None)
+        monkeypatch.setattr(view_lines, "BLOCK_ROWS", 7)
+        part = view_lines.model_output(real, (40, 90))
     (panel,) = [panel for panel in whole.panels if panel.title == "Slip probability, model"]
     lane = whole.lanes[-1]
     np.testing.assert_allclose(part, panel.lines[0].value[40:90], rtol=1e-6)
@@ -432,7 +434,7 @@ def test_nothing_long_is_read_at_once(trial: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(StageFile, "read", spy)
     for name, value in {"BINS": 20, "BLOCK_ROWS": 40}.items():
-        monkeypatch.setattr(view_data, name, value)
+        monkeypatch.setattr(view_lines, name, value)
     found = shown(trial, moments=5)
     assert all(len(line.value) <= 40 for panel in found.panels for line in panel.lines)
     for path in ("recording truth/normal_force_n", "labels relative_flow_px", "recording gripper/current_ma"):
@@ -526,7 +528,7 @@ def test_page_is_bounded(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that images are thinned evenly where they would be too many bytes, with a note; else it is refused."""
     whole = shown(trial)
     size = sum(map(len, whole.pictures))
-    monkeypatch.setattr(view_data, "IMAGE_BYTES", size // 3)
+    monkeypatch.setattr(view_pictures, "IMAGE_BYTES", size // 3)
     found = shown(trial)
     assert sum(map(len, found.pictures)) <= size // 3
     assert found.moments.tolist() == whole.moments.tolist()[::4]

@@ -15,7 +15,8 @@ from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip import Prediction
 from evetac_cli.params import EvaluateSlip, Train
 from evetac_cli.stages import train
-from evetac_cli.stages.evaluate import slip
+from evetac_cli.stages.evaluate import slip, slip_tables
+from evetac_cli.stages.evaluate.slip_models import Model
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 
@@ -164,7 +165,7 @@ def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -
     rows, _ = evaluated(world["known"][:1], tmp_path, model=path)
     (row,) = table_of(rows, "t_c_ms")
     assert row["t_c_ms"] == ONSET
-    model = slip.Model.read(path)
+    model = Model.read(path)
     trajectory = train.read_trajectory(world["known"][0], model.architecture)
     detected = model.detector().over(trajectory.series) >= model.threshold
     label = np.arange(SLICES) >= ONSET - 10
@@ -207,7 +208,7 @@ def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:
 )
 def test_moments_at_their_borders(late_by: int, name: str) -> None:
     """Assert that each first detection is counted in one place, and those without one are never."""
-    shares = slip._moments([late_by, None])
+    shares = slip_tables._moments([late_by, None])
     assert shares[name] == 0.5
     assert shares["never"] == 0.5
     assert sum(value for key, value in shares.items() if key != "t_m_minus_t_c_ms_median") == 1
@@ -222,8 +223,8 @@ def prediction(detected: NDArray[np.bool_], onset: int, object_: str) -> Predict
 def test_an_object_that_never_slips_has_no_timing(world: dict[str, Any]) -> None:
     """Assert that means leave out the timing of an object without an onset, but not its F1."""
     at = np.arange(200)
-    cell = slip.by_object([prediction(at >= 100, 100, "1"), prediction(at >= 300, -1, "2")], 0.5)
-    row = slip.setting_row("a", slip.Model.read(world["seeds"][0]), [cell])
+    cell = slip_tables.by_object([prediction(at >= 100, 100, "1"), prediction(at >= 300, -1, "2")], 0.5)
+    row = slip_tables.setting_row("a", Model.read(world["seeds"][0]), [cell])
     assert row["slip_correct"] == 1.0
     assert row["f1"] == 0.5
 

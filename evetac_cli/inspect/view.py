@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.inspect.view_data import Look, look
+from evetac_cli.inspect.view_data import Look
+from evetac_cli.inspect.view_look import look
 from evetac_cli.inspect.view_page import page
 from evetac_cli.inspect.view_trial import Trial, open_trial
 from evetac_cli.params import View

@@ -28,7 +28,9 @@ from evetac_cli.resources import table
 from evetac_cli.sim import tracker_cost
 from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report, report_job
-from evetac_cli.stages.evaluate.slip import Model, by_object, check, judge, setting_row, settings_of, sort_out
+from evetac_cli.stages.evaluate.slip import sort_out
+from evetac_cli.stages.evaluate.slip_models import Model, check, judge
+from evetac_cli.stages.evaluate.slip_tables import by_object, setting_row, settings_of
 from evetac_cli.store.provenance import Header
 
 METHOD = 1

@@ -1,0 +1,126 @@
+"""Slip detectors from model files, and what they say of trajectories they never saw."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels import slip
+from evetac_cli.kernels.detector import Detector
+from evetac_cli.kernels.slip import Prediction
+from evetac_cli.stages import Progress
+from evetac_cli.stages.train import ahead_of, check_disjoint, detector_of, object_of, predict, read_trajectory
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.provenance import Header
+
+NOT_WEIGHTS = ("weights/input_scale", "weights/input_offset")  # fixed, not trained
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained detector, and what it was made from."""
+
+    path: Path
+    header: Header
+    architecture: slip.Architecture
+    graph_bytes: int
+    ahead_ms: int
+    threshold: float
+    dot_shape: tuple[int, int]
+    parameters: int  # trained numbers
+
+    @classmethod
+    def read(cls, path: Path) -> "Model":
+        """Open a model file; InputError if it is none, or damaged."""
+        with StageFile(path, "model") as file:
+            rows, columns = (int(size) for size in file.read("dot_shape"))
+            shapes = {name: shape for name, (_, shape) in file.contents().items() if name.startswith("weights/")}
+            return cls(
+                path,
+                file.header,
+                detector_of(file).architecture,
+                file.length("onnx"),
+                ahead_of(file),
+                float(file.read("threshold")),
+                (rows, columns),
+                sum(int(np.prod(shape)) for name, shape in shapes.items() if name not in NOT_WEIGHTS),
+            )
+
+    def detector(self) -> Detector:
+        """The network, ready to run.
+
+        Why so: made when it is needed, because onnxruntime keeps the memory of its largest batch for each network:
+        a gigabyte for event images.
+        """
+        with StageFile(self.path, "model") as file:
+            return detector_of(file)
+
+    @property
+    def labels(self) -> str:
+        """How the onset of slip was found in what it was trained on, `truth` among the ways."""
+        history, chosen = self.header["history"], self.header["parameters"]
+        features = self.header["parents"][: chosen.get("trained_on")]
+        labels = (history[parent] for one in features for parent in history[one]["parents"])
+        return ", ".join(sorted({labelled_by(header) for header in labels if header["kind"] == "labels"})) or "none"
+
+    @property
+    def objects(self) -> set[str]:
+        """The objects of the trajectories that it was trained and validated on."""
+        return {object_of({**ancestor, "history": {}}) for ancestor in self.header["history"].values()} - {"unknown"}
+
+    @property
+    def setting(self) -> str:
+        """What two models share that differ in their seed alone."""
+        chosen = {key: value for key, value in self.header["parameters"].items() if key != "seed"}
+        return json.dumps([chosen, self.header["parents"]], sort_keys=True)
+
+
+def labelled_by(header: Header) -> str:
+    """The method of a labels header."""
+    return str(header["parameters"].get("method", "farneback"))
+
+
+def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:
+    """Headers of features that these models can be judged on.
+
+    InputError for features without labels, of another dot grid, or of a recording that a model has seen.
+    """
+    headers = []
+    for path in paths:
+        with StageFile(path, "features") as file:
+            if not file.has("label"):
+                raise InputError("these features have no labels", where=str(path), hint="evetac label, then featurize")
+            shape = tuple(file.read("dot_shape").tolist())
+            for model in models:
+                if shape != model.dot_shape:
+                    raise InputError(
+                        f"another dot grid than that of {model.path}",
+                        where=str(path),
+                        expected=str(list(model.dot_shape)),
+                        found=str(list(shape)),
+                    )
+            headers.append(file.header)
+    for model in models:
+        check_disjoint([model.header], headers, f"evaluated on, with {model.path}", paths)
+    return headers
+
+
+def judge(
+    models: Sequence[Model], paths: Sequence[Path], headers: Sequence[Header], progress: Progress
+) -> list[list[Prediction]]:
+    """What every model says of every trajectory, by model. A trajectory is read once for each architecture."""
+    found: list[list[Prediction]] = [[] for _ in models]
+    done = 0
+    for architecture in dict.fromkeys(model.architecture for model in models):
+        trajectories = [read_trajectory(path, architecture) for path in paths]
+        for model, predictions in zip(models, found, strict=True):
+            if model.architecture == architecture:
+                detector = model.detector()
+                for trajectory, header in zip(trajectories, headers, strict=True):
+                    predictions.append(predict(detector, trajectory, header, model.ahead_ms))
+                    done += 1
+                    progress(done // len(models), len(paths))
+    return found
