@@ -18,8 +18,6 @@ from evetac_cli.devices.virtual_gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.resources import PACKAGE
 
-pytestmark = pytest.mark.slow  # minutes in real time: make test-all
-
 QUICK = RhP12RnSettings(answer_ms=250, watchdog_ms=1000)  # where answers are lost on purpose
 
 

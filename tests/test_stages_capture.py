@@ -30,8 +30,6 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.read import open_recording
 
-pytestmark = pytest.mark.slow  # minutes in real time: make test-all
-
 
 class Camera:
     """A camera that makes ten events in every slice, and fails or ends when told."""
