@@ -87,18 +87,20 @@ class Record(Trials):
     )
     camera: str = parameter(
         "sim",
-        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2;"
+        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2 (README,"
+        " Hardware, lists them);"
         " dvxplorer or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing; replay:FILE.",
         recipe=False,
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim, virtual, none, or its PORT or PORT@BAUD; default: that of the camera, or none.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1; none; or its PORT or PORT@BAUD; default: that of"
+        " the camera, or none.",
         recipe=False,
     )
     seconds: float | None = parameter(
         None,
-        "Devices: record for so long; default: until the gripper has let go, or Ctrl-C.",
+        "Devices and --live: record, or look, for so long; default: until the gripper has let go, or Ctrl-C.",
         unit="s",
         low=0.001,
         high=86400.0,
@@ -120,7 +122,7 @@ class Record(Trials):
     )
     lowest_ma: float = parameter(
         -50.0,
-        "Devices: the recording ends where the current has fallen to this.",
+        "Devices: the recording ends where the current has fallen to this; less than --holding-ma.",
         unit="mA",
         low=-500.0,
         high=1000.0,

@@ -1,5 +1,7 @@
 """Devices by name: what each name means, and that nonsense is refused before anything is touched."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ CAMERAS = {
     "virtual:prepared": CameraName("virtual", prepared_events_s=1e6),
     "virtual:prepared=2e5+stall@1": CameraName("virtual", faults=("stall@1",), prepared_events_s=2e5),
     "virtual:firmware=9": CameraName("virtual", firmware=9),
+    "virtual:firmware=9+busy+silence@1:0.5": CameraName("virtual", faults=("busy", "silence@1:0.5"), firmware=9),
     "dvxplorer": CameraName("dvxplorer"),
     "dvxplorer:DXM00042": CameraName("dvxplorer", "DXM00042"),
     "dv:DXM00042": CameraName("dv", "DXM00042"),
@@ -28,7 +31,13 @@ def test_cameras(text: str) -> None:
     assert camera_name(text) == CAMERAS[text]
 
 
-@pytest.mark.parametrize("text", ["", "simm", "webcam", "replay", "replay:", "sim:3", "virtual:prepared=x", "Virtual"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "simm", "webcam", "replay", "replay:", "sim:3", "virtual:prepared=x", "Virtual"),
+        *("virtual:bogus", "virtual:unplug@2@3", "virtual:unplug@2=3", "virtual:prepared+busy@0"),
+    ],
+)
 def test_no_such_camera(text: str) -> None:
     """Assert that other names are refused, with those that there are, or what is wrong with the number."""
     with pytest.raises(InputError) as refused:
@@ -57,7 +66,7 @@ def test_grippers(text: str) -> None:
     assert gripper_name(text, CameraName("dvxplorer")) == GRIPPERS[text]
 
 
-@pytest.mark.parametrize("text", ["", "grip", "/dev/ttyUSB0@fast", "/dev/ttyUSB0@0", "sim2"])
+@pytest.mark.parametrize("text", ["", "grip", "/dev/ttyUSB0@fast", "/dev/ttyUSB0@0", "sim2", "virtual:dead@1"])
 def test_no_such_gripper(text: str) -> None:
     """Assert that other names are refused."""
     with pytest.raises(InputError):
@@ -80,22 +89,27 @@ def test_settings_left_open_are_the_drivers() -> None:
 
 @pytest.mark.parametrize(
     ("camera", "gripper"),
-    [("virtual:nonsense@1", "none"), ("virtual:prepared=1e5", "virtual:nonsense"), ("virtual:busy", "virtual")],
+    [
+        (CameraName("virtual", faults=("nonsense@1",)), GripperName("none")),
+        (CameraName("virtual"), GripperName("virtual", faults=("nonsense",))),
+        (CameraName("virtual", faults=("busy",)), GripperName("virtual")),
+    ],
+    ids=["camera", "gripper", "busy"],
 )
-def test_failed_opening_leaves_nothing_open(camera: str, gripper: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_opening_leaves_nothing_open(
+    camera: CameraName, gripper: GripperName, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Assert that when one device cannot be opened, those before it are closed again."""
     from evetac_cli.devices import virtual_gripper
 
     closed = []
     close = virtual_gripper.VirtualGripper.close
     monkeypatch.setattr(virtual_gripper.VirtualGripper, "close", lambda self: (closed.append(self), close(self)))
-    camera_ = camera_name(camera)
-    gripper_ = gripper_name(gripper, camera_)
-    if camera_.prepared_events_s is None:
-        camera_ = CameraName("virtual", faults=camera_.faults, prepared_events_s=1e4)
     with pytest.raises(EvetacError):
-        naming.open_rig(camera_, gripper_, CameraSettings(), None, np.random.SeedSequence(0))
-    assert len(closed) == (gripper == "virtual")
+        naming.open_rig(
+            replace(camera, prepared_events_s=1e4), gripper, CameraSettings(), None, np.random.SeedSequence(0)
+        )
+    assert len(closed) == (gripper == GripperName("virtual"))
 
 
 def test_prepared_words_hold_the_rate() -> None:

@@ -287,6 +287,10 @@ def test_faults_by_name() -> None:
             continue
         with pytest.raises(InputError, match="no such fault"):
             fault(wrong)
+    with pytest.raises(
+        InputError, match="NAME@SECONDS.* of unplug, .*; or NAME alone, .* of no-permission, busy, usb2, "
+    ):
+        fault("busy@0")
     assert all(fault(name).name == name for name in FAULTS)
 
 

@@ -24,7 +24,7 @@ from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.inspect import repair, validate
 from evetac_cli.params import Record
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages import capture, capture_plan, record
+from evetac_cli.stages import capture, capture_plan, capture_series, record
 from evetac_cli.store import disk, segments
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
@@ -92,8 +92,9 @@ class Hand:
 def rig_is(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Rig]:
     """Let these devices stand for what is opened by name."""
 
-    def put(camera: Camera, hand: Hand | None = None, serial: str = "T1") -> Rig:
-        rig = Rig(camera, hand, camera, setup={"camera": {"serial": serial}, "gripper": "none"}, simulated=False)
+    def put(camera: Camera, hand: Hand | None = None, serial: str = "T1", holding_ma: float = 0.0) -> Rig:
+        setup = {"camera": {"serial": serial}, "gripper": "none"}
+        rig = Rig(camera, hand, camera, holding_ma=holding_ma, setup=setup, simulated=False)
         monkeypatch.setattr(capture, "open_rig", lambda *named, **more: rig)
         return rig
 
@@ -140,7 +141,7 @@ def test_every_command_is_in_the_file(rig_is: Callable[..., Rig], tmp_path: Path
     """Assert that what was written to the gripper is in the file, one row a command, target and whole number."""
     hand = Hand()
     rig_is(Camera(), hand)
-    path, made = recording(tmp_path, hold_s=0.0, holding_ma=3.0, lowest_ma=2.5)
+    path, made = recording(tmp_path, gripper="/dev/ttyUSB0", hold_s=0.0, holding_ma=3.0, lowest_ma=2.5)
     assert faults(path) is None
     with open_recording(path) as file:
         assert file.read("gripper/current_written_ma").tolist() == hand.written
@@ -306,6 +307,96 @@ def test_changed_setup_is_refused(
     assert not jobs[1].output.exists()
     assert rig.camera.closed
     assert rig.gripper.closed
+
+
+def test_drawn_current_is_the_trials(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that a series goes on whose world draws another holding current, and not where one was asked for."""
+
+    def trials(count: int, drawn_ma: float, **flags: Any) -> list[Path]:
+        rig_is(Camera(), Hand(), holding_ma=drawn_ma)
+        params = Record(camera="virtual", expect=1e4, seconds=0.05, count=count, **flags)
+        jobs = record.jobs([], params, tmp_path)
+        for job in jobs:
+            record.run(job, params)
+        return [job.output for job in jobs]
+
+    trials(1, 10.0)
+    paths = trials(2, 19.0, resume=True)
+    headers = [capture_series.header_of(path)["parameters"] for path in paths]
+    assert [header["drawn_holding_ma"] for header in headers] == [10.0, 19.0]
+    assert [header["handling"]["holding_ma"] for header in headers] == [None, None]
+    with pytest.raises(InputError, match="another set-up(.|\n)*holding_ma"):
+        trials(3, 19.0, resume=True, holding_ma=19.0)
+
+
+@pytest.mark.parametrize("there", ["dvxplorer-s0-000.recording.h5", "dvxplorer-s0-001.recording.part/000000.h5"])
+def test_series_is_not_begun_in_part(there: str, rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that where outputs of a series are there, or wait for repair, no other trial of it is recorded."""
+    (tmp_path / there).parent.mkdir(exist_ok=True)
+    (tmp_path / there).touch()
+    rig = rig_is(Camera())
+    params = Record(camera="dvxplorer", expect=1e4, seconds=0.05, count=3)
+    job = record.jobs([], params, tmp_path)[2]
+    with pytest.raises(InputError, match=f"-002.*others of the series(.|\n)*{there[:16]}(.|\n)*--resume"):
+        record.run(job, params)
+    assert rig.camera.k == 0
+    assert not job.output.exists()
+    assert record.run(job, params, force=True).made
+
+
+@pytest.mark.parametrize(
+    ("flags", "out", "said"),
+    [
+        ({"camera": "replay:nope.h5"}, "", "nope.h5: no such file"),
+        ({"camera": "dvxplorer", "calibration": Path("nope.json")}, "", "nope.json: cannot be read"),
+        ({"camera": "dvxplorer"}, "there.recording.h5", "the output exists"),
+        ({"camera": "dvxplorer", "expect": 1e9, "seconds": 80000.0}, "", "not enough room"),
+        ({"camera": "dvxplorer", "gripper": "/dev/ttyUSB0", "lowest_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
+        ({"camera": "virtual", "lowest_ma": 500.0, "holding_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
+        ({"camera": "dvxplorer", "calibration": Path("nope.json"), "live": False}, "", "nope.json: cannot be read"),
+        ({}, "there.recording.h5", "not a valid evetac file"),
+    ],
+)
+def test_dry_run_refuses_what_a_run_does(
+    flags: dict[str, Any], out: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a dry run and a run refuse in the same words what can be known before a device is opened."""
+    monkeypatch.setattr(capture, "open_rig", lambda *named, **more: pytest.fail("opened"))
+    (tmp_path / "there.recording.h5").touch()
+    params = Record(**{"expect": 1e4, **flags} if flags else {})
+    (job,) = record.jobs([], params, tmp_path / out)
+    words = []
+    for try_ in (lambda: record.dry_run([job], params), lambda: record.run(job, params)):
+        with pytest.raises(InputError, match=said) as refused:
+            try_()
+        words.append(str(refused.value))
+    assert words[0] == words[1]
+
+
+def test_drawn_current_below_the_lowest(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that a current that a world draws has to have somewhere to fall, too."""
+    rig_is(Camera(), Hand(), holding_ma=10.0)
+    params = Record(camera="virtual", expect=1e4, lowest_ma=12.0)
+    (job,) = record.jobs([], params, tmp_path)
+    record.dry_run([job], params)
+    with pytest.raises(InputError, match="--lowest-ma: .*(.|\n)*less than the holding current, 10 mA"):
+        record.run(job, params)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("flags", "end"),
+    [
+        ({}, "until Ctrl-C"),
+        ({"gripper": "/dev/ttyUSB0"}, "until it lets go, or Ctrl-C"),
+        ({"gripper": "/dev/ttyUSB0", "seconds": 3.0}, "after 3 s"),
+    ],
+)
+def test_plan_says_what_ends_it(flags: dict[str, Any], end: str, tmp_path: Path) -> None:
+    """Assert that nothing is said to let go where there is no gripper."""
+    params = Record(camera="dvxplorer", expect=1e4, **flags)
+    shown = record.dry_run(record.jobs([], params, tmp_path), params)
+    assert [row["what"] for row in shown.rows if row["part"] == "end"] == [end]
 
 
 def test_room_is_asked_for_before(rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

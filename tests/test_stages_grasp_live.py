@@ -34,6 +34,15 @@ PORT = "/dev/ttyNothing"
 PATIENT = {"watchdog_ms": 500, "lift_s": 1.0, "balance_s": 0.2}
 
 
+def grid_of(folder: Path, columns: int = 8) -> Path:
+    """A calibration of 7 rows of dots."""
+    path = folder / "grid.json"
+    x, y = np.meshgrid(60.0 * np.arange(columns) + 60.0, 60.0 * np.arange(7) + 50.0)
+    dots = np.stack([x, y], axis=-1).tolist()
+    path.write_text(json.dumps({"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots}))
+    return path
+
+
 def jobs(out: Path, **flags: Any) -> Any:
     return grasp.jobs([], Grasp(**flags), out)
 
@@ -51,7 +60,9 @@ def jobs(out: Path, **flags: Any) -> Any:
         ({"camera": "virtual", "control_hz": 50.0}, "--control-hz"),
         ({"camera": "virtual", "control_hz": 300.0}, "--control-hz"),
         ({"camera": "virtual", "max_seconds": 20.0}, "--max-seconds"),
-        ({"camera": "dvxplorer", "gripper": PORT, "arm": True, "watchdog_ms": 70}, "--watchdog-ms"),
+        ({"camera": "dvxplorer", "gripper": PORT, "arm": True, "watchdog_ms": 70}, "--watchdog-ms.*found 70"),
+        ({"camera": "virtual", "watchdog_ms": 50}, "--watchdog-ms.*found 50"),
+        ({"camera": "virtual", "gripper": "virtual:dead@1"}, "not a fault"),
         ({"camera": "virtual", "gripper": PORT}, "--arm"),
         ({"camera": "dvxplorer:DXM00042", "gripper": f"{PORT}@1000000"}, "--arm"),
     ],
@@ -74,15 +85,55 @@ def test_not_armed_shows_the_plan(capsys: pytest.CaptureFixture[str], tmp_path: 
 
 
 def test_dry_run_touches_nothing(tmp_path: Path) -> None:
-    """Assert that --dry-run needs no --arm, opens nothing that it names, and shows limits and files."""
-    params = Grasp(camera="dvxplorer", gripper=PORT, dry_run=True, count=2)
-    shown = grasp.dry_run(grasp.jobs([], params, tmp_path), params)
+    """Assert that --dry-run needs no --arm, opens no device that it names, and shows limits and files."""
+    params = Grasp(camera="dvxplorer", gripper=PORT, dry_run=True, count=2, calibration=grid_of(tmp_path))
+    out = tmp_path / "out"
+    shown = grasp.dry_run(grasp.jobs([], params, out), params)
     told = {row["part"]: row for row in shown.rows}
     assert "100 mA" in told["gripper"]["detail"]
     assert "falls" in told["end"]["detail"]
     assert shown.summary["files"] == 2
     assert not shown.simulated
-    assert not list(tmp_path.iterdir())
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        ({}, "nobody knows where the dots"),
+        ({"calibration": Path("nope.json")}, "nope.json: cannot be read"),
+        ({"camera": "virtual", "gripper": None, "calibration": Path("nope.json")}, "nope.json: cannot be read"),
+        ({"calibration": "grid", "model": Path("nope.h5")}, "nope.h5: no such file"),
+        ({"calibration": "other"}, "for another dot grid"),
+        ({"calibration": "grid", "out": "there.recording.h5"}, "the output exists"),
+        ({"camera": "replay:nope.h5", "gripper": "sim"}, "nope.h5: no such file"),
+    ],
+)
+def test_dry_run_refuses_what_a_run_does(
+    flags: dict[str, Any], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Assert that a dry run and a run refuse in the same words what can be known before a device is opened."""
+    out = tmp_path / flags.pop("out", "new.recording.h5")
+    (tmp_path / "there.recording.h5").touch()
+    if flags.get("calibration") in ("grid", "other"):
+        flags["calibration"] = grid_of(tmp_path, columns=8 if flags["calibration"] == "grid" else 5)
+    params = Grasp(**{"camera": "dvxplorer", "gripper": PORT, "arm": True, **flags})
+    (job,) = grasp.jobs([], params, out)
+    words = []
+    for try_ in (lambda: grasp.dry_run([job], params), lambda: grasp.run(job, params)):
+        with pytest.raises(InputError, match=said) as refused:
+            try_()
+        words.append(str(refused.value))
+    assert words[0] == words[1]
+    assert "moves now" not in capsys.readouterr().err
+
+
+def test_series_is_not_begun_in_part(tmp_path: Path) -> None:
+    """Assert that no gripper moves for the last trial of a series whose first one is there."""
+    params = Grasp(camera="dvxplorer", gripper=PORT, arm=True, calibration=grid_of(tmp_path), count=2)
+    grasp.jobs([], params, tmp_path)[0].output.touch()
+    with pytest.raises(InputError, match="-001.*others of the series(.|\n)*-000.recording"):
+        grasp.run(grasp.jobs([], params, tmp_path)[1], params)
 
 
 def test_no_dot_grid(tmp_path: Path) -> None:
@@ -97,11 +148,7 @@ def test_no_dot_grid(tmp_path: Path) -> None:
 @pytest.fixture
 def armed(tmp_path: Path) -> tuple[Grasp, Job]:
     """A grasp with a gripper that does not exist, at a gel whose dots are known."""
-    source = tmp_path / "grid.json"
-    columns, rows = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
-    grid = np.stack([columns, rows], axis=-1)
-    source.write_text(json.dumps({"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": grid.tolist()}))
-    params = Grasp(camera="virtual:prepared=10000", gripper=PORT, arm=True, calibration=source)
+    params = Grasp(camera="virtual:prepared=10000", gripper=PORT, arm=True, calibration=grid_of(tmp_path))
     (job,) = grasp.jobs([], params, tmp_path / "b.recording.h5")
     return params, job
 
@@ -115,8 +162,12 @@ class Loops:
         pass
 
     def begin(self, came: list[int]) -> tuple[Seen, Ready]:
+        print("ready", file=sys.stderr)
         sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "dvxplorer:T1"}
         return Seen(sensor, {"serial": "T1"}, (), "as usual"), Ready({"mode": "position"}, "as usual")
+
+    def go(self) -> None:
+        print("go", file=sys.stderr)
 
     def close(self) -> None:
         Loops.closed += 1
@@ -147,6 +198,17 @@ def some(writer: RecordingWriter, ended: str, error: Exception | None = None, st
     recorded.commanding = CommandingEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
     recorded.feeling = FeelingEnded({"late_events": 3}, None)
     return recorded
+
+
+def test_motion_is_told_when_all_is_ready(
+    armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Assert that "moves now" is said once both processes are ready and the file is begun, and next is motion."""
+    recorder_is(lambda loops, world, writer, *more: some(writer, "the grasp is over"))
+    grasp.run(armed[1], armed[0])
+    ready, moves, go = capsys.readouterr().err.splitlines()
+    assert (ready, go) == ("ready", "go")
+    assert moves.startswith(f"{PORT}@2000000 moves now; torque is switched off")
 
 
 def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
@@ -211,13 +273,16 @@ def test_a_full_disk(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None
     assert not Loops.closed
 
 
-def test_a_gripper_that_is_not_there(armed: tuple[Grasp, Job], tmp_path: Path) -> None:
-    """Assert that the driver's words come through two processes, that both end, and that nothing is left."""
+def test_a_gripper_that_is_not_there(
+    armed: tuple[Grasp, Job], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Assert that the driver's words come through two processes, that both end, that nothing is left, nor moved."""
     params, job = armed
     with pytest.raises(DeviceError, match="there is no such port"):
         grasp.run(job, params)
     assert not job.output.exists()
     assert not list(tmp_path.glob("*.part"))
+    assert "moves now" not in capsys.readouterr().err
 
 
 def test_a_virtual_grasp(tmp_path: Path) -> None:

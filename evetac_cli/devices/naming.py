@@ -15,6 +15,8 @@ import numpy as np
 
 from evetac_cli.devices import Clock, Closable, EventCamera, Gripper, Rig
 from evetac_cli.devices.replay import ReplayCamera
+from evetac_cli.devices.servo_faults import ServoFault
+from evetac_cli.devices.virtual_faults import fault
 from evetac_cli.errors import InputError
 
 if TYPE_CHECKING:
@@ -75,7 +77,7 @@ class CameraSettings:
 
 
 def camera_name(text: str) -> CameraName:
-    """Understand --camera; InputError if there is no such kind of camera."""
+    """Understand --camera; InputError if there is no such kind of camera, or no such fault of a virtual one."""
     kind, _, rest = text.partition(":")
     if kind in ("dvxplorer", "dv"):
         return CameraName(kind, rest or None)
@@ -84,11 +86,15 @@ def camera_name(text: str) -> CameraName:
     if kind == "sim" and not rest:
         return CameraName(kind)
     if kind == "virtual":
-        options = dict(option.partition("=")[::2] for option in filter(None, rest.split("+")))
-        prepared = options.pop("prepared", None)
-        events_s = None if prepared is None else _number(prepared or str(PREPARED_EVENTS_S), "prepared=EVENTS_S", text)
-        firmware = round(_number(options.pop("firmware", str(FIRMWARE)), "firmware=NUMBER", text))
-        return CameraName(kind, None, tuple(options), events_s, firmware)
+        given = list(filter(None, rest.split("+")))
+        options = {name: option for option in given if (name := option.partition("=")[0]) in ("prepared", "firmware")}
+        faults = tuple(option for option in given if option not in options.values())
+        for each in faults:
+            fault(each)
+        prepared, firmware = (options.get(name, "").partition("=")[2] for name in ("prepared", "firmware"))
+        rate = _number(prepared or str(PREPARED_EVENTS_S), "prepared=EVENTS_S", text)
+        number = round(_number(firmware or str(FIRMWARE), "firmware=NUMBER", text))
+        return CameraName(kind, None, faults, rate if "prepared" in options else None, number)
     raise _unknown("camera", "--camera", CAMERAS, text, ("sim", "virtual", "dvxplorer", "dv", "replay:"))
 
 
@@ -98,7 +104,10 @@ def gripper_name(text: str | None, camera: CameraName) -> GripperName:
         return GripperName(camera.kind if camera.kind in ("sim", "virtual") else "none")
     kind, _, rest = text.partition(":")
     if kind == "virtual":
-        return GripperName(kind, faults=tuple(filter(None, rest.split("+"))))
+        faults = tuple(filter(None, rest.split("+")))
+        for each in faults:
+            ServoFault.parse(each)
+        return GripperName(kind, faults=faults)
     if text in ("sim", "none"):
         return GripperName(text)
     if text.startswith(("/", "./", "COM", "tty")):

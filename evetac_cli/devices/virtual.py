@@ -13,7 +13,6 @@ import gc
 import multiprocessing
 import os
 import select
-import signal
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.devices import starting
 from evetac_cli.devices.outbox import Inbox, Outbox
 from evetac_cli.devices.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
@@ -75,7 +75,7 @@ class VirtualWorld:
             daemon=True,
         )
         try:
-            self._process.start()
+            starting.start(self._process)
             orders.close()
             words.close()
             if told is not None:
@@ -171,16 +171,15 @@ def _live(
     counters: Any,
 ) -> None:
     """The world's process: build, say so, then obey orders until the other side is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder, which then ends this
+    starting.ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this
+    ticking, said = _build(plan, seeds, durations, plant, words, truths, counters)
     try:
-        ticking = _Ticking(plan, seeds, durations, plant, words, truths, counters)
-    except EvetacError as error:
-        orders.send(error)
+        orders.send(said)
+    except OSError:  # the recorder did not wait
+        plant.path.unlink(missing_ok=True)
         return
-    except Exception as error:  # told by the other process
-        orders.send(f"{type(error).__name__}: {error}")
+    if ticking is None:
         return
-    orders.send(ticking.described())
     gc.freeze()
     while True:
         readable, _, _ = select.select([orders], ticking.waiting_for, [], ticking.wait_s)
@@ -191,6 +190,17 @@ def _live(
         except (EOFError, OSError):  # the recorder is gone, perhaps without having been asked
             plant.path.unlink(missing_ok=True)
             return
+
+
+def _build(*made_of: Any) -> tuple["_Ticking | None", Any]:
+    """The world, and what to tell the other process: what it is, or why it cannot be built."""
+    try:
+        ticking = _Ticking(*made_of)
+    except EvetacError as error:
+        return None, error
+    except Exception as error:  # told by the other process
+        return None, f"{type(error).__name__}: {error}"
+    return ticking, ticking.described()
 
 
 class _Ticking:

@@ -1,4 +1,7 @@
-"""What can be made to go wrong with a virtual camera: `name`, `name@seconds` or `name@seconds:duration` after RUN."""
+"""What can be made to go wrong with a virtual camera: `name`, `name@seconds` or `name@seconds:duration` after RUN.
+
+Some are there from before the camera is opened: those have no moment, and are written `name` alone.
+"""
 
 from typing import NamedTuple
 
@@ -51,7 +54,12 @@ def fault(text: str) -> Fault:
     if not (0 <= found.start_s < float("inf") and 0 <= found.duration_s < float("inf")) or (at and default_s is None):
         raise InputError(
             "no such fault of a virtual camera",
-            expected=f"NAME@SECONDS or NAME@SECONDS:DURATION, NAME one of {', '.join(FAULTS)}",
+            expected=f"NAME@SECONDS or NAME@SECONDS:DURATION of {_names(from_start=False)};"
+            f" or NAME alone, without a moment, of {_names(from_start=True)}",
             found=text,
         )
     return found
+
+
+def _names(*, from_start: bool) -> str:
+    return ", ".join(name for name, (_, default_s) in FAULTS.items() if (default_s is None) == from_start)

@@ -26,16 +26,15 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.devices.naming import GripperName, open_rig
-from evetac_cli.errors import DeviceError, EvetacError, InputError
+from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.params import Record
 from evetac_cli.stages import Job, Outcome, Progress, outcome
 from evetac_cli.stages.beside import SliceThread
-from evetac_cli.stages.capture_plan import HOLDING_MA, names, needed_bytes, settings
+from evetac_cli.stages.capture_plan import asked_ma, check, hold_of, is_there, names, settings
 from evetac_cli.stages.capture_series import check_series, header_of, recipe_of
 from evetac_cli.stages.handling import GripperLoop, Hold, start, step
 from evetac_cli.store.calibration import read_calibration
-from evetac_cli.store.disk import require_room
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import RecordingWriter
 
@@ -118,18 +117,10 @@ def run(job: Job, params: Record, seeds: np.random.SeedSequence, *, force: bool 
     """Record one trial from devices."""
     cameras, gripper = names(params)
     outputs: tuple[Path, ...] = job.choice["outputs"]
-    if not force and all(output.exists() for output in outputs) and params.resume:
+    if is_there(job, params, force=force):
         rows = [row for output in outputs for row in _kept(job._replace(output=output)).rows]
         return Outcome(rows, header_of(outputs[0])["simulated"], made=False)
-    for output in outputs:
-        if output.exists() and not force:
-            raise InputError(
-                "the output exists, and a recording from a device cannot be made again",
-                where=str(output),
-                hint="--resume goes on with a series, --force replaces it, -o NAME writes elsewhere",
-            )
-    needed = needed_bytes(params) * len(cameras)
-    require_room(job.output.parent, needed, "--expect EVENTS_PER_S and --seconds say what is needed")
+    check(job, params, force=force)
     rng = np.random.default_rng(seeds.spawn(1)[0])
     if job.choice["trial"] and params.camera.startswith("dv") and not params.resume:
         console.wait_for_enter(f"trial {job.choice['trial']}: put the object in place, then press Enter")
@@ -145,7 +136,7 @@ def run(job: Job, params: Record, seeds: np.random.SeedSequence, *, force: bool 
                 console.say(note)
             takings.append(_taking(job, params, rig, at, trajectory))
         with signals_counted() as came:
-            _write(takings, _hold(params, takings[0].rig), rng, params, came, progress)
+            _write(takings, _hold(job, params, takings[0].rig), rng, params, came, progress)
             figures = [taking.figures(takings[0].rig) for taking in takings]
             _release(takings)
             _finish(takings, figures)
@@ -163,7 +154,8 @@ def _taking(job: Job, params: Record, rig: Rig, at: int, trajectory: Mapping[str
     if params.calibration is not None:
         width, height = sensor["sensor/frame_px"]
         sensor |= read_calibration(params.calibration, (int(width), int(height))).arrays()
-    recipe = recipe_of(job, params, rig, _hold(params, rig), sensor, trajectory)
+    asked = asked_ma(params, "plan" in job.choice)
+    recipe = recipe_of(job, params, rig, _hold(job, params, rig), asked, sensor, trajectory)
     if params.resume:
         check_series((outputs[at] for outputs in job.choice["series"]), recipe)
     return Taking(output, rig, recipe, RecordingWriter(output, sensor, discard_leftover=False, recipe=recipe))
@@ -200,11 +192,8 @@ def _finish(takings: Sequence[Taking], figures: Sequence[Mapping[str, Any]]) -> 
         raise errors[0]
 
 
-def _hold(params: Record, rig: Rig) -> Hold | None:
-    if rig.gripper is None:
-        return None
-    holding_ma = params.holding_ma if params.holding_ma is not None else rig.holding_ma or HOLDING_MA
-    return Hold(params.closing_ma, holding_ma, params.hold_s, params.lowest_ma)
+def _hold(job: Job, params: Record, rig: Rig) -> Hold | None:
+    return None if rig.gripper is None else hold_of(params, rig.holding_ma if "plan" in job.choice else None)
 
 
 @contextmanager

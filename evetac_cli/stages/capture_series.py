@@ -1,4 +1,4 @@
-"""By what a recording from devices is known, and whether it belongs to a series."""
+"""By what a recording from devices is known, whether it belongs to a series, and whether the series may be written."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
@@ -14,10 +14,45 @@ from evetac_cli.stages import Job
 from evetac_cli.stages.handling import Hold
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe, first_difference
+from evetac_cli.store.segments import refuse_leftover
 
 OUTPUT = "recording"
 METHOD = 1  # of recordings from devices
-OF_A_TRIAL = ("trial", "trajectory", "object", "object_row", "individual_row")  # may differ within a series
+OF_A_TRIAL = ("trial", "trajectory", "object", "object_row", "individual_row", "drawn_holding_ma")  # may differ
+
+
+def as_series(jobs: list[Job]) -> list[Job]:
+    """The jobs, each with all outputs of the series, and with those that were taken before its first trial."""
+    series = tuple(job.choice.get("outputs", (job.output,)) for job in jobs)
+    taken = tuple(output for outputs in series for output in outputs if _is_taken(output))
+    return [job._replace(choice={**job.choice, "series": series, "taken": taken}) for job in jobs]
+
+
+def _is_taken(output: Path) -> bool:
+    try:
+        refuse_leftover(output)
+    except InputError:
+        return True
+    return output.exists()
+
+
+def refuse_taken(job: Job, *, again: str, hint: str, force: bool, resume: bool = False) -> None:
+    """InputError where an output exists, or what broke off waits for repair: nothing moves for what is refused.
+
+    Of this trial, or, unless the series goes on, of any before the first. again: what cannot be made again.
+    """
+    outputs: tuple[Path, ...] = job.choice.get("outputs", (job.output,))
+    for output in outputs:
+        if output.exists() and not force:
+            raise InputError(f"the output exists, and {again} cannot be made again", where=str(output), hint=hint)
+        refuse_leftover(output)
+    if job.choice["taken"] and not (force or resume):
+        raise InputError(
+            "is not begun, because others of the series are there",
+            where=str(job.output),
+            found=", ".join(map(str, job.choice["taken"])),
+            hint=hint,
+        )
 
 
 def recipe_of(
@@ -25,10 +60,15 @@ def recipe_of(
     params: Record,
     rig: Rig,
     hold: Hold | None,
+    asked_ma: float | None,
     sensor: Mapping[str, Any],
     trajectory: Mapping[str, Any],
 ) -> Recipe:
-    """What is known of a recording beforehand; its content stands in for the rest."""
+    """What is known of a recording beforehand; its content stands in for the rest.
+
+    asked_ma: the holding current as it is set up; None where every trial draws its own, which belongs to the trial.
+    """
+    drawn = {} if hold is None or asked_ma is not None else {"drawn_holding_ma": hold.holding_ma}
     calibrated = {name: np.asarray(value).tolist() for name, value in sensor.items() if name.startswith("sensor/")}
     parameters = {
         **job.choice.get("plan", {}),
@@ -36,7 +76,8 @@ def recipe_of(
         "trial": job.choice["trial"],
         "setup": dict(rig.setup),
         "sensor": without_nan(calibrated),
-        "handling": None if hold is None else asdict(hold),
+        "handling": None if hold is None else {**asdict(hold), "holding_ma": asked_ma},
+        **drawn,
         "handling_seed": params.seed,
     }
     return Recipe(OUTPUT, METHOD, parameters, parents=rig.parents, simulated_source=rig.simulated)

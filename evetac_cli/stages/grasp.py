@@ -43,13 +43,21 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
     return found
 
 
-def dry_run(jobs: list[Job], params: Grasp) -> Outcome:
-    """What would be built or done, and what that costs."""
+def dry_run(jobs: list[Job], params: Grasp, *, force: bool = False) -> Outcome:
+    """What would be built or done, and what that costs; refused what a run refuses."""
     if params.camera != "sim":
         from evetac_cli.stages import grasp_live
 
-        return grasp_live.dry_run(jobs, params)
-    return record.dry_run(jobs, params)
+        return grasp_live.dry_run(jobs, params, force=force)
+    for job in jobs:
+        up_to_date(job.output, _recipe(job, params), force=force)
+    return record.what_is_built(jobs, params)
+
+
+def _recipe(job: Job, params: Grasp) -> Recipe:
+    parameters = parameters_of(job, params, Control(law_of(params), params.control_hz))
+    parents = parents_of(model_of(params))
+    return Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=parents, simulated_source=True)
 
 
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -59,9 +67,8 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
 
         return grasp_live.run(job, params, seeds(params, job), force=force, progress=progress)
     model_path, control = model_of(params), Control(law_of(params), params.control_hz)
-    parameters = parameters_of(job, params, control)
-    parents = parents_of(model_path)
-    recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=parents, simulated_source=True)
+    recipe = _recipe(job, params)
+    parameters = recipe.parameters
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=True)
     from evetac_cli.devices.simulated import rig

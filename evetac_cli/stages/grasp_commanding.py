@@ -13,7 +13,6 @@ import contextlib
 import gc
 import math
 import os
-import signal
 import time
 from array import array
 from collections.abc import Callable
@@ -24,6 +23,7 @@ from typing import Any, NamedTuple
 from evetac_cli.devices import Gripper
 from evetac_cli.devices.outbox import Outbox
 from evetac_cli.devices.rh_p12_rn import RhP12Rn, RhP12RnSettings
+from evetac_cli.devices.starting import ignore_interrupts
 from evetac_cli.devices.urgency import hurry
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
@@ -159,7 +159,7 @@ def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connect
 
     detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder, which then stops this
+    ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
     outbox = Outbox(pipe)
     told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:

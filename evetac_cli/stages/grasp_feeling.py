@@ -7,7 +7,6 @@ goes to the recorder in pieces of a few slices, without waiting for it.
 import contextlib
 import gc
 import os
-import signal
 import sys
 import time
 from collections import deque
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices.naming import CameraName, CameraSettings, Opened, open_camera
 from evetac_cli.devices.outbox import Outbox
+from evetac_cli.devices.starting import ignore_interrupts
 from evetac_cli.devices.urgency import hurry
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
@@ -112,11 +112,11 @@ def live(
     pipe: Connection,
     alive: Connection,
 ) -> None:
-    """Be the detector's process: load, say `ready`, wait for word, open the camera, feel until told to stop.
+    """Be the detector's process: load, say `ready`, wait for word, open the camera, wait for word, feel until stopped.
 
     alive: held, and never written to: it closes when this process ends, however it ends.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder, which then stops this
+    ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
     outbox = Outbox(pipe)
     camera = None
     error: Exception | None = None
@@ -133,6 +133,8 @@ def live(
         gc.collect()
         gc.freeze()
         gc.disable()  # the loop makes no cycles
+        outbox.flush(FLUSH_S)
+        orders.recv()  # from the first slice that is felt on, the gripper moves
         feel(camera, sense, board, outbox, feeling.slices)
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return

@@ -11,6 +11,7 @@ sensor to program (some 0.1 ms over USB) is not in it, and the clocks' drift in 
 import json
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,17 +29,19 @@ from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, grasp_replay, grasp_setup, one_file, outcome
 from evetac_cli.stages.capture import INTERRUPTED, LOST, finish, signals_counted, with_hint
 from evetac_cli.stages.capture_plan import BYTES_AN_EVENT
-from evetac_cli.stages.capture_series import without_nan
+from evetac_cli.stages.capture_series import as_series, refuse_taken, without_nan
 from evetac_cli.stages.grasp_commanding import Commanding
 from evetac_cli.stages.grasp_feeling import Feeling
 from evetac_cli.stages.grasp_loop import Timing
 from evetac_cli.stages.grasp_recorder import Loops, Recorded, record
 from evetac_cli.stages.record import trials
+from evetac_cli.stages.slip_sense import dots_for
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.disk import require_room
+from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import open_recording
-from evetac_cli.store.segments import RecordingWriter, refuse_leftover
+from evetac_cli.store.segments import RecordingWriter
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual import VirtualWorld
@@ -103,7 +106,7 @@ def jobs(params: Grasp, out: Path | None) -> list[Job]:
             hint="--dry-run shows all of the plan",
         )
     if camera.kind == "virtual" and camera.prepared_events_s is None:
-        return trials(("lift",), params, out, prefix="virtual-")
+        return as_series(trials(("lift",), params, out, prefix="virtual-"))
     which = Path(camera.which).name.split(".")[0] if camera.which else ""
     name = "-".join(filter(None, ("grasp", camera.kind, which)))
     folder = out if out is not None and out.suffix != ".h5" else Path()
@@ -112,7 +115,7 @@ def jobs(params: Grasp, out: Path | None) -> list[Job]:
     if out is not None and out.suffix == ".h5":
         outputs = [out] * params.count
     one_file(outputs, out)
-    return [Job(inputs, output, {"trial": trial}) for trial, output in enumerate(outputs)]
+    return as_series([Job(inputs, output, {"trial": trial}) for trial, output in enumerate(outputs)])
 
 
 def timing_of(params: Grasp) -> Timing:
@@ -126,16 +129,37 @@ def settings_of(params: Grasp, gripper: GripperName) -> RhP12RnSettings:
 
     A virtual servo is stopped at times by the computer that simulates it, as is who commands it: it gets more time.
     """
-    watchdog_ms, answer_ms = params.watchdog_ms, min(ANSWER_MS, params.watchdog_ms / 3)
-    if gripper.kind == "virtual":
-        watchdog_ms, answer_ms = VIRTUAL_PATIENCE * watchdog_ms, VIRTUAL_ANSWER_MS
-    return RhP12RnSettings(
-        max_current_ma=params.max_current_ma, watchdog_ms=watchdog_ms, answer_ms=answer_ms, last_tick=LAST_TICK
+    asked = RhP12RnSettings(
+        max_current_ma=params.max_current_ma,
+        watchdog_ms=params.watchdog_ms,
+        answer_ms=min(ANSWER_MS, params.watchdog_ms / 3),
+        last_tick=LAST_TICK,
     )
+    if gripper.kind != "virtual":
+        return asked
+    return replace(asked, watchdog_ms=VIRTUAL_PATIENCE * asked.watchdog_ms, answer_ms=VIRTUAL_ANSWER_MS)
 
 
-def dry_run(jobs: list[Job], params: Grasp) -> Outcome:
-    """What would be opened and done; no device and no file is touched."""
+def check(job: Job, params: Grasp, *, force: bool) -> None:
+    """InputError for whatever can be known to be wrong with a grasp before a device is touched."""
+    refuse_taken(job, again="a grasp in real time", hint="--force replaces it, -o NAME writes elsewhere", force=force)
+    timing = timing_of(params)
+    require_room(job.output.parent, EVENTS_S * timing.end_ms * 1e-3 * BYTES_AN_EVENT, "a shorter --balance-s")
+    model_path = grasp_setup.model_of(params)
+    grasp_setup.parents_of(model_path)
+    if "plan" in job.choice and params.calibration is None:
+        return  # its world will say where the dots are
+    sensor = _sensor(params, names(params)[0], None)
+    if model_path is not None:
+        with StageFile(model_path, "model") as model:
+            dots_for(model, sensor["sensor/dot_xy_px"])
+
+
+def dry_run(jobs: list[Job], params: Grasp, *, force: bool = False) -> Outcome:
+    """What would be opened and done, checked as by a run; no device is touched, and no file written."""
+    for job in jobs:
+        refuse = grasp_replay.check if names(params)[1].kind == "sim" else check
+        refuse(job, params, force=force)
     camera, gripper = names(params)
     timing = timing_of(params)
     moved = "moves nothing" if gripper.kind == "sim" else f"at most {params.max_current_ma} mA"
@@ -158,21 +182,13 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
     camera, gripper = names(params)
     if gripper.kind == "sim":
         return grasp_replay.run(job, params, force=force, progress=progress)
-    if job.output.exists() and not force:
-        raise InputError(
-            "the output exists, and a grasp in real time cannot be made again",
-            where=str(job.output),
-            hint="--force replaces it, -o NAME writes elsewhere",
-        )
-    refuse_leftover(job.output)
+    check(job, params, force=force)
     timing = timing_of(params)
-    require_room(job.output.parent, EVENTS_S * timing.end_ms * 1e-3 * BYTES_AN_EVENT, "a shorter --balance-s")
-    if gripper.kind == "port":
-        if job.choice["trial"]:
-            console.wait_for_enter(f"trial {job.choice['trial']}: put the object in place, then press Enter")
-        console.say(f"{gripper} moves now; {FALLS}")
-    with ExitStack() as opened, signals_counted() as came:
-        world, servo = _virtual_peers(job, params, camera, gripper, seeds, opened)
+    if gripper.kind == "port" and job.choice["trial"]:
+        console.wait_for_enter(f"trial {job.choice['trial']}: put the object in place, then press Enter")
+    with ExitStack() as opened:
+        world, servo = _virtual_peers(job, params, camera, gripper, seeds, opened)  # Ctrl-C breaks this off
+        came = opened.enter_context(signals_counted())
         sensor = _sensor(params, camera, world)
         feeling = Feeling(camera, seeds, sensor, grasp_setup.model_of(params), params.tracker, timing.end_ms)
         commanding = Commanding(
@@ -195,7 +211,11 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
         sensor = {**seen.sensor, **sensor, "t_offset": np.int64(0)}
         recipe = _recipe(job, params, camera, setup, sensor)
         writer = RecordingWriter(job.output, sensor, discard_leftover=False, recipe=recipe)
+        if gripper.kind == "port" and not came:
+            console.say(f"{gripper} moves now; {FALLS}")
         try:
+            if not came:
+                loops.go()
             recorded = record(loops, world, writer, timing.end_ms, came, lambda done: progress(done, timing.end_ms))
         except BaseException as error:
             writer.leave()

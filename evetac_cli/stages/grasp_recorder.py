@@ -4,6 +4,7 @@ It never keeps them waiting, and they never wait for it. It knows why the grasp 
 somebody pressed Ctrl-C, or because something failed; the file says so in any case.
 """
 
+import contextlib
 import math
 import multiprocessing
 import select
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.devices import starting
 from evetac_cli.devices.outbox import Inbox
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip import Phase
@@ -70,7 +72,7 @@ class Loops:
         )
         for process in (self.detector, self.controller):
             process.daemon = True
-            process.start()
+            starting.start(process)
         for end in (
             *theirs,
             seeing,
@@ -81,12 +83,20 @@ class Loops:
             end.close()
 
     def begin(self, came: list[int]) -> tuple[Seen, Ready]:
-        """Open the gripper once the detector has loaded, then the camera; what they are. EvetacError if one fails."""
+        """Open the gripper once the detector has loaded, then the camera; what they are. EvetacError if one fails.
+
+        Nothing moves before `go`.
+        """
         self._wait_for(str, self.seen, self.detector, LOAD_S, came)
         self._orders[1].send("begin")
         ready = self._wait_for(Ready, self.done, self.controller, LOAD_S, came)
         self._orders[0].send("begin")
         return self._wait_for(Seen, self.seen, self.detector, OPEN_S, came), ready
+
+    def go(self) -> None:
+        """Let the detector feel, upon which the controller moves the gripper."""
+        with contextlib.suppress(OSError):  # it has died, which is told to who records
+            self._orders[0].send("go")
 
     @staticmethod
     def _wait_for(kind: type[_T], inbox: Inbox, process: Any, most_s: float, came: list[int]) -> _T:

@@ -18,6 +18,7 @@ from evetac_cli.params import Grasp
 from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, grasp_setup, outcome
 from evetac_cli.stages.grasp_loop import Kept, Timing, hold
+from evetac_cli.stages.slip_sense import dots_for
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
@@ -54,27 +55,48 @@ class RecordedGripper:
         """Nothing to let go of."""
 
 
+def check(job: Job, params: Grasp, *, force: bool) -> None:
+    """InputError for what a run would refuse; only files are looked at."""
+    with open_recording(job.inputs[0]) as recording:
+        timing = timing_of(params, recording.header["parameters"])
+        control = Control(grasp_setup.law_of(params), params.control_hz)
+        if not up_to_date(job.output, _recipe(job, params, recording, timing, control), force=force):
+            _refuse_unknown_dots(params, recording)
+
+
+def _recipe(job: Job, params: Grasp, recording: Recording, timing: Timing, control: Control) -> Recipe:
+    parameters = {
+        **grasp_setup.parameters_of(job, params, control),
+        "replayed": True,
+        "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
+    }
+    parents = (*grasp_setup.parents_of(grasp_setup.model_of(params)), recording.header)
+    return Recipe("recording", METHOD, parameters, parents=parents)
+
+
+def _refuse_unknown_dots(params: Grasp, recording: Recording) -> None:
+    model_path, dot_xy_px = grasp_setup.model_of(params), recording.dot_xy_px
+    if model_path is None:
+        return
+    if dot_xy_px is None:
+        raise InputError("no dots are known in this recording", where=str(recording.path))
+    with StageFile(model_path, "model") as model:
+        dots_for(model, dot_xy_px)
+
+
 def run(job: Job, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
     """Feel and decide on a recording, and write events and decisions."""
     model_path, control = grasp_setup.model_of(params), Control(grasp_setup.law_of(params), params.control_hz)
-    parents = grasp_setup.parents_of(model_path)
     with open_recording(job.inputs[0]) as recording:
         timing = timing_of(params, recording.header["parameters"])
-        sensor = {name: recording.read(name) for name in recording.contents() if name.startswith("sensor/")}
-        sensor |= {"t_offset": recording.read("t_offset")}
-        parameters = {
-            **grasp_setup.parameters_of(job, params, control),
-            "replayed": True,
-            "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
-        }
-        parents += (recording.header,)
-        recipe = Recipe("recording", METHOD, parameters, parents=parents)
+        recipe = _recipe(job, params, recording, timing, control)
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
+        _refuse_unknown_dots(params, recording)
+        sensor = {name: recording.read(name) for name in recording.contents() if name.startswith("sensor/")}
+        sensor |= {"t_offset": recording.read("t_offset")}
         sense = None
         if model_path is not None:
-            if "sensor/dot_xy_px" not in sensor:
-                raise InputError("no dots are known in this recording", where=str(job.inputs[0]))
             with StageFile(model_path, "model") as model:
                 sense = grasp_setup.sense_of(model, sensor, params.tracker)
         camera = ReplayCamera(job.inputs[0])

@@ -19,7 +19,9 @@ from evetac_cli.events import Events, slice_starts
 from evetac_cli.params import Record, Trials
 from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, capture, capture_plan, live, one_file, outcome, silent
+from evetac_cli.stages.capture_series import as_series
 from evetac_cli.stages.handling import COMMAND_MS, RAMP_MA
+from evetac_cli.stages.record_options import refuse_options_of_others
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import output_path, up_to_date, write_stage
 from evetac_cli.store.import_rosbag import is_bag_folder
@@ -35,7 +37,8 @@ CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: on
 
 
 def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
-    """One recording for every object and trajectory, or for the imported file."""
+    """One recording for every object and trajectory, or for the imported file; InputError for options of another."""
+    refuse_options_of_others(params)
     if params.source is not None:
         if params.source.is_dir() and not is_bag_folder(params.source):
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
@@ -56,8 +59,7 @@ def _from_devices(params: Record, out: Path | None) -> list[Job]:
         named = [_outputs(cameras, params.seed, trial, out) for trial in range(params.count)]
         one_file([output for outputs in named for output in outputs], out)
         found = [Job(inputs, outputs[0], {"trial": trial, "outputs": outputs}) for trial, outputs in enumerate(named)]
-    series = tuple(job.choice["outputs"] for job in found)
-    return [job._replace(choice={**job.choice, "series": series}) for job in found]
+    return as_series(found)
 
 
 def _outputs(cameras: Sequence[CameraName], seed: int, trial: int, out: Path | None) -> tuple[Path, ...]:
@@ -105,12 +107,20 @@ def seeds(params: Trials, job: Job) -> np.random.SeedSequence:
     return np.random.SeedSequence([params.seed, plan["object"] or 0, job.choice["trial"], *tone_mhz])
 
 
-def dry_run(jobs: list[Job], params: Trials) -> Outcome:
-    """What the first trial builds and leaves out, and what its slices cost here: measured on 0.2 s of it."""
-    if isinstance(params, Record) and "series" in jobs[0].choice:
-        return capture_plan.dry_run(jobs, params)
+def dry_run(jobs: list[Job], params: Record, *, force: bool = False) -> Outcome:
+    """What would be built or done, and what that costs; refused what a run refuses."""
+    if "series" in jobs[0].choice:
+        return capture_plan.dry_run(jobs, params, force=force)
     if "plan" not in jobs[0].choice:
         raise InputError("an import has no plan to show", where="--dry-run", hint="leave out --from, or --dry-run")
+    for job in jobs:
+        if not params.live:
+            up_to_date(job.output, _recipe(job, params), force=force)
+    return what_is_built(jobs, params)
+
+
+def what_is_built(jobs: list[Job], params: Trials) -> Outcome:
+    """What the first trial builds and leaves out, and what its slices cost here: measured on 0.2 s of it."""
     from time import perf_counter
 
     from evetac_cli.devices.simulated import rig
@@ -140,16 +150,15 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
         return live.run(job, params, seeds(params, job), progress)
     if "series" in job.choice:
         return capture.run(job, params, seeds(params, job), force=force, progress=progress)
-    parameters = {**job.choice["plan"], "trial": job.choice["trial"]}
-    recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, simulated_source=True)
+    recipe = _recipe(job, params)
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=True)
     from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
 
     drawing = seeds(params, job)
     ramp = np.random.default_rng(drawing.spawn(1)[0])
-    devices = rig(parameters, drawing)
-    scene_ = parameters["scene"]
+    devices = rig(recipe.parameters, drawing)
+    scene_ = recipe.parameters["scene"]
     longest_ms = round(1000 * _longest_s(scene_["time"]))
     known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/drawn": devices.drawn}
     writer = RecordingWriter(job.output, known, discard_leftover=True)
@@ -162,6 +171,11 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     finally:
         devices.close()
     return outcome(job, made=True, simulated=True, slices=slices, events=events)
+
+
+def _recipe(job: Job, params: Record) -> Recipe:
+    parameters = {**job.choice["plan"], "trial": job.choice["trial"]}
+    return Recipe(OUTPUT, METHOD, parameters, seed=params.seed, simulated_source=True)
 
 
 def _longest_s(time: Mapping[str, float]) -> float:

@@ -36,6 +36,15 @@ def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArr
     return known.reshape(-1)
 
 
+def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which dots of a gel, at rest at (rows, columns, 2), a model knows; InputError if it is for another grid."""
+    rows, columns = (int(size) for size in model.read("dot_shape"))
+    try:
+        return known_dots(dot_xy_px, rows, columns)
+    except ValueError as error:
+        raise InputError(f"the model is for another dot grid: {error}", where=str(model.path)) from None
+
+
 @dataclass
 class SlipSense:
     """The detector: what it has felt so far."""
@@ -57,11 +66,7 @@ class SlipSense:
         constants: tracker.TrackerConstants,
     ) -> "SlipSense":
         """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid."""
-        rows, columns = (int(size) for size in model.read("dot_shape"))
-        try:
-            known = known_dots(dot_xy_px, rows, columns)
-        except ValueError as error:
-            raise InputError(f"the model is for another dot grid: {error}", where=str(model.path)) from None
+        known = dots_for(model, dot_xy_px)
         rest = dot_xy_px.reshape(-1, 2)
         live = Live(detector_of(model), rest[known], window_px)
         missing = np.isnan(rest[:, 0])
