@@ -4,14 +4,16 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from evetac_cli.stages import Progress, silent
+from evetac_cli.errors import told
+from evetac_cli.stages import Outcome, Progress, silent
 
 FEW_ROWS = 3
 MOST_NAMING = 3  # columns that are repeated where a table is split
+MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between them a number has more than four digits, and is still easily read
 
 
 def say(text: str) -> None:
@@ -82,10 +84,36 @@ def live() -> Iterator[Callable[[str], None]]:
 def show(command: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool, as_json: bool) -> None:
     """Print the result of a command: one JSON object, or a table with the summary below."""
     if as_json:
-        result = {"command": command, "simulated": simulated, "rows": rows, "summary": summary}
-        print(json.dumps(plain(result), allow_nan=False))
+        _print_json({"command": command, "simulated": simulated, "rows": rows, "summary": summary})
         return
     print_table(command, rows, summary, simulated=simulated)
+
+
+def show_failure(command: str, errors: Sequence[BaseException], outcomes: Sequence[Outcome]) -> None:
+    """Print, as one JSON object, what ended a command (the first error gives the exit status) and what was made.
+
+    Whether that is simulated is unknown (null) where nothing was made.
+    """
+    result: dict[str, Any] = {
+        "command": command,
+        "simulated": any(outcome.simulated for outcome in outcomes) if outcomes else None,
+        "rows": [row for outcome in outcomes for row in outcome.rows],
+        "summary": count(outcomes),
+        "error": told(errors[0]),
+    }
+    if len(errors) > 1:
+        result["more_errors"] = [told(error) for error in errors[1:]]
+    _print_json(result)
+
+
+def count(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """How many files were made, and how many needed not be."""
+    made = sum(outcome.made for outcome in outcomes)
+    return {"made": made, "up_to_date": len(outcomes) - made}
+
+
+def _print_json(result: dict[str, Any]) -> None:
+    print(json.dumps(plain(result), allow_nan=False))
 
 
 def print_table(title: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool) -> None:
@@ -153,13 +181,15 @@ def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[
 
 
 def format_value(value: Any) -> str:
-    """A cell: numbers to four digits, nothing for None, yes and no for truth values."""
+    """A cell: numbers to four digits, large ones whole, nothing for None, yes and no for truth values."""
     if value is None:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return "-" if math.isnan(value) else f"{value:.4g}"
+        if math.isnan(value):
+            return "-"
+        return f"{value:,.0f}" if MOST_SHORT <= abs(value) < EXPONENT_FROM else f"{value:.4g}"
     if isinstance(value, int):
         return f"{value:,}"
     return str(value)

@@ -8,20 +8,38 @@
         DeviceTimeout     ... or did not answer in time
 
 Kernels raise ValueError; the stage that calls them knows where the value came from and says so.
+
+Where files were made all the same, an error or Ctrl-C takes along what came of them: `carry`.
 """
+
+from typing import Any, TypeVar
+
+AnyError = TypeVar("AnyError", bound=BaseException)
+INTERRUPTED = "interrupted: finished files are complete, the one in progress was left out"
 
 
 class EvetacError(Exception):
-    """An error to show to the user in one paragraph: where, what was expected, what was found, what to do."""
+    """An error to show to the user in one paragraph: where, what was expected, what was found, what to do.
+
+    `kept` says what there is all the same; whoever knows it may set it later.
+    """
 
     exit_code = 1
 
-    def __init__(self, message: str, *, where: str = "", expected: str = "", found: str = "", hint: str = "") -> None:
-        lines = [f"{where}: {message}" if where else message]
-        lines += [f"  expected: {expected}"] if expected else []
-        lines += [f"  found:    {found}"] if found else []
-        lines += [f"  try:      {hint}"] if hint else []
-        super().__init__("\n".join(lines))
+    def __init__(
+        self, message: str, *, where: str = "", expected: str = "", found: str = "", hint: str = "", kept: str = ""
+    ) -> None:
+        super().__init__(message)
+        self.message, self.where, self.expected, self.found, self.hint = message, where, expected, found, hint
+        self.kept = kept
+
+    def __str__(self) -> str:
+        lines = [f"{self.where}: {self.message}" if self.where else self.message]
+        lines += [f"  expected: {self.expected}"] if self.expected else []
+        lines += [f"  found:    {self.found}"] if self.found else []
+        lines += [f"  try:      {self.hint}"] if self.hint else []
+        lines += [f"  kept:     {self.kept}"] if self.kept else []
+        return "\n".join(lines)
 
 
 class InputError(EvetacError):
@@ -46,3 +64,32 @@ class DeviceError(EvetacError):
 
 class DeviceTimeout(DeviceError, TimeoutError):
     """A device did not answer in time (exit code 3)."""
+
+
+def carry(error: AnyError, outcome: Any) -> AnyError:
+    """Let an error take along the Outcome of what was made all the same."""
+    vars(error)["outcome"] = outcome
+    return error
+
+
+def carried(error: BaseException) -> Any:
+    """The Outcome that an error took along, or None."""
+    return vars(error).get("outcome")
+
+
+def told(error: BaseException) -> dict[str, Any]:
+    """An error as data, for --json: its kind, its parts as far as there are any, the exit status."""
+    if isinstance(error, EvetacError):
+        names = ("message", "where", "expected", "found", "hint", "kept")
+        parts = {name: str(getattr(error, name)) for name in names if getattr(error, name)}
+        return {"kind": type(error).__name__, **parts, "exit_status": error.exit_code}
+    if isinstance(error, KeyboardInterrupt):
+        return {"kind": "Interrupted", "message": str(error) or INTERRUPTED, "exit_status": 130}
+    if isinstance(error, OSError):
+        return {
+            "kind": type(error).__name__,
+            "message": error.strerror or str(error),
+            "where": str(error.filename or "output"),
+            "exit_status": InputError.exit_code,
+        }
+    return {"kind": type(error).__name__, "message": str(error), "exit_status": 1}

@@ -17,6 +17,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from evetac_cli import __version__, console, params, workers
+from evetac_cli.ending import Commands, Ending
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.stages import Job, Outcome
 
@@ -65,6 +66,7 @@ EXPORT = Command("export", params.Export, "export", "Recordings.", "events")
 DOCTOR = Command("doctor", params.Doctor, "doctor", "")
 
 app = typer.Typer(
+    cls=Commands,
     help="Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -162,7 +164,7 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
     """Run all jobs of a command and print what came out of them."""
     running = {name: given.pop(name) for name in _RUNNING}
     files = given.pop("files", [])
-    with _errors_in_words(running["verbose"]):
+    with Ending(title, running) as ending:
         chosen = params.resolve(command.params, title, given, running["config"])
         stage = importlib.import_module(f".stages.{command.module}", __package__)
         jobs: list[Job] = stage.jobs(files, chosen, running["out"])
@@ -172,16 +174,16 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
                 "out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"])
             )
         if getattr(chosen, "dry_run", False):
-            shown: Outcome = stage.dry_run(jobs, chosen)
+            shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"])
             as_json, simulated = running["as_json"], shown.simulated
             console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
             return
         started = time.monotonic()
-        results = _run(command, jobs, chosen, running)
-        outcomes = [result for result in results if isinstance(result, Outcome)]
-        errors = [result for result in results if isinstance(result, EvetacError)]
-        if outcomes or running["as_json"]:
-            summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else _count(outcomes)
+        _run(command, jobs, chosen, running, ending.results)
+        ending.results = {job.output: ending.results[job.output] for job in jobs}
+        outcomes, errors = ending.outcomes(), ending.errors()
+        if outcomes and not (errors and running["as_json"]):
+            summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else console.count(outcomes)
             simulated = any(outcome.simulated for outcome in outcomes)
             rows = [row for outcome in outcomes for row in outcome.rows]
             if running["as_json"]:
@@ -202,7 +204,7 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
     """Make what is not a stage file, for people or other programs, and say where it is."""
     running = {name: given.pop(name) for name in _VIEWING}
     files = given.pop("files")
-    with _errors_in_words(running["verbose"]):
+    with Ending(title, running):
         chosen = params.resolve(command.params, title, given, None)
         module = importlib.import_module(f".inspect.{command.module}", __package__)
         with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
@@ -214,7 +216,7 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
 def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
     """Say how the devices are; exit code 3 if one of them is not well."""
     running = {name: given.pop(name) for name in _EXAMINING}
-    with _errors_in_words(running["verbose"]):
+    with Ending(title, running):
         chosen = params.resolve(command.params, title, given, None)
         module = importlib.import_module(f".inspect.{command.module}", __package__)
         if chosen.print_udev:
@@ -253,54 +255,23 @@ def _first(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return shown
 
 
-def _count(outcomes: list[Outcome]) -> dict[str, Any]:
-    made = sum(outcome.made for outcome in outcomes)
-    return {"made": made, "up_to_date": len(outcomes) - made}
-
-
-def _run(command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any]) -> list[Outcome | EvetacError]:
-    """Run the jobs, several at a time if asked; an error in one does not stop the others."""
-    quiet, force = running["quiet"], running["force"]
+def _run(
+    command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any], results: dict[Path, Outcome | EvetacError]
+) -> None:
+    """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
+    quiet, force = running["quiet"] or getattr(chosen, "live", False), running["force"]  # --live has its own lines
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]
-    results: dict[Path, Outcome | EvetacError] = {}
     on_devices = getattr(chosen, "camera", "sim") != "sim"  # of which there is one each
     at_once = 1 if on_devices else min(running["number_of_jobs"], len(waiting))
     if at_once > 1:
         with console.progress_bar(command.name, "files", quiet=quiet) as progress:
-            done = workers.run_parallel(command.module, waiting, chosen, force, at_once, progress)
-            results |= {job.output: result for job, result in zip(waiting, done, strict=True)}
+            workers.run_parallel(command.module, waiting, chosen, force, at_once, progress, results)
     for number, job in enumerate(jobs):
         if job.output not in results:
             name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")
             with console.progress_bar(name, command.unit, quiet=quiet) as progress:
                 results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
-    return [results[job.output] for job in jobs]
-
-
-class _errors_in_words:  # reads as a phrase in a with statement
-    """End the program with an error in words and the exit code of its kind; Ctrl-C exits 130."""
-
-    def __init__(self, verbose: bool) -> None:
-        self.verbose = verbose
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, KeyboardInterrupt):
-            console.say(str(error) or "interrupted: finished files are complete, the one in progress was left out")
-            raise typer.Exit(130) from None
-        if isinstance(error, EvetacError):
-            if self.verbose:
-                import traceback
-
-                traceback.print_exception(error)
-            console.say(f"error: {error}")
-            raise typer.Exit(error.exit_code) from None
-        if isinstance(error, OSError) and not self.verbose:  # a disk or a path that failed where nobody looked
-            console.say(f"error: {error.filename or 'output'}: {error.strerror or error}")
-            raise typer.Exit(InputError.exit_code) from None
 
 
 def _inspector(name: str, help_: str, eats: str = "Stage files.") -> Callable[..., None]:
@@ -311,7 +282,7 @@ def _inspector(name: str, help_: str, eats: str = "Stage files.") -> Callable[..
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
         verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
     ) -> None:
-        with _errors_in_words(verbose):
+        with Ending(name, {"as_json": as_json, "verbose": verbose}):
             module = importlib.import_module(f".inspect.{name}", __package__)
             result: Outcome = module.run(files)
             if as_json:
@@ -344,7 +315,8 @@ app.command("validate", rich_help_panel="Inspect")(
 app.command("repair", rich_help_panel="Inspect")(
     _inspector(
         "repair",
-        "Make valid recordings of what broke off: NAME.part folders, or folders that hold some. Prints what was kept.",
+        "Make valid recordings of what broke off: folders NAME.recording.part, or folders that hold some. "
+        "Prints what was kept.",
         "Folders.",
     )
 )

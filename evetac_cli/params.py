@@ -63,7 +63,7 @@ class Trials:
 
 @dataclass(frozen=True)
 class Record(Trials):
-    """Record events: simulate a scene, or import a foreign event file."""
+    """Record events: simulate a scene, record from devices, or import a foreign event file."""
 
     scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, edge, vibration, or a TOML file.")
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")

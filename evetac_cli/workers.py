@@ -7,10 +7,11 @@ into another error. So it is remembered too, and looked at after every job. SIGT
 import importlib
 import os
 import signal
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from evetac_cli.errors import EvetacError
+from evetac_cli.errors import EvetacError, carry
 from evetac_cli.stages import Job, Outcome, Progress, silent
 
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
@@ -41,7 +42,7 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
             raise KeyboardInterrupt from None
         raise
     if _came:
-        raise KeyboardInterrupt
+        raise carry(KeyboardInterrupt(), result)
     return result
 
 
@@ -58,9 +59,15 @@ def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | Eve
 
 
 def run_parallel(
-    module: str, jobs: list[Job], chosen: Any, force: bool, at_once: int, progress: Progress
-) -> list[Outcome | EvetacError]:
-    """Run jobs in `at_once` processes; results in the order of the jobs."""
+    module: str,
+    jobs: list[Job],
+    chosen: Any,
+    force: bool,
+    at_once: int,
+    progress: Progress,
+    results: dict[Path, Outcome | EvetacError],
+) -> None:
+    """Run jobs in `at_once` processes; what came of each goes into `results`, by its output, also on Ctrl-C."""
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from concurrent.futures.process import BrokenProcessPool
@@ -69,9 +76,9 @@ def run_parallel(
     # HDF5 and a fork do not mix.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    results: list[Outcome | EvetacError | None] = []
     with ProcessPoolExecutor(at_once, mp_context=multiprocessing.get_context("spawn")) as pool:
         signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)  # workers inherit this, and lift it while they work
+        interrupted = False
         futures = [pool.submit(_in_worker, module, job, chosen, force) for job in jobs]
         try:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
@@ -79,16 +86,18 @@ def run_parallel(
             for done, _ in enumerate(as_completed(futures), start=1):
                 progress(done, len(jobs))
         except KeyboardInterrupt:
+            interrupted = True
             pool.shutdown(wait=True, cancel_futures=True)
-            raise
         for job, future in zip(jobs, futures, strict=True):
             try:
-                results.append(future.result())
+                result = None if future.cancelled() else future.result()
             except BrokenProcessPool:
-                lost = EvetacError(
+                result = EvetacError(
                     "the process that worked on it died", where=str(job.output), hint="out of memory? use fewer --jobs"
                 )
-                results.append(lost)
-    if any(result is None for result in results):
+            if result is None:
+                interrupted = True
+            else:
+                results[job.output] = result
+    if interrupted:
         raise KeyboardInterrupt
-    return [result for result in results if result is not None]

@@ -27,6 +27,7 @@ BELOW = {
     "inspect": {"stages", "devices", "store", "sim", "kernels", "events", "errors", "resources", "params", "console"},
     "console": {"stages", "errors"},
     "workers": {"stages", "errors"},
+    "ending": {"console", "stages", "errors"},
 }
 
 # Libraries that only some modules may import.
@@ -35,7 +36,7 @@ ONLY_IN = {
     "usb": ("devices/*",),
     "dynamixel_sdk": ("devices/*",),
     "torch": ("kernels/networks.py", "kernels/training.py", "kernels/force_training.py", "stages/train.py"),
-    "typer": ("main.py",),
+    "typer": ("main.py", "ending.py"),
     "rich": ("console.py",),
 }
 
@@ -62,7 +63,8 @@ def part_of(name: str) -> str:
 def test_names_are_resolved() -> None:
     """Assert that this test sees relative, function-level and plain imports (else it would prove nothing)."""
     found = set(imports(PACKAGE / "main.py"))
-    assert {"typer", "importlib", "evetac_cli.errors.EvetacError", "traceback"} <= found
+    assert {"typer", "importlib", "evetac_cli.errors.EvetacError"} <= found
+    assert {"traceback", "evetac_cli.console"} <= set(imports(PACKAGE / "ending.py"))
     assert "evetac_cli.main.main" in set(imports(PACKAGE / "__main__.py"))
     assert part_of("evetac_cli.store.files.StageFile") == "store"
     assert part_of("evetac_cli.errors") == "errors"

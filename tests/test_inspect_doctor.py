@@ -308,6 +308,27 @@ def test_ports_that_cannot_be_used(machine: Made, plugged: Any, monkeypatch: pyt
     assert "dialout" in wrong(doctor.run(Doctor(), machine))["permission"]["fix"]
 
 
+@pytest.mark.parametrize("name", ["/dev/null", "/dev/zero", ".", "file", "/dev/null@57600"])
+def test_what_is_no_serial_port(machine: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Assert that it is called that, and neither asked nor are those who have it open (nobody is to be ended)."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("text")
+    monkeypatch.setattr(Made, "users_of", lambda *_: pytest.fail("asked who uses it"))
+    monkeypatch.setattr(Made, "scan", lambda *_: pytest.fail("talked to it"))
+    (row,) = wrong(doctor.run(Doctor(gripper=name), machine)).values()
+    assert row["found"] == "not a serial port"
+    assert "/dev/ttyUSB*" in row["fix"] and "kill" not in row["fix"]
+
+
+@pytest.mark.parametrize("name", ["virtual", "virtual:lost-answer", "sim"])
+def test_a_virtual_gripper_needs_no_doctor(machine: Made, name: str) -> None:
+    """Assert that it is said, and nothing is wrong."""
+    result = doctor.run(Doctor(gripper=name), machine)
+    assert wrong(result) == {}
+    (row,) = of(result, "gripper").values()
+    assert row["found"] == f"not: a {name.partition(':')[0]} gripper needs no doctor"
+
+
 def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -> None:
     """Assert exit codes 0 and 3, flat rows as JSON, and that --print-udev prints rules and nothing else."""
     monkeypatch.setattr(doctor, "Machine", lambda: machine)

@@ -136,9 +136,16 @@ def test_nothing_to_repair(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False, recipe=RECIPE)
     writer.leave()
     assert "no slice of it can be read" in str(repair.run([writer.folder]).rows[0]["fault"])
-    with pytest.raises(InputError, match="not what a recording left"):
+    with pytest.raises(InputError, match="no such file"):
         repair.run([tmp_path / "nothing"])
-    assert repair.run([Path(tmp_path / "a.recording.part")]).summary["invalid"] == 1
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="not what a recording left"):
+        repair.run([tmp_path / "file"])
+    (tmp_path / "file.part").write_text("")
+    none, file, empty = repair.run([tmp_path / f"{name}.part" for name in ("no", "file", "a.recording")]).rows
+    assert "no such file" in none["fault"]
+    assert "not what a recording left" in file["fault"]
+    assert "no slice of it can be read" in empty["fault"]
     (tmp_path / "sub").mkdir()
     assert repair.run([tmp_path / "sub"]).rows == []
 

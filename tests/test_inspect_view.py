@@ -488,7 +488,7 @@ def test_outputs_that_are_refused(trial: Path) -> None:
     trial.with_name("folder.html").mkdir()
     (trial.with_name("folder.html") / "a.html").mkdir()
     assert "the output is a folder" in evetac("view", trial, "-f", "-o", trial.with_name("folder.html")).stderr
-    with pytest.raises(EvetacError, match="cannot be written"):
+    with pytest.raises(EvetacError, match="the output folder is a file"):
         view._write(trial / "below-a-file.html", b"")
     assert sorted(path.name for path in trial.parent.iterdir()) == [
         "a.labels.h5",

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -15,7 +16,17 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from evetac_cli import __version__, main, params
-from evetac_cli.errors import DeviceError, DeviceTimeout, EvetacError, InputError, SceneError, SchemaError
+from evetac_cli.errors import (
+    DeviceError,
+    DeviceTimeout,
+    EvetacError,
+    InputError,
+    SceneError,
+    SchemaError,
+    carried,
+    carry,
+    told,
+)
 from evetac_cli.main import EVALUATE, PIPELINE, app
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import Job, Outcome, Progress, outcome, per_file, silent
@@ -178,6 +189,10 @@ def test_verbose_has_the_traceback(label_is: Any, files: list[str]) -> None:
     assert result.exit_code == 2
     assert "Traceback" in result.stderr
     assert result.stderr.endswith("error: m\n")
+    label_is(raising(PermissionError(13, "Permission denied", "x.h5")))
+    result = evetac("label", files[0], "-v")
+    assert (result.exit_code, result.stderr.splitlines()[-1]) == (2, "error: x.h5: Permission denied")
+    assert "Traceback" in result.stderr
 
 
 def test_ctrl_c(label_is: Any, files: list[str]) -> None:
@@ -241,12 +256,107 @@ def test_json_of_evaluate_says_its_subject(monkeypatch: pytest.MonkeyPatch, file
 
 
 def test_json_where_everything_failed(label_is: Any, files: list[str]) -> None:
-    """Assert that --json is still one valid object, without rows, and the error is beside it on stderr."""
+    """Assert that --json is still one valid object, without rows, with every error, which stderr has too."""
     label_is(raising(InputError("m")))
     result = evetac("label", *files, "--json")
     assert result.exit_code == 2
-    assert json.loads(result.stdout)["rows"] == []
+    shown = json.loads(result.stdout)
+    assert (shown["rows"], shown["simulated"], shown["summary"]) == ([], None, {"made": 0, "up_to_date": 0})
+    assert [shown["error"], *shown["more_errors"]] == [{"kind": "InputError", "message": "m", "exit_status": 2}] * 3
     assert result.stderr.count("error: m") == 3
+
+
+PARTS = {"message": "m", "where": "w", "expected": "e", "found": "f", "hint": "h", "kept": "k"}
+ENDINGS: list[tuple[BaseException, int, dict[str, str]]] = [
+    (error, code, {"kind": type(error).__name__, "message": "m"}) for error, code in ERRORS
+]
+ENDINGS += [
+    (DeviceError(**PARTS), 3, {"kind": "DeviceError", **PARTS}),
+    (KeyboardInterrupt("interrupted: 7 slices"), 130, {"kind": "Interrupted", "message": "interrupted: 7 slices"}),
+    (
+        PermissionError(13, "Permission denied", "x.h5"),
+        2,
+        {"kind": "PermissionError", "message": "Permission denied", "where": "x.h5"},
+    ),
+    (ZeroDivisionError("bug"), 1, {"kind": "ZeroDivisionError", "message": "bug"}),
+]
+
+
+@pytest.mark.parametrize(("error", "code", "told"), ENDINGS, ids=lambda value: type(value).__name__)
+def test_json_says_how_it_ended(
+    label_is: Any, files: list[str], error: BaseException, code: int, told: dict[str, str]
+) -> None:
+    """Assert that whatever ends a command, --json is one object with the error, the exit status and what was made."""
+    label_is(lambda job, chosen: made(job, chosen) if job.output.name.startswith("a") else raising(error)(job, chosen))
+    result = evetac("label", *files[:2], "--json")
+    assert result.exit_code == code
+    assert result.stdout.count("\n") == 1
+    shown = json.loads(result.stdout)
+    assert shown["error"] == {**told, "exit_status": code}
+    assert [row["output"] for row in shown["rows"]] == ["a.labels.h5"]
+    assert (shown["command"], shown["simulated"], shown["summary"]) == ("label", True, {"made": 1, "up_to_date": 0})
+
+
+@pytest.mark.parametrize("error", [DeviceError("gone"), KeyboardInterrupt("interrupted: 7 slices in a.labels.h5")])
+def test_json_has_the_rows_of_what_was_kept(label_is: Any, files: list[str], error: BaseException) -> None:
+    """Assert that the file of a recording that was interrupted, or whose device failed, has its row."""
+
+    def act(job: Job, chosen: Any) -> Outcome:
+        raise carry(error, outcome(job, made=True, simulated=True, slices=7))
+
+    label_is(act)
+    shown = json.loads(evetac("label", files[0], "--json").stdout)
+    assert shown["rows"] == [{"output": "a.labels.h5", "status": "made", "slices": 7}]
+    assert (shown["simulated"], shown["summary"]["made"]) == (True, 1)
+    assert shown["error"]["message"] == str(error)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "command", "words"),
+    [
+        (["label", "a.recording.h5", "--confirm-ms", "2.5"], "label", "--confirm-ms"),
+        (["label", "a.recording.h5", "--nonsense"], "label", "--nonsense"),
+        (["label"], "label", "Missing argument"),
+        (["evaluate", "slip", "--nonsense"], "evaluate slip", "--nonsense"),
+        (["nonsense"], "", "nonsense"),
+        (["--nonsense", "label"], "", "--nonsense"),
+        (["info"], "info", "Missing argument"),
+    ],
+)
+def test_json_of_usage_errors(files: list[str], arguments: list[str], command: str, words: str) -> None:
+    """Assert that a command line that is not understood is one object too, and nothing on stdout without --json."""
+    result = evetac(*arguments, "--json")
+    assert result.exit_code == 2
+    shown = json.loads(result.stdout)
+    assert (shown["command"], shown["rows"], shown["error"]["exit_status"]) == (command, [], 2)
+    assert words in shown["error"]["message"]
+    assert words in plain_text(result.stderr)
+    assert evetac(*arguments).stdout == ""
+
+
+@pytest.mark.parametrize("arguments", [["info", "none.h5"], ["repair", "none"], ["export", "none.h5"], ["track"]])
+def test_json_of_every_kind_of_command(files: list[str], arguments: list[str]) -> None:
+    """Assert that commands that look, export and compute keep the same rule."""
+    more = ["--format", "text"] if arguments[0] == "export" else files[:1] if arguments[0] == "track" else []
+    result = evetac(*arguments, *more, "--json")
+    shown = json.loads(result.stdout)
+    assert (result.exit_code, shown["command"], shown["error"]["exit_status"]) == (2, arguments[0], 2)
+    assert shown["error"]["message"] in result.stderr
+
+
+@pytest.mark.parametrize("error", [DeviceTimeout(**PARTS), SchemaError(**PARTS)])
+def test_errors_come_whole_from_worker_processes(error: EvetacError) -> None:
+    """Assert that an error that was pickled has its words and parts."""
+    back = pickle.loads(pickle.dumps(carry(error, outcome(Job((), Path("x.h5")), made=True, simulated=True))))
+    assert (type(back), str(back), told(back)) == (type(error), str(error), told(error))
+    assert carried(back).rows == carried(error).rows
+    assert str(back).splitlines() == [
+        "w: m",
+        "  expected: e",
+        "  found:    f",
+        "  try:      h",
+        "  kept:     k",
+    ]
 
 
 def test_table(label_is: Any, files: list[str]) -> None:
@@ -448,5 +558,6 @@ def test_several_jobs_at_a_time(files: list[str]) -> None:
     for result in done:
         assert result.returncode == 2
         assert json.loads(result.stdout)["rows"] == []
+    assert done[0].stdout == done[1].stdout
     assert done[0].stderr == done[1].stderr
     assert all(f"error: {path}: cannot be opened" in done[0].stderr for path in paths)

@@ -64,6 +64,24 @@ def test_refusals(tmp_path: Path, chosen, said: str) -> None:
         grasp.jobs([], Grasp(**chosen), tmp_path)
 
 
+def test_dry_run_refuses_what_a_run_does(tmp_path: Path) -> None:
+    """Assert that a file made by another recipe, and a model that is not there, are refused by a dry run too."""
+    out = tmp_path / "a.recording.h5"
+    out.touch()
+    for params, said in ((Grasp(), "the output exists"), (Grasp(model=tmp_path / "nope.h5"), "no such file")):
+        jobs = grasp.jobs([], params, out)
+        words = []
+        for try_ in (
+            lambda jobs=jobs, params=params: grasp.dry_run(jobs, params),
+            lambda jobs=jobs, params=params: grasp.run(jobs[0], params),
+        ):
+            with pytest.raises(InputError, match=said) as refused:
+                try_()
+            words.append(str(refused.value))
+        assert words[0] == words[1]
+    assert grasp.dry_run(grasp.jobs([], Grasp(), out), Grasp(), force=True).summary["files"] == 1
+
+
 def test_the_outcome_is_in_the_file(tmp_path: Path) -> None:
     """Assert that the row's figures are those of the file, which is whole, and that contact alone lifts nothing."""
     path, row = made(tmp_path, controller="none", lift_s=1.5)

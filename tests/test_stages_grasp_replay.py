@@ -96,3 +96,6 @@ def test_a_recording_without_dots(tmp_path: Path) -> None:
     record.run(job, params)
     with pytest.raises(InputError, match="no dots"):
         replay(job.output, tmp_path / "out.recording.h5")
+    planned = Grasp(camera=f"replay:{job.output}", gripper="sim")
+    with pytest.raises(InputError, match="no dots"):
+        grasp.dry_run(grasp.jobs([], planned, tmp_path), planned)

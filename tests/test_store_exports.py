@@ -1,6 +1,7 @@
 """Exports: what other programs read of them, and that a recording comes back from them as it was."""
 
 import json
+import os
 import pickle
 import resource
 import signal
@@ -21,7 +22,7 @@ from typer.testing import CliRunner
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.main import app
-from evetac_cli.store import export_hdf5, export_pieces, export_text
+from evetac_cli.store import disk, export_hdf5, export_pieces, export_text
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.exports import FORMATS, export, target_of
 from evetac_cli.store.files import StageFile, write_stage
@@ -330,6 +331,50 @@ def test_notes_that_do_not_fit_the_events_are_refused(tmp_path: Path) -> None:
     path.write_text(f"# evetac {Note(1000, 2, FRAME, simulated=False).text()}\n9000 1 2 1\n")
     imported = read_events(path)
     assert (imported.slices, imported.events.t.tolist(), imported.t_offset_us) == (9, [8000], 1000)
+
+
+def test_what_a_killed_export_left_goes_with_the_next(source: Path, tmp_path: Path) -> None:
+    """Assert that an unfinished file, whose name ends as its format wants, does not stay for ever."""
+    for format_, name in (("text", "b.txt"), ("dsec", "b.dsec.h5")):
+        target = tmp_path / name
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(os, "getpid", lambda: 4_194_305)  # one more than Linux gives
+            unfinished = disk._temporary(target, target.suffix)
+        assert unfinished.suffix == target.suffix
+        unfinished.write_bytes(b"half")
+        export(source, format_, target)
+        assert target.exists() and not unfinished.exists()
+
+
+@pytest.mark.parametrize("format_", ["aedat4", "text"])
+def test_an_export_that_was_cut_ends_with_its_last_event(
+    tmp_path: Path, format_: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that what was cut off is not made up as silence, whatever the note in the file's head says."""
+    needs(format_)
+    events = drawn(40_000)  # in 5 packets
+    source = write(tmp_path / "a.recording.h5", events, 9000, 1_000)
+    target = target_of(source, format_, None)
+    export(source, format_, target)
+    whole = target.read_bytes()
+    for share in (0.3, 0.6, 0.9):
+        length = round(share * len(whole))
+        target.write_bytes(whole[: whole.rindex(b"\n", 0, length) + 1] if format_ == "text" else whole[:length])
+        imported = read_events(target)
+        kept = imported.events.size
+        assert 0 < kept < 40_000 and same(imported.events, events.part(0, kept))
+        assert imported.slices == int(events.t[kept - 1]) // 1000 + 1
+        assert any(f"{kept} events" in note for note in imported.notes)
+    target.write_bytes(b"".join(whole.splitlines(True)[:2]) if format_ == "text" else whole[: len(whole) // 50])
+    words = {"text": "holds no events", "aedat4": "the file is broken"}[format_]
+    assert words in refusal(lambda: read_events(target))
+
+
+def test_exports_whose_note_does_not_count_events_are_read(tmp_path: Path) -> None:
+    """Assert that the slices of such a note are believed."""
+    path = tmp_path / "a.txt"
+    path.write_text(f"# evetac {Note(0, 5, FRAME, simulated=False).text()}\n100 1 2 1\n")
+    assert read_events(path).slices == 5
 
 
 def test_from_the_command_line(source: Path, tmp_path: Path) -> None:

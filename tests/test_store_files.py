@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -369,6 +370,27 @@ def test_up_to_date(made: Path) -> None:
     assert not made.parent.joinpath("new").exists()
 
 
+def test_a_recording_of_devices_in_the_way(tmp_path: Path) -> None:
+    """Assert that it is named as what it is, not by the difference of two recipes; an import in the way is not."""
+    arrays: dict[str, Any] = {
+        **{f"events/{name}": np.empty(0, dtype) for name, dtype in zip("txyp", ("i8", "u2", "u2", "u1"), strict=True)},
+        "ms_to_idx": np.zeros(3, np.int64),
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array((640, 480), np.int32),
+        "sensor/individual": "unknown",
+    }
+    path = tmp_path / "a.recording.h5"
+    wanted = Recipe("recording", 2, {}, content="1")
+    write_stage(path, Recipe("recording", 1, {}, content="0"), arrays)
+    with pytest.raises(InputError, match="by another recipe"):
+        up_to_date(path, wanted)
+    write_stage(path, Recipe("recording", 1, {}, content="0"), {**arrays, "capture/ended": "interrupted"})
+    with pytest.raises(InputError, match="a recording of devices, which cannot be made again") as refused:
+        up_to_date(path, wanted)
+    assert "--force" in str(refused.value) and "method" not in str(refused.value)
+    assert not up_to_date(path, wanted, force=True)
+
+
 @pytest.mark.parametrize("content", [b"", b"not a stage file", bytes(3000)])
 def test_output_that_is_garbage(tmp_path: Path, content: bytes) -> None:
     """Assert that an output that is no stage file is never replaced without --force, and stays as it is."""
@@ -555,6 +577,40 @@ def test_two_writers_of_one_target(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with h5py.File(path) as h5:
         assert h5["who"].asstr()[()] == "slow"
     assert everything(tmp_path) == ["a.labels.h5"]
+
+
+LEFT = """
+import sys
+from pathlib import Path
+from evetac_cli.store.disk import taking_the_place_of
+
+with taking_the_place_of(Path(sys.argv[1]) / "a.labels.h5") as unfinished:
+    unfinished.write_bytes(b"half")
+    print("here", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_what_a_killed_process_left_goes_with_the_next(tmp_path: Path) -> None:
+    """Assert that its unfinished file is removed, and those of live processes, other machines and names are not."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", LEFT, str(tmp_path)], **pipes, cwd=PACKAGE.parent) as killed:
+        assert killed.stdout is not None
+        killed.stdout.readline()
+        (unfinished,) = everything(tmp_path)
+        write_stage(tmp_path / "a.labels.h5", RECIPE, labels())
+        assert everything(tmp_path) == [unfinished, "a.labels.h5"]
+        killed.kill()
+        while (state := Path(f"/proc/{killed.pid}/stat")).exists() and state.read_text().split()[2] != "Z":
+            time.sleep(0.01)
+        write_stage(tmp_path / "a.labels.h5", RECIPE, labels())
+        assert everything(tmp_path) == ["a.labels.h5"]  # though nobody has waited for the process yet
+    (tmp_path / unfinished).write_bytes(b"half")
+    others = [unfinished.replace("a.labels", "b.labels"), ".a.labels.h5.elsewhere.4194305.tmp", ".a.labels.h5.x.tmp"]
+    for name in others:
+        (tmp_path / name).write_bytes(b"")
+    write_stage(tmp_path / "a.labels.h5", RECIPE, labels())
+    assert everything(tmp_path) == sorted([*others, "a.labels.h5"])
 
 
 def test_files_need_no_plugin(made: Path) -> None:

@@ -161,8 +161,8 @@ def test_other_files_are_refused(tmp_path: Path, head: bytes, words: str) -> Non
 
 
 def test_files_without_events(tmp_path: Path) -> None:
-    """Assert that a header alone is an empty recording, and half a word at the end is noted."""
-    assert read_events(raw(tmp_path / "a.raw", [])).slices == 0
+    """Assert that a header alone is no recording, and half a word at the end is noted."""
+    assert "holds no events" in refusal(raw(tmp_path / "a.raw", []))
     imported = read_events(raw(tmp_path / "a.raw", evt3([0, 7]), rest=b"\1"))
     assert (imported.events.size, imported.notes) == (2, ["cut short: the last 1 bytes are no whole word"])
 

@@ -82,7 +82,7 @@ def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: boo
     must_refuse = (
         not (polarities <= {0, 1} or polarities <= {-1, 1})
         or any(abs(row[0]) >= 2**53 for row in rows)
-        or (rows and not inside)
+        or not inside
         or (late and not sort)
         or (inside and max(row[0] for row in inside) - min(row[0] for row in inside) > 24 * 3600 * 10**6)
     )
@@ -292,10 +292,28 @@ def test_text_needs_a_frame_size(text: Callable[..., Path]) -> None:
 
 
 def test_text_without_events(text: Callable[..., Path]) -> None:
-    """Assert that a line of names alone is an empty recording, and comments alone are nothing."""
-    imported = read_events(text("t,x,y,p\n"), frame_px=FRAME)
-    assert (imported.events.size, imported.slices, imported.t_offset_us) == (0, 0, 0)
-    assert "holds no events" in refusal(text("# nothing\n\n"), frame_px=FRAME)
+    """Assert that neither a line of names nor comments alone are a recording, with a frame or without."""
+    for content in ("t,x,y,p\n", "# nothing\n\n"):
+        for frame in (FRAME, None):
+            assert "holds no events" in refusal(text(content), frame_px=frame)
+
+
+@pytest.mark.parametrize("content", ["root:x:0:0:root:/root:/bin/bash\n", '{"a": 1}\n', "1 2 3\n"])
+def test_what_is_no_text_of_events_is_not_asked_for_a_frame(text: Callable[..., Path], content: str) -> None:
+    """Assert that a line that cannot be read is said first: its frame size would help nobody."""
+    words = refusal(text(content))
+    assert "a line cannot be read" in words and "cut short" not in words
+
+
+def test_hints_fit_what_was_dropped(text: Callable[..., Path]) -> None:
+    """Assert that many events outside the frame put it in question, and values that are no numbers do not."""
+    good = "".join(f"{t} 1 1 1\n" for t in range(4))
+    (outside,) = read_events(text(good + "9 9999 1 1\n"), frame_px=FRAME).notes
+    assert outside == "20% of the events lie outside 640x480 and were dropped; is it the frame?"
+    (odd,) = read_events(text(good + "nan 1 1 1\n"), frame_px=FRAME).notes
+    assert odd == "20% of the events were dropped: not all of t, x, y, p are numbers"
+    assert "frame size" not in refusal(text("nan 1 1 1\n"), frame_px=FRAME).split("try:")[-1]
+    assert "frame size" in refusal(text("1 9999 1 1\n"), frame_px=FRAME).split("try:")[-1]
 
 
 def test_a_line_without_end_is_refused(text: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -418,11 +436,10 @@ def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.
     assert "first at index 2" in refusal(dsec(t=np.array([5, 6, 4])), frame_px=FRAME)
 
 
-def test_hdf5_without_events_in_it_is_an_empty_recording(dsec: Callable[..., Path]) -> None:
-    """Assert that empty columns are 0 events, not an error."""
+def test_hdf5_without_events_in_it_is_refused(dsec: Callable[..., Path]) -> None:
+    """Assert that empty columns are no recording."""
     none = {name: np.empty(0, np.uint16) for name in "txyp"}
-    imported = read_events(dsec(**none), frame_px=FRAME)
-    assert (imported.events.size, imported.slices, imported.t_offset_us) == (0, 0, 0)
+    assert "holds no events" in refusal(dsec(**none), frame_px=FRAME)
 
 
 @pytest.mark.parametrize(
@@ -786,7 +803,6 @@ class io:
         ("dvxplorer_static_noise.aedat4", 255_283, (640, 480), 2700),
         ("davis346.aedat4", 78_830, (346, 260), 2360),
         ("multistream.aedat4", 9_193, (346, 260), 3814),
-        ("empty_stereo.aedat4", 0, (100, 100), 0),
     ],
 )
 def test_real_aedat4(name: str, events: int, frame: tuple[int, int], slices: int) -> None:
@@ -795,9 +811,13 @@ def test_real_aedat4(name: str, events: int, frame: tuple[int, int], slices: int
     imported = read_events(real(name))
     assert (imported.events.size, imported.frame_px, imported.slices) == (events, frame, slices)
     assert sum(imported.counts.values()) == imported.sorted == 0
-    assert bool(imported.notes) == (name == "empty_stereo.aedat4")
-    if events:
-        assert imported.events.t[0] == 0
+    assert imported.notes == []
+    assert imported.events.t[0] == 0
+
+
+def test_real_aedat4_without_events() -> None:
+    """Assert that a file of two streams without a packet is refused."""
+    assert "holds no events" in refusal(real("empty_stereo.aedat4"))
 
 
 def test_real_noise_is_the_noise_described() -> None:

@@ -7,6 +7,7 @@ by whoever runs the command that is printed.
 import errno
 import itertools
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,9 @@ EXTRAS = {
 }
 OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
 
+NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used
+WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` shows what there is"
+
 Row = dict[str, Any]
 
 
@@ -68,6 +72,10 @@ def run(params: Doctor, machine: Machine | None = None) -> Outcome:
     cameras = machine.cameras() if machine.has_libusb() else []
     for camera in cameras:
         rows += _camera(machine, camera)
+    kind = (params.gripper or "").partition(":")[0]
+    if kind in NO_PORTS:
+        said = f"not: a {kind} gripper needs no doctor" if kind != "none" else "not: no gripper is named"
+        rows.append(_row(f"gripper {kind}", "examined", None, said, "", "name a port: --gripper /dev/ttyUSB0"))
     grippers = 0
     for path, named in _ports(machine, params):
         port_rows, found = _port(machine, path, named)
@@ -197,7 +205,8 @@ def _opened(machine: Machine, camera: FoundCamera, number: int, found: str) -> t
 
 def _ports(machine: Machine, params: Doctor) -> Iterator[tuple[Path, bool]]:
     """Ports to examine, and whether the user named them."""
-    named = None if params.gripper is None else Path(params.gripper.partition("@")[0])
+    given = params.gripper or ""
+    named = Path(given.partition("@")[0]) if given and given.partition(":")[0] not in NO_PORTS else None
     for port in machine.serial_ports():
         if port.vendor == FTDI and (named is None or port.path.resolve() != named.resolve()):
             yield port.path, False
@@ -209,8 +218,10 @@ def _port(machine: Machine, path: Path, named: bool) -> tuple[list[Row], int]:
     """Rows of one port and of the grippers on it, and how many these are."""
     name = f"port {path}"
     if not path.exists():
-        fix = "plug the adapter in; `ls /dev/ttyUSB* /dev/ttyACM*` shows what there is"
-        return [_row(name, "there", False, "no such port", "", fix)], 0
+        return [_row(name, "there", False, "no such port", "", f"plug the adapter in; {WHICH_PORTS}")], 0
+    if not _is_serial(path):
+        fix = f"name the adapter's port; {WHICH_PORTS}"
+        return [_row(name, "serial port", False, "not a serial port", "a port as /dev/ttyUSB0", fix)], 0
     rows = []
     if not os.access(path, os.R_OK | os.W_OK):
         fix = f"sudo usermod -aG dialout $USER, and log in again; or {INSTALL_RULES}"
@@ -243,6 +254,20 @@ def _port(machine: Machine, path: Path, named: bool) -> tuple[list[Row], int]:
             found = " ".join(str(error).split())
             rows.append(_row(f"gripper {gripper.id} at {path}", "answers", False, found, "", "check cable and 24 V"))
     return rows, len(grippers)
+
+
+def _is_serial(path: Path) -> bool:
+    """Whether there is a terminal behind a name; one that cannot be opened counts: why, is asked next."""
+    if not stat.S_ISCHR(path.stat().st_mode):
+        return False
+    try:
+        port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:
+        return True
+    try:
+        return os.isatty(port)
+    finally:
+        os.close(port)
 
 
 def _gripper(machine: Machine, path: Path, gripper: Found) -> Iterator[Row]:

@@ -1,5 +1,7 @@
 """info: what stage files hold."""
 
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,9 @@ from evetac_cli.store.read import Recording
 
 RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor
 EVENT_BYTES = 5
+LOST = "capture/lost/"
+HIDDEN = ("history", "parameters", "parents", "made", "file")  # from figures for people
+MOST_PARENTS = 10  # lines; a model may have hundreds
 
 
 def run(files: list[Path]) -> Outcome:
@@ -23,16 +28,29 @@ def run(files: list[Path]) -> Outcome:
 def show(result: Outcome) -> None:
     """One block a file: figures first, then where it comes from."""
     for row in result.rows:
-        figures = {name: value for name, value in row.items() if name not in ("history", "parameters", "made", "file")}
+        figures = {name: value for name, value in row.items() if name not in HIDDEN}
         print(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
         for name, value in figures.items():
             print(f"  {name:<24} {format_value(value)}")
         print(f"  {'made':<24} {row['made'].get('at', '?')} by evetac {row['made'].get('evetac', '?')}")
-        for ancestor in row["history"]:
-            print(f"  from {ancestor['kind']:<19} {ancestor['id'][:12]}  method {ancestor['method']}")
+        for line in _ancestry(row):
+            print(f"  {line}")
     if len(result.rows) > 1:
         common = [{"file": row["file"], "kind": row["kind"], "id": row["id"][:12]} for row in result.rows]
         print_table("info", common, result.summary, simulated=result.simulated)
+
+
+def _ancestry(row: dict[str, Any]) -> Iterator[str]:
+    """What a file was made from, and how much lies behind that: --json has all of it."""
+    parents = [ancestor for ancestor in row["history"] if ancestor["id"] in row["parents"]]
+    for parent in parents[:MOST_PARENTS]:
+        yield f"from {parent['kind']:<19} {parent['id'][:12]}  method {parent['method']}"
+    more = parents[MOST_PARENTS:]
+    deeper = [ancestor for ancestor in row["history"] if ancestor["id"] not in row["parents"]]
+    for name, ancestors in (("and from", more), ("behind these", deeper)):
+        if ancestors:
+            kinds = Counter(str(ancestor["kind"]) for ancestor in ancestors)
+            yield f"{name:<24} {', '.join(f'{count} {kind}' for kind, count in kinds.items())} (all: --json)"
 
 
 def _describe(path: Path) -> dict[str, Any]:
@@ -51,6 +69,7 @@ def _describe(path: Path) -> dict[str, Any]:
         row["size_bytes"] = path.stat().st_size
         row["parameters"] = header["parameters"]
         row["made"] = header.get("made", {})
+        row["parents"] = header["parents"]
         row["history"] = [
             {"id": id_, **{key: ancestor[key] for key in ("kind", "method", "parameters", "seed", "parents")}}
             for id_, ancestor in header["history"].items()
@@ -79,7 +98,45 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "dots": "none" if grid is None else f"{grid.shape[0]} rows x {grid.shape[1]} columns",
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
             "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture"))) or "none",
+            **(_capture(file) if recording.has("capture") else {}),
+            **_import(file.header["parameters"]),
         }
+
+
+def _capture(file: StageFile) -> dict[str, Any]:
+    """How a recording from devices ended, what was lost, and, as far as it is said, how well time was kept."""
+    known = file.contents()
+    counted = {name.removeprefix(LOST): int(file.read(name)) for name in known if name.startswith(LOST)}
+    gaps = file.read("capture/lost_slices") if "capture/lost_slices" in known else np.zeros((0, 2))
+
+    def figure(name: str) -> Any:
+        return file.read(f"capture/{name}").item() if f"capture/{name}" in known else None
+
+    def late_us(name: str) -> float | None:
+        return float(file.read(f"capture/{name}")[1]) if f"capture/{name}" in known else None
+
+    said = {
+        "ended": file.read("capture/ended"),
+        "lost": "; ".join(f"{name} {count}" for name, count in counted.items() if count) or "nothing",
+        "slices_lost": int(np.sum(gaps[:, 1] - gaps[:, 0])),
+        "slices_per_s": figure("slices_per_s"),
+        "slice_late_us_p99": late_us("slice_late_us"),
+        "commands_per_s": figure("commands_per_s"),
+        "command_misses": figure("command_misses"),
+        "latency_us_p99": late_us("latency_us"),
+    }
+    return {name: value for name, value in said.items() if value is not None}
+
+
+def _import(parameters: dict[str, Any]) -> dict[str, Any]:
+    """Where an imported recording comes from, and what its reader had to say."""
+    if "notes" not in parameters or "format" not in parameters:
+        return {}
+    return {
+        "source": f"{parameters['source']} ({parameters['format']})",
+        "events_dropped": sum(parameters.get("dropped", {}).values()),
+        "notes": "; ".join(parameters["notes"]) or "none",
+    }
 
 
 def _labels(file: StageFile) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.stages import Outcome
-from evetac_cli.store.leftover import SUFFIX, Leftover, held, output_of, read_leftover, was_joined
+from evetac_cli.store.leftover import SUFFIX, Leftover, check_folder, held, output_of, read_leftover, was_joined
 from evetac_cli.store.segments import join
 
 ENDED = "broke off, and was repaired"
@@ -36,17 +36,14 @@ def show(result: Outcome) -> None:
 
 
 def _leftovers(folders: list[Path]) -> list[Path]:
-    """The folders NAME.part that are named, or that lie in the folders that are named."""
+    """The folders NAME.recording.part that are named, or that lie in the folders that are named."""
     found = []
     for folder in folders:
-        if folder.name.endswith(SUFFIX):
+        if folder.name.endswith(SUFFIX):  # whether it is there is said with what became of the others
             found.append(folder)
-        elif folder.is_dir():
-            found += sorted(path for path in folder.glob(f"*{SUFFIX}") if path.is_dir())
         else:
-            raise InputError(
-                "not what a recording left", where=str(folder), expected=f"NAME.recording{SUFFIX}, or a folder of them"
-            )
+            check_folder(folder)
+            found += sorted(path for path in folder.glob(f"*{SUFFIX}") if path.is_dir())
     return found
 
 

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterable
-from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from evetac_cli.inspect.view_page import page
 from evetac_cli.inspect.view_trial import Trial, open_trial
 from evetac_cli.params import View
 from evetac_cli.stages import Outcome, Progress, silent
+from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 
 
@@ -103,13 +103,5 @@ def _check_free(path: Path, force: bool) -> None:
 
 def _write(path: Path, content: bytes) -> None:
     """Write beside the target, then rename: a page is there whole or not at all."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with taking_the_place_of(path) as temporary:
         temporary.write_bytes(content)
-        temporary.replace(path)
-    except OSError as error:
-        raise EvetacError(f"cannot be written: {error.strerror or error}", where=str(path)) from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink()

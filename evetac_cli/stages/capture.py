@@ -26,7 +26,7 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.devices.naming import GripperName, open_rig
-from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.errors import DeviceError, EvetacError, carry
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.params import Record
 from evetac_cli.stages import Job, Outcome, Progress, outcome
@@ -319,7 +319,7 @@ def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
     """An error for the user, or Ctrl-C, that says too what is left for `evetac repair`; any other as it is."""
     kept = f"{writer.folder}, for `evetac repair`"
     if isinstance(error, EvetacError):
-        return type(error)(f"{error}\n  kept:     {kept}")
+        error.kept = kept
     if isinstance(error, KeyboardInterrupt):
         return KeyboardInterrupt(f"interrupted: what was recorded is in {kept}")
     return error
@@ -330,13 +330,15 @@ def _tell(job: Job, takings: Sequence[Taking], figures: Sequence[Mapping[str, An
     captured = takings[0].captured
     files = [f"{taking.captured.slices:,} slices in {taking.output}" for taking in takings if taking.captured.slices]
     kept = ", ".join(files) or "nothing was recorded"
+    there = [told for told in zip(takings, figures, strict=True) if told[0].captured.slices]
+    result = Outcome([_row(job, *told) for told in there], any(taking.recipe.simulated for taking in takings))
     if captured.error is not None:
-        kind = type(captured.error) if isinstance(captured.error, EvetacError) else DeviceError
-        raise kind(f"{captured.error}\n  kept:     {kept}") from captured.error
+        error = captured.error if isinstance(captured.error, EvetacError) else DeviceError(str(captured.error))
+        error.kept = kept
+        raise carry(error, result)
     if captured.ended == INTERRUPTED:
-        raise KeyboardInterrupt(f"interrupted: {kept}")
-    rows = [_row(job, taking, figures_) for taking, figures_ in zip(takings, figures, strict=True)]
-    return Outcome(rows, any(taking.recipe.simulated for taking in takings))
+        raise carry(KeyboardInterrupt(f"interrupted: {kept}"), result)
+    return result
 
 
 def _row(job: Job, taking: Taking, figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from evetac_cli.devices.dynamixel_bus import ANSWER_MS
 from evetac_cli.devices.naming import VIRTUAL_ANSWER_MS, CameraName, GripperName, camera_name, gripper_name
 from evetac_cli.devices.rh_p12_rn import RhP12RnSettings
 from evetac_cli.devices.urgency import hurry
-from evetac_cli.errors import DeviceError, EvetacError, InputError
+from evetac_cli.errors import DeviceError, EvetacError, InputError, carry
 from evetac_cli.kernels.grip_control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.sim import scene
@@ -313,13 +313,22 @@ def _tell(
     """The row of a grasp; an error or Ctrl-C goes on from here, and says what there is."""
     kept = bool(recorded.slices and recorded.steps.rows)
     what = f"{recorded.slices:,} slices in {job.output}" if kept else "nothing was recorded"
+    result = _row(job, recipe, recorded, figures, became) if kept else None
     if recorded.ended == INTERRUPTED:
-        raise KeyboardInterrupt(f"interrupted, torque is off: {what}")
+        raise carry(KeyboardInterrupt(f"interrupted, torque is off: {what}"), result)
     if recorded.error is not None:
-        kind = type(recorded.error) if isinstance(recorded.error, EvetacError) else DeviceError
-        raise kind(f"{recorded.error}\n  kept:     {what}") from recorded.error
-    if not kept:
+        error = recorded.error if isinstance(recorded.error, EvetacError) else DeviceError(str(recorded.error))
+        error.kept = what
+        raise carry(error, result)
+    if result is None:
         raise DeviceError("the grasp ended before its first step", found=recorded.ended)
+    return result
+
+
+def _row(
+    job: Job, recipe: Recipe, recorded: Recorded, figures: Mapping[str, Any], became: Mapping[str, Any]
+) -> Outcome:
+    """The figures of a grasp whose file there is."""
     lost = {name.removeprefix(LOST): int(count) for name, count in figures.items() if name.startswith(LOST) and count}
     timing: dict[str, float | int | None] = {}
     for name, path, index in (

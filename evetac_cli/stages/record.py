@@ -32,7 +32,6 @@ INPUTS = ()
 OUTPUT = "recording"
 METHOD = 2
 DRY_SLICES = 200
-LOSS_WORTH_A_WORD = 0.02  # share of imported events
 CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
 
 
@@ -257,8 +256,6 @@ def _import(job: Job, params: Record, force: bool) -> Outcome:
         arrays |= read_calibration(params.calibration, imported.frame_px).arrays()
     notes = list(imported.notes)
     lost = sum(imported.counts.values())
-    if lost > LOSS_WORTH_A_WORD * (lost + events.size):
-        notes.append(f"{lost / (lost + events.size):.0%} of the events were dropped; is the frame right?")
     parameters = {
         "source": job.inputs[0].name,
         "format": imported.format,

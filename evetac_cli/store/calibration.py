@@ -7,8 +7,6 @@ that `evetac calibrate` writes list them for other programs, and nothing here re
 """
 
 import json
-import os
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels import grid
+from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 
 MOST_PX = 65536  # events count columns and rows in uint16
@@ -154,18 +153,8 @@ def write_calibration(
         "provenance": provenance,
     }
     lines = ",\n".join(f'  "{key}": {_in_lines(value)}' for key, value in table.items())
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with taking_the_place_of(path) as temporary:
         temporary.write_text(f"{{\n{lines}\n}}\n")
-        temporary.replace(path)
-    except (FileExistsError, NotADirectoryError):
-        raise InputError("the output folder is a file", where=str(path.parent)) from None
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def read_quality(path: Path) -> dict[str, Any]:

@@ -1,16 +1,22 @@
-"""New HDF5 files whose disk may be full.
+"""New files, all or nothing, also where the disk is full or the process is killed; HDF5 files among them.
 
-Why so: where HDF5 cannot write, it cannot close the file either, and takes the whole process down at its end. So it
-writes through a file object that never fails: that keeps the first error, which is raised once HDF5 has closed. For the
-same reason Ctrl-C waits until then; it would otherwise come up inside that object.
+A file is written beside its place, under the name of this machine and process, and renamed when it is complete. What a
+process that was killed left there is removed by the next that writes the same file.
+
+Why HDF5 has a file object: where it cannot write, it cannot close the file either, and takes the whole process down at
+its end. So it writes through a file object that never fails: that keeps the first error, which is raised once HDF5 has
+closed. For the same reason Ctrl-C waits until then; it would otherwise come up inside that object.
 """
 
 import io
+import os
+import platform
 import shutil
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +58,49 @@ def require_room(path: Path, needed_bytes: float, hint: str) -> None:
             found=f"{free_bytes / 1e6:,.0f} MB free",
             hint=hint,
         )
+
+
+@contextmanager
+def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
+    """A path to write to, which takes the place of `path` when the block ends well, and leaves no trace otherwise.
+
+    ending: what the name has to end in, for libraries that go by it. InputError if the disk does not take the file.
+    """
+    temporary = _temporary(path, ending)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        temporary.replace(path)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError("the output folder is a file", where=str(path.parent)) from None
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def _temporary(path: Path, ending: str) -> Path:
+    """The name beside `path` under which this process writes; those of processes that no longer live are removed."""
+    start = f".{path.name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
+    for left in path.parent.glob(f"{escape(start)}*.tmp{escape(ending)}"):
+        if not _lives(left.name.removeprefix(start).partition(".")[0]):
+            with suppress(OSError):
+                left.unlink()
+    return path.with_name(f"{start}{os.getpid()}.tmp{ending}")
+
+
+def _lives(process: str) -> bool:
+    with suppress(OSError):  # one that nobody waited for still has its number
+        if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX":
+            return False
+    try:
+        os.kill(int(process), 0)
+    except ProcessLookupError:
+        return False
+    except (ValueError, OverflowError, PermissionError):  # no number: not ours to remove; or somebody else's process
+        return True
+    return True
 
 
 @contextmanager

@@ -32,4 +32,5 @@ def t_offset_us(recording: Recording) -> int:
 
 def note_of(recording: Recording, start_us: int) -> Note:
     """What the format cannot say; start_us is where t = 0 is in the times as they are written."""
-    return Note(start_us, len(recording), recording.frame_px, bool(recording.header["simulated"]))
+    simulated = bool(recording.header["simulated"])
+    return Note(start_us, len(recording), recording.frame_px, simulated, recording.event_count)

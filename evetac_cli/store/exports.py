@@ -12,12 +12,12 @@ dots are left out, and that is said.
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.store import export_aedat4, export_calibration, export_hdf5, export_text
+from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.export_pieces import Progress, silent
 from evetac_cli.store.files import stem
 from evetac_cli.store.read import Recording
@@ -73,19 +73,9 @@ def export(
     with Recording(source) as recording:
         if target.exists() and target.samefile(source):
             raise InputError("the output would replace the recording", where=str(target))
-        temporary = target.with_name(f".{target.stem}.{os.getpid()}.tmp{target.suffix}")
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+        with taking_the_place_of(target, target.suffix) as temporary:
             row.write(recording, temporary, progress)
             size = temporary.stat().st_size
-            temporary.replace(target)
-        except (FileExistsError, NotADirectoryError):
-            raise InputError("the output folder is a file", where=str(target.parent)) from None
-        except OSError as error:
-            raise InputError(f"cannot be written: {error.strerror or error}", where=str(target)) from error
-        finally:
-            with suppress(OSError):
-                temporary.unlink()
         left_out = [name for name in LEFT_OUT if recording.has(name)] if row.events else []
         return {
             "recording": str(source),

@@ -9,7 +9,7 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import NoneType, TracebackType
 from typing import Any, Self
@@ -19,7 +19,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import schema
-from evetac_cli.store.disk import new_file
+from evetac_cli.store.disk import new_file, taking_the_place_of
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, id_of
 
 CHUNK_ROWS = 65536
@@ -203,6 +203,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     try:
         with StageFile(path) as existing:
             header = existing.header
+            of_devices = existing.has("capture/ended") and header["content"] is not None
     except InputError as error:
         if force:
             return False
@@ -216,6 +217,12 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
         return True
     if force:
         return False
+    if of_devices:
+        raise InputError(
+            "the output exists: a recording of devices, which cannot be made again",
+            where=str(path),
+            hint="-o NAME writes elsewhere; --force replaces it, and it is lost",
+        )
     raise InputError(
         "the output exists and was made by another recipe",
         where=str(path),
@@ -254,19 +261,8 @@ def stem(path: Path) -> str:
 @contextmanager
 def replacing(path: Path) -> Iterator[h5py.File]:
     """A new HDF5 file that takes the place of `path` when the block ends well, and leaves no trace when it does not."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with new_file(temporary) as h5:
-            yield h5
-        temporary.replace(path)
-    except (FileExistsError, NotADirectoryError):
-        raise InputError("the output folder is a file", where=str(path.parent)) from None
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    with taking_the_place_of(path) as temporary, new_file(temporary) as h5:
+        yield h5
 
 
 def write_stage(path: Path, recipe: Recipe, arrays: Mapping[str, Any]) -> Header:

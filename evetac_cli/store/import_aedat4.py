@@ -81,7 +81,7 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     if others:
         foreign.notes.append(f"took the event stream {label}; also there: {', '.join(others)} (choose with --stream)")
     if packets.spans or not packets.whole or header.table < 0:
-        foreign.batches = _columns(_decode(path, header, chosen, packets, foreign.notes))
+        foreign.batches = _columns(_decode(path, header, chosen, packets, foreign))
     return foreign
 
 
@@ -180,14 +180,15 @@ def _walk(handle: BinaryIO, header: Header, number: int) -> Packets:
 
 
 def _decode(
-    path: Path, header: Header, chosen: Stream, packets: Packets, notes: list[str]
+    path: Path, header: Header, chosen: Stream, packets: Packets, foreign: Foreign
 ) -> "deque[NDArray[np.void]]":
-    """Decode as much of the stream as there is; what is missing goes into the notes, nothing at all is an InputError.
+    """Decode as much of the stream as there is; `foreign` is told what is missing, nothing at all is an InputError.
 
     A closed file is read as it is. Where that does not give every packet, the packets that are complete are copied into
     a file without a packet table, which the library then has to go through one by one.
     """
     where = str(path)
+    notes = foreign.notes
     size = path.stat().st_size
     count = len(packets.spans)
     events: deque[NDArray[np.void]] = deque()
@@ -209,6 +210,7 @@ def _decode(
     if not events:
         found = f"{size - packets.end} bytes after byte {packets.end}" if not packets.whole else trouble
         raise InputError("no packet of events can be read: the file is broken", where=where, found=found)
+    foreign.cut_short = not complete or not packets.whole or header.table < 0
     if not complete:
         end = trouble or "there the decoder stopped"
         notes.append(f"broken file: kept {kept} events of {len(events)} of {count} packets; {end}")

@@ -43,6 +43,7 @@ class Foreign:
     clock_us: int = 0  # to be added to every t, where a file keeps it apart
     notes: list[str] = field(default_factory=list)
     note: Note | None = None  # if the file is an export of ours; its times are in the clock of t
+    cut_short: bool = False  # its end is known to be missing
 
 
 def at_index(start: int, row: int) -> str:
@@ -97,14 +98,15 @@ def normalise(
     *,
     sort: bool = False,
     start_us: int | None = None,
+    may_be_empty: bool = False,
     where: str = "",
 ) -> Normal:
     """Turn raw batches into one stream of events that starts at t = 0: with its first event, or at `start_us`.
 
     Events outside the frame and events that are no numbers are dropped and counted. Raises InputError where columns
     differ in length, a coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond
-    2^53 us or before `start_us`, time goes backwards and sort is off, the events span more than 24 h, or none of them
-    can be used.
+    2^53 us or before `start_us`, time goes backwards and sort is off, the events span more than 24 h, none of them can
+    be used, or there are none at all and that was not expected (`may_be_empty`).
     """
     dropped = {"not_a_number": 0, "out_of_frame": 0}
     parts = [empty()]
@@ -140,6 +142,8 @@ def normalise(
             late += int(np.count_nonzero(is_late))
         parts.append(part)
 
+    if not total and not may_be_empty:
+        raise no_events(where)
     if negative and zero:
         raise InputError("polarity mixes two codes", where=where, expected="0 and 1, or -1 and 1", found="-1 and 0")
     events = concatenate(parts)
@@ -149,7 +153,7 @@ def normalise(
             where=where,
             expected=f"events inside the frame of {frame_px[0]}x{frame_px[1]} px",
             found=f"{dropped['out_of_frame']} outside, {dropped['not_a_number']} that are no numbers",
-            hint="check the frame size and the order of the columns",
+            hint="check the frame size and the order of the columns" if dropped["out_of_frame"] else "",
         )
     if late and not sort:
         raise InputError(
@@ -164,6 +168,11 @@ def normalise(
         events = Events(events.t[order], events.x[order], events.y[order], events.p[order])
     events, first_us = _from_zero(events, start_us, where)
     return Normal(events, first_us, dropped, late)
+
+
+def no_events(where: str) -> InputError:
+    """What is said of a file that holds nothing."""
+    return InputError("holds no events", where=where, hint="was the recorder stopped before the camera began?")
 
 
 def check_lengths(lengths: Sequence[int], where: str) -> None:

@@ -23,6 +23,7 @@ class Note:
     slices: int
     frame_px: tuple[int, int]
     simulated: bool
+    events: int | None = None  # how many there were: whether the file still has its end
 
     def text(self) -> str:
         """As JSON, on one line."""
@@ -34,7 +35,8 @@ def read_note(text: str, where: str) -> Note:
     try:
         said: dict[str, Any] = dict(json.loads(text))
         start_us, slices, (width, height) = said["start_us"], said["slices"], said["frame_px"]
-        whole = all(type(number) is int for number in (start_us, slices, width, height))
+        events = said.get("events")
+        whole = all(type(number) is int for number in (start_us, slices, width, height, events or 0))
         if not whole or type(said["simulated"]) is not bool:
             raise ValueError("values of other types")
         if not 0 <= slices <= LONGEST_SLICES:
@@ -46,4 +48,4 @@ def read_note(text: str, where: str) -> Note:
             expected=f"JSON with {', '.join(Note.__dataclass_fields__)}",
             found=text[:80],
         ) from None
-    return Note(start_us, slices, (width, height), said["simulated"])
+    return Note(start_us, slices, (width, height), said["simulated"], events)

@@ -6,7 +6,8 @@ is microseconds, with a point or an exponent it is seconds.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.import_door import Columns, Foreign, frame_of
+from evetac_cli.store.import_door import Columns, Foreign, frame_of, no_events
 from evetac_cli.store.import_note import NAME, Note, read_note
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
@@ -37,15 +38,19 @@ class Layout(NamedTuple):
 def open_text(path: Path, frame_px: tuple[int, int] | None, dialect: str | None) -> Foreign:
     """Events of a text file; frame_px is needed because text does not say it (an export of ours does)."""
     where = str(path)
-    note = _note(path)
-    hint = "say it: --frame-size WIDTHxHEIGHT, for example 640x480"
-    frame = frame_of(note.frame_px if note else None, frame_px, where, hint)
     names = None
     if dialect is not None:
         names = _names(dialect)
         if names is None:
             raise InputError("unknown dialect", where=where, expected=ORDERS, found=repr(dialect))
-    return Foreign("text", frame, _batches(path, names, may_be_empty=note is not None), note=note)
+    note = _note(path)
+    if note is None and frame_px is None:
+        with closing(_batches(path, names)) as batches:  # what is no text of events has no frame either
+            if next(batches, None) is None:
+                raise no_events(where)
+    hint = "say it: --frame-size WIDTHxHEIGHT, for example 640x480"
+    frame = frame_of(note.frame_px if note else None, frame_px, where, hint)
+    return Foreign("text", frame, _batches(path, names), note=note)
 
 
 def _note(path: Path) -> Note | None:
@@ -55,10 +60,9 @@ def _note(path: Path) -> Note | None:
     return read_note(text, str(path)) if (sign, name) == ("#", NAME) else None
 
 
-def _batches(path: Path, names: list[str] | None, *, may_be_empty: bool) -> Iterator[Columns]:
+def _batches(path: Path, names: list[str] | None) -> Generator[Columns, None, None]:
     """One batch a block of lines; raises InputError with the number of the line that cannot be read."""
     layout = None
-    named = names is not None or may_be_empty
     for number, lines in _blocks(path):
         if layout is None:
             at = next((i for i, line in enumerate(lines) if _data(line)), None)
@@ -70,7 +74,6 @@ def _batches(path: Path, names: list[str] | None, *, may_be_empty: bool) -> Iter
                     found = f"line {number + at} names {' '.join(header)}"
                     raise InputError("dialect and file differ", where=str(path), expected=" ".join(names), found=found)
                 names = names or header
-                named = True
                 lines[at] = ""
             layout = _layout(lines, names or ["t", "x", "y", "p"])
             if layout is None:  # only the line of names so far
@@ -86,8 +89,6 @@ def _batches(path: Path, names: list[str] | None, *, may_be_empty: bool) -> Iter
                     "time changes its unit", where=str(path), expected=expected, found=found, hint=UNIT_HINT
                 )
         yield Columns(t * layout.us_per_unit, x, y, p, partial(_place, number, lines))
-    if layout is None and not named:
-        raise InputError("holds no events, only comments or blank lines", where=str(path))
 
 
 def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -170,7 +171,7 @@ def _table(path: Path, number: int, lines: list[str], separator: str | None) -> 
         if _data(line) and (len(fields) != 4 or not all(map(NUMBER.fullmatch, fields))):
             expected = f"4 numbers separated by {'commas' if separator else 'blanks'}: t x y p"
             found = f"line {number + offset}: {_clip(line)}"
-            cut = offset == len(lines) - 1 and len(fields) < 4
+            cut = offset == len(lines) - 1 and len(fields) < 4 and number + offset > 1
             hint = "if the file was cut short in its last line, remove that line" if cut else ""
             raise InputError("a line cannot be read", where=str(path), expected=expected, found=found, hint=hint)
     raise InputError(f"lines {number} to {number + len(lines) - 1} cannot be read", where=str(path), found=reason)

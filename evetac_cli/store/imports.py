@@ -9,7 +9,7 @@
 The content decides, not the file's name. What all formats share is checked in one place, import_door.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.store import import_prophesee, import_rosbag
 from evetac_cli.store.import_aedat4 import open_aedat4
-from evetac_cli.store.import_door import Foreign, normalise
+from evetac_cli.store.import_door import Foreign, Normal, normalise
 from evetac_cli.store.import_hdf5 import open_hdf5
 from evetac_cli.store.import_prophesee import open_prophesee
 from evetac_cli.store.import_rosbag import is_bag_folder, open_rosbag
@@ -28,6 +28,7 @@ EXPECTED = "AEDAT4, HDF5 with events/{t,x,y,p}, Prophesee RAW or DAT, a ROS bag,
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
+LOSS_WORTH_A_WORD = 0.02  # share of events dropped for one reason
 
 
 class Format(NamedTuple):
@@ -99,15 +100,22 @@ def read_events(
     stream: the event stream of an AEDAT4 file, or the topic of a bag, that has several; the first by name otherwise.
 
     The number of slices is the last event's slice + 1, not the duration rounded up: an event at exactly 2 ms lies in
-    the third slice.
+    the third slice. A file without any event is refused, unless it is our export of a recording without any.
     """
     path = Path(path)
     where = str(path)
     try:
         foreign = _open(path, frame_px, {"dialect": dialect, "stream": stream})
-        start_us = foreign.note.start_us if foreign.note else None
+        note = foreign.note
         try:
-            normal = normalise(foreign.batches, foreign.frame_px, sort=sort, start_us=start_us, where=where)
+            normal = normalise(
+                foreign.batches,
+                foreign.frame_px,
+                sort=sort,
+                start_us=note.start_us if note else None,
+                may_be_empty=note is not None and not note.events,
+                where=where,
+            )
         finally:
             if isinstance(foreign.batches, Generator):  # a refusal leaves it with its file open
                 foreign.batches.close()
@@ -116,21 +124,43 @@ def read_events(
     except MemoryError as error:
         raise InputError("does not fit in memory", where=where, hint="import it in parts") from error
     events = normal.events
-    notes = list(foreign.notes)
+    notes = [*foreign.notes, *_losses(foreign, normal)]
     if normal.sorted:
         notes.append(f"time went backwards: {normal.sorted} events were put back in order")
     slices = int(events.t[-1]) // SLICE_US + 1 if events.size else 0
+    if note and not foreign.cut_short and not _lacks_events(foreign, normal):
+        slices = max(slices, note.slices)  # of a cut file nobody knows what was lost: no silence is made of it
     return Imported(
         events=events,
         frame_px=foreign.frame_px,
-        t_offset_us=normal.first_us + foreign.clock_us if events.size or foreign.note else 0,
-        slices=max(slices, foreign.note.slices) if foreign.note else slices,
+        t_offset_us=normal.first_us + foreign.clock_us if events.size or note else 0,
+        slices=slices,
         format=foreign.format,
         counts=normal.dropped,
         sorted=normal.sorted,
         notes=notes,
-        simulated=foreign.note is not None and foreign.note.simulated,
+        simulated=note is not None and note.simulated,
     )
+
+
+def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
+    """Whether an export of ours has fewer events than were written into it."""
+    written = foreign.note.events if foreign.note else None
+    return written is not None and normal.events.size + sum(normal.dropped.values()) < written
+
+
+def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
+    """What is missing and was not told by the reader, in words; of dropped events only where they are many."""
+    if foreign.note and not foreign.cut_short and _lacks_events(foreign, normal):
+        yield f"cut short: {normal.events.size} events of the {foreign.note.events} that were exported"
+    dropped = normal.dropped
+    read = normal.events.size + sum(dropped.values())
+    if dropped["out_of_frame"] > LOSS_WORTH_A_WORD * read:
+        frame = "{}x{}".format(*foreign.frame_px)
+        share = f"{dropped['out_of_frame'] / read:.0%}"
+        yield f"{share} of the events lie outside {frame} and were dropped; is it the frame?"
+    if dropped["not_a_number"] > LOSS_WORTH_A_WORD * read:
+        yield f"{dropped['not_a_number'] / read:.0%} of the events were dropped: not all of t, x, y, p are numbers"
 
 
 def _open(path: Path, frame_px: tuple[int, int] | None, options: dict[str, str | None]) -> Foreign:

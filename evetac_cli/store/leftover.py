@@ -23,6 +23,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, RECIPE, SEGMENTS, STATIC, crc_of, datasets_of
 
 SUFFIX = ".part"
+LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that holds some"
 
 
 @dataclass
@@ -39,11 +40,18 @@ class Leftover:
     left_out: int = 0  # whole segments after a gap that could not be bridged
 
 
+def check_folder(path: Path) -> None:
+    """InputError unless there is a folder of this name."""
+    if not path.exists():
+        raise InputError("no such file", where=str(path), expected=LEFTOVER)
+    if not path.is_dir():
+        raise InputError("not what a recording left", where=str(path), expected=LEFTOVER)
+
+
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
     """Keep a recorder away from the folder; InputError if one is at work in it."""
-    if not folder.is_dir():
-        raise InputError("not what a recording left", where=str(folder), expected=f"a folder NAME.recording{SUFFIX}")
+    check_folder(folder)
     try:
         lock = open(folder / "lock", "a")  # noqa: SIM115 - held until the block ends
     except OSError as error:
