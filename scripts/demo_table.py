@@ -33,11 +33,12 @@ def main() -> None:
         ("... too early, too late", amiss, "share"),
         ("slip F1, unseen trajectories", slip["f1"], ""),
     ]
-    for grasp in grasps:
-        how = "without the detector" if grasp["controller"] == "none" else "with the detector"
+    for grasp in (row for row in grasps if "file" in row):
+        alone = grasp["setting"] == "none"
+        how = "without the detector" if alone else "with the detector"
         if not grasp["lifted"]:
             result = "not lifted"
-        elif grasp["controller"] == "none":
+        elif alone:
             result = "lifted"
         else:
             result = f"lifted, {'held' if grasp['balanced'] else 'lost in balance'}, moved {grasp['moved_mm']:.2g} mm"

@@ -16,8 +16,6 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.kernels import event_words
 from evetac_cli.sim import scene
 
-pytestmark = pytest.mark.slow  # minutes in real time: make test-all
-
 SLICES = 250
 LONGEST_S = 20.0
 SHORT_MS = 3000

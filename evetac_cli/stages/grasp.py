@@ -18,6 +18,7 @@ from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages import Job, Outcome, Progress, outcome, record, silent
 from evetac_cli.stages.grasp_loop import Kept, hold
 from evetac_cli.stages.grasp_setup import law_of, model_of, parameters_of, parents_of, sense_of, timing_of
+from evetac_cli.stages.idle_options import refuse_idle_options
 from evetac_cli.stages.record import seeds, trials
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -29,6 +30,7 @@ METHOD = 4
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
     """One recording for every object and trial."""
+    refuse_idle_options(params)
     law = law_of(params)
     if not grip_control.feels(law) and params.model is not None:
         raise InputError(

@@ -21,7 +21,7 @@ from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, capture, capture_plan, live, one_file, outcome, silent
 from evetac_cli.stages.capture_series import as_series
 from evetac_cli.stages.handling import COMMAND_MS, RAMP_MA
-from evetac_cli.stages.record_options import refuse_options_of_others
+from evetac_cli.stages.idle_options import refuse_idle_options
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import output_path, up_to_date, write_stage
 from evetac_cli.store.import_rosbag import is_bag_folder
@@ -37,7 +37,7 @@ CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: on
 
 def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
     """One recording for every object and trajectory, or for the imported file; InputError for options of another."""
-    refuse_options_of_others(params)
+    refuse_idle_options(params)
     if params.source is not None:
         if params.source.is_dir() and not is_bag_folder(params.source):
             raise InputError("this is a folder", where=str(params.source), expected="an event file")

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.params import Record
-from evetac_cli.stages import record
-from evetac_cli.stages.record_options import BELONGS, refuse_options_of_others
+from evetac_cli.params import Grasp, Record
+from evetac_cli.stages import grasp, record
+from evetac_cli.stages.idle_options import GRASP, RECORD, refuse_idle_options
 
 FILE = {"source": Path("one.txt")}
 REPLAY = {"camera": "replay:a.recording.h5"}
@@ -44,7 +44,7 @@ LIVE = {"camera": "dvxplorer", "live": True}
 )
 def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], flag: str, belongs: str) -> None:
     """Assert that an option without effect is refused by name, with what it belongs to; without it all is well."""
-    refuse_options_of_others(Record(**run))
+    refuse_idle_options(Record(**run))
     with pytest.raises(InputError, match=f"^{flag}: has no effect here: it belongs to .*{belongs}"):
         record.jobs([], Record(**run, **option), None)
 
@@ -64,11 +64,30 @@ def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], 
 )
 def test_options_of_this_source(flags: dict[str, Any]) -> None:
     """Assert that options with an effect are not refused."""
-    refuse_options_of_others(Record(**flags))
+    refuse_idle_options(Record(**flags))
 
 
 def test_every_option_belongs_somewhere() -> None:
     """Assert that the table leaves out only what names the source, and what goes with any."""
     names = {item.name for item in fields(Record)}
-    assert names - set(BELONGS) == {"source", "camera", "dry_run"}
-    assert set(BELONGS) < names
+    assert names - set(RECORD) == {"source", "camera", "dry_run"}
+    assert set(RECORD) < names
+
+
+@pytest.mark.parametrize("camera", ["sim", "replay:a.recording.h5"])
+@pytest.mark.parametrize(
+    ("option", "flag"),
+    [
+        ({"arm": True}, "--arm"),
+        ({"calibration": Path("a.json")}, "--calibration"),
+        ({"max_current_ma": 30}, "--max-current-ma"),
+        ({"max_seconds": 30.0}, "--max-seconds"),
+        ({"watchdog_ms": 80}, "--watchdog-ms"),
+    ],
+)
+def test_what_belongs_to_a_moving_gripper(camera: str, option: dict[str, Any], flag: str) -> None:
+    """Assert that a grasp in which nothing moves refuses what is for devices, and that one with devices does not."""
+    with pytest.raises(InputError, match=f"^{flag}: has no effect here: it belongs to a grasp with devices"):
+        grasp.jobs([], Grasp(camera=camera, **option), None)
+    refuse_idle_options(Grasp(camera="virtual", **option))
+    assert set(GRASP) < {item.name for item in fields(Grasp)}

@@ -1,10 +1,12 @@
-"""Which options of `record` belong to which source of events, so that none is ignored without a word."""
+"""Which options of `record` and `grasp` belong to what a run may have, so that none is ignored without a word."""
 
+from collections.abc import Mapping
 from dataclasses import fields
 from enum import StrEnum
 
+from evetac_cli.devices.naming import camera_name
 from evetac_cli.errors import InputError
-from evetac_cli.params import Record, flag_of
+from evetac_cli.params import Grasp, Record, flag_of
 from evetac_cli.stages.capture_plan import names
 
 
@@ -19,10 +21,11 @@ class Source(StrEnum):
     SENSOR = "a camera that can be set up (--camera virtual, dvxplorer or dv)"
     MOVED = "a gripper that is moved (--gripper virtual or PORT)"
     LIVE = "--live"
+    GRASPED = "a grasp with devices (--camera virtual, dvxplorer or dv)"
 
 
 # Of a field that is not named here nothing depends on the source, or `names` says what fits together.
-BELONGS: dict[str, tuple[Source, ...]] = {
+RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("scene", "objects", "individual", "gel", "readout"), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
     **dict.fromkeys(("count", "seed", "live"), (Source.SCENE, Source.DEVICE)),
@@ -34,6 +37,7 @@ BELONGS: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("threshold_on", "threshold_off", "readout_rate"), (Source.SENSOR,)),
     **dict.fromkeys(("expect", "resume"), (Source.RECORDED,)),
 }
+GRASP = dict.fromkeys(("calibration", "arm", "max_current_ma", "max_seconds", "watchdog_ms"), (Source.GRASPED,))
 
 
 def sources(params: Record) -> set[Source]:
@@ -53,11 +57,18 @@ def sources(params: Record) -> set[Source]:
     return found
 
 
-def refuse_options_of_others(params: Record) -> None:
+def refuse_idle_options(params: Record | Grasp) -> None:
     """InputError for an option that is not at its default and belongs to nothing that this run has."""
-    has = sources(params)
+    if isinstance(params, Grasp):
+        grasped = camera_name(params.camera).kind not in ("sim", "replay")
+        _refuse(params, GRASP, {Source.GRASPED} if grasped else set())
+    else:
+        _refuse(params, RECORD, sources(params))
+
+
+def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], has: set[Source]) -> None:
     for item in fields(params):
-        belongs = BELONGS.get(item.name)
+        belongs = table.get(item.name)
         if belongs is None or getattr(params, item.name) == item.default or has.intersection(belongs):
             continue
         raise InputError(
@@ -68,9 +79,10 @@ def refuse_options_of_others(params: Record) -> None:
         )
 
 
-def _named(params: Record) -> str:
+def _named(params: Record | Grasp) -> str:
     """The flags that say where events come from."""
-    if params.source is not None:
+    if isinstance(params, Record) and params.source is not None:
         return f"--from {params.source}"
     gripper = f", --gripper {params.gripper}" if params.gripper is not None else ""
-    return f"--camera {params.camera}{gripper}{', --live' if params.live else ''}"
+    live = ", --live" if isinstance(params, Record) and params.live else ""
+    return f"--camera {params.camera}{gripper}{live}"
