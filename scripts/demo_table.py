@@ -23,16 +23,15 @@ def main() -> None:
     _, slip = figures(folder, "slip")
     grasps, _ = figures(folder, "grasp")
     still = f"{tracking['error_px_rms']:.3g} ({tracking['still_px_rms']:.3g})"
-    amiss = f"{slip['slip_early']:.3g}, {slip['slip_late']:.3g}"
-    table = [
-        ("onset of slip: labels against truth, median", labels["onset_error_ms_median"], "ms"),
-        ("... worst", labels["onset_error_ms_worst"], "ms"),
-        ("... found", f"{labels['onsets_found']} of {labels['trajectories']}", ""),
-        ("dot tracking error, rms (a tracker that stands still)", still, "px"),
-        ("slip timing correct, unseen trajectories", slip["slip_correct"], "share"),
-        ("... too early, too late", amiss, "share"),
-        ("slip F1, unseen trajectories", slip["f1"], ""),
-    ]
+    table = {
+        "onset of slip: labels against truth, median": f"{labels['onset_error_ms_median']:.3g} ms",
+        "... worst": f"{labels['onset_error_ms_worst']:.3g} ms",
+        "... found": f"{labels['onsets_found']} of {labels['trajectories']}",
+        "dots tracked, error, rms (standing still)": f"{still} px",
+        "slip timing correct, unseen trajectories": f"{slip['slip_correct']:.3g}",
+        "... too early, too late": f"{slip['slip_early']:.3g}, {slip['slip_late']:.3g}",
+        "slip F1, unseen trajectories": f"{slip['f1']:.3g}",
+    }
     for grasp in (row for row in grasps if "file" in row):
         alone = grasp["setting"] == "none"
         how = "without the detector" if alone else "with the detector"
@@ -42,8 +41,8 @@ def main() -> None:
             result = "lifted"
         else:
             result = f"lifted, {'held' if grasp['balanced'] else 'lost in balance'}, moved {grasp['moved_mm']:.2g} mm"
-        table.append((f"grasp of object {grasp['object']} {how}", result, ""))
-    rows = [dict(zip(("what", "figure", "unit"), row, strict=True)) for row in table]
+        table[f"grasp of object {grasp['object']} {how}"] = result
+    rows = [{"what": what, "figure": figure} for what, figure in table.items()]
     print_table("evetac demo", rows, {}, simulated=True)
     made = [path for path in folder.rglob("*.h5") if path.stat().st_mtime >= started]
     files = {kind: len(list(folder.rglob(f"*.{kind}.h5"))) for kind in KINDS}
