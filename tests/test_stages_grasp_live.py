@@ -106,7 +106,7 @@ def test_dry_run_touches_nothing(tmp_path: Path) -> None:
         ({"calibration": "grid", "model": Path("nope.h5")}, "nope.h5: no such file"),
         ({"calibration": "other"}, "for another dot grid"),
         ({"calibration": "grid", "out": "there.recording.h5"}, "the output exists"),
-        ({"camera": "replay:nope.h5", "gripper": "sim"}, "nope.h5: no such file"),
+        ({"camera": "replay:nope.h5", "gripper": "sim", "arm": False}, "nope.h5: no such file"),
     ],
 )
 def test_dry_run_refuses_what_a_run_does(
