@@ -23,7 +23,9 @@ from evetac_cli.store.provenance import Recipe
 SLICES, ONSET = 260, 180
 
 
-def features_file(folder: Path, number: int, *, object_: int, method: str = "event-flow") -> Path:
+def features_file(
+    folder: Path, number: int, *, object_: int, method: str = "event-flow", scene: str | None = None
+) -> Path:
     """Features of a made-up trial in which dots move and blink more when it slips."""
     rng = np.random.default_rng(number)
     label = (np.arange(SLICES) >= ONSET).astype(np.int8)
@@ -38,7 +40,8 @@ def features_file(folder: Path, number: int, *, object_: int, method: str = "eve
         "onset_slice": np.int64(ONSET),
         "dot_shape": np.array([7, 8], np.int32),
     }
-    recording = Recipe("recording", 1, {"object": object_}, seed=number, simulated_source=True).header()
+    chosen = {"object": object_} | ({"scene": {"name": scene}} if scene else {})
+    recording = Recipe("recording", 1, chosen, seed=number, simulated_source=True).header()
     labels = Recipe("labels", 1, {"method": method}, parents=(recording,)).header()
     path = folder / f"trial-{number:03d}.features.h5"
     write_stage(path, Recipe("features", 2, {}, parents=(recording, labels)), arrays)
@@ -179,6 +182,19 @@ def test_truth_is_a_setting_of_its_own(world: dict[str, Any], tmp_path: Path) ->
     rows, _ = evaluated([*world["known"], *world["seeds"], *world["truth"]], tmp_path)
     assert [row["labels"] for row in table_of(rows, "seeds")] == ["event-flow", "truth"]
     assert table_of(rows, "seeds")[1]["setting"] == "no-hist, labels truth, 1 trajectories"
+
+
+def test_other_scenes_are_a_setting_of_their_own(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that a model is named by the scenes that it was trained on, not by those it was validated on."""
+    slips, lifts = (features_file(tmp_path, 700 + n, object_=1, scene=name) for n, name in enumerate(("slip", "lift")))
+    validate_on = str(features_file(tmp_path, 702, object_=1, scene="shear"))
+    models = [
+        *trained([slips], tmp_path / "slips.model.h5", validate=validate_on),
+        *trained([slips, lifts], tmp_path / "both.model.h5", validate=validate_on),
+    ]
+    rows, _ = evaluated([*world["known"], *models], tmp_path)
+    assert [row["scenes"] for row in table_of(rows, "seeds")] == ["slip", "lift + slip"]
+    assert table_of(rows, "seeds")[1]["setting"] == "no-hist, 2 trajectories, scenes lift + slip"
 
 
 def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:

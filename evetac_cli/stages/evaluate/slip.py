@@ -23,7 +23,7 @@ from evetac_cli.store.files import StageFile
 
 INPUTS = ("features", "model")
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 
 
 def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Job]:

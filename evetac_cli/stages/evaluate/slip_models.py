@@ -1,7 +1,7 @@
 """Slip detectors from model files, and what they say of trajectories they never saw."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,10 +61,22 @@ class Model:
     @property
     def labels(self) -> str:
         """How the onset of slip was found in what it was trained on, `truth` among the ways."""
+        labels = (header for header in self._behind_samples() if header["kind"] == "labels")
+        return ", ".join(sorted({labelled_by(header) for header in labels})) or "none"
+
+    @property
+    def scenes(self) -> str:
+        """What happened in the trajectories that it was trained on; of imported ones that is unknown."""
+        recordings = (header for header in self._behind_samples() if header["kind"] == "recording")
+        return " + ".join(
+            sorted({header["parameters"].get("scene", {}).get("name", "unknown") for header in recordings})
+        )
+
+    def _behind_samples(self) -> Iterator[Header]:
+        """What the features that it was trained on were made from."""
         history, chosen = self.header["history"], self.header["parameters"]
-        features = self.header["parents"][: chosen.get("trained_on")]
-        labels = (history[parent] for one in features for parent in history[one]["parents"])
-        return ", ".join(sorted({labelled_by(header) for header in labels if header["kind"] == "labels"})) or "none"
+        for one in self.header["parents"][: chosen.get("trained_on")]:
+            yield from (history[parent] for parent in history[one]["parents"])
 
     @property
     def objects(self) -> set[str]:

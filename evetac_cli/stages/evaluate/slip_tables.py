@@ -49,6 +49,7 @@ def _traits(model: Model) -> dict[str, str]:
         "steps": f"up to {chosen.get('max_steps')} steps",
         "epochs": f"{chosen.get('epochs')} epochs",
         "trained_on": f"{chosen.get('trained_on')} trajectories",
+        "scenes": f"scenes {model.scenes}",
     }
 
 
@@ -134,6 +135,7 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
         "ahead_ms": model.ahead_ms,
         "recipe": chosen.get("recipe"),
         "labels": model.labels,
+        "scenes": model.scenes,
         "max_steps": chosen.get("max_steps"),
         "seeds": len(cells),
         "trajectories": sum(score["trajectories"] for score in cells[0].values()),
