@@ -12,7 +12,6 @@ UNSEEN ?= 10-17
 TRAIN ?= 12
 VALIDATE ?= 2
 TEST ?= 10
-TOUCHES ?= 3
 INDIVIDUAL ?= evetac
 TRACKER ?= stable
 SEEDS ?= 5
@@ -97,21 +96,18 @@ demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; res
 
 slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in data/slip (TRAIN, VALIDATE, TEST, SEED, JOBS)
 	@$(RUN) mkdir -p $(SLIP); cd $(SLIP); \
-	felt() { run label "$$1/*.recording.h5" --jobs $(JOBS); \
-	run track "$$1/*.recording.h5" --preset $(TRACKER) --jobs $(JOBS); \
-	run featurize "$$1/*.recording.h5" $$2 --jobs $(JOBS); }; \
 	slips() { run record --scene slip --individual $(INDIVIDUAL) --object $$2 --count $$3 --seed $$4 --out $$1 --jobs $(JOBS); \
-	felt $$1 --images; }; \
+	run label "$$1/*.recording.h5" --jobs $(JOBS); \
+	run track "$$1/*.recording.h5" --preset $(TRACKER) --jobs $(JOBS); \
+	run featurize "$$1/*.recording.h5" --images --jobs $(JOBS); }; \
 	slips learn $(KNOWN) $(TRAIN) $(SEED); \
 	slips choose $(KNOWN) $(VALIDATE) $$(( $(SEED) + 500 )); \
 	slips known $(KNOWN) $(TEST) $$(( $(SEED) + 1000 )); \
 	slips unseen $(UNSEEN) $(TEST) $$(( $(SEED) + 1500 )); \
 	run label "learn/*.recording.h5" --method truth --out truth --jobs $(JOBS); \
-	run featurize "learn/*.recording.h5" --tracks learn --labels truth --out truth --jobs $(JOBS); \
-	run grasp --object $(KNOWN) --individual $(INDIVIDUAL) --count $(TOUCHES) --controller none --lift-s 1 --balance-s 0 \
-	--seed $$(( $(SEED) + 3000 )) --out touch --jobs $(JOBS); felt touch
+	run featurize "learn/*.recording.h5" --tracks learn --labels truth --out truth --jobs $(JOBS)
 
-LEARN = $(RUN) cd $(SLIP); learn() { from="$${1// /\/*.features.h5 }/*.features.h5"; folder=$$2; shift 2; run train "$$from" $$* \
+LEARN = $(RUN) cd $(SLIP); learn() { from=$$1; folder=$$2; shift 2; run train "$$from/*.features.h5" $$* \
 	--validate choose --seed $(SEED) --seeds $$seeds --out models/$$folder --jobs $(JOBS); };
 
 slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, SEEDS, STEPS, MODELS, AHEAD, JOBS)
@@ -121,8 +117,7 @@ slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, 
 	for model in $$models; do learn learn $$recipe --model $$model --recipe $$recipe --max-steps $$steps; done; \
 	for model in $$later; do for ahead in $(AHEAD); do \
 	learn learn $$recipe-ahead --model $$model --ahead $$ahead --recipe $$recipe --max-steps $$steps; done; done; done; \
-	learn truth truth --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS); \
-	learn "learn touch" touch --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS)
+	learn truth truth --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS)
 
 # On a CPU the image baselines run on images summed over 6 x 6 px, for fewer steps, and beside them hist10 for as many.
 slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MODELS= leaves them out (IMAGE_SEEDS, IMAGE_STEPS)
