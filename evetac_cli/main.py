@@ -220,7 +220,10 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         chosen = params.resolve(command.params, title, given, None)
         module = importlib.import_module(f".inspect.{command.module}", __package__)
         if chosen.print_udev:
-            print(module.udev_rules())
+            if running["as_json"]:
+                console.show(title, [], {"udev": module.udev_rules()}, simulated=False, as_json=True)
+            else:
+                print(module.udev_rules())
             return
         result: Outcome = module.run(chosen)
         if running["as_json"]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from evetac_cli.errors import EvetacError, carry
+from evetac_cli.errors import EvetacError, carried, carry
 from evetac_cli.stages import Job, Outcome, Progress, silent
 
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
@@ -47,13 +47,16 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
 
 
 def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | EvetacError | None:
-    """As run_one, but Ctrl-C ends the job quietly: the parent process reports it."""
+    """As run_one, but Ctrl-C ends the job quietly: the parent process reports it. Nothing is begun after it."""
+    if _came:
+        return None
     catch_interrupts()
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)  # one that came while the process started, comes up now
         return run_one(module, job, chosen, force)
-    except KeyboardInterrupt:
-        return None
+    except KeyboardInterrupt as error:
+        finished: Outcome | None = carried(error)
+        return finished
     finally:
         signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
 

@@ -343,6 +343,8 @@ def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -
     assert "WRONG" in ill.stdout and "1 wrong" in ill.stdout and "try: use a USB 3 port" in ill.stdout
     rules = CliRunner().invoke(app, ["doctor", "--print-udev"])
     assert rules.exit_code == 0
+    told = json.loads(CliRunner().invoke(app, ["doctor", "--print-udev", "--json"]).stdout)
+    assert told["summary"]["udev"] == rules.stdout.removesuffix("\n")
     lines = [line for line in rules.stdout.splitlines() if not line.startswith("#")]
     assert len(lines) == 2 and '"152a"' in lines[0] and 'latency_timer}="1"' in lines[1]
     assert all(part.count('"') == 2 for line in lines for part in line.split(", "))

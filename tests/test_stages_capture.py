@@ -350,6 +350,7 @@ def test_series_is_not_begun_in_part(there: str, rig_is: Callable[..., Rig], tmp
         ({"camera": "replay:nope.h5"}, "", "nope.h5: no such file"),
         ({"camera": "dvxplorer", "calibration": Path("nope.json")}, "", "nope.json: cannot be read"),
         ({"camera": "dvxplorer"}, "there.recording.h5", "the output exists"),
+        ({"camera": "dvxplorer"}, "there.recording.h5/new.recording.h5", "the output folder is a file"),
         ({"camera": "dvxplorer", "expect": 1e9, "seconds": 80000.0}, "", "not enough room"),
         ({"camera": "dvxplorer", "gripper": "/dev/ttyUSB0", "lowest_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
         ({"camera": "virtual", "lowest_ma": 500.0, "holding_ma": 50.0}, "", "--lowest-ma: .*would not fall"),

@@ -44,11 +44,23 @@ class _Disk(io.FileIO):
         return len(data)
 
 
-def require_room(path: Path, needed_bytes: float, hint: str) -> None:
-    """Refuse to begin what the disk of `path` (which need not exist yet) has no room for; InputError with figures."""
-    folder = path.absolute()
-    while not folder.exists():
+def existing_folder(folder: Path) -> Path:
+    """The folder, or what there is of it; InputError if it cannot be made or written in."""
+    while not os.path.exists(folder):
         folder = folder.parent
+    if not os.path.isdir(folder):
+        raise InputError("the output folder is a file", where=str(folder))
+    if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
+        raise InputError("the output folder cannot be written to", where=str(folder))
+    return folder
+
+
+def require_room(path: Path, needed_bytes: float, hint: str) -> None:
+    """Refuse to begin what the disk of the folder `path` has no room for; InputError with figures.
+
+    The folder need not exist yet, but has to be one that can be made.
+    """
+    folder = existing_folder(path)
     free_bytes = shutil.disk_usage(folder).free
     if free_bytes < needed_bytes:
         raise InputError(

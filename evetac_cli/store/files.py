@@ -19,7 +19,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import schema
-from evetac_cli.store.disk import new_file, taking_the_place_of
+from evetac_cli.store.disk import existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, id_of
 
 CHUNK_ROWS = 65536
@@ -198,7 +198,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
     if not os.path.exists(path):
-        _check_folder(path.parent)
+        existing_folder(path.parent)
         return False
     try:
         with StageFile(path) as existing:
@@ -229,16 +229,6 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
         found=first_difference(recipe, header),
         hint="--force replaces it, -o NAME writes elsewhere",
     )
-
-
-def _check_folder(folder: Path) -> None:
-    """Refuse an output folder that cannot be made or written in."""
-    while not os.path.exists(folder):
-        folder = folder.parent
-    if not os.path.isdir(folder):
-        raise InputError("the output folder is a file", where=str(folder))
-    if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
-        raise InputError("the output folder cannot be written to", where=str(folder))
 
 
 def output_path(source: Path, kind: str, out: Path | None) -> Path:
