@@ -91,3 +91,15 @@ def test_what_belongs_to_a_moving_gripper(camera: str, option: dict[str, Any], f
         grasp.jobs([], Grasp(camera=camera, **option), None)
     refuse_idle_options(Grasp(camera="virtual", **option))
     assert set(GRASP) < {item.name for item in fields(Grasp)}
+
+
+@pytest.mark.parametrize(
+    "option", [{"objects": "3"}, {"individual": "second"}, {"gel": "closed"}, {"readout": "ideal"}]
+)
+def test_what_belongs_to_a_simulated_grasp(option: dict[str, Any]) -> None:
+    """Assert that an object or a gel is chosen where they are simulated, and refused where they are what they are."""
+    for camera in ("dvxplorer", "replay:a.recording.h5", "virtual:prepared"):
+        with pytest.raises(InputError, match="it belongs to a simulated scene"):
+            refuse_idle_options(Grasp(camera=camera, **option))
+    for camera in ("sim", "virtual"):
+        refuse_idle_options(Grasp(camera=camera, **option))

@@ -37,7 +37,10 @@ RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("threshold_on", "threshold_off", "readout_rate"), (Source.SENSOR,)),
     **dict.fromkeys(("expect", "resume"), (Source.RECORDED,)),
 }
-GRASP = dict.fromkeys(("calibration", "arm", "max_current_ma", "max_seconds", "watchdog_ms"), (Source.GRASPED,))
+GRASP: dict[str, tuple[Source, ...]] = {
+    **dict.fromkeys(("objects", "individual", "gel", "readout"), (Source.SCENE,)),
+    **dict.fromkeys(("calibration", "arm", "max_current_ma", "max_seconds", "watchdog_ms"), (Source.GRASPED,)),
+}
 
 
 def sources(params: Record) -> set[Source]:
@@ -60,8 +63,10 @@ def sources(params: Record) -> set[Source]:
 def refuse_idle_options(params: Record | Grasp) -> None:
     """InputError for an option that is not at its default and belongs to nothing that this run has."""
     if isinstance(params, Grasp):
-        grasped = camera_name(params.camera).kind not in ("sim", "replay")
-        _refuse(params, GRASP, {Source.GRASPED} if grasped else set())
+        camera = camera_name(params.camera)
+        simulated = camera.kind in ("sim", "virtual") and camera.prepared_events_s is None
+        has = {Source.SCENE} if simulated else set()
+        _refuse(params, GRASP, has if camera.kind in ("sim", "replay") else has | {Source.GRASPED})
     else:
         _refuse(params, RECORD, sources(params))
 
