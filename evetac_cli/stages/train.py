@@ -8,7 +8,6 @@ command goes on to the same result.
 """
 
 import glob
-import os
 import time
 import zipfile
 from collections.abc import Callable, Sequence
@@ -25,6 +24,7 @@ from evetac_cli.kernels.sampling import Samples
 from evetac_cli.params import Train, recipe_of
 from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
+from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
@@ -198,14 +198,8 @@ def _read_part(path: Path, recipe: Recipe) -> "Kept | None":
 
 def _write_part(path: Path, recipe: Recipe, kept: "Kept") -> None:
     """Keep a run, all or nothing."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            np.savez(file, recipe=np.array(recipe.id), **kept)  # type: ignore[arg-type]
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, recipe=np.array(recipe.id), **kept)  # type: ignore[arg-type]
 
 
 def read_trajectory(path: Path, architecture: slip.Architecture) -> Trajectory:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import InputError
 from evetac_cli.stages import Outcome
+from evetac_cli.store.disk import taking_the_place_of
 
 EARLY, CORRECT, LATE = "#e6a23c", "#3b7dd8", "#8c8c8c"  # the same three everywhere slip timing is shown
 PAPER = {"marker": "D", "color": "black", "markersize": 5, "linestyle": "none"}
@@ -39,14 +39,8 @@ def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in:
 
 def save(figure: Any, path: Path) -> None:
     """Write a matplotlib figure as PNG, all or nothing; InputError if it cannot be written."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
+    with taking_the_place_of(path) as temporary:
         figure.savefig(temporary, format="png", dpi=DPI)
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def quiet_grid(axes: Any) -> None:
