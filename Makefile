@@ -20,6 +20,7 @@ IMAGE_MODELS ?= no-hist-img-6x6 hist10-img-6x6
 OURS ?= creep
 AHEAD ?= 10 20
 RECIPES ?= steady paper
+FOLDS ?= 3
 STEPS ?= 40000
 STEADY_STEPS ?= $(shell echo $$(( $(STEPS) < 10000 ? $(STEPS) : 10000 )))
 IMAGE_STEPS ?= $(shell echo $$(( $(STEPS) < 3000 ? $(STEPS) : 3000 )))
@@ -117,7 +118,9 @@ slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, 
 	for model in $$models; do learn learn $$recipe --model $$model --recipe $$recipe --max-steps $$steps; done; \
 	for model in $$later; do for ahead in $(AHEAD); do \
 	learn learn $$recipe-ahead --model $$model --ahead $$ahead --recipe $$recipe --max-steps $$steps; done; done; done; \
-	learn truth truth --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS)
+	learn truth truth --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS); \
+	for model in $(if $(filter-out 0,$(FOLDS)),fast-slow $(OURS)); do \
+	learn learn folds --model $$model --ahead 10 --recipe steady --max-steps $(STEADY_STEPS) --folds $(FOLDS); done
 
 # On a CPU the image baselines run on images summed over 6 x 6 px, for fewer steps, and beside them hist10 for as many.
 slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MODELS= leaves them out (IMAGE_SEEDS, IMAGE_STEPS)

@@ -299,6 +299,13 @@ class Train:
         "Folder or glob of features on which checkpoint and threshold are chosen; default: every 8th input.",
         recipe=False,
     )
+    folds: int = parameter(
+        0,
+        "Choose checkpoint and threshold on objects never seen instead: by so many networks more, each trained without"
+        " a share of the objects, and on these. For detectors that will meet other objects.",
+        low=0,
+        high=100,
+    )
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,8 @@ def main() -> None:
     model = Model.read(best)
     judged = json.loads(report.read_text())
     chosen = model.header["parameters"]
-    traits = {"model": chosen["model"], "ahead_ms": model.ahead_ms, "recipe": chosen["recipe"], "labels": model.labels}
+    traits = {key: chosen[key] for key in ("model", "recipe", "max_steps", "folds")}
+    traits |= {"ahead_ms": model.ahead_ms, "labels": model.labels}
     (setting,) = [row["setting"] for row in judged["rows"] if "seeds" in row and traits.items() <= row.items()]
     one = {"setting": setting, "seed": chosen["seed"]}
     (found,) = [row for row in judged["rows"] if "threshold" in row and one.items() <= row.items()]

@@ -312,7 +312,7 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             mean = np.convolve(series[:, 0, 0], np.full(10, 0.1), "valid")
             return np.concatenate((np.full(min(9, len(series)), np.nan), mean)).astype(np.float32)
 
-    monkeypatch.setattr("evetac_cli.stages.train.detector_of", lambda model: Fake())
+    monkeypatch.setattr("evetac_cli.stages.detectors.detector_of", lambda model: Fake())
     displacement = np.linspace(0, 1, SLICES, dtype=np.float32)[:, None]
     features = SimpleNamespace(
         length=lambda path: SLICES,

@@ -11,8 +11,8 @@ from evetac_cli.kernels import slip, tracker
 from evetac_cli.kernels.detector import Detector
 from evetac_cli.params import Featurize, Track
 from evetac_cli.stages import featurize, track
+from evetac_cli.stages.detectors import series_of
 from evetac_cli.stages.slip_sense import SlipSense
-from evetac_cli.stages.train import series_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 

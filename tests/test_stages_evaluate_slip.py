@@ -14,7 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip import Prediction
 from evetac_cli.params import EvaluateSlip, Train
-from evetac_cli.stages import train
+from evetac_cli.stages import detectors, train
 from evetac_cli.stages.evaluate import slip, slip_tables
 from evetac_cli.stages.evaluate.slip_models import Model
 from evetac_cli.store.files import StageFile, write_stage
@@ -169,7 +169,7 @@ def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -
     (row,) = table_of(rows, "t_c_ms")
     assert row["t_c_ms"] == ONSET
     model = Model.read(path)
-    trajectory = train.read_trajectory(world["known"][0], model.architecture)
+    trajectory = detectors.read_trajectory(world["known"][0], model.architecture)
     detected = model.detector().over(trajectory.series) >= model.threshold
     label = np.arange(SLICES) >= ONSET - 10
     kept = slice(0, ONSET + 20)

@@ -17,9 +17,9 @@ from evetac_cli.params import Grasp
 from evetac_cli.resources import MODEL
 from evetac_cli.sim import gripper
 from evetac_cli.stages import grasp
+from evetac_cli.stages.detectors import ahead_of, detector_of
 from evetac_cli.stages.grasp_loop import Kept, Timing, hold
 from evetac_cli.stages.slip_sense import known_dots
-from evetac_cli.stages.train import ahead_of, detector_of
 from evetac_cli.store.files import StageFile
 
 SHORT = {"lift_s": 1.0, "balance_s": 0.1}

@@ -12,7 +12,7 @@ from evetac_cli.kernels.grip_control import Control, Felt
 from evetac_cli.params import Featurize, Grasp, Record, Track
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, grasp, record, track
-from evetac_cli.stages.train import detector_of, series_of
+from evetac_cli.stages.detectors import detector_of, series_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 

@@ -13,7 +13,7 @@ from evetac_cli.inspect import validate
 from evetac_cli.kernels.detector import Detector
 from evetac_cli.kernels.slip import ARCHITECTURES
 from evetac_cli.params import Train
-from evetac_cli.stages import Job, Outcome, Progress, silent, train
+from evetac_cli.stages import Job, Outcome, Progress, detectors, silent, splits, train
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 
@@ -95,11 +95,11 @@ def test_a_seed_alone_is_that_seed_among_many(trials: list[Path], tmp_path: Path
     assert first["weights/fc3.weight"] != second["weights/fc3.weight"]
 
 
-def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run until step 100, as if Ctrl-C had been pressed there."""
+def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: int = 100) -> None:
+    """Run until this step, as if Ctrl-C had been pressed there."""
 
     def stop(done: int, total: int) -> None:
-        if done >= 100:
+        if done >= at:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(train, "KEEP_S", 0.0)
@@ -172,7 +172,7 @@ import pickle, sys
 sys.modules["torch"] = None
 pickle.load = pickle.loads = pickle.Unpickler = None
 import numpy as np
-from evetac_cli.stages.train import detector_of
+from evetac_cli.stages.detectors import detector_of
 from evetac_cli.store.files import StageFile
 with StageFile({str(job.output)!r}, "model") as model:
     print(float(detector_of(model).probability(np.zeros((1, 56, 20), np.float32))[0]))
@@ -190,11 +190,11 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
         (row,) = run(job, params).rows
         assert row["ahead_ms"] == ahead
         with StageFile(job.output, "model") as model:
-            assert train.ahead_of(model) == ahead
-            found = train.detector_of(model)
-        trajectory = train.read_trajectory(trials[0], found.architecture)
+            assert detectors.ahead_of(model) == ahead
+            found = detectors.detector_of(model)
+        trajectory = detectors.read_trajectory(trials[0], found.architecture)
         said[ahead] = found.over(trajectory.series)[ONSET - 10 : ONSET].mean()
-        judged = train.predict(found, trajectory, {"kind": "features", "history": {}}, ahead)
+        judged = detectors.predict(found, trajectory, {"kind": "features", "history": {}}, ahead)
         assert (judged.onset, np.flatnonzero(judged.label)[0]) == (ONSET, ONSET - ahead)
     assert said[10] > said[0] + 0.1
 
@@ -220,6 +220,49 @@ def test_objects_are_chosen(trials: list[Path], tmp_path: Path) -> None:
         train.jobs(trials, Train(objects="3-9"), tmp_path)
 
 
+def test_folds_leave_objects_out(tmp_path: Path) -> None:
+    """Assert that every fold learns from some objects and judges the others, and the last network learns from all."""
+    files = [features_file(tmp_path, number, object_=(9, 10, 11, 9, 10)[number]) for number in range(5)]
+    headers = []
+    for path in files:
+        with StageFile(path, "features") as file:
+            headers.append(file.header)
+    assert splits.folds_of(headers, 3, 0) == [splits.Fold([0, 1, 2], [3, 4])]
+    assert splits.folds_of(headers, 3, 3) == [
+        splits.Fold([1, 2], [0, 3]),
+        splits.Fold([0, 2], [1, 4]),
+        splits.Fold([0, 1], [2]),
+        splits.Fold([0, 1, 2], []),
+    ]
+    assert [fold.judged for fold in splits.folds_of(headers, 3, 2)] == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
+    for wrong in (1, 4):
+        with pytest.raises(InputError, match=r"(?s)left out.*2 to 3, or 0.*9, 10, 11"):
+            splits.folds_of(headers, 3, wrong)
+
+
+def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that folds leave the network as it is, judge all trials, and go on after an interruption."""
+    params = small(folds=2)
+    unfolded, job = (train.jobs(trials, params, tmp_path / name)[0] for name in ("plain", "folds"))
+    run(unfolded, small())
+    seen: list[tuple[int, int]] = []
+    (row,) = run(job, params, lambda *at: seen.append(at)).rows
+    assert (row["folds"], row["validated_on"]) == (2, 4)
+    assert seen == sorted(seen)
+    assert seen[-1] == (360, 360)
+    plain, folded = contents(unfolded.output), contents(job.output)
+    for name in ("checkpoint/onnx", "curve/loss"):
+        assert plain[name] == folded[name]
+
+    (again,) = train.jobs(trials, params, tmp_path / "again")
+    interrupted(again, params, monkeypatch, at=220)
+    left = sorted(path.name for path in again.output.parent.iterdir())
+    assert left == ["hist10.model.fold1.part", "hist10.model.fold2.part"]
+    run(again, params)
+    assert contents(again.output) == folded
+    assert [path.name for path in again.output.parent.iterdir()] == ["hist10.model.h5"]
+
+
 def test_a_recording_on_both_sides_is_named(trials: list[Path], tmp_path: Path) -> None:
     """Assert that validating on a recording that is trained on is refused, with the file's name."""
     again = features_file(tmp_path, 1, method="truth")
@@ -236,7 +279,7 @@ def test_other_features_are_trained_on(trials: list[Path], tmp_path: Path, model
     (job,) = train.jobs(trials, params, tmp_path)
     run(job, params)
     with StageFile(job.output, "model") as file:
-        assert train.detector_of(file).architecture == ARCHITECTURES[model]
+        assert detectors.detector_of(file).architecture == ARCHITECTURES[model]
 
 
 @pytest.mark.parametrize(

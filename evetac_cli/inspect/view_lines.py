@@ -193,7 +193,7 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
     """Slip probability of each slice of the span, where both a model and features are there."""
     if trial.model is None or trial.features is None:
         return None
-    from evetac_cli.stages.train import detector_of, series_of
+    from evetac_cli.stages.detectors import detector_of, series_of
 
     detector = detector_of(trial.model)
     start = span[0]

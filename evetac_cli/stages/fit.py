@@ -17,7 +17,7 @@ from evetac_cli.params import EvaluateForce, Fit, recipe_of
 from evetac_cli.stages import Job, Outcome, Progress, outcome, silent
 from evetac_cli.stages.evaluate import with_truth
 from evetac_cli.stages.rgb import PRESET
-from evetac_cli.stages.train import check_disjoint
+from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 

@@ -17,7 +17,7 @@ from evetac_cli.events import Events
 from evetac_cli.kernels import tracker
 from evetac_cli.kernels.detector import Live
 from evetac_cli.kernels.grip_control import Felt
-from evetac_cli.stages.train import detector_of
+from evetac_cli.stages.detectors import detector_of
 from evetac_cli.store.files import StageFile
 
 

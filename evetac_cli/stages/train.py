@@ -1,29 +1,31 @@
 """train: slip detectors from labelled features (paper, "Model Training & Data Selection").
 
 Checkpoint and threshold are chosen on validation trajectories (paper, "Evaluation Procedure & Metrics"), which are
-never trained on: those named by --validate, or every 8th of the inputs.
+never trained on: those named by --validate, or every 8th of the inputs. With --folds they are chosen on objects that a
+network has not seen, by networks that are trained for this alone.
 
-A run that was interrupted leaves `NAME.model.part`, a numpy archive of at most half a minute ago, from which the same
-command goes on to the same result.
+A run that was interrupted leaves `NAME.model.part` for each network, a numpy archive of at most half a minute ago, from
+which the same command goes on to the same result.
 """
 
 import glob
 import time
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import features, inputs, sampling, slip
+from evetac_cli.kernels import sampling, slip
 from evetac_cli.kernels.detector import Detector
-from evetac_cli.kernels.inputs import Trajectory
 from evetac_cli.kernels.sampling import Samples
 from evetac_cli.params import Train, recipe_of
 from evetac_cli.sim import scene
 from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
+from evetac_cli.stages.detectors import predict, read_trajectory
+from evetac_cli.stages.splits import check_disjoint, folds_of, object_of
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
@@ -80,6 +82,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
     learn, seed = job.choice["learn"], job.choice["seed"]
     check_disjoint(headers[:learn], headers[learn:], "validated on", job.inputs[learn:])
     labels = _label_method(job.inputs[:learn], headers[:learn])
+    folds = folds_of(headers, learn, params.folds)
     parameters = {**recipe_of(params), "seed": seed, "trained_on": learn}
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=tuple(headers))
     simulated = any(header["simulated"] for header in headers)
@@ -95,18 +98,20 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
     torch.set_num_threads(1)  # these networks are too small to share, and one thread gives one result
     shape = _common_shape(job.inputs)
     architecture = slip.ARCHITECTURES[params.model]
+    predictions: list[list[slip.Prediction]] = []
     try:
-        learned = (read_trajectory(path, architecture) for path in job.inputs[:learn])
-        samples = sampling.gather(learned, architecture, *shape, params.ahead)
-        result, resumed = _train(job, params, recipe, samples, progress)
-        kept = result.checkpoints[-slip.LAST_CHECKPOINTS :]
-        graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in kept]
-        detectors = [Detector(graph, architecture) for graph in graphs]
-        predictions: list[list[slip.Prediction]] = [[] for _ in detectors]
-        for path, header in zip(job.inputs[learn:], headers[learn:], strict=True):
-            trajectory = read_trajectory(path, architecture)
-            for detector, found in zip(detectors, predictions, strict=True):
-                found.append(predict(detector, trajectory, header, params.ahead))
+        for number, fold in enumerate(folds):
+            learned = (read_trajectory(job.inputs[index], architecture) for index in fold.learned)
+            samples = sampling.gather(learned, architecture, *shape, params.ahead)
+            result, resumed = _train(job, params, recipe, samples, (number, len(folds)), progress)
+            kept = result.checkpoints[-slip.LAST_CHECKPOINTS :]
+            graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in kept]
+            detectors = [Detector(graph, architecture) for graph in graphs]
+            predictions = predictions or [[] for _ in detectors]
+            for index in fold.judged:
+                trajectory = read_trajectory(job.inputs[index], architecture)
+                for detector, found in zip(detectors, predictions, strict=True):
+                    found.append(predict(detector, trajectory, headers[index], params.ahead))
         choice = slip.choose_threshold(predictions)
     except ValueError as error:
         raise InputError(
@@ -129,7 +134,8 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
         "checkpoint/onnx": np.stack([np.frombuffer(graph, np.uint8) for graph in graphs]),
     }
     write_stage(job.output, recipe, arrays)
-    _part(job).unlink(missing_ok=True)
+    for number in range(len(folds)):
+        _part(job, number, len(folds)).unlink(missing_ok=True)
     return outcome(
         job,
         made=True,
@@ -140,7 +146,8 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
         ahead_ms=params.ahead,
         labels=labels,
         trajectories=learn,
-        validated_on=len(job.inputs) - learn,
+        validated_on=sum(len(fold.judged) for fold in folds),
+        folds=params.folds,
         steps=result.steps,
         steps_of_all_epochs=result.steps_planned,
         cut=result.cut,
@@ -152,12 +159,17 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
 
 
 def _train(
-    job: Job, params: Train, recipe: Recipe, samples: Samples, progress: Progress
+    job: Job, params: Train, recipe: Recipe, samples: Samples, place: tuple[int, int], progress: Progress
 ) -> tuple["Training", int | None]:
-    """Train from the beginning or from where an interrupted run was kept; says at which step that was."""
+    """Train from the beginning or from where an interrupted run was kept; says at which step that was.
+
+    `place`: which network this is, and of how many; the last one is drawn alike whatever stands before it.
+    """
     from evetac_cli.kernels import training
 
-    part = _part(job)
+    number, networks = place
+    seed = job.choice["seed"]
+    part = _part(job, *place)
     kept = _read_part(part, recipe)
     written = time.monotonic()
 
@@ -170,10 +182,10 @@ def _train(
     result = training.train(
         samples,
         training.RECIPES[params.recipe],
-        np.random.default_rng(job.choice["seed"]),
+        np.random.default_rng(seed if number == networks - 1 else (seed, number)),
         epochs=params.epochs,
         max_steps=params.max_steps,
-        on_progress=lambda step, steps, loss: progress(step, steps),
+        on_progress=lambda step, steps, loss: progress(number * steps + step, networks * steps),
         device=params.device,
         kept=kept,
         on_keep=keep,
@@ -181,9 +193,10 @@ def _train(
     return result, None if kept is None else int(kept["step"])
 
 
-def _part(job: Job) -> Path:
-    """Where an interrupted run is kept: NAME.model.part beside NAME.model.h5."""
-    return job.output.with_name(job.output.name.removesuffix(".h5") + ".part")
+def _part(job: Job, number: int, networks: int) -> Path:
+    """Where an interrupted run is kept: NAME.model.part, or NAME.model.fold1.part for the first fold."""
+    fold = "" if number == networks - 1 else f".fold{number + 1}"
+    return job.output.with_name(job.output.name.removesuffix(".h5") + fold + ".part")
 
 
 def _read_part(path: Path, recipe: Recipe) -> "Kept | None":
@@ -200,106 +213,6 @@ def _write_part(path: Path, recipe: Recipe, kept: "Kept") -> None:
     """Keep a run, all or nothing."""
     with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
         np.savez(file, recipe=np.array(recipe.id), **kept)  # type: ignore[arg-type]
-
-
-def read_trajectory(path: Path, architecture: slip.Architecture) -> Trajectory:
-    """What an architecture sees of a labelled features file, and its labels."""
-    with StageFile(path, "features") as file:
-        if not file.has("label"):
-            raise InputError(
-                "these features have no labels", where=str(path), hint="evetac label, then evetac featurize"
-            )
-        return Trajectory(
-            series_of(file, architecture),
-            file.read("events_outside"),
-            file.read("label"),
-            int(file.read("onset_slice")),
-        )
-
-
-def series_of(
-    file: StageFile, architecture: slip.Architecture, start: int = 0, stop: int | None = None
-) -> inputs.Series:
-    """What an architecture sees of the slices [start, stop) of a features file; InputError if it is not there."""
-    if isinstance(architecture, slip.ImageArchitecture):
-        if not file.has("image"):
-            raise InputError(
-                f"{architecture.name} sees event images, and these features have none",
-                where=str(file.path),
-                hint="evetac featurize --images",
-            )
-        begin = file.read("image/start", start, None if stop is None else stop + 1)
-        pixels = (file.read(f"image/{name}", int(begin[0]), int(begin[-1])) for name in ("pixel", "sign"))
-        return features.EventImages(begin - begin[0], *pixels)
-    across = None
-    if {"x", "y"} & {view.channel for view in architecture.views}:
-        if not file.has("displacement_xy_px"):
-            raise InputError(
-                f"{architecture.name} sees displacements with their direction, and these features have none",
-                where=str(file.path),
-                hint="they were made by an older evetac; evetac featurize --force",
-            )
-        across = file.read("displacement_xy_px", start, stop)
-    return features.series(file.read("displacement_px", start, stop), file.read("events_per_dot", start, stop), across)
-
-
-def predict(detector: Detector, trajectory: Trajectory, header: Header, ahead_ms: int) -> slip.Prediction:
-    """What a detector says of a trajectory, beside its labels, from the first slice that is labelled.
-
-    The labels are shifted by `ahead_ms`, as F1 is counted; the onset is not, as the timing is judged.
-    """
-    probability = detector.over(trajectory.series)
-    examined = np.flatnonzero(trajectory.label >= 0)
-    probability[: examined[0] if len(examined) else len(probability)] = np.nan
-    label = slip.shift(trajectory.label, ahead_ms)
-    return slip.Prediction(probability, label, trajectory.onset, object_of(header))
-
-
-def ahead_of(model: StageFile) -> int:
-    """How far ahead a model predicts slip, in ms."""
-    return int(model.read("ahead_ms")) if model.has("ahead_ms") else 0
-
-
-def detector_of(model: StageFile) -> Detector:
-    """The detector in a model file; InputError if its architecture is unknown or its graph damaged."""
-    name = model.read("architecture")
-    if name not in slip.ARCHITECTURES:
-        known = ", ".join(slip.ARCHITECTURES)
-        raise InputError("unknown architecture", where=str(model.path), expected=known, found=str(name))
-    try:
-        return Detector(model.read("onnx").tobytes(), slip.ARCHITECTURES[name])
-    except ValueError as error:
-        raise InputError(str(error), where=str(model.path), hint="the file is damaged; train it again") from error
-
-
-def object_of(header: Header) -> str:
-    """The object of the recording that a file descends from, or `unknown`."""
-    for ancestor in (header, *header["history"].values()):
-        if ancestor["kind"] == "recording" and "object" in ancestor["parameters"]:
-            return str(ancestor["parameters"]["object"])
-    return "unknown"
-
-
-def recordings_of(header: Header) -> set[str]:
-    """Ids of all recordings that a file descends from."""
-    everybody = {header["id"]: header, **header["history"]}
-    return {id_ for id_, ancestor in everybody.items() if ancestor["kind"] == "recording"}
-
-
-def check_disjoint(learn: list[Header], held_out: list[Header], what: str, paths: Sequence[Path]) -> None:
-    """Refuse to judge a model on a recording that it was trained on; `paths` are the files held out."""
-    seen = set().union(*(recordings_of(header) for header in learn))
-    shared = [
-        (path, common) for path, header in zip(paths, held_out, strict=True) if (common := recordings_of(header) & seen)
-    ]
-    if shared:
-        path, common = shared[0]
-        raise InputError(
-            f"a recording is both trained on and {what}",
-            where=str(path),
-            found=f"{len(shared)} such files, this one from the recording {min(common)[:12]}",
-            hint="split by trajectory: every recording belongs to one side",
-        )
 
 
 def _label_method(paths: tuple[Path, ...], headers: list[Header]) -> str:

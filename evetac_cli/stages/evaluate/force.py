@@ -23,7 +23,7 @@ from evetac_cli.resources import table
 from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job, with_truth
 from evetac_cli.stages.fit import ForceModel, Samples, check_grid, read_model, read_samples, sensor_of
-from evetac_cli.stages.train import check_disjoint
+from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 

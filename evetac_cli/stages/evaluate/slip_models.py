@@ -12,7 +12,8 @@ from evetac_cli.kernels import slip
 from evetac_cli.kernels.detector import Detector
 from evetac_cli.kernels.slip import Prediction
 from evetac_cli.stages import Progress
-from evetac_cli.stages.train import ahead_of, check_disjoint, detector_of, object_of, predict, read_trajectory
+from evetac_cli.stages.detectors import ahead_of, detector_of, predict, read_trajectory
+from evetac_cli.stages.splits import check_disjoint, object_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 

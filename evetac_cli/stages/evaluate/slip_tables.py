@@ -50,6 +50,7 @@ def _traits(model: Model) -> dict[str, str]:
         "epochs": f"{chosen.get('epochs')} epochs",
         "trained_on": f"{chosen.get('trained_on')} trajectories",
         "scenes": f"scenes {model.scenes}",
+        "folds": f"{chosen['folds']} folds" if chosen.get("folds") else "",
     }
 
 
@@ -137,6 +138,7 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
         "labels": model.labels,
         "scenes": model.scenes,
         "max_steps": chosen.get("max_steps"),
+        "folds": chosen.get("folds", 0),
         "seeds": len(cells),
         "trajectories": sum(score["trajectories"] for score in cells[0].values()),
         "slip_early": _mean(_values(every, "slip_early")),
