@@ -133,10 +133,10 @@ slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MOD
 slip-table: slip-models slip-images  ## ... and judge all of these on unseen slips: tables in reports/
 	@$(RUN) cd $(SLIP); keep slip-training-objects evaluate slip "known/*.features.h5" --model \
 	"models/paper/*.model.h5 models/steady/*.model.h5 models/images/*.model.h5"; \
-	unseen="unseen/*.features.h5 --model models/*/hist20*.model.h5 models/*/fast-slow*.model.h5 \
+	unseen="--model models/*/hist20*.model.h5 models/*/fast-slow*.model.h5 \
 	models/images*/hist10-img*.model.h5 models/*/creep*.model.h5"; \
-	keep slip-unseen-objects evaluate slip "$$unseen"; \
-	keep model-cost evaluate cost model "$$unseen"
+	keep slip-unseen-objects evaluate slip "unseen/*.features.h5 $$unseen"; \
+	keep model-cost evaluate cost model "slip-unseen-objects.report.h5 $$unseen"
 
 ship: slip-table  ## put the best fast-slow detector, 10 ms ahead, into the package, for grasp
 	$(BIN)/python scripts/ship_model.py $(SLIP)/models/steady-ahead/fast-slow-10ms-s*.model.h5 $(REPORTS)/slip-unseen-objects.json

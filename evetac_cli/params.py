@@ -414,7 +414,8 @@ class EvaluateCost:
     )
     model: Path | None = parameter(
         None,
-        "Part model: model file, a folder of them, or a glob, judged on the features given; without: untrained ones."
+        "Part model: model file, a folder of them, or a glob, beside the report of `evaluate slip` on them; without:"
+        " untrained ones."
         " Part grasp: detectors to try beside the package's.",
         recipe=False,
     )

@@ -32,6 +32,14 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
     }
 
 
+def judged(world: dict[str, list[Path]], models: list[Path], out: Path) -> Path:
+    """The report of evaluate slip on these models."""
+    params = EvaluateSlip()
+    (job,) = slip.jobs([*world["features"], *models], params, out)
+    slip.run(job, params)
+    return out
+
+
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time a few repeats."""
@@ -117,11 +125,11 @@ def test_a_step_is_a_whole_one(
 
 def test_figures_are_those_of_evaluate_slip(world: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
     """Assert that seeds share a row, whose figures are those of evaluate slip, and one timing for equal networks."""
-    files = [*world["features"], *world["seeds"], *world["down5"]]
-    outcome = make(files, tmp_path / "a.report.h5")
-    params = EvaluateSlip()
-    (job,) = slip.jobs(files, params, tmp_path / "b.report.h5")
-    wanted = [row for row in slip.run(job, params).rows if "seeds" in row]
+    models = [*world["seeds"], *world["down5"]]
+    report = judged(world, models, tmp_path / "b.report.h5")
+    outcome = make([report, *models], tmp_path / "a.report.h5")
+    with StageFile(report, "report") as file:
+        wanted = [row for row in json.loads(file.read("rows")) if "seeds" in row]
     for row, other in zip(outcome.rows, wanted, strict=True):
         assert {key: row[key] for key in ("setting", "seeds", "slip_correct", "f1")} == {
             key: other[key] for key in ("setting", "seeds", "slip_correct", "f1")
@@ -138,26 +146,38 @@ def test_figures_are_those_of_evaluate_slip(world: dict[str, list[Path]], quick:
 
 
 def test_where_reports_go(world: dict[str, list[Path]], tmp_path: Path) -> None:
-    """Assert that the report lies beside the features, or without files in the present folder."""
-    (job,) = cost.jobs([*world["features"], *world["seeds"]], EvaluateCost(part="model"), None)
-    assert job.output == world["features"][0].with_name("trial-100.model-cost.report.h5")
+    """Assert that the report lies beside that of evaluate slip, or without files in the present folder."""
+    report = judged(world, world["seeds"], tmp_path / "unseen.slip.report.h5")
+    (job,) = cost.jobs([report, *world["seeds"]], EvaluateCost(part="model"), None)
+    assert job.output == tmp_path / "unseen.slip.cost.report.h5"
     (job,) = cost.jobs([], EvaluateCost(part="model"), None)
     assert (job.inputs, str(job.output)) == ((), "model.cost.report.h5")
 
 
 def test_what_is_refused(world: dict[str, list[Path]], tmp_path: Path) -> None:
-    """Assert that files for another part, features without models and models without features are errors."""
+    """Assert that files for another part, models without their report, and reports on others are errors."""
     with pytest.raises(InputError, match="only the part model"):
         cost.jobs(world["features"], EvaluateCost(part="sim"), tmp_path)
     with pytest.raises(InputError, match="which model"):
         cost.jobs(world["features"], EvaluateCost(part="model"), tmp_path)
-    with pytest.raises(InputError, match="which trajectories"):
-        cost.jobs([], EvaluateCost(part="model", model=world["seeds"][0]), tmp_path)
+    for others in ([], world["features"]):
+        with pytest.raises(InputError, match="one report of `evaluate slip`"):
+            cost.jobs(others, EvaluateCost(part="model", model=world["seeds"][0]), tmp_path)
+    with pytest.raises(InputError, match="wrong kind of file"):
+        make([world["features"][0], *world["seeds"]], tmp_path / "c.report.h5")
+    report = judged(world, world["seeds"], tmp_path / "b.report.h5")
+    for models, shared in ((world["down5"], 0), (world["seeds"][:1], 1), ([*world["seeds"], *world["down5"]], 2)):
+        with pytest.raises(InputError, match=f"on 2 models, {shared} of these"):
+            make([report, *models], tmp_path / "c.report.h5")
+    make([], tmp_path / "d.report.h5")
+    with pytest.raises(InputError, match="evaluate cost, on 0 models"):
+        make([tmp_path / "d.report.h5", *world["seeds"]], tmp_path / "c.report.h5")
 
 
 def test_the_command(world: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
-    """Assert that `evaluate cost model FILES --model MODELS` takes the part first, and leaves report and picture."""
-    files = [*map(str, world["features"]), "--model", *map(str, world["seeds"])]
+    """Assert that `evaluate cost model REPORT --model MODELS` takes the part first, and leaves report and picture."""
+    report = judged(world, world["seeds"], tmp_path / "b.report.h5")
+    files = [str(report), "--model", *map(str, world["seeds"])]
     out = tmp_path / "c.report.h5"
     shown = CliRunner().invoke(main.app, ["evaluate", "cost", "model", *files, "-o", str(out), "--json", "--quiet"])
     answer = json.loads(shown.stdout)

@@ -199,6 +199,27 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
     assert said[10] > said[0] + 0.1
 
 
+@pytest.mark.parametrize("model", ["hist10", "down5", "hist10-img-6x6"])
+def test_what_is_not_examined_is_left_out(trials: list[Path], tmp_path: Path, model: str) -> None:
+    """Assert that predictions are those of the whole trajectory, from the first slice that is labelled."""
+    params = small(model=model, max_steps=2)
+    (job,) = train.jobs(trials, params, tmp_path)
+    run(job, params)
+    with StageFile(job.output, "model") as file:
+        detector = detectors.detector_of(file)
+    trajectory = detectors.read_trajectory(trials[0], detector.architecture)
+    whole = detector.over(trajectory.series)
+    for first in (0, 5, 33, 61):
+        trajectory.label[:first] = -1
+        said = detectors.predict(detector, trajectory, {"kind": "features", "history": {}}, 0).probability
+        assert np.isnan(said[:first]).all()
+        assert np.array_equal(said[first:], whole[first:], equal_nan=True)
+    trajectory.label[:] = -1
+    nothing = trajectory._replace(onset=-1)
+    said = detectors.predict(detector, nothing, {"kind": "features", "history": {}}, 0).probability
+    assert np.isnan(said).all()
+
+
 def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a run on labels from truth says so, and that two ways of labelling are refused together."""
     truth = [features_file(tmp_path, number, method="truth") for number in (10, 11)]

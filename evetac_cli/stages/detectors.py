@@ -59,9 +59,14 @@ def predict(detector: Detector, trajectory: Trajectory, header: Header, ahead_ms
 
     The labels are shifted by `ahead_ms`, as F1 is counted; the onset is not, as the timing is judged.
     """
-    probability = detector.over(trajectory.series)
+    architecture, slices = detector.architecture, len(trajectory.label)
     examined = np.flatnonzero(trajectory.label >= 0)
-    probability[: examined[0] if len(examined) else len(probability)] = np.nan
+    probability = np.full(slices, np.nan, np.float32)
+    if len(examined):
+        # what stands before has no part in anything, and images take long: begin where the first history begins
+        begin = max(0, int(examined[0]) - architecture.history - architecture.every + 2)
+        probability[begin:] = detector.over(inputs.part(trajectory.series, begin, slices), begin)
+        probability[: examined[0]] = np.nan
     label = slip.shift(trajectory.label, ahead_ms)
     return slip.Prediction(probability, label, trajectory.onset, object_of(header))
 

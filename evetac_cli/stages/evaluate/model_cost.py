@@ -1,8 +1,8 @@
 """evaluate cost model: how well slip detectors judge, against what one judgement costs.
 
-With features and models, timing and F1 are those of `evaluate slip`, means over objects and seeds. Without, every
-architecture of the table is built, untrained, and only timed. Networks that differ in their weights alone are timed
-once, so that no setting wins by the noise of a clock.
+With models and the report of `evaluate slip` on them, timing and F1 are those of the report, means over objects and
+seeds. Without, every architecture of the table is built, untrained, and only timed. Networks that differ in their
+weights alone are timed once, so that no setting wins by the noise of a clock.
 
 - time_us_*: onnxruntime on one thread, one input at a time: what the paper's inference times are.
 - step_us_*: what `grasp` does with a slice of about 500 events, from events to a probability: tracker (its default),
@@ -12,6 +12,7 @@ once, so that no setting wins by the noise of a clock.
 Run times are those of the machine and the moment, so the same recipe gives other figures elsewhere.
 """
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,8 +30,9 @@ from evetac_cli.sim import tracker_cost
 from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report, report_job
 from evetac_cli.stages.evaluate.slip import sort_out
-from evetac_cli.stages.evaluate.slip_models import Model, check, judge
-from evetac_cli.stages.evaluate.slip_tables import by_object, setting_row, settings_of
+from evetac_cli.stages.evaluate.slip_models import Model
+from evetac_cli.stages.evaluate.slip_tables import settings_of
+from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
 METHOD = 1
@@ -62,23 +64,28 @@ class Candidate(NamedTuple):
 
 
 def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]:
-    """One report: beside the features, or without files in the present folder."""
+    """One report: beside that of `evaluate slip`, or without files in the present folder."""
     if not files and params.model is None:
-        return [Job((), own_report("model", "cost", out), {"models": 0})]
-    features, models = sort_out(files, params.model)
-    (job,) = report_job(features, "model-cost", out, *models)
-    return [job._replace(choice={"models": len(models)})]
+        return [Job((), own_report("model", "cost", out))]
+    judged, models = sort_out(files, params.model)
+    if len(judged) != 1:
+        raise InputError(
+            "how well do they judge?",
+            where="evaluate cost model",
+            expected="one report of `evaluate slip` on these models",
+            found=f"{len(judged)} files that are no models",
+            hint="evetac evaluate slip FEATURES --model MODELS first; without any file, untrained networks are timed",
+        )
+    return report_job(judged, "cost", out, *models)
 
 
 def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """A row for every setting, and a picture with the Pareto front."""
-    split = len(job.inputs) - job.choice["models"]
-    paths = job.inputs[:split]
-    models = [Model.read(path) for path in job.inputs[split:]]
-    headers = check(models, paths)
+    models = [Model.read(path) for path in job.inputs[1:]]
+    parents, told = _told(job.inputs[0], models) if models else ([], {})
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        candidates = _judged(models, paths, headers) if models else _untrained()
+        candidates = _judged(models, told) if models else _untrained()
         rows: Rows = []
         times: dict[Any, dict[str, float]] = {}
         for candidate in candidates:
@@ -94,7 +101,6 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
             summary[f"pareto_{figure}"] = "; ".join(on_front) or None
         return rows, summary
 
-    parents = [*(model.header for model in models), *headers]
     simulated = not models  # figures from files are as simulated as these
     outcome = report(
         job, "evaluate cost", METHOD, recipe_of(params), parents, measure, force=force, simulated_source=simulated
@@ -102,12 +108,27 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome), (13.0, 5.5))
 
 
-def _judged(models: Sequence[Model], paths: Sequence[Path], headers: Sequence[Header]) -> list[Candidate]:
-    predictions = judge(models, paths, headers, silent)
+def _told(path: Path, models: Sequence[Model]) -> tuple[list[Header], dict[str, dict[str, Any]]]:
+    """What a report says of these models, by setting, and the headers behind that; InputError if it is on others."""
+    with StageFile(path, "report") as file:
+        header, rows = file.header, json.loads(file.read("rows"))
+    behind = {id_ for id_ in header["parents"] if header["history"][id_]["kind"] == "model"}
+    told = {row["setting"]: row for row in rows if "seeds" in row}
+    given = {model.header["id"] for model in models}
+    if header["parameters"].get("command") != "evaluate slip" or given != behind or {*settings_of(models)} != {*told}:
+        raise InputError(
+            "this is not the report of `evaluate slip` on the models given",
+            where=str(path),
+            expected=f"a report on these {len(given)} models",
+            found=f"{header['parameters'].get('command')}, on {len(behind)} models, {len(behind & given)} of these",
+        )
+    return [header, *(model.header for model in models)], told
+
+
+def _judged(models: Sequence[Model], told: dict[str, dict[str, Any]]) -> list[Candidate]:
     found = []
     for setting, members in settings_of(models).items():
-        first = models[members[0]]
-        row = setting_row(setting, first, [by_object(predictions[i], models[i].threshold) for i in members])
+        first, row = models[members[0]], told[setting]
         errors = {
             f"error_share_{name}": None if row[figure] is None else 1 - row[figure] for name, figure in FIGURES.items()
         }

@@ -29,33 +29,33 @@ METHOD = 4
 def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Job]:
     """One report over all features files and models."""
     features, models = sort_out(files, params.model)
+    if not features:
+        raise InputError("on which trajectories?", expected="labelled features that the models never saw")
     (job,) = report_job(features, "slip", out, *models)
     return [job._replace(choice={"models": len(models)})]
 
 
 def sort_out(files: list[Path], given: Path | None) -> tuple[list[Path], list[Path]]:
-    """Tell features and models apart: `--model models/*.model.h5` puts all models but the first among the files.
+    """Tell models and all other files apart: `--model models/*.model.h5` puts all models but the first among the files.
 
     `given` is a model file, a folder of them, or a glob. A model that is given twice, even as two files, counts once.
-    InputError where either is missing.
+    InputError without a model.
     """
     named: list[Path] = []
     if given is not None:
         pattern = str(given / "*.model.h5") if given.is_dir() else str(given)
         named = [Path(name) for name in sorted(glob.glob(pattern))] or [given]
     models: dict[str, Path] = {}
-    features: list[Path] = []
+    others: list[Path] = []
     for path, kind in [*((path, "model") for path in named), *((path, None) for path in files)]:
         with StageFile(path, kind) as file:
             if file.kind == "model":
                 models.setdefault(file.header["id"], path)
             else:
-                features.append(path)
+                others.append(path)
     if not models:
         raise InputError("which model?", where="--model", expected="model files, or their folder")
-    if not features:
-        raise InputError("on which trajectories?", expected="labelled features that the models never saw")
-    return features, list(models.values())
+    return others, list(models.values())
 
 
 def run(job: Job, params: EvaluateSlip, *, force: bool = False, progress: Progress = silent) -> Outcome:
