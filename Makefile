@@ -24,8 +24,8 @@ FOLDS ?= 3
 STEPS ?= 40000
 STEADY_STEPS ?= $(shell echo $$(( $(STEPS) < 10000 ? $(STEPS) : 10000 )))
 IMAGE_STEPS ?= $(shell echo $$(( $(STEPS) < 3000 ? $(STEPS) : 3000 )))
-# Eight minutes each on two cores.
-IMAGE_SEEDS ?= 1
+# Four minutes each on two cores, and as long to judge.
+IMAGE_SEEDS ?= $(SEEDS)
 # make force: models of so many seeds are judged on so many trajectories
 FORCE ?= data/force
 FORCE_SEEDS ?= 3
@@ -111,7 +111,7 @@ slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in da
 LEARN = $(RUN) cd $(SLIP); learn() { from=$$1; folder=$$2; shift 2; run train "$$from/*.features.h5" $$* \
 	--validate choose --seed $(SEED) --seeds $$seeds --out models/$$folder --jobs $(JOBS); };
 
-slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, SEEDS, STEPS, MODELS, AHEAD, JOBS)
+slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, SEEDS, STEPS, FOLDS, MODELS, AHEAD, JOBS)
 	@$(LEARN) seeds=$(SEEDS); \
 	for recipe in $(RECIPES); do steps=$(STEPS); models="$(MODELS)"; later="$(filter hist20 fast-slow,$(MODELS))"; \
 	if [ $$recipe = steady ]; then steps=$(STEADY_STEPS); models="$$models $(OURS)"; later="$$later $(OURS)"; fi; \
@@ -119,8 +119,8 @@ slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, 
 	for model in $$later; do for ahead in $(AHEAD); do \
 	learn learn $$recipe-ahead --model $$model --ahead $$ahead --recipe $$recipe --max-steps $$steps; done; done; done; \
 	learn truth truth --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS); \
-	for model in $(if $(filter-out 0,$(FOLDS)),fast-slow $(OURS)); do \
-	learn learn folds --model $$model --ahead 10 --recipe steady --max-steps $(STEADY_STEPS) --folds $(FOLDS); done
+	if [ $(FOLDS) != 0 ]; then \
+	learn learn folds --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS) --folds $(FOLDS); fi
 
 # On a CPU the image baselines run on images summed over 6 x 6 px, for fewer steps, and beside them hist10 for as many.
 slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MODELS= leaves them out (IMAGE_SEEDS, IMAGE_STEPS)
