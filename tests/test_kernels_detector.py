@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from onnx import TensorProto, helper
 
 from evetac_cli.kernels import detector, features, inputs, networks
 from evetac_cli.kernels.detector import Detector, Live
@@ -114,6 +116,20 @@ def test_events_in_the_window_reach_no_model() -> None:
         rows = np.concatenate([y[gel], np.arange(500, dtype=np.uint16) % 480])
         said = with_window.step(dots, count, more, rows, np.concatenate([p[gel], np.ones(500, np.uint8)]))
         assert said == pytest.approx(without.step(dots, count, x[gel], y[gel], p[gel]), abs=0, nan_ok=True)
+
+
+def test_no_probability_is_above_one() -> None:
+    """Assert so for every logit from 17.5 to 18.5, of which onnxruntime gives some a sigmoid of 1.0000001."""
+    logits = np.arange(*np.array([17.5, 18.5], np.float32).view(np.int32), dtype=np.int32).view(np.float32)
+    value = partial(helper.make_tensor_value_info, elem_type=TensorProto.FLOAT, shape=[None])
+    node = helper.make_node("Sigmoid", ["features"], ["probability"])
+    graph = helper.make_graph([node], "sigmoid", [value("features")], [value("probability")])
+    model = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", networks.ONNX_OPSET)], ir_version=networks.ONNX_IR
+    )
+    said = Detector(model.SerializeToString(), ARCHITECTURES["hist10"]).probability(logits)
+    assert said.dtype == np.float32
+    assert 0.999 < said.min() <= said.max() <= 1
 
 
 def test_damaged_graphs_are_refused() -> None:

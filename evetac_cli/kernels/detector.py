@@ -29,8 +29,10 @@ class Detector:
 
     def probability(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
         """Slip probability (k,) of inputs (k, ...) as made by `inputs.at`."""
+        probability: NDArray[np.float32]
         (probability,) = self._session.run(None, {"features": batch})
-        return np.asarray(probability, np.float32)
+        # onnxruntime's sigmoid is an approximation: a few logits about 18 give 1.0000001
+        return np.minimum(probability, np.float32(1), out=probability)
 
     def over(self, series: inputs.Series, first: int = 0) -> NDArray[np.float32]:
         """Slip probability of every slice of a trajectory, NaN until the history is full.
