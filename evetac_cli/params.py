@@ -415,8 +415,7 @@ class EvaluateCost:
     model: Path | None = parameter(
         None,
         "Part model: model file, a folder of them, or a glob, beside the report of `evaluate slip` on them; without:"
-        " untrained ones."
-        " Part grasp: detectors to try beside the package's.",
+        " untrained ones. Part grasp: detectors to try beside the package's.",
         recipe=False,
     )
     seed: int = parameter(0, "Seed of the scenes that are simulated.", low=0, high=2**31 - 1)

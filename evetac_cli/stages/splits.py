@@ -51,8 +51,8 @@ def folds_of(headers: Sequence[Header], learn: int, folds: int) -> list[Fold]:
     The first `learn` of the headers are of files to train on, the others of files to judge. InputError if there are
     not as many objects as `folds`; without folds the objects do not matter.
 
-    Why so: slips of objects that it was trained on a detector tells so well that half the thresholds are as good, and
-    the lowest of these is too low for other objects. So other networks each leave out some of the objects and judge
+    Why so: a detector tells slips of objects that it was trained on so well that many thresholds are nearly as good,
+    and the chosen one is too low for other objects. So other networks each leave out some of the objects and judge
     these; that costs as many trainings more.
     """
     everything, known = range(len(headers)), range(learn)
