@@ -213,7 +213,7 @@ results:  ## put the tables in reports/ into the README
 strips: demo  ## a picture of every scene, in strips/: what is seen at telling moments, forces and slip (STRIPS, DEMO)
 	@$(RUN) mkdir -p $(STRIPS); cd $(STRIPS); \
 	for scene in slip data-rate shear press edge; do run record --scene $$scene --seed $(SEED) --out $$scene.recording.h5; done; \
-	sed 's/^tone_s = .*/tone_s = 3.0/' $(CURDIR)/evetac_cli/scenes/vibration.toml > vibration.toml; \
+	sed 's/^tone_s = .*/tone_s = 3.0/' $(CURDIR)/evetac_cli/data/scenes/vibration.toml > vibration.toml; \
 	run record --scene vibration.toml --tone 200 --seed $(SEED) --out vibration.recording.h5; \
 	for scene in lift sideways drop-20g drop-100g; do \
 	run grasp --scene $$scene --object 16 --seed $(SEED) --model $(abspath $(DEMO))/slip.model.h5 --out $$scene.recording.h5; done; \

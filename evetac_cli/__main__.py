@@ -1,6 +1,6 @@
 """python -m evetac_cli."""
 
-from .main import main
+from evetac_cli.cli.main import main
 
 if __name__ == "__main__":
     main()

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from evetac_cli.errors import told
-from evetac_cli.stages import Outcome, Progress, silent
+from evetac_cli.jobs import Outcome, Progress, silent
 
 FEW_ROWS = 3
 MOST_NAMING = 3  # columns that are repeated where a table is split

@@ -8,7 +8,9 @@ from typing import Any
 from evetac_cli.errors import EvetacError
 
 PACKAGE = Path(__file__).resolve().parent
-MODEL = PACKAGE / "models" / "fast-slow-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
+DATA = PACKAGE / "data"
+SCENES = DATA / "scenes"
+MODEL = DATA / "models" / "fast-slow-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
 
 
 def schemas() -> Path:
@@ -21,5 +23,5 @@ def schemas() -> Path:
 
 @functools.cache
 def table(name: str) -> dict[str, Any]:
-    """A TOML table of the package: objects, individuals."""
-    return tomllib.loads((PACKAGE / f"{name}.toml").read_text())
+    """A TOML table of the package: objects, sensors, paper."""
+    return tomllib.loads((DATA / f"{name}.toml").read_text())

@@ -10,9 +10,13 @@ from collections.abc import Callable
 import numpy as np
 
 from evetac_cli.console import print_table
-from evetac_cli.kernels import features, flow, grip, slip, tracker
-from evetac_cli.sim import scene, tracker_cost
-from evetac_cli.sim.world import World
+from evetac_cli.kernels.grip import paper
+from evetac_cli.kernels.labelling import flow
+from evetac_cli.kernels.slip import features, slip
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.numerics import tracker_cost
+from evetac_cli.sim import scene
+from evetac_cli.sim.scenes.gripped import World
 
 SLICE_US = 1000.0
 TOUCH_MS, LIFT_MS = 1500, 10_000
@@ -41,13 +45,13 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
         world = World(plan, *(np.random.default_rng([1, part]) for part in range(2)))
         mechanics, camera = Stopwatch(world._move), Stopwatch(world.eye.see)
         world._move, world.eye.see = mechanics, camera  # type: ignore[method-assign, assignment]
-        held_ma, law = world.command[1], grip.start()
+        held_ma, law = world.command[1], paper.start()
         started = time.thread_time()
         while not world.finished and world.slices < slices:
             if world.slices % 2 == 0:
                 if kind == "lift":
-                    phase = grip.Phase((world.slices >= TOUCH_MS) + (world.slices >= TOUCH_MS + LIFT_MS))
-                    goal = grip.step(law, phase, world._account.slips, world.finger.position_ticks)
+                    phase = paper.Phase((world.slices >= TOUCH_MS) + (world.slices >= TOUCH_MS + LIFT_MS))
+                    goal = paper.step(law, phase, world._account.slips, world.finger.position_ticks)
                     world.command = ("position", goal)
                 elif world.slices >= 900:
                     world.command = ("current", round(held_ma - 0.01375 * (world.slices - 900) / 2))
@@ -114,8 +118,8 @@ def labels() -> list[dict[str, object]]:
 
 def network() -> list[dict[str, object]]:
     """One prediction of hist10 with onnxruntime."""
-    from evetac_cli.kernels.detector import Detector
-    from evetac_cli.kernels.networks import SlipNet, onnx_graph
+    from evetac_cli.kernels.slip.detector import Detector
+    from evetac_cli.kernels.slip.networks import SlipNet, onnx_graph
 
     architecture = slip.ARCHITECTURES["hist10"]
     detector = Detector(onnx_graph(SlipNet(architecture)), architecture)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
-from evetac_cli.inspect.view_trial import Trial
+from evetac_cli.inspect.view.trial_files import Trial
 
 PICTURE_MS = 50  # of the film: 20 pictures a second
 BALANCE = 2  # control/phase

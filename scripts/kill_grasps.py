@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evetac_cli.devices.servo_plant import SharedPlant
+from evetac_cli.devices.virtual.servo_plant import SharedPlant
 from evetac_cli.inspect import validate
 from evetac_cli.store.read import open_recording
 

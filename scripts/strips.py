@@ -12,7 +12,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from evetac_cli.kernels.features import event_image
+from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.store.read import Recording, open_recording
 
 SHOWN_MS = 5  # the paper's images show 5 ms

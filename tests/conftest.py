@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 
 from evetac_cli import params
-from evetac_cli.devices.dynamixel_bus import Bus
-from evetac_cli.devices.rh_p12_rn import RhP12RnSettings
-from evetac_cli.devices.virtual_gripper import VirtualGripper
-from evetac_cli.resources import PACKAGE
-from evetac_cli.stages import featurize, fit, grasp, label, record, track, train
+from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
+from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.resources import SCENES
+from evetac_cli.stages import featurize, grasp, label, record, track, train
+from evetac_cli.stages.force import train_force
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -75,7 +76,7 @@ class Made:
 @pytest.fixture(scope="session")
 def short_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The slip scene, shortened."""
-    scene = tomllib.loads((PACKAGE / "scenes" / "slip.toml").read_text())
+    scene = tomllib.loads((SCENES / "slip.toml").read_text())
     scene["name"] = "short"
     scene["time"] |= SHORT
     scene["gel"]["nodes"] = [12, 9]
@@ -111,8 +112,8 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     (job,) = train.jobs(features, training, made.model)
     train.run(job, training)
     fitting = params.Fit(samples=10, epochs=2)
-    (job,) = fit.jobs([made.beside(path, "tracks") for path in made.recordings], fitting, made.force_model)
-    fit.run(job, fitting)
+    (job,) = train_force.jobs([made.beside(path, "tracks") for path in made.recordings], fitting, made.force_model)
+    train_force.run(job, fitting)
     grasping = params.Grasp(model=made.model, lift_s=1.0, balance_s=0.2)
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)

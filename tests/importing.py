@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.imports import Imported, read_events
+from evetac_cli.formats.imports import Imported, read_events
 
 
 def rows_of(imported: Imported) -> list[tuple[int, ...]]:

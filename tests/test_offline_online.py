@@ -2,19 +2,20 @@
 
 import numpy as np
 import pytest
-from conftest import Made
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.events import Events, Slicer, concatenate, empty, slice_starts
-from evetac_cli.kernels import slip, tracker
-from evetac_cli.kernels.detector import Detector
+from evetac_cli.kernels.slip import slip
+from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params import Featurize, Track
 from evetac_cli.stages import featurize, track
-from evetac_cli.stages.detectors import series_of
-from evetac_cli.stages.slip_sense import SlipSense
+from evetac_cli.stages.grasp.online_detector import SlipSense
+from evetac_cli.stages.slip_detectors import series_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
+from tests.conftest import Made
 
 
 def stream(rng: np.random.Generator, slices: int, count: int) -> Events:

@@ -8,8 +8,8 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from evetac_cli import params
+from evetac_cli.cli.main import EVALUATE, PIPELINE
 from evetac_cli.errors import InputError
-from evetac_cli.main import EVALUATE, PIPELINE
 from evetac_cli.params import Label, Record, Track, Train, flag_of, recipe_of, resolve
 
 EVERY = {command.name: command.params for command in PIPELINE}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from evetac_cli.main import app
+from evetac_cli.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()

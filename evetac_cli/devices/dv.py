@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.devices.device_slices import DeviceSlices
-from evetac_cli.devices.dvxplorer_protocol import DvxplorerSettings
+from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 

@@ -15,13 +15,13 @@ import numpy as np
 
 from evetac_cli.devices import Clock, Closable, EventCamera, Gripper, Rig
 from evetac_cli.devices.replay import ReplayCamera
-from evetac_cli.devices.servo_faults import ServoFault
-from evetac_cli.devices.virtual_faults import fault
+from evetac_cli.devices.virtual.camera_faults import fault
+from evetac_cli.devices.virtual.servo_faults import ServoFault
 from evetac_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from evetac_cli.devices.virtual import VirtualWorld
-    from evetac_cli.devices.virtual_dvxplorer import PreparedWords
+    from evetac_cli.devices.virtual.virtual_dvxplorer import PreparedWords
+    from evetac_cli.devices.virtual.world import VirtualWorld
 
 CAMERAS = "sim, virtual, dvxplorer[:SERIAL], dv[:SERIAL] or replay:FILE"
 GRIPPERS = "sim, virtual, none, or a PORT[@BAUD] such as /dev/ttyUSB0@2000000"
@@ -150,7 +150,7 @@ def open_rig(
     with ExitStack() as opened:
         world = None
         if plan is not None and camera.kind == "virtual" and camera.prepared_events_s is None:
-            from evetac_cli.devices.virtual import VirtualWorld
+            from evetac_cli.devices.virtual.world import VirtualWorld
 
             world = VirtualWorld(plan, seeds, tells_truth=False, **durations)
             opened.callback(world.close)
@@ -185,8 +185,8 @@ def open_camera(
     if name.kind == "replay":
         replay = ReplayCamera(Path(name.which or ""), paced=True)
         return replay, {"name": name.kind, "recording": replay.header["id"]}, (replay.header,)
-    from evetac_cli.devices.dvxplorer import DvxplorerCamera
-    from evetac_cli.devices.dvxplorer_protocol import DvxplorerSettings
+    from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
+    from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 
     chosen = DvxplorerSettings(**settings.given())
     if name.kind == "dv":
@@ -197,7 +197,7 @@ def open_camera(
         return through_dv, {"name": name.kind, "individual": which, "settings": asdict(chosen)}, ()
     backend = None
     if name.kind == "virtual":
-        from evetac_cli.devices.virtual_dvxplorer import VirtualDvxplorer
+        from evetac_cli.devices.virtual.virtual_dvxplorer import VirtualDvxplorer
 
         source = _prepared(name.prepared_events_s or PREPARED_EVENTS_S, seeds) if world is None else world
         backend = VirtualDvxplorer(source, name.firmware, faults=name.faults)
@@ -208,7 +208,7 @@ def open_camera(
 
 def _prepared(events_s: float, seeds: np.random.SeedSequence) -> "PreparedWords":
     """Words of a second of events at random, for half a minute again and again."""
-    from evetac_cli.devices.word_sources import PreparedWords, rain
+    from evetac_cli.devices.virtual.word_sources import PreparedWords, rain
 
     second = rain(events_s, 1.0, np.random.default_rng(seeds))
     stamps = second >> 26 == TIMESTAMP_CODE
@@ -223,13 +223,13 @@ def _open_gripper(
     """The gripper, its virtual twin if it has one, and what it is and how it is set."""
     if name.kind == "none":
         return None, None, name.kind
-    from evetac_cli.devices.rh_p12_rn import RhP12Rn, RhP12RnSettings
+    from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 
     servo = None
     port = name.port
     patience = RhP12RnSettings()
     if name.kind == "virtual":
-        from evetac_cli.devices.virtual_gripper import VirtualGripper
+        from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
 
         servo = VirtualGripper(world.plant if world else None, name.faults)
         port = servo.port

@@ -18,9 +18,9 @@ import libusb_package
 import usb.core
 import usb.util
 
-from evetac_cli.devices import dvxplorer_protocol as protocol
-from evetac_cli.devices.dvxplorer import CONTROL_TIMEOUT_MS, FoundCamera, look
-from evetac_cli.devices.dynamixel_bus import ANSWER_MS, SDK_RATES, Bus, Found, latency_timer_ms, scan
+from evetac_cli.devices.dvxplorer import protocol
+from evetac_cli.devices.dvxplorer.camera import CONTROL_TIMEOUT_MS, FoundCamera, look
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, SDK_RATES, Bus, Found, latency_timer_ms, scan
 
 FTDI = "0403"  # vendor of the chip in ROBOTIS' U2D2
 # Asked for, of a gripper that answers.

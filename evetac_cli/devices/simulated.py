@@ -8,10 +8,10 @@ import numpy as np
 
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.pressing import Pressing
-from evetac_cli.sim.rubbing import Rubbing
-from evetac_cli.sim.vibration import Vibration
-from evetac_cli.sim.world import World
+from evetac_cli.sim.scenes.gripped import World
+from evetac_cli.sim.scenes.pressing import Pressing
+from evetac_cli.sim.scenes.rubbing import Rubbing
+from evetac_cli.sim.scenes.vibrating import Vibration
 
 DRIVEN = {"press": Pressing, "rub": Rubbing, "tone": Vibration}  # kinds of scene without a gripper
 

@@ -12,15 +12,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.devices import dvxplorer_protocol as protocol
-from evetac_cli.devices.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
-from evetac_cli.devices.dvxplorer import SUPER_SPEED, FoundCamera
-from evetac_cli.devices.dynamixel_bus import Found
+from evetac_cli.devices.dvxplorer import protocol
+from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
 from evetac_cli.devices.probe import FTDI, Machine
+from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Found
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import FRAME_PX
+from evetac_cli.jobs import Outcome
 from evetac_cli.params import Doctor
-from evetac_cli.stages import Outcome
 
 RULES = "/etc/udev/rules.d/60-evetac.rules"
 RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
@@ -278,7 +278,7 @@ def _gripper(machine: Machine, path: Path, gripper: Found) -> Iterator[Row]:
     yield _row(name, "model", right, f"{gripper.model}{older}", f"{MODEL_NUMBER}, RH-P12-RN(A)", fix)
     fast = gripper.baud >= LEAST_BAUD
     change = f"change_baud('{path}', {gripper.baud}, {USUAL_BAUD}, id_={gripper.id})"
-    slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn import change_baud; {change}" (torque goes off)'
+    slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn.driver import change_baud; {change}" (torque goes off)'
     unusual = f"name it: --gripper {path}@{gripper.baud}" if gripper.baud != USUAL_BAUD else ""
     expected = f"{LEAST_BAUD} at least, for 500 commands a second"
     yield _row(name, "baud", fast, str(gripper.baud), expected, unusual if fast else slow_fix)

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.exports import export, target_of
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.params import Export
-from evetac_cli.stages import Outcome, Progress, silent
-from evetac_cli.store.exports import export, target_of
 
 
 def run(

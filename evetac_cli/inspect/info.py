@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.console import format_value, print_table
-from evetac_cli.stages import Outcome
+from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
 

@@ -9,8 +9,8 @@ import numpy as np
 from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.stages import Outcome
-from evetac_cli.store.leftover import SUFFIX, Leftover, check_folder, held, output_of, read_leftover, was_joined
+from evetac_cli.jobs import Outcome
+from evetac_cli.store.recovery import SUFFIX, Leftover, check_folder, held, output_of, read_leftover, was_joined
 from evetac_cli.store.segments import join
 
 ENDED = "broke off, and was repaired"

@@ -11,8 +11,8 @@ import numpy as np
 from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
+from evetac_cli.jobs import Outcome
 from evetac_cli.resources import schemas
-from evetac_cli.stages import Outcome
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import ContentDigest, id_of
 from evetac_cli.store.read import Recording
@@ -124,8 +124,8 @@ def _labels(file: StageFile) -> list[str]:
 
 
 def _model(file: StageFile) -> list[str]:
-    from evetac_cli.kernels import slip
-    from evetac_cli.kernels.detector import Detector
+    from evetac_cli.kernels.slip import slip
+    from evetac_cli.kernels.slip.detector import Detector
 
     name = file.read("architecture")
     if name not in slip.ARCHITECTURES:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.kernels.grip import Phase
+from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.sim import gripper
 
 LIFTED_MM = 50.0

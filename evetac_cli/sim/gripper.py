@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.contact import ForceCurve, closing_at, lookup
+from evetac_cli.sim.gel.contact import ForceCurve, closing_at, lookup
 
 Mode = Literal["position", "current"]
 

@@ -18,8 +18,8 @@ import jsonschema
 import numpy as np
 
 from evetac_cli.errors import InputError, SceneError
-from evetac_cli.resources import PACKAGE, schemas, table
-from evetac_cli.sim import individual as drawing
+from evetac_cli.resources import SCENES, schemas, table
+from evetac_cli.sim import randomized
 
 OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
 INDIVIDUAL_SEED = 104729  # with those of a trial: keeps what draws its individual apart from what draws the trial
@@ -33,8 +33,8 @@ def load(name_or_path: str) -> dict[str, Any]:
     """Read and check a scene: the name of one that comes with evetac, or a TOML file; SceneError if it is wrong."""
     path = Path(name_or_path)
     if path.suffix != ".toml":
-        path = PACKAGE / "scenes" / f"{name_or_path}.toml"
-        names = sorted(file.stem for file in (PACKAGE / "scenes").glob("*.toml"))
+        path = SCENES / f"{name_or_path}.toml"
+        names = sorted(file.stem for file in SCENES.glob("*.toml"))
         if name_or_path not in names:
             near = get_close_matches(name_or_path, names, n=1)
             raise SceneError(
@@ -165,11 +165,11 @@ def object_row(number: int) -> dict[str, Any]:
 
 def individual_row(name: str) -> dict[str, Any]:
     """The row of a sensor individual, `drawn:7` drawn by its number; InputError if there is no such individual."""
-    rows = table("individuals")
-    number = re.fullmatch(f"{drawing.FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
+    rows = table("sensors")
+    number = re.fullmatch(f"{randomized.FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
     if number is not None:
         rng = np.random.default_rng([NUMBERED_SEED, int(number[1])])
-        return drawing.draw(rows[drawing.FOR_EACH_TRIAL], rng)
+        return randomized.draw(rows[randomized.FOR_EACH_TRIAL], rng)
     if name not in rows:
         near = get_close_matches(name, rows, n=1)
         raise InputError(
@@ -184,10 +184,10 @@ def individual_row(name: str) -> dict[str, Any]:
 
 def for_trial(plan: dict[str, Any], seeds: Sequence[int]) -> dict[str, Any]:
     """The plan of one trial: where each has an individual of its own, that is drawn; its ranges stay beside it."""
-    if plan["individual"] != drawing.FOR_EACH_TRIAL:
+    if plan["individual"] != randomized.FOR_EACH_TRIAL:
         return plan
     ranges = plan["individual_row"]
-    row = drawing.draw(ranges, np.random.default_rng([INDIVIDUAL_SEED, *seeds]))
+    row = randomized.draw(ranges, np.random.default_rng([INDIVIDUAL_SEED, *seeds]))
     return {**plan, "individual_row": row, "individual_ranges": ranges}
 
 

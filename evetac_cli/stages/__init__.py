@@ -1,45 +1,15 @@
-"""One module per command.
+"""One module or folder per command, and which outputs a command makes from which inputs.
 
-A stage module has INPUTS and OUTPUT (kinds of file), METHOD (raised when its numbers change) and two functions:
+A stage has INPUTS and OUTPUT (kinds of file), METHOD (raised when its numbers change) and two functions:
 `jobs(files, params, out)` says which outputs will be made from which inputs, `run(job, params, ...)` makes one of them.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from evetac_cli.errors import InputError
-
-Progress = Callable[[int, int], None]  # (done, total)
-
-
-def silent(done: int, total: int) -> None:
-    """Report no progress."""
-
-
-class Job(NamedTuple):
-    """One output to make: its inputs, where it goes, and what else tells it from its siblings."""
-
-    inputs: tuple[Path, ...]
-    output: Path
-    choice: dict[str, Any] = {}
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a job has to say: flat rows for the table and --json (units end the names), figures over all rows."""
-
-    rows: list[dict[str, Any]]
-    simulated: bool
-    summary: dict[str, Any] = field(default_factory=dict)
-    made: bool = True
-
-
-def outcome(job: Job, *, made: bool, simulated: bool, **figures: Any) -> Outcome:
-    """The row of a job that makes one file."""
-    row = {"output": str(job.output), "status": "made" if made else "up to date", **figures}
-    return Outcome([row], simulated, made=made)
+from evetac_cli.jobs import Job
 
 
 def per_file(files: list[Path], kind: str, out: Path | None) -> list[Job]:

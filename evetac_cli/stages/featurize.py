@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import features
-from evetac_cli.kernels.slip import GEL_PX
+from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.slip import features
+from evetac_cli.kernels.slip.slip import GEL_PX
 from evetac_cli.params import Featurize, recipe_of
-from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
+from evetac_cli.stages import one_file
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import tracker
+from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params import Track
-from evetac_cli.stages import Job, Outcome, Progress, outcome, per_file, silent
+from evetac_cli.stages import per_file
 from evetac_cli.store.calibration import Calibration, read_calibration
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe

@@ -18,20 +18,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import sampling, slip
-from evetac_cli.kernels.detector import Detector
-from evetac_cli.kernels.sampling import Samples
+from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.slip import sampling, slip
+from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.params import Train, recipe_of
 from evetac_cli.sim import scene
-from evetac_cli.stages import Job, Outcome, Progress, one_file, outcome, silent
-from evetac_cli.stages.detectors import predict, read_trajectory
+from evetac_cli.stages import one_file
+from evetac_cli.stages.slip_detectors import predict, read_trajectory
 from evetac_cli.stages.splits import check_disjoint, folds_of, object_of
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import
-    from evetac_cli.kernels.training import Kept, Training
+    from evetac_cli.kernels.slip.training import Kept, Training
 
 INPUTS = ("features",)
 OUTPUT = "model"
@@ -91,7 +92,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
 
     import torch
 
-    from evetac_cli.kernels import networks
+    from evetac_cli.kernels.slip import networks
 
     if params.device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
@@ -165,7 +166,7 @@ def _train(
 
     `place`: which network this is, and of how many; the last one is drawn alike whatever stands before it.
     """
-    from evetac_cli.kernels import training
+    from evetac_cli.kernels.slip import training
 
     number, networks = place
     seed = job.choice["seed"]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import grid
+from evetac_cli.kernels.calibration import grid
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 

@@ -148,7 +148,11 @@ class SlipWindows:
         return len(self._index)
 
     def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
-        from evetac_cli.kernels import features, inputs, slip  # brings numba, which a mere reader need not wait for
+        from evetac_cli.kernels.slip import (  # brings numba, which a mere reader need not wait for
+            features,
+            inputs,
+            slip,
+        )
 
         trial, slice_ = self._index[index]
         displacement, events, label = self._trials[trial]

@@ -3,7 +3,7 @@
 Why so: a single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every
 segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
 last quarter of a second is on disk. A folder NAME.part/ that is left over means that a recording broke off; it holds
-all that `evetac repair` needs (store/leftover.py). Segments are not compressed: that would cost a tenth of the time in
+all that `evetac repair` needs (store/recovery.py). Segments are not compressed: that would cost a tenth of the time in
 which they fill, at a million events a second, and the recorder must not look away from its devices for so long. Each
 dataset carries its CRC-32 instead, so that damage is seen.
 """

@@ -8,7 +8,7 @@ from typing import Any
 
 from evetac_cli.console import plain
 from evetac_cli.errors import InputError
-from evetac_cli.stages import Job, Outcome
+from evetac_cli.jobs import Job, Outcome
 from evetac_cli.store.files import StageFile, output_path, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import Recording, open_recording

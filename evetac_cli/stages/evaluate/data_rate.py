@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateDataRate, recipe_of
 from evetac_cli.resources import table
-from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.stages.label import ramp_start
 from evetac_cli.store.files import StageFile, output_path

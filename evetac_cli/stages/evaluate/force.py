@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import force as forces
+from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import EvaluateForce, recipe_of
 from evetac_cli.resources import table
-from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job, with_truth
-from evetac_cli.stages.fit import ForceModel, Samples, check_grid, read_model, read_samples, sensor_of
+from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_of
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateGrasp, recipe_of
 from evetac_cli.resources import table
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, grasp_picture, picture, report, report_job
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header

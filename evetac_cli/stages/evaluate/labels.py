@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateLabels, recipe_of
-from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, report, report_job, with_truth
 from evetac_cli.store.files import StageFile
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.stages import Outcome
+from evetac_cli.jobs import Outcome
 from evetac_cli.store.disk import taking_the_place_of
 
 EARLY, CORRECT, LATE = "#e6a23c", "#3b7dd8", "#8c8c8c"  # the same three everywhere slip timing is shown

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateSlip, recipe_of
-from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job, slip_picture
 from evetac_cli.stages.evaluate.slip_models import Model, check, judge
 from evetac_cli.stages.evaluate.slip_tables import tables

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels import slip
-from evetac_cli.kernels.detector import Detector
-from evetac_cli.kernels.slip import Prediction
-from evetac_cli.stages import Progress
-from evetac_cli.stages.detectors import ahead_of, detector_of, predict, read_trajectory
+from evetac_cli.jobs import Progress
+from evetac_cli.kernels.slip import slip
+from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.slip import Prediction
+from evetac_cli.stages.slip_detectors import ahead_of, detector_of, predict, read_trajectory
 from evetac_cli.stages.splits import check_disjoint, object_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header

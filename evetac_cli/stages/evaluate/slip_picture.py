@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.kernels import slip
-from evetac_cli.stages import Outcome
+from evetac_cli.jobs import Outcome
+from evetac_cli.kernels.slip import slip
 from evetac_cli.stages.evaluate import Rows, picture
 
 SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing

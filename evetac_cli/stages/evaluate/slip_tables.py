@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.kernels import slip
-from evetac_cli.kernels.slip import Prediction
+from evetac_cli.kernels.slip import slip
+from evetac_cli.kernels.slip.slip import Prediction
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows
 from evetac_cli.stages.evaluate.slip_models import Model

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from evetac_cli import resources
 from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateTracking, recipe_of
-from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, check_parent, picture, report, report_job
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import open_recording

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
-from evetac_cli.kernels import spectrum
+from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.kernels import vibration
 from evetac_cli.params import EvaluateVibration, recipe_of
-from evetac_cli.stages import Job, Outcome, Progress, silent
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.store.read import Recording, open_recording
 
@@ -39,7 +39,7 @@ class Survey(NamedTuple):
     """What was found in one recording; frequencies in Hz, None for no vibration."""
 
     seconds: float
-    whole: spectrum.Spectrum  # summed over windows of the longest length
+    whole: vibration.Spectrum  # summed over windows of the longest length
     counts: NDArray[np.int64]  # events a bin of 1 / rate
     motion: dict[int, list[float | None]]  # length of the window in ms -> a frequency for each, by motion
     paper: dict[int, list[float | None]]  # the same by the paper's method
@@ -149,16 +149,16 @@ def _survey(
     lengths = [length for length in windows_ms if length <= piece_ms]
     motion: dict[int, list[float | None]] = {length: [] for length in lengths}
     paper: dict[int, list[float | None]] = {length: [] for length in lengths}
-    whole: spectrum.Spectrum | None = None
+    whole: vibration.Spectrum | None = None
     all_counts = []
-    fine_hz = max(params.rate, spectrum.FINEST_HZ)
+    fine_hz = max(params.rate, vibration.FINEST_HZ)
     with_motion = params.preset == "default"
     for first in range(start, stop, piece_ms):
         last = min(first + piece_ms, stop)
         tally, counts = _read(recording, first, last, fine_hz, params.rate, advance_from=start, advance=advance)
         all_counts.append(counts)
         if last - first == piece_ms:
-            found_in = spectrum.spectrum(tally, fine_hz)
+            found_in = vibration.spectrum(tally, fine_hz)
             whole = found_in if whole is None else whole.plus(found_in)
         for length in lengths:
             for begin in range(0, last - first - length + 1, length):
@@ -166,7 +166,7 @@ def _survey(
                 if with_motion and length == piece_ms:
                     motion[length].append(_tone_hz(found_in, params))
                 elif with_motion:
-                    window = spectrum.spectrum(_part(tally, begin, length, fine_hz), fine_hz)
+                    window = vibration.spectrum(_part(tally, begin, length, fine_hz), fine_hz)
                     motion[length].append(_tone_hz(window, params))
     assert whole is not None  # the first piece is a whole one
     return Survey((stop - start) / 1000, whole, np.concatenate(all_counts), motion, paper)
@@ -174,15 +174,15 @@ def _survey(
 
 def _read(
     recording: Recording, first: int, last: int, fine_hz: int, rate_hz: int, *, advance_from: int, advance: Any
-) -> tuple[spectrum.Tally, NDArray[np.int64]]:
+) -> tuple[vibration.Tally, NDArray[np.int64]]:
     """Signed events (cells, bins at `fine_hz`) and events (bins at `rate_hz`) of the slices [first, last)."""
-    across, down = spectrum.cells_of(recording.frame_px)
+    across, down = vibration.cells_of(recording.frame_px)
     tally = np.zeros((across * down, (last - first) * fine_hz // 1000), np.int16)
     bins = (last - first) * rate_hz // 1000
     counts = np.zeros(bins, np.int64)
     for begin in range(first, last, READ_MS):
         events = recording.between(begin, min(begin + READ_MS, last))
-        spectrum.add_events(tally, *events, first * SLICE_US, fine_hz, across)
+        vibration.add_events(tally, *events, first * SLICE_US, fine_hz, across)
         places = (events.t - first * SLICE_US) * rate_hz // 1_000_000
         counts += np.bincount(places[places < bins], minlength=bins)
         advance(begin - advance_from)
@@ -195,22 +195,22 @@ def _part(values: NDArray, begin_ms: int, length_ms: int, rate_hz: int) -> NDArr
     return values[..., begin : begin + length_ms * rate_hz // 1000]
 
 
-def _tone_hz(found_in: spectrum.Spectrum, params: EvaluateVibration) -> float | None:
-    found = spectrum.find(found_in, params.lowest_hz, params.rate / 2, params.false_alarms)
+def _tone_hz(found_in: vibration.Spectrum, params: EvaluateVibration) -> float | None:
+    found = vibration.find(found_in, params.lowest_hz, params.rate / 2, params.false_alarms)
     return None if found.tone is None else found.tone.frequency_hz
 
 
 def _of_counts(counts: NDArray[np.int64], params: EvaluateVibration) -> float | None:
-    return spectrum.strongest_of_counts(counts, params.rate, params.lowest_hz)
+    return vibration.strongest_of_counts(counts, params.rate, params.lowest_hz)
 
 
 def _whole(survey: Survey, method: str, expected_hz: float | None, params: EvaluateVibration) -> dict[str, Any]:
     """The row of a recording."""
-    found = spectrum.Found(None, {}, None)
+    found = vibration.Found(None, {}, None)
     if method == "paper":
         frequency_hz = _of_counts(survey.counts, params)
     else:
-        found = spectrum.find(survey.whole, params.lowest_hz, params.rate / 2, params.false_alarms)
+        found = vibration.find(survey.whole, params.lowest_hz, params.rate / 2, params.false_alarms)
         frequency_hz = found.tone.frequency_hz if found.tone else None
     return {
         "seconds": survey.seconds,
@@ -225,7 +225,7 @@ def _whole(survey: Survey, method: str, expected_hz: float | None, params: Evalu
     }
 
 
-def _uncertainty_hz(survey: Survey, tone: spectrum.Line) -> float:
+def _uncertainty_hz(survey: Survey, tone: vibration.Line) -> float:
     """One sd of a tone: from noise, or from how much the shortest windows differ, if that is more.
 
     The phase at which the gel answers drifts with the tone's harmonics, which noise does not tell.

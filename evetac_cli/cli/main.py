@@ -1,0 +1,343 @@
+"""The command line: pick a command, read its flags, run its jobs, print the result or the error.
+
+Flags are made from the dataclasses in params.py, so a parameter is written down once. A stage is imported only when it
+is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
+"""
+
+import importlib
+import inspect
+import itertools
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from evetac_cli import __version__, console, params
+from evetac_cli.cli import workers
+from evetac_cli.cli.exit_codes import Commands, Ending
+from evetac_cli.errors import DeviceError, EvetacError, InputError
+from evetac_cli.jobs import Job, Outcome
+
+MOST_ROWS = 100  # of one table on a terminal
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that makes files: its parameters, its module, what it eats, and how its progress is counted."""
+
+    name: str
+    params: type
+    module: str
+    files: str  # what the file arguments are; empty if the command takes none
+    unit: str = "slices"
+    files_needed: bool = True
+
+
+PIPELINE = (
+    Command("record", params.Record, "stages.record", ""),
+    Command("cut", params.Cut, "stages.trim", "Recordings."),
+    Command(
+        "calibrate", params.Calibrate, "stages.calibrate", "Press recordings; none with --import.", files_needed=False
+    ),
+    Command("label", params.Label, "stages.label", "Recordings.", "pairs"),
+    Command("track", params.Track, "stages.track", "Recordings."),
+    Command("featurize", params.Featurize, "stages.featurize", "Recordings (tracks and labels lie beside them)."),
+    Command("train", params.Train, "stages.train", "Labelled features, one file a trajectory.", "steps"),
+    Command("rgb", params.Rgb, "stages.track_rgb", "Simulated recordings.", "frames"),
+    Command(
+        "fit",
+        params.Fit,
+        "stages.force.train_force",
+        "Tracks of shear recordings; the last file is held out.",
+        "epochs",
+    ),
+    Command("force", params.Force, "stages.force.predict_force", "Tracks."),
+    Command("grasp", params.Grasp, "stages.grasp", ""),
+)
+EVALUATE = (
+    Command(
+        "slip", params.EvaluateSlip, "stages.evaluate.slip", "Labelled features that the model never saw.", "files"
+    ),
+    Command("vibration", params.EvaluateVibration, "stages.evaluate.vibration", "Recordings.", "ms"),
+    Command("data-rate", params.EvaluateDataRate, "stages.evaluate.data_rate", "Recordings.", "files"),
+    Command("labels", params.EvaluateLabels, "stages.evaluate.labels", "Labels of simulated recordings.", "files"),
+    Command("tracking", params.EvaluateTracking, "stages.evaluate.tracking", "Tracks by one preset or more.", "files"),
+    Command("grasp", params.EvaluateGrasp, "stages.evaluate.grasp", "Recordings made by grasp.", "files"),
+    Command("force", params.EvaluateForce, "stages.evaluate.force", "Tracks of simulated shear recordings.", "files"),
+    Command("cost", params.EvaluateCost, "numerics.cost", "Part model: features, models.", "rows", files_needed=False),
+    Command("stability", params.EvaluateStability, "numerics.stability", "", "rows"),
+)
+# Of inspect/: a page for people, made again whenever asked for.
+VIEW = Command("view", params.View, "inspect.view", "Stage files of one trial; others of its name are found.", "images")
+EXPORT = Command("export", params.Export, "inspect.export", "Recordings.", "events")
+DOCTOR = Command("doctor", params.Doctor, "inspect.doctor", "")
+
+app = typer.Typer(
+    cls=Commands,
+    help="Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+evaluate = typer.Typer(help="Measure results: figures, tables, a report file.", no_args_is_help=True)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"evetac {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp."""
+
+
+# How to run, the same for every command that makes files; none of it changes the numbers.
+_RUNNING: dict[str, tuple[Any, Any, str, str]] = {
+    "out": (Path | None, None, "-o/--out", "Output file (ends in .h5) or folder; default: beside the input."),
+    "force": (bool, False, "-f/--force", "Replace an output that was made by another recipe."),
+    "number_of_jobs": (int, 1, "-j/--jobs", "Files worked on at the same time."),
+    "config": (Path | None, None, "--config", "TOML file with parameters, one table a command."),
+    "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
+    "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
+    "verbose": (bool, False, "-v/--verbose", "Print the traceback of an error."),
+}
+# view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
+_VIEWING = {name: entry for name, entry in _RUNNING.items() if name not in ("number_of_jobs", "config")} | {
+    "out": (Path | None, None, "-o/--out", "Page (ends in .html) or folder; default: beside the file."),
+    "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
+}
+_EXPORTING = _VIEWING | {
+    "out": (Path | None, None, "-o/--out", "File or folder; default: beside the recording."),
+    "force": (bool, False, "-f/--force", "Replace a file that exists."),
+}
+_EXAMINING = {name: _RUNNING[name] for name in ("as_json", "verbose")}
+
+
+def _add(
+    group: typer.Typer,
+    command: Command,
+    title: str,
+    panel: str,
+    act: Callable[[Command, str, dict[str, Any]], None] | None = None,
+    running: dict[str, tuple[Any, Any, str, str]] = _RUNNING,
+) -> None:
+    """Register a command whose signature is made from its parameters."""
+
+    def call(**given: Any) -> None:
+        (act or _execute)(command, title, given)
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    signature = []
+    if command.files:
+        files = Annotated[list[Path], typer.Argument(help=command.files, show_default=False)]
+        needed: Any = inspect.Parameter.empty if command.files_needed else []
+        signature.append(inspect.Parameter("files", keyword, default=needed, annotation=files))
+    hints = get_type_hints(command.params)
+    for item in fields(command.params):
+        unit = f" \\[{item.metadata['unit']}]" if item.metadata["unit"] else ""
+        choices = f" ({', '.join(item.metadata['choices'])})" if len(item.metadata["choices"]) > 1 else ""
+        flag = params.flag_of(item)
+        told = item.default is not None and item.default is not False and item.default != ""
+        default = f" \\[default: {item.default}]" if told else ""
+        told_of = item.metadata["help"].replace("[", "\\[")  # text, not markup
+        help_ = told_of + choices + unit + default
+        option: Any  # typer's own types of arguments and options
+        if flag.startswith("--"):
+            option = typer.Option(flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}", help=help_)
+        else:
+            option = typer.Argument(metavar=flag, help=help_, show_default=False)
+        # Every flag defaults to None, so that a config file can tell what was not given. What is named by its place
+        # comes before the files, which take all the rest.
+        entry = inspect.Parameter(
+            item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option]
+        )
+        signature.insert(len(signature) if flag.startswith("--") else 0, entry)
+    for name, (kind, default, flags, help_) in running.items():
+        option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=default == 1)
+        signature.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
+    call.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
+    call.__annotations__ = {entry.name: entry.annotation for entry in signature}
+    call.__doc__ = command.params.__doc__
+    group.command(command.name, rich_help_panel=panel)(call)
+
+
+def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
+    """Run all jobs of a command and print what came out of them."""
+    running = {name: given.pop(name) for name in _RUNNING}
+    files = given.pop("files", [])
+    with Ending(title, running) as ending:
+        chosen = params.resolve(command.params, title, given, running["config"])
+        stage = importlib.import_module(f"evetac_cli.{command.module}")
+        jobs: list[Job] = stage.jobs(files, chosen, running["out"])
+        _check_outputs(jobs, files, chosen, force=running["force"])
+        if running["number_of_jobs"] < 1:
+            raise InputError(
+                "out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"])
+            )
+        if getattr(chosen, "dry_run", False):
+            shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"])
+            as_json, simulated = running["as_json"], shown.simulated
+            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
+            return
+        started = time.monotonic()
+        _run(command, jobs, chosen, running, ending.results)
+        ending.results = {job.output: ending.results[job.output] for job in jobs}
+        outcomes, errors = ending.outcomes(), ending.errors()
+        if outcomes and not (errors and running["as_json"]):
+            summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else console.count(outcomes)
+            simulated = any(outcome.simulated for outcome in outcomes)
+            rows = [row for outcome in outcomes for row in outcome.rows]
+            if running["as_json"]:
+                console.show(title, rows, summary, simulated=simulated, as_json=True)
+            elif not running["quiet"]:
+                console.show(title, _first(rows), summary, simulated=simulated, as_json=False)
+        if not running["quiet"] and outcomes and not any(outcome.made for outcome in outcomes):
+            console.say(f"{title}: up to date, nothing to do")
+        elif not running["quiet"] and outcomes:
+            console.say(f"{title}: {time.monotonic() - started:.1f} s")
+        if errors:
+            for error in errors[1:]:
+                console.say(f"error: {error}")
+            raise errors[0]
+
+
+def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> None:
+    """Make what is not a stage file, for people or other programs, and say where it is."""
+    running = {name: given.pop(name) for name in _VIEWING}
+    files = given.pop("files")
+    with Ending(title, running):
+        chosen = params.resolve(command.params, title, given, None)
+        module = importlib.import_module(f"evetac_cli.{command.module}")
+        with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
+            result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
+        if not running["quiet"] or running["as_json"]:
+            console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=running["as_json"])
+
+
+def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
+    """Say how the devices are; exit code 3 if one of them is not well."""
+    running = {name: given.pop(name) for name in _EXAMINING}
+    with Ending(title, running):
+        chosen = params.resolve(command.params, title, given, None)
+        module = importlib.import_module(f"evetac_cli.{command.module}")
+        if chosen.print_udev:
+            if running["as_json"]:
+                console.show(title, [], {"udev": module.udev_rules()}, simulated=False, as_json=True)
+            else:
+                print(module.udev_rules())
+            return
+        result: Outcome = module.run(chosen)
+        if running["as_json"]:
+            console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)
+        else:
+            module.show(result)
+        if result.summary["wrong"]:
+            raise typer.Exit(DeviceError.exit_code)
+
+
+def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
+    """Refuse outputs that would replace each other, or (with --force) what they are made from."""
+    times = Counter(job.output for job in jobs)
+    clash = sorted(output for output, count in times.items() if count > 1)
+    if clash:
+        raise InputError("several inputs would write the same output", found=", ".join(map(str, clash)))
+    named = (value for value in vars(chosen).values() if isinstance(value, Path))
+    inputs = {path.resolve() for path in (*files, *named, *(path for job in jobs for path in job.inputs))}
+    lost = sorted(output for output in times if output.resolve() in inputs) if force else []
+    if lost:
+        raise InputError("the output would replace an input", found=", ".join(map(str, lost)))
+
+
+def _first(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows that a terminal shows: of a table of very many the first, and how many more there are is said."""
+    shown = []
+    for _, group in itertools.groupby(rows, key=tuple):
+        table = list(group)
+        shown += table[:MOST_ROWS]
+        if len(table) > MOST_ROWS:
+            console.say(f"{len(table) - MOST_ROWS:,} more rows with {next(iter(table[0]))}; --json prints all")
+    return shown
+
+
+def _run(
+    command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any], results: dict[Path, Outcome | EvetacError]
+) -> None:
+    """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
+    quiet, force = running["quiet"] or getattr(chosen, "live", False), running["force"]  # --live has its own lines
+    # An output that exists is either up to date or refused: that is quick, and worth no worker process.
+    waiting = [job for job in jobs if force or not job.output.exists()]
+    on_devices = getattr(chosen, "camera", "sim") != "sim"  # of which there is one each
+    at_once = 1 if on_devices else min(running["number_of_jobs"], len(waiting))
+    if at_once > 1:
+        with console.progress_bar(command.name, "files", quiet=quiet) as progress:
+            workers.run_parallel(command.module, waiting, chosen, force, at_once, progress, results)
+    for number, job in enumerate(jobs):
+        if job.output not in results:
+            name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")
+            with console.progress_bar(name, command.unit, quiet=quiet) as progress:
+                results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
+
+
+def _inspector(name: str, help_: str, eats: str = "Stage files.") -> Callable[..., None]:
+    """A command of inspect/: files in, a table or JSON out."""
+
+    def call(
+        files: Annotated[list[Path], typer.Argument(help=eats, show_default=False)],
+        as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
+        verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
+    ) -> None:
+        with Ending(name, {"as_json": as_json, "verbose": verbose}):
+            module = importlib.import_module(f"evetac_cli.inspect.{name}")
+            result: Outcome = module.run(files)
+            if as_json:
+                console.show(name, result.rows, result.summary, simulated=result.simulated, as_json=True)
+            else:
+                module.show(result)
+            if result.summary.get("invalid"):
+                raise typer.Exit(InputError.exit_code)
+
+    call.__doc__ = help_
+    return call
+
+
+for _command in PIPELINE[:-1]:
+    _add(app, _command, _command.name, "Pipeline")
+for _command in EVALUATE:
+    _add(evaluate, _command, f"evaluate {_command.name}", "Subjects")
+app.add_typer(evaluate, name="evaluate", rich_help_panel="Pipeline")
+_add(app, PIPELINE[-1], PIPELINE[-1].name, "Pipeline")
+app.command("info", rich_help_panel="Inspect")(
+    _inspector("info", "What stage files hold: kind, duration, events, rates, history.")
+)
+_add(app, VIEW, VIEW.name, "Inspect", _write_for_others, _VIEWING)
+_add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, _EXPORTING)
+app.command("validate", rich_help_panel="Inspect")(
+    _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")
+)
+
+
+app.command("repair", rich_help_panel="Inspect")(
+    _inspector(
+        "repair",
+        "Make valid recordings of what broke off: folders NAME.recording.part, or folders that hold some. "
+        "Prints what was kept.",
+        "Folders.",
+    )
+)
+_add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, _EXAMINING)
+
+
+def main() -> None:
+    """Entry point of the command `evetac`."""
+    workers.catch_interrupts()
+    app()

@@ -1,0 +1,238 @@
+"""A DVXplorer Mini over pyusb: found, set up, started, read, and stopped whatever happens.
+
+A thread (usb_reader.py) moves buffers from the camera into a queue; words are decoded and cut into slices
+(word_slices.py) by whoever calls `read`. Only these two modules and the camera's virtual twin import pyusb.
+"""
+
+import errno
+from collections import deque
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import libusb_package
+import numpy as np
+import usb.core
+import usb.util
+
+from evetac_cli.devices.dvxplorer import protocol
+from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings, Generation
+from evetac_cli.devices.dvxplorer.usb_errors import in_words, no_libusb, not_found, not_ready, other_sensor, wrong_model
+from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader, now_us
+from evetac_cli.devices.dvxplorer.word_slices import WordSlices
+from evetac_cli.events import FRAME_PX, Events
+
+CONTROL_TIMEOUT_MS = 1000
+DRAIN_READS = 50
+PATIENCE_US = 1000  # on top of the flush time: readout, transfer, drift of the clock
+HOLDING_BACK_US = 20_000  # firmware 9 has no flush time; how long a quiet Mini holds events back is not known
+SUPER_SPEED = 4  # pyusb's code of USB 3
+
+
+class FoundCamera(NamedTuple):
+    """A DVXplorer on the bus, looked at without changing anything in it."""
+
+    serial: str | None  # None: the system does not let us read it
+    board: int  # protocol.MINI_BOARD is right
+    firmware: int
+    speed: int | None  # of the link: 3 high (USB 2), 4 super (USB 3) and above
+    where: str  # bus and address
+    device: Any  # of pyusb
+
+
+def look(backend: Any = None) -> list[FoundCamera]:
+    """All DVXplorer on the bus; DeviceError if there is no libusb."""
+    backend = backend or libusb_package.get_libusb1_backend()
+    if backend is None:
+        raise no_libusb()
+    found = []
+    for device in usb.core.find(find_all=True, idVendor=protocol.VENDOR, idProduct=protocol.PRODUCT, backend=backend):
+        serial = _serial(device)
+        usb.util.dispose_resources(device)
+        board, firmware = device.bcdDevice >> 8, device.bcdDevice & 0xFF
+        where = f"USB bus {device.bus} address {device.address}"
+        found.append(FoundCamera(serial, board, firmware, device.speed, where, device))
+    return found
+
+
+def _serial(device: Any) -> str | None:
+    """Serial number of a camera, None if it cannot be read."""
+    try:
+        text: str | None = usb.util.get_string(device, device.iSerialNumber)
+    except (ValueError, usb.core.USBError):  # pyusb says ValueError where it may not open the device
+        return None
+    return text
+
+
+def _choose(serial: str | None, backend: Any) -> FoundCamera:
+    """The camera of this serial number, or the only one; DeviceError if there is no such, or no single one."""
+    found = look(backend)
+    fitting = [camera for camera in found if serial is None or camera.serial in (serial, None)]
+    minis = [camera for camera in fitting if camera.board == protocol.MINI_BOARD]
+    named = [camera for camera in minis if serial is None or camera.serial == serial] or minis
+    if len(named) == 1:
+        return named[0]
+    if not minis and fitting:
+        raise wrong_model(fitting[0].where, fitting[0].board)
+    raise not_found(serial, [camera.serial or f"one that may not be read, {camera.where}" for camera in found])
+
+
+class DvxplorerCamera:
+    """A DVXplorer Mini that is running; an EventCamera, and the Clock of its recording.
+
+    serial: which camera, None for the only one; backend: of pyusb, None for libusb; queue_bytes: how much may wait for
+    `read`; patience_us: how long after the flush time a silent camera is waited for. DeviceError, in words, for
+    whatever keeps it from running. `notes` are for the user; `messages` are the camera's own.
+    """
+
+    def __init__(
+        self,
+        serial: str | None = None,
+        settings: DvxplorerSettings | None = None,
+        backend: Any = None,
+        queue_bytes: int = QUEUE_BYTES,
+        patience_us: float = PATIENCE_US,
+    ) -> None:
+        self.settings = settings or DvxplorerSettings()
+        found = _choose(serial, backend)
+        self._device = found.device
+        self.where = f"camera {found.serial or found.where}"
+        self.firmware = found.firmware
+        self._generation = protocol.generation(found.firmware)
+        self.notes: tuple[str, ...] = ()
+        if found.speed and found.speed < SUPER_SPEED:
+            self.notes += (f"{self.where} is linked by USB 2 and will lose events when much moves: use a USB 3 port",)
+        if found.firmware > protocol.NEWEST_FIRMWARE:
+            self.notes += (f"{self.where} has firmware {found.firmware}; known are 8 to {protocol.NEWEST_FIRMWARE}",)
+        self._ready: deque[Events] = deque()
+        self._open = True
+        self._claimed = False
+        self._reader = UsbReader(self._device, self.where, queue_bytes)
+        try:
+            self._claim()
+            self.serial = found.serial or _serial(self._device)
+            self._set_up()
+            held_us = self.settings.flush_us if self._generation is Generation.PARAMETERS else HOLDING_BACK_US
+            self._slices = WordSlices(held_us + patience_us)
+            self._reader.start()
+            self._tell(protocol.run(self._generation))
+            self._slices.start(now_us())
+        except BaseException as error:
+            self.close()
+            if isinstance(error, usb.core.USBError):
+                raise in_words(error, self.where, "setting up the camera") from error
+            raise
+        self._left = 0  # events of the slice that was open when the camera failed
+        self.sensor: Mapping[str, Any] = {
+            "sensor/frame_px": np.array(FRAME_PX, np.int32),
+            "sensor/individual": f"dvxplorer:{self.serial}",
+        }
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """What was lost so far, by reason."""
+        own = {name: self._reader.lost[name] for name in ("events_in_full_queue", "usb_errors")}
+        return {**self._slices.counted, **own, "events_after_last_slice": self._left}
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """The latest of what the camera said of itself."""
+        return tuple(self._reader.messages)
+
+    def read(self) -> Events | None:
+        """The next slice, once it is closed; None after close; DeviceError once the camera has failed."""
+        while self._open and not self._ready:
+            block = self._reader.take()
+            if block is None:
+                if self._reader.failure is not None and self._open:
+                    self._left = self._slices.open_events
+                    raise self._reader.failure
+                return None
+            times, emptied = (block.begun_us, block.ended_us), len(block.data) < READ_BYTES
+            self._ready += self._slices.push_words(block.data, *times, emptied=emptied, gap=block.gap)
+        return self._ready.popleft() if self._open else None
+
+    def host_us(self, device_us: float) -> float:
+        """time.monotonic() in us at which the camera's clock showed this time of the recording."""
+        return self._slices.host_us(device_us)
+
+    def now_us(self) -> int:
+        """Time of the recording now, by the camera's clock."""
+        return int(self._slices.recording_us(now_us()))
+
+    def close(self) -> None:
+        """Stop the camera and let go of it; a second call does nothing."""
+        if not self._open:
+            return
+        self._open = False
+        try:
+            self._reader.end()
+            if self._claimed:  # else another program may have it, and we would stop its stream
+                self._tell(protocol.stop(self._generation))
+        except usb.core.USBError:
+            pass  # it is gone
+        finally:
+            usb.util.dispose_resources(self._device)
+
+    def _claim(self) -> None:
+        """Take the camera for ourselves. Setting a configuration that is set already could reset it."""
+        try:
+            configuration = self._device.get_active_configuration()
+        except usb.core.USBError as error:
+            if error.errno is not None:
+                raise
+            self._device.set_configuration()  # pyusb's word for: none is set
+            configuration = self._device.get_active_configuration()
+        usb.util.claim_interface(self._device, 0)
+        self._claimed = True
+        if usb.util.find_descriptor(configuration[(0, 0)], bEndpointAddress=protocol.DATA_ENDPOINT) is None:
+            raise not_ready(self.where)
+
+    def _set_up(self) -> None:
+        """Everything up to the start of the stream, in the measured order."""
+        if self._generation is Generation.PARAMETERS:
+            self._request(protocol.LOG_LEVEL, 2)
+            with suppress(usb.core.USBTimeoutError):  # known to hang on some hosts, and not needed
+                self._request(protocol.FLUSH_STALE, 0)
+        self._tell(protocol.stop(self._generation))
+        try:
+            size = (self._read(protocol.DVS, protocol.COLUMNS), self._read(protocol.DVS, protocol.ROWS))
+        except usb.core.USBTimeoutError:
+            size = FRAME_PX  # some hosts see these reads hang
+        if size != FRAME_PX:
+            raise other_sensor(self.where, size)
+        self._tell(protocol.configure(self._generation, self.settings))
+        if self._generation is Generation.REGISTERS:
+            self._device.clear_halt(protocol.DATA_ENDPOINT)
+        self._drain()
+
+    def _drain(self) -> None:
+        """Throw away what an earlier run left in the camera: its times are not ours."""
+        for _ in range(DRAIN_READS):
+            try:
+                self._device.read(protocol.DATA_ENDPOINT, READ_BYTES, READ_TIMEOUT_MS)
+            except usb.core.USBTimeoutError:
+                return
+            except usb.core.USBError as error:
+                if error.errno != errno.EPIPE:
+                    raise
+                self._device.clear_halt(protocol.DATA_ENDPOINT)
+
+    def _request(self, request: int, value: int) -> None:
+        self._device.ctrl_transfer(protocol.WRITE, request, value, 0, None, CONTROL_TIMEOUT_MS)
+
+    def _read(self, module: int, parameter: int) -> int:
+        size = self._generation.value
+        answer = self._device.ctrl_transfer(protocol.READ, protocol.CONFIG, module, parameter, size, CONTROL_TIMEOUT_MS)
+        return int.from_bytes(bytes(answer), "big")
+
+    def _tell(self, orders: Iterable[protocol.Order]) -> None:
+        for order in orders:
+            value = order.value if isinstance(order, protocol.Write) else self._changed_bits(order)
+            data = value.to_bytes(self._generation.value, "big")
+            self._device.ctrl_transfer(
+                protocol.WRITE, protocol.CONFIG, order.module, order.parameter, data, CONTROL_TIMEOUT_MS
+            )
+
+    def _changed_bits(self, order: protocol.Change) -> int:
+        return self._read(order.module, order.parameter) & ~order.clear | order.set

@@ -1,0 +1,145 @@
+"""The event words of a DVXplorer Mini: 32-bit words of its USB data endpoint, to events and back.
+
+A frame is what the sensor reads out at one time: columns from left to right, in each column groups of eight rows. The
+first COLUMN word of a frame carries the flag SOF, all of them the microseconds within the millisecond of the last
+TIMESTAMP word. A frame is accepted or dropped whole, as by the maker's parser. `start` and `step` take the byte stream
+however it is cut (loops: event_word_loops.py).
+
+After damage that may hide lost words nothing is believed before the next TIMESTAMP (at most 1 ms of a busy sensor),
+since one may be among them; where only a row or a column is impossible, nothing before the next frame is. The maker's
+parser (dv-processing 2.0.4, run beside this one) makes the same of sound streams; of damaged ones it also hands out
+pixels outside the frame and frames with unknown words in them.
+
+Why so: a TIMESTAMP counts milliseconds modulo 2**22, so that a single damaged one would read as up to 70 minutes. One
+that is far ahead is believed only as far as the host's clock allows; from many refused in a row the decoder concludes
+that the camera started its clock anew, and goes on from the host's time.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.devices.dvxplorer import event_word_loops as loops
+from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
+
+LOSSES = loops.LOSSES
+
+
+@dataclass
+class Decoder:
+    """What is known of the stream so far."""
+
+    registers: NDArray[np.int64] = field(default_factory=loops.new_registers)
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(LOSSES), np.int64))
+    frame: Events = field(default_factory=empty)  # events of the frame that is not over yet
+    rest: bytes = b""  # of a word that was split between two buffers
+
+    @property
+    def first_ms(self) -> int | None:
+        """Device time of the first TIMESTAMP; None before it."""
+        ms = int(self.registers[loops.FIRST_MS])
+        return ms if ms >= 0 else None
+
+    @property
+    def now_us(self) -> int:
+        """Device time that the stream has reached, wraps undone."""
+        return SLICE_US * int(self.registers[loops.MS]) + max(0, int(self.registers[loops.LAST_US]))
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """What was lost so far: occurrences by reason, and events."""
+        return {name: int(count) for name, count in zip(LOSSES, self.counts, strict=True)}
+
+
+def start() -> Decoder:
+    """A decoder before the first byte of a stream."""
+    return Decoder()
+
+
+def step(decoder: Decoder, data: bytes | bytearray | memoryview, host_ms: int | None = None) -> Events:
+    """Events of the frames that the next bytes complete; t in us, int64, never decreasing.
+
+    host_ms: device time by the host's clock, as far as known: a TIMESTAMP more than loops.JUMP_MS ahead of the last
+    is believed only up to there. Without it, as with words from a file, every TIMESTAMP is that is ahead by less than
+    half the range. All events of a frame have one time; they come by column, in a column as the words do.
+    """
+    stream = decoder.rest + bytes(data)
+    if decoder.rest or decoder.registers[loops.DAMAGED]:
+        skipped = loops.torn_bytes(np.frombuffer(stream, np.uint8))
+        if skipped:
+            decoder.counts[LOSSES.index("torn_bytes")] += skipped
+            _distrust(decoder)
+        stream = stream[skipped:]
+    whole = len(stream) // 4
+    decoder.rest = stream[4 * whole :]
+    words = np.frombuffer(stream, "<u4", whole)
+    most = decoder.frame.size + loops.events_in(words)
+    events = Events(
+        np.empty(most, np.int64), np.empty(most, np.uint16), np.empty(most, np.uint16), np.empty(most, np.uint8)
+    )
+    before = decoder.frame.size
+    if before:
+        events.t[:before], events.x[:before], events.y[:before], events.p[:before] = decoder.frame
+    complete, found = loops.decode(
+        words, -1 if host_ms is None else host_ms, decoder.registers, decoder.counts, before, *events
+    )
+    frame = events.part(complete, found)
+    decoder.frame = Events(frame.t.copy(), frame.x.copy(), frame.y.copy(), frame.p.copy())
+    return events.part(0, complete)
+
+
+def flush(decoder: Decoder) -> Events:
+    """Events of the frame that is not over: for a sensor gone silent. What else comes of that frame is still taken."""
+    frame = decoder.frame
+    decoder.frame = empty()
+    return frame
+
+
+def bytes_were_lost(decoder: Decoder) -> None:
+    """Say that bytes are missing between the last and the next step."""
+    decoder.counts[LOSSES.index("torn_bytes")] += len(decoder.rest)
+    decoder.rest = b""
+    _distrust(decoder)
+
+
+def _distrust(decoder: Decoder) -> None:
+    """Drop the open frame, and believe nothing before the next TIMESTAMP."""
+    decoder.counts[LOSSES.index("events_in_dropped_frames")] += decoder.frame.size
+    decoder.frame = empty()
+    decoder.registers[loops.WHERE] = loops.LOST
+
+
+def timestamp(ms: int) -> NDArray[np.uint32]:
+    """The TIMESTAMP word of a millisecond, alone: it tells a decoder that all before it is complete."""
+    return np.array([2 << 26 | ms & loops.REF_MASK], np.uint32)
+
+
+def encode(events: Events, first_ms: int = 1, frame_us: int = 1) -> NDArray[np.uint32]:
+    """Words in which a camera would send these events, whose t = 0 is device time `first_ms`.
+
+    Times are rounded down to the readout period `frame_us`, which starts anew every millisecond. A frame can hold one
+    event of a pixel, and one polarity of a group of rows: what does not fit goes to the next free microsecond of the
+    same millisecond, so that no event is lost and none changes its slice. ValueError for what no camera could send.
+    (The maker's parser, not ours, gives up if the very first frame of a stream has the time of its TIMESTAMP.)
+    """
+    if not 1 <= frame_us <= SLICE_US:
+        raise ValueError(f"frame_us: expected 1..{SLICE_US}, found {frame_us}")
+    if first_ms < 0:
+        raise ValueError(f"first_ms: expected >= 0, found {first_ms}")
+    if len({len(column) for column in events}) != 1:
+        raise ValueError(f"expected columns of one length, found {[len(column) for column in events]}")
+    if events.size == 0:
+        return np.empty(0, np.uint32)
+    if events.t.min() < 0 or events.t.max() >= loops.LONGEST_MS * SLICE_US:
+        raise ValueError(f"t: expected 0..{loops.LONGEST_MS} ms, found {events.t.min()}..{events.t.max()} us")
+    if events.x.max() >= FRAME_PX[0] or events.y.max() >= FRAME_PX[1] or events.p.max() > 1:
+        found = [int(column.max()) for column in events[1:]]
+        raise ValueError(f"x, y, p: expected below {FRAME_PX[0]}, {FRAME_PX[1]} and 2, found up to {found}")
+    keys = loops.keys_by_group(*events, frame_us)
+    keys.sort()
+    loops.place(keys)
+    keys.sort()
+    words: NDArray[np.uint32] = loops.write(keys, first_ms)
+    return words

@@ -1,0 +1,151 @@
+"""A thread that moves buffers from a camera's data endpoint into a queue of bounded size.
+
+Why so: pyusb has one blocking transfer at a time, and the camera loses what nobody fetches; so nothing may keep the
+thread from its next transfer. If whoever empties the queue is too slow, the oldest buffers go, and their events are
+counted.
+"""
+
+import errno
+import time
+from array import array
+from collections import Counter, deque
+from threading import Condition, Thread
+from typing import Any, NamedTuple
+
+import numpy as np
+import usb.core
+
+from evetac_cli.devices.dvxplorer import protocol
+from evetac_cli.devices.dvxplorer.event_word_loops import events_in
+from evetac_cli.devices.dvxplorer.usb_errors import gone, in_words
+from evetac_cli.errors import DeviceError
+
+READ_TIMEOUT_MS = 2  # how long a read waits for a silent camera; slices are closed this much later then
+READ_BYTES = 65536
+QUEUE_BYTES = 64 << 20  # a second and a half of the worst case, 10 million single events a second
+ERRORS_IN_A_ROW = 5
+LOG_EVERY_S = 0.5
+
+
+class Block(NamedTuple):
+    """What one read of the data endpoint gave; host times in us."""
+
+    data: bytes
+    begun_us: float
+    ended_us: float
+    gap: bool  # whether bytes before it were lost
+
+
+def now_us() -> float:
+    """Host time."""
+    return time.monotonic() * 1e6
+
+
+class UsbReader(Thread):
+    """Moves buffers from the camera into a queue until told to stop or the camera fails."""
+
+    def __init__(self, device: Any, where: str, queue_bytes: int) -> None:
+        super().__init__(name=f"reads {where}", daemon=True)
+        self._device = device
+        self._where = where
+        self._queue_bytes = queue_bytes
+        self._blocks: deque[Block] = deque()
+        self._waiting_bytes = 0
+        self._changed = Condition()
+        self._running = True
+        self.failure: DeviceError | None = None
+        self.lost: Counter[str] = Counter()
+        self.messages: deque[str] = deque(maxlen=100)
+
+    def take(self) -> Block | None:
+        """Wait for the next block; None after the last one."""
+        with self._changed:
+            while not self._blocks and self._running and self.failure is None:
+                self._changed.wait()
+            if not self._blocks:
+                return None
+            block = self._blocks.popleft()
+            self._waiting_bytes -= len(block.data)
+            return block
+
+    def end(self) -> None:
+        """Stop reading and wait until the thread has ended."""
+        with self._changed:
+            self._running = False
+            self._changed.notify_all()
+        if self.is_alive():
+            self.join()
+
+    def run(self) -> None:
+        """Read until the end; whatever breaks this thread is for `read` to say."""
+        try:
+            self._read_on()
+        except Exception as error:
+            failure = error if isinstance(error, DeviceError) else DeviceError(f"reading failed: {error!r}")
+            self._fail(failure)
+
+    def _fail(self, failure: DeviceError) -> None:
+        with self._changed:
+            self.failure = failure
+            self._changed.notify_all()
+
+    def _read_on(self) -> None:
+        buffer = array("B", bytes(READ_BYTES))
+        failures = 0
+        gap = False
+        next_log_s = time.monotonic()
+        while self._running:
+            begun_us = now_us()
+            try:
+                count = self._device.read(protocol.DATA_ENDPOINT, buffer, READ_TIMEOUT_MS)
+                failures = 0
+            except usb.core.USBTimeoutError:
+                count = 0
+            except usb.core.USBError as error:
+                failures += 1
+                self.lost["usb_errors"] += 1
+                if not self._mended(error, failures):
+                    return
+                gap |= error.errno != errno.EPIPE  # what a halted endpoint holds is not lost
+                continue
+            self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, now_us(), gap))
+            gap = False
+            if time.monotonic() >= next_log_s:
+                next_log_s = time.monotonic() + LOG_EVERY_S
+                self._read_log()
+
+    def _put(self, block: Block) -> None:
+        with self._changed:
+            if not block.data and self._blocks and not self._blocks[-1].data:
+                before = self._blocks.pop()  # of two empty reads in a row the later one says all
+                block = block._replace(gap=block.gap or before.gap)
+            self._blocks.append(block)
+            self._waiting_bytes += len(block.data)
+            while self._waiting_bytes > self._queue_bytes and len(self._blocks) > 1:
+                gone = self._blocks.popleft().data
+                self._waiting_bytes -= len(gone)
+                self._blocks[0] = self._blocks[0]._replace(gap=True)
+                self.lost["events_in_full_queue"] += events_in(np.frombuffer(gone, "<u4", len(gone) // 4))
+            self._changed.notify_all()
+
+    def _mended(self, error: Any, failures: int) -> bool:
+        """Clear a halted endpoint; after too many errors in a row, or without a device, give up."""
+        mended = not gone(error) and failures <= ERRORS_IN_A_ROW
+        if mended:
+            try:
+                self._device.clear_halt(protocol.DATA_ENDPOINT)
+            except usb.core.USBError as second:
+                error, mended = second, False
+        if not mended:
+            self._fail(in_words(error, self._where, "reading events"))
+        return mended
+
+    def _read_log(self) -> None:
+        """Fetch what the camera has to say of itself, which it does only when something is wrong."""
+        try:
+            packet = bytes(self._device.read(protocol.DEBUG_ENDPOINT, 64, 1))
+        except usb.core.USBError:  # nothing to say, mostly; what else is wrong shows on the data endpoint
+            return
+        if len(packet) > 6 and packet[0] == protocol.LOG_PACKET:
+            text = packet[6:].split(b"\0")[0].decode("latin-1")
+            self.messages.append(f"{text} (code {packet[1]}, at {int.from_bytes(packet[2:6], 'little')})")

@@ -1,0 +1,331 @@
+"""Driver of the ROBOTIS RH-P12-RN(A) gripper: one answered transaction a cycle, and no current left behind.
+
+In current mode the goal is a motor current; in position mode (the maker's current-based position mode) a position,
+reached with P gain and a largest current. Closing is positive in both. Limits are read from the device; a command
+beyond them is clamped to them, and counted. One cycle is a read of current, speed and position, and a command that is
+not answered; every 100th command is, which proves that commands arrive.
+
+Why so: whatever ends the driver - close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal - sets
+current 0 and torque off. What no program can handle (SIGKILL, a pulled plug) is left to the servo's Bus Watchdog, which
+runs from the first command on: then a program silent for 100 ms loses the gripper, and is told so.
+
+EEPROM is written only where it differs from what is needed (operating mode, return delay), with torque off, and said in
+`described`. Nothing is ever reset to factory values. Source: hardware notes on the control table; the set-up order and
+P gain 50 are those of a driver by Evetac's authors.
+"""
+
+import operator
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
+
+from evetac_cli.devices import GripperReading
+from evetac_cli.devices.at_exit import close_at_exit, closed
+from evetac_cli.devices.rh_p12_rn.control_table import (
+    CURRENT_MODE,
+    MODEL_NUMBER,
+    OLD_MODEL_NUMBER,
+    POSITION_MODE,
+    REGISTERS,
+    RETURN_DELAY_US,
+    WATCHDOG_MS,
+    WATCHDOG_TRIPPED,
+    baud_code,
+)
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, PortGone, Refused
+from evetac_cli.errors import DeviceError
+
+Mode = Literal["current", "position"]
+CHECK_EVERY = 100  # commands between two that are answered
+RELEASE_TRIES = 5
+SET_UP_TRIES = 5
+SETTLE_S = 0.1  # while setting up there is time to wait for an answer that is late
+_PRESENT = REGISTERS["Present Current"].address
+_PRESENT_SIZE = REGISTERS["Present Position"].address + REGISTERS["Present Position"].size - _PRESENT
+_GOAL = {"current": "Goal Current", "position": "Goal Position"}
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class RhP12RnSettings:
+    """How a gripper is set up; None for max_current_ma is the device's own limit."""
+
+    id: int = 1
+    p_gain: int = 50  # register Position P Gain (paper: K_p)
+    max_current_ma: int | None = None
+    first_tick: int = 0  # open
+    last_tick: int = 740  # closed, with the maker's fingers; wider ones meet before
+    watchdog_ms: int = 100
+    return_delay_us: int | None = 0  # None leaves the device's
+    answer_ms: float = ANSWER_MS
+
+    def __post_init__(self) -> None:
+        watchdog = range(WATCHDOG_MS, 127 * WATCHDOG_MS + 1, WATCHDOG_MS)
+        delay = range(0, 254 * RETURN_DELAY_US + 1, RETURN_DELAY_US)
+        for name, valid, expected in (
+            ("id", 0 <= self.id <= 252, "0 to 252"),
+            ("p_gain", 0 <= self.p_gain <= 32767, "0 to 32767"),
+            ("max_current_ma", self.max_current_ma is None or self.max_current_ma > 0, "more than 0"),
+            ("last_tick", self.first_tick < self.last_tick, f"more than first_tick {self.first_tick}"),
+            ("watchdog_ms", self.watchdog_ms in watchdog, f"a multiple of {WATCHDOG_MS}, at most {watchdog[-1]}"),
+            ("return_delay_us", self.return_delay_us is None or self.return_delay_us in delay, "0, 2, ... 508"),
+            ("answer_ms", 0 < self.answer_ms < float("inf"), "more than 0"),
+        ):
+            if not valid:
+                raise ValueError(f"{name} must be {expected}, found {getattr(self, name)}")
+
+
+class RhP12Rn(AbstractContextManager["RhP12Rn"]):
+    """A gripper, with torque on from here to `close`; also a context manager."""
+
+    def __init__(
+        self,
+        port: str,
+        baud: int = 2_000_000,
+        mode: Mode = "current",
+        settings: RhP12RnSettings = RhP12RnSettings(),  # frozen: may be shared
+    ) -> None:
+        """Open the port, set the gripper up, switch torque on: at 0 mA, or at its present position.
+
+        DeviceError or DeviceTimeout if it is not there, not this model, or has a hardware error.
+        """
+        if mode not in _GOAL:
+            raise ValueError(f"mode must be current or position, found {mode!r}")
+        self._mode, self._settings = mode, settings
+        self._closed = False
+        self._clamped = self._commands = 0
+        self._alone = threading.RLock()  # at the end of a program another thread may be in the middle of a command
+        self._process = os.getpid()  # a child process that inherits this object must not touch the gripper
+        self._watched = False
+        self._spoken_s = time.monotonic()
+        self._silent_ms = 0.0  # the longest silence since a command was answered
+        self._bus = Bus(port, baud, settings.id, answer_ms=settings.answer_ms)
+        close_at_exit(self)
+        try:
+            self._bus.settle_s = SETTLE_S
+            self.described: Mapping[str, Any] = self._set_up_soundly()
+            self._bus.settle_s = 0.0
+        except BaseException:
+            self._release()
+            self._end()
+            raise
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """Losses so far: answers_lost, answers_damaged, answers_stray, commands_clamped."""
+        return {**self._bus.counted, "commands_clamped": self._clamped}
+
+    def read(self) -> GripperReading:
+        """Present current (mA) and position (ticks), in one transaction."""
+        data = self._attempt(lambda: self._bus.read_bytes(_PRESENT, _PRESENT_SIZE))
+        current_ma, position = REGISTERS["Present Current"], REGISTERS["Present Position"]
+        return GripperReading(
+            float(current_ma.decode(data[: current_ma.size])), position.decode(data[-position.size :])
+        )
+
+    def write_current(self, current_ma: int) -> None:
+        """Set the goal current in mA, clamped to the limit; only in current mode."""
+        self._command("current", current_ma, -self._limit_ma, self._limit_ma)
+
+    def write_position(self, goal_ticks: int) -> None:
+        """Set the goal position in ticks, clamped to the range; only in position mode."""
+        self._command("position", goal_ticks, *self._range_ticks)
+
+    def close(self) -> None:
+        """Current 0, torque off, port closed; a second call does nothing. DeviceError if torque may still be on."""
+        if os.getpid() != self._process:
+            return
+        with self._alone:
+            if self._closed:
+                return
+            try:
+                released = self._release()
+            finally:
+                self._end()
+        if not released:
+            raise DeviceError(self._still_on(), where=self._where, hint="switch 24 V off")
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def _where(self) -> str:
+        return f"gripper at {self._bus.port}"
+
+    # Setting up
+
+    def _set_up_soundly(self) -> dict[str, Any]:
+        """Set up until no answer was lost on the way: one that came late may have been taken for another's."""
+        written: dict[str, list[int]] = {}
+        for _ in range(SET_UP_TRIES):
+            before = sum(self._bus.counted.values())
+            described = self._set_up(written)
+            if sum(self._bus.counted.values()) == before:
+                return described
+            time.sleep(SETTLE_S)
+        raise DeviceError(
+            "answers are lost all the time",
+            where=self._where,
+            expected=f"a set-up without loss in {SET_UP_TRIES} tries",
+            found=", ".join(f"{name} {count}" for name, count in self._bus.counted.items()),
+            hint="check cable, power and ground",
+        )
+
+    def _set_up(self, written: dict[str, list[int]]) -> dict[str, Any]:
+        bus, settings = self._bus, self._settings
+        check_model(bus.ping(), self._where)
+        bus.send("Status Return Level", 2)  # else it may not answer what follows
+        bus.write("Bus Watchdog", 0)  # one that tripped would refuse all that follows
+        bus.write("Torque Enable", 0)
+        needed = {"Operating Mode": CURRENT_MODE if self._mode == "current" else POSITION_MODE}
+        if settings.return_delay_us is not None:
+            needed["Return Delay Time"] = settings.return_delay_us // RETURN_DELAY_US
+        for name, value in needed.items():
+            if (before := bus.read(name)) != value:
+                bus.write(name, value)
+                written[name] = [before, value]
+        limit_ma = bus.read("Current Limit")
+        self._limit_ma = min(limit_ma, settings.max_current_ma or limit_ma)
+        lowest, highest = bus.read("Min Position Limit"), bus.read("Max Position Limit")
+        self._range_ticks = max(lowest, settings.first_tick), min(highest, settings.last_tick)
+        if self._range_ticks[0] >= self._range_ticks[1]:
+            raise DeviceError(
+                "the gripper's own position limits leave no room",
+                where=self._where,
+                expected=f"limits that overlap {settings.first_tick} to {settings.last_tick} ticks",
+                found=f"{lowest} to {highest}",
+            )
+        if self._mode == "position":
+            bus.write("Position P Gain", settings.p_gain)
+            bus.write("Goal Current", self._limit_ma)
+            bus.write("Goal Position", min(max(bus.read("Present Position"), lowest), highest))
+        else:
+            bus.write("Goal Current", 0)
+        bus.write("Torque Enable", 1)
+        return {
+            "model": "RH-P12-RN(A)",
+            "firmware": bus.read("Firmware Version"),
+            "id": settings.id,
+            "baud": bus.baud,
+            "mode": self._mode,
+            "p_gain": bus.read("Position P Gain"),
+            "current_limit_ma": self._limit_ma,
+            "range_ticks": list(self._range_ticks),
+            "watchdog_ms": settings.watchdog_ms,
+            "return_delay_us": bus.read("Return Delay Time") * RETURN_DELAY_US,
+            "eeprom_written": written,
+        }
+
+    # Commands
+
+    def _command(self, mode: Mode, value: int, low: int, high: int) -> None:
+        if mode != self._mode:
+            raise DeviceError(f"a {mode} for a gripper opened in {self._mode} mode", where=self._where)
+        goal = min(max(operator.index(value), low), high)
+        self._clamped += goal != value
+        self._attempt(lambda: self._put(goal))
+        self._commands += 1
+
+    def _put(self, goal: int) -> None:
+        """A command; with an answer every so often, and after a silence that may have tripped the watchdog."""
+        name = _GOAL[self._mode]
+        if not self._watched:
+            self._bus.write("Bus Watchdog", self._settings.watchdog_ms // WATCHDOG_MS)
+            self._watched = True
+        elif self._commands % CHECK_EVERY and self._silent_ms < 0.5 * self._settings.watchdog_ms:
+            self._bus.send(name, goal)
+            return
+        try:
+            self._bus.write(name, goal)
+        except Refused as refused:
+            if refused.fault == RANGE_FAULT and self._bus.read("Bus Watchdog") == WATCHDOG_TRIPPED:
+                raise DeviceError(
+                    "the gripper's bus watchdog has tripped and stopped it",
+                    where=self._where,
+                    expected=f"a command at least every {self._settings.watchdog_ms} ms",
+                    found=f"{self._silent_ms:.0f} ms of silence at most, as seen from here",
+                    hint="is the computer overloaded?",
+                ) from refused
+            raise
+        self._silent_ms = 0.0
+
+    def _attempt(self, action: Callable[[], _T]) -> _T:
+        """Do it; on any failure the gripper is let go of, and the error says so."""
+        with self._alone:
+            if self._closed:
+                raise DeviceError("the gripper is closed", where=self._where)
+            self._silent_ms = max(self._silent_ms, (time.monotonic() - self._spoken_s) * 1e3)
+            try:
+                result = action()
+            except DeviceError as error:
+                after = "torque is off" if self._release() else self._still_on()
+                self._end()
+                raise type(error)(f"{error}\n  then:     {after}") from error
+            self._spoken_s = time.monotonic()
+            return result
+
+    # Letting go
+
+    def _still_on(self) -> str:
+        watched = f"its watchdog stops it after {self._settings.watchdog_ms} ms"
+        return f"torque could not be switched off; {watched if self._watched else 'it was not commanded yet'}"
+
+    def _release(self) -> bool:
+        """Current 0 and torque off; whether the gripper has confirmed it."""
+        self._bus.tolerant = True
+        for _ in range(RELEASE_TRIES):
+            try:
+                self._bus.send("Goal Current", 0)
+                self._bus.write("Torque Enable", 0)
+                if self._bus.read("Torque Enable") == 0:
+                    self._bus.write("Bus Watchdog", 0)
+                    return True
+            except PortGone:
+                return False
+            except DeviceError:
+                self._bus.settle_s = SETTLE_S
+        return False
+
+    def _end(self) -> None:
+        self._bus.close()
+        self._closed = True
+        closed(self)
+
+
+def check_model(model: int, where: str) -> None:
+    """DeviceError unless the model number is that of an RH-P12-RN(A)."""
+    if model == MODEL_NUMBER:
+        return
+    older = "the older RH-P12-RN, whose control table is another" if model == OLD_MODEL_NUMBER else "another device"
+    raise DeviceError(
+        "this driver is for the RH-P12-RN(A)",
+        where=where,
+        expected=f"model number {MODEL_NUMBER}",
+        found=f"{model}: {older}",
+    )
+
+
+def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms: float = ANSWER_MS) -> None:
+    """Set the gripper's rate in its EEPROM, torque off, and find it again; nothing is written if it has that rate.
+
+    What it holds may fall. DeviceError if it does not answer at the new rate; ValueError if there is no such rate.
+    """
+    code = baud_code(new_baud)
+    with Bus(port, baud, id_, answer_ms=answer_ms) as bus:
+        bus.settle_s, bus.tolerant = SETTLE_S, True
+        check_model(bus.ping(), f"gripper at {port}")
+        bus.write("Torque Enable", 0)
+        if bus.read("Baud Rate") != code:
+            try:
+                bus.write("Baud Rate", code)
+            except Refused:
+                raise
+            except DeviceError:
+                pass  # the answer may already have come at the new rate: the ping below tells
+    with Bus(port, new_baud, id_, answer_ms=answer_ms) as bus:
+        bus.tolerant = True
+        bus.ping()

@@ -1,0 +1,331 @@
+"""One Dynamixel device on a serial port, through the maker's dynamixel-sdk: registers by name, losses counted.
+
+The only module that imports dynamixel_sdk. A lost or damaged answer is asked for once more and counted; then it is an
+error. A bus belongs to one thread.
+
+Why so: the SDK's port is given other habits. It sleeps for an answer where the SDK's would burn a core; it gives up
+after `answer_ms` where the SDK's takes 34 ms; it is locked, so that two programs cannot talk at once; it leaves the
+servo a pause after what is not answered. And whatever breaks off a transaction, the port is free for the next.
+"""
+
+import select
+import termios
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import NamedTuple
+
+import serial
+from dynamixel_sdk import (
+    COMM_RX_CORRUPT,
+    COMM_SUCCESS,
+    INST_PING,
+    INST_READ,
+    INST_REBOOT,
+    INST_WRITE,
+    PortHandler,
+    Protocol2PacketHandler,
+)
+
+from evetac_cli.devices.rh_p12_rn.control_table import BAUD_RATES, REGISTERS, hardware_errors
+from evetac_cli.errors import DeviceError, DeviceTimeout
+
+ANSWER_MS = 20.0  # beyond the time on the wire; a serial adapter at its usual latency timer answers after 16 ms
+WRITE_S = 1.0  # a port that takes no bytes for so long is broken
+WARY_S = 2.0  # after a lost answer
+FOLLOWS_S = 1e-3  # an answer follows its question within this, and the time on the wire
+LONGEST_ANSWER = 40  # bytes, with its question
+PAUSE_S = 100e-6  # servos miss what follows too closely on an instruction without answer
+SDK_RATES = tuple(rate for rate in BAUD_RATES.values() if rate <= 4_000_000)
+_FAULTS = {
+    1: "could not carry it out",
+    2: "does not know the instruction",
+    3: "received a wrong checksum",
+    4: "says the value is out of range",
+    5: "says the length is wrong",
+    6: "says the value is beyond a limit",
+    7: "says the register cannot be accessed now",
+}
+CRC_FAULT, RANGE_FAULT = 3, 4
+_BROKEN = (OSError, termios.error)  # what a port that has gone raises; serial.SerialException is an OSError
+_SYSFS = Path("/sys/bus/usb-serial/devices")
+
+
+class Refused(DeviceError):
+    """The servo answered that it did not do what it was asked; `fault` is its error number."""
+
+    fault = 0
+
+
+class HardwareAlert(DeviceError):
+    """The servo has a hardware error."""
+
+
+class PortGone(DeviceError):
+    """The port is no longer there."""
+
+
+class _Port(PortHandler):  # type: ignore[misc]
+    """The SDK's port with other habits; the methods' names are the SDK's."""
+
+    is_open: bool
+    packet_timeout: float
+
+    def __init__(self, name: str, answer_ms: float) -> None:
+        super().__init__(name)
+        self._answer_ms = answer_ms
+        self._pause_until_s = 0.0
+        self._heard_s = 0.0
+        self._wary_until_s = 0.0
+        self.strays = 0  # answers that came when nobody waited for them
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        if self.is_open:
+            self.closePort()
+        self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, write_timeout=WRITE_S, exclusive=True)
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 10_000.0 / self.baudrate
+        return True
+
+    def getCurrentTime(self) -> float:
+        return time.monotonic() * 1000.0
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self._answer_ms)
+
+    def be_wary(self) -> None:
+        """An answer was lost and may still come: for a while, see whether another follows the one that was taken.
+
+        Else the next question would get the answer to this one, and so on for as long as questions follow closely.
+        """
+        self._wary_until_s = time.monotonic() + WARY_S
+
+    def clearPort(self) -> None:
+        if time.monotonic() < self._wary_until_s:
+            left_s = self._heard_s + FOLLOWS_S + LONGEST_ANSWER * self.tx_time_per_byte * 1e-3 - time.monotonic()
+            time.sleep(max(left_s, 0.0))
+        if self.ser.in_waiting:
+            self.strays += 1
+        super().clearPort()
+
+    def writePort(self, packet: list[int]) -> int:
+        early_s = self._pause_until_s - time.monotonic()
+        if early_s > 0:
+            time.sleep(early_s)
+        return int(self.ser.write(bytes(packet)))
+
+    def readPort(self, length: int) -> bytes:
+        if length <= 0:
+            return b""
+        if not self.ser.in_waiting:
+            left_ms = self.packet_timeout - self.getTimeSinceStart()
+            select.select([self.ser.fileno()], [], [], max(left_ms, 0.0) * 1e-3 + PAUSE_S)
+        data = bytes(self.ser.read(length))
+        if data:
+            self._heard_s = time.monotonic()
+        return data
+
+    def pause_after(self, size: int) -> None:
+        """Send nothing until so many bytes are on the wire and the servo had time to take them."""
+        self._pause_until_s = time.monotonic() + size * self.tx_time_per_byte * 1e-3 + PAUSE_S
+
+
+class Bus(AbstractContextManager["Bus"]):
+    """A device with an id on a port at a rate; registers by the names of the control table."""
+
+    def __init__(self, port: str, baud: int, id_: int = 1, *, answer_ms: float = ANSWER_MS) -> None:
+        """Open the port; DeviceError if it is not there, not permitted, in use, or cannot be set to the rate."""
+        self.port, self.baud, self.id = port, baud, id_
+        self.tolerant = False  # go on in spite of a hardware error of the device
+        self.settle_s = 0.0  # wait so long after a lost answer, lest it be taken for that to the next question
+        self._counted = {"answers_lost": 0, "answers_damaged": 0}
+        self._packets = Protocol2PacketHandler()
+        self._port = _Port(port, answer_ms)
+        where = f"gripper at {port}"
+        try:
+            opened = self._port.setBaudRate(baud)
+        except (*_BROKEN, ValueError) as error:
+            raise _not_opened(where, error) from error
+        if not opened:
+            rates = ", ".join(map(str, SDK_RATES))
+            raise DeviceError("no such baud rate", where=where, expected=f"one of {rates}", found=str(baud))
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """Losses so far: answers_lost, answers_damaged, answers_stray (came too late, and were not used)."""
+        return {**self._counted, "answers_stray": self._port.strays}
+
+    def ping(self) -> int:
+        """The device's model number."""
+        return int.from_bytes(self._answered(INST_PING, b"", 3, "ping")[:2], "little")
+
+    def read(self, name: str) -> int:
+        """A register's value."""
+        register = REGISTERS[name]
+        return register.decode(self.read_bytes(register.address, register.size))
+
+    def read_bytes(self, address: int, size: int) -> bytes:
+        """Bytes of consecutive registers in one transaction."""
+        asked = address.to_bytes(2, "little") + size.to_bytes(2, "little")
+        return self._answered(INST_READ, asked, size, f"read {size} bytes at {address}")
+
+    def write(self, name: str, value: int) -> None:
+        """Set a register, with an answer."""
+        register = REGISTERS[name]
+        data = register.address.to_bytes(2, "little") + register.encode(value)
+        self._answered(INST_WRITE, data, 0, f"write {value} to {name}")
+
+    def send(self, name: str, value: int) -> None:
+        """Set a register without an answer, by a sync write to this device alone: half the traffic."""
+        register = REGISTERS[name]
+        row = [self.id, *register.encode(value)]
+        try:
+            result = self._packets.syncWriteTxOnly(self._port, register.address, register.size, row, len(row))
+        except _BROKEN as error:
+            raise self._gone(error) from error
+        finally:
+            self._port.is_using = False
+        self._port.pause_after(len(row) + 14)
+        if result != COMM_SUCCESS:
+            raise DeviceError(f"the port did not take the write of {value} to {name}", where=self._where)
+
+    def reboot(self) -> None:
+        """Restart the device: torque off, hardware error cleared."""
+        self._answered(INST_REBOOT, b"", 0, "reboot")
+
+    def everyone(self) -> dict[int, tuple[int, int]]:
+        """Model number and firmware of every device on the bus by id, by a broadcast ping (about 0.8 s)."""
+        try:
+            found, _ = self._packets.broadcastPing(self._port)
+        except _BROKEN as error:
+            raise self._gone(error) from error
+        finally:
+            self._port.is_using = False
+        return {id_: (model, firmware) for id_, (model, firmware) in found.items()}
+
+    def close(self) -> None:
+        """Close the port; a second call does nothing."""
+        if self._port.is_open:
+            try:
+                self._port.closePort()
+            except _BROKEN:
+                self._port.is_open = False
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def _where(self) -> str:
+        return f"gripper {self.id} at {self.port}, {self.baud} baud"
+
+    def _answered(self, instruction: int, parameters: bytes, size: int, what: str) -> bytes:
+        """Data of the answer to an instruction, of `size` bytes; asked for twice at most."""
+        lost = "answers_lost"
+        for _ in range(2):
+            packet, result, error = self._once(instruction, parameters)
+            # an answer of another length belongs to an earlier question
+            if result == COMM_SUCCESS and packet[5] | packet[6] << 8 == size + 4 and error & 0x7F != CRC_FAULT:
+                self._judge(error, what)
+                return bytes(packet[9 : 9 + size])
+            if result == COMM_SUCCESS and error & 0x7F not in (0, CRC_FAULT):
+                self._judge(error, what)
+            lost = "answers_damaged" if result in (COMM_SUCCESS, COMM_RX_CORRUPT) else "answers_lost"
+            self._counted[lost] += 1
+            self._port.be_wary()
+            time.sleep(self.settle_s)
+        if lost == "answers_damaged":
+            raise DeviceError(f"damaged answers to: {what}", where=self._where, hint="check the cable and its length")
+        raise DeviceTimeout(
+            f"no answer to: {what}",
+            where=self._where,
+            expected="an answer at the first or second try",
+            hint="are 24 V on, id and baud rate right? evetac doctor looks for it",
+        )
+
+    def _once(self, instruction: int, parameters: bytes) -> tuple[list[int], int, int]:
+        length = len(parameters) + 3
+        packet = [0, 0, 0, 0, self.id, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
+        try:
+            answer, result, error = self._packets.txRxPacket(self._port, packet)
+        except _BROKEN as broken:
+            raise self._gone(broken) from broken
+        finally:
+            self._port.is_using = False
+        return answer or [], result, error
+
+    def _judge(self, error: int, what: str) -> None:
+        fault = error & 0x7F
+        if fault:
+            refused = Refused(f"the gripper {_FAULTS.get(fault, f'gives error {fault}')}: {what}", where=self._where)
+            refused.fault = fault
+            raise refused
+        if error & 0x80 and not self.tolerant:
+            self.tolerant = True
+            try:
+                named = hardware_errors(self.read("Hardware Error Status"))
+            finally:
+                self.tolerant = False
+            raise HardwareAlert(
+                f"hardware error: {', '.join(named) or 'unnamed'}",
+                where=self._where,
+                hint="remove the cause; switching 24 V off and on clears it",
+            )
+
+    def _gone(self, error: BaseException) -> PortGone:
+        return PortGone(
+            "the port is gone: unplugged?",
+            where=self._where,
+            found=str(error) or type(error).__name__,
+            hint="plug it in again; evetac doctor looks for it",
+        )
+
+
+def _not_opened(where: str, error: BaseException) -> DeviceError:
+    """Why a port cannot be opened, in words."""
+    number = getattr(error, "errno", None)
+    if number == 2 or "No such file" in str(error):
+        return DeviceError("there is no such port", where=where, hint="evetac doctor lists what is plugged in")
+    if number == 13:
+        hint = "sudo usermod -aG dialout $USER, then log in again; or evetac doctor --print-udev"
+        return DeviceError("no permission to open the port", where=where, hint=hint)
+    if number in (11, 16) or "exclusively lock" in str(error):
+        return DeviceError("the port is in use by another program", where=where, hint="end that program")
+    return DeviceError("the port cannot be opened", where=where, found=str(error))
+
+
+class Found(NamedTuple):
+    """A device that answered."""
+
+    baud: int
+    id: int
+    model: int
+
+
+def scan(
+    port: str, bauds: Iterable[int] = SDK_RATES, ids: Iterable[int] = (1,), *, answer_ms: float = ANSWER_MS
+) -> list[Found]:
+    """Ping every id at every rate, and list who answers; reads only. DeviceError if the port cannot be opened."""
+    asked = list(ids)
+    found = []
+    for baud in bauds:
+        for id_ in asked:
+            with Bus(port, baud, id_, answer_ms=answer_ms) as bus:
+                try:
+                    bus.tolerant = True
+                    found.append(Found(baud, id_, bus.ping()))
+                except PortGone:
+                    raise
+                except DeviceError:
+                    continue
+    return found
+
+
+def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
+    """How long the USB adapter of a port holds back an answer (16 by default, 1 is needed); None if it has no timer."""
+    file = sysfs / Path(port).resolve().name / "latency_timer"
+    try:
+        return int(file.read_text())
+    except (OSError, ValueError):
+        return None

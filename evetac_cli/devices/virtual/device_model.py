@@ -1,0 +1,210 @@
+"""What is inside a virtual DVXplorer Mini, behind its USB: registers, the stream of words, and what goes wrong.
+
+Why so: crop, flip and flatten change events, not words, so a camera that was told to do so decodes what its source
+sends and encodes what is left; all others pass words through.
+"""
+
+import time
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.devices.dvxplorer import event_words, protocol
+from evetac_cli.devices.dvxplorer.protocol import Generation
+from evetac_cli.devices.virtual.camera_faults import fault
+from evetac_cli.events import FRAME_PX, Events
+
+DEFAULT_FLUSH_US = 2000
+_DAMAGED_SHARE = 0.02
+_BURST_BYTES = 16  # zeros fill the last one of a transfer
+_LONGEST_WAIT_S = 0.05  # after which a waiting transfer looks whether the camera was unplugged
+
+
+class WordSource(Protocol):
+    """Where the words of a virtual camera come from."""
+
+    def run(self, on: bool) -> None:
+        """Let time pass, or stand still."""
+
+    def take(self, most: int, timeout_s: float) -> bytes:
+        """At most so many bytes of little-endian words, as they come; b"" if none came in time."""
+
+
+class Body:
+    """A camera without its USB; see VirtualDvxplorer for what it is made of."""
+
+    def __init__(self, source: WordSource, firmware: int, faults: tuple[str, ...], fifo_bytes: int) -> None:
+        self.generation = protocol.generation(firmware)
+        self.halted = False  # the data endpoint
+        self.overflowed = 0  # words that nobody fetched in time
+        self._source = source
+        self._faults = [fault(text) for text in faults]
+        self._done: set[str] = set()  # faults that happen once, and did
+        self._random = np.random.default_rng(0)
+        self._registers = _registers(self.generation)
+        self._fifo = bytearray()
+        self._fifo_bytes = fifo_bytes
+        self._part = b""  # of a word that the source has not sent whole
+        self._ran_s: float | None = None  # host time of the first RUN
+        self._runs = False
+        self._sent_s = 0.0  # host time of the last transfer
+        self._eye = event_words.start()  # of a camera that alters what it sees
+
+    def has(self, name: str) -> bool:
+        """Whether a fault lasts now; those before RUN always do."""
+        now_s = -1.0 if self._ran_s is None else time.monotonic() - self._ran_s
+        return any(each.name == name and (each.before_run or each.at(now_s)) for each in self._faults)
+
+    def once(self, name: str) -> bool:
+        """Whether a fault that happens once is due; it is not again."""
+        due = name not in self._done and self.has(name)
+        if due:
+            self._done.add(name)
+        return due
+
+    def _hits(self, name: str) -> bool:
+        """Whether a fault that alters words does so now: while it lasts, or later if no words came in that time."""
+        now_s = -1.0 if self._ran_s is None else time.monotonic() - self._ran_s
+        missed = name not in self._done and any(each.name == name and now_s >= each.start_s for each in self._faults)
+        hits = missed or self.has(name)
+        if hits:
+            self._done.add(name)
+        return hits
+
+    def read(self, module: int, parameter: int) -> int | None:
+        """Value of a parameter; None if there is no such."""
+        return self._registers.get((module, parameter))
+
+    def write(self, module: int, parameter: int, value: int) -> bool:
+        """Set a parameter; False if there is no such, or it can only be read."""
+        if (module, parameter) not in self._registers or (module == protocol.DVS and parameter < protocol.RUN):
+            return False
+        self._registers[module, parameter] = value
+        if self.generation is Generation.PARAMETERS and (module, parameter) == (protocol.DVS, protocol.RUN):
+            self._run(value != 0)
+        elif (module, parameter) == (protocol.SENSOR, protocol.SENSOR_MODE):
+            self._run(value == protocol.STREAM)
+        return True
+
+    def flush_stale(self) -> None:
+        """Forget words of earlier runs."""
+        self._fifo.clear()
+
+    def power_off(self) -> None:
+        """Stop, as when the plug is pulled."""
+        self._run(False)
+
+    def transfer(self, most: int, timeout_s: float) -> bytes:
+        """What one bulk transfer brings: when it is full, or when the flush time has passed; b"" if nothing in time."""
+        end_s = time.monotonic() + timeout_s
+        while self._fill(0.0):  # what came while nobody asked lies in a real camera's buffer
+            pass
+        while True:
+            now_s = time.monotonic()
+            flush_s = self._sent_s + 1e-6 * self._flush_us
+            if len(self._fifo) >= most or (self._fifo and now_s >= flush_s):
+                break
+            if now_s >= end_s or self.has("unplug") or self.halted:
+                return b""
+            if self._fifo:
+                time.sleep(max(0.0, min(flush_s, end_s) - now_s))
+                self._fill(0.0)
+            else:
+                self._fill(min(end_s - now_s, _LONGEST_WAIT_S))
+        if self.has("odd"):
+            most = min(most, (max(len(self._fifo), 2) - 2) | 1)
+        sent = bytes(self._fifo[:most])
+        del self._fifo[:most]
+        self._sent_s = time.monotonic()
+        if len(sent) > 3 and self.once("torn"):
+            return sent[:-3]
+        return sent if len(sent) % 4 else sent + bytes(min(-len(sent) % _BURST_BYTES, most - len(sent)))
+
+    @property
+    def _flush_us(self) -> int:
+        if self.generation is Generation.PARAMETERS and self._registers[protocol.DVS, protocol.MIPI_TIMEOUT_ON]:
+            return self._registers[protocol.DVS, protocol.MIPI_TIMEOUT_US]
+        return DEFAULT_FLUSH_US
+
+    def _run(self, on: bool) -> None:
+        if on == self._runs:
+            return
+        if on and self._ran_s is None:
+            self._ran_s = time.monotonic()
+        self._runs = on
+        self._source.run(on)
+
+    def _fill(self, timeout_s: float) -> bool:
+        """Move words from the source into the buffer, through what is wrong with the camera; the oldest overflow.
+
+        False if none came in time.
+        """
+        if not self._runs:
+            time.sleep(timeout_s)
+            return False
+        data = self._part + self._source.take(self._fifo_bytes, timeout_s)
+        whole = len(data) // 4 * 4
+        self._part = data[whole:]
+        if not whole or self._hits("silence"):
+            return whole > 0
+        words = np.frombuffer(data, "<u4", whole // 4)
+        if self._hits("lost-timestamps"):
+            words = words[words >> 26 != 2]
+        if self._hits("damage"):
+            hit = self._random.random(len(words)) < _DAMAGED_SHARE
+            words = np.where(hit, self._random.integers(0, 1 << 32, len(words), np.uint32), words)
+        self._fifo += self._altered(words).astype("<u4", copy=False).tobytes()
+        over = (len(self._fifo) - self._fifo_bytes + 3) // 4
+        if over > 0:
+            self.overflowed += over
+            del self._fifo[: 4 * over]
+        return True
+
+    def _altered(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """Words of what is left after crop, flip and flatten, as the registers of firmware 10 say."""
+        if self.generation is Generation.REGISTERS:
+            return words
+        x0, y0, width, height = (self._registers[protocol.DVS, protocol.CROP + k] for k in range(4))
+        flip_x, flip_y, flatten = (
+            self._registers[protocol.DVS, parameter]
+            for parameter in (protocol.FLIP_X, protocol.FLIP_Y, protocol.FLATTEN)
+        )
+        if (x0, y0, width, height, flip_x, flip_y, flatten) == (0, 0, *FRAME_PX, 0, 0, 0):
+            return words
+        events = event_words.step(self._eye, words.astype("<u4", copy=False).tobytes())
+        kept = (events.x >= x0) & (events.x < x0 + width) & (events.y >= y0) & (events.y < y0 + height)
+        if flatten in (2, 3):
+            kept &= events.p == (flatten == 2)
+        x = FRAME_PX[0] - 1 - events.x if flip_x else events.x
+        y = FRAME_PX[1] - 1 - events.y if flip_y else events.y
+        p = np.ones_like(events.p) if flatten else events.p
+        return event_words.encode(Events(events.t[kept], x[kept], y[kept], p[kept]), first_ms=0)
+
+
+def _registers(generation: Generation) -> dict[tuple[int, int], int]:
+    """Parameters that exist, at power-up."""
+    width, height = FRAME_PX
+    if generation is Generation.PARAMETERS:
+        zero = {(protocol.DVS, k): 0 for k in range(26)} | {(protocol.IMU, k): 0 for k in range(11)}
+        return zero | {
+            (protocol.DVS, protocol.COLUMNS): width,
+            (protocol.DVS, protocol.ROWS): height,
+            (protocol.DVS, protocol.MIPI_TIMEOUT_ON): 1,
+            (protocol.DVS, protocol.MIPI_TIMEOUT_US): DEFAULT_FLUSH_US,
+            (protocol.DVS, protocol.CROP + 2): width,
+            (protocol.DVS, protocol.CROP + 3): height,
+        }
+    zero = {(protocol.DVS, k): 0 for k in (2, 3, 0x50)} | {(protocol.IMU, k): 0 for k in range(11)}
+    zero |= {(protocol.SYSTEM, k): 0 for k in range(8)} | {(0, 0x50): 0, (4, 10): 0}
+    zero |= {(protocol.SENSOR, register): 0 for register in (*range(0x20), *range(0x3000, 0x3600))}
+    return zero | {
+        (protocol.DVS, protocol.COLUMNS): width,
+        (protocol.DVS, protocol.ROWS): height,
+        (protocol.SYSTEM, 0): 18,  # logic version and patch that the maker's driver asks for
+        (protocol.SYSTEM, 1): 20,
+        (protocol.SYSTEM, 7): 2,
+        (protocol.SENSOR, 0x3255): 0x0C,
+        (protocol.SENSOR, 0x3067): 0x80,
+        (protocol.SENSOR, 0x3200): 0x02,
+    }

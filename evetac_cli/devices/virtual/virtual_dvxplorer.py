@@ -1,0 +1,231 @@
+"""The virtual twin of a DVXplorer Mini: a backend of pyusb with one camera on its bus, of either protocol generation.
+
+It answers as the real one does, as far as that is known: descriptors, vendor requests with their lengths, registers, a
+stream only while it runs, transfers that are sent when they are full or when the flush time has passed. Words come from
+a source: anything with `run(on)` and `take(most, timeout_s) -> bytes` of little-endian words.
+
+Why so: the driver, pyusb and all, runs against it unchanged. Not known of the real camera, and assumed here: 1024-byte
+packets, a buffer of 512 KiB (the memory of its USB chip) whose oldest words go first, no words of a run that was
+stopped once stale data were flushed.
+"""
+
+import errno
+import time
+from array import array
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import usb.backend
+import usb.core
+
+from evetac_cli.devices.dvxplorer import protocol
+from evetac_cli.devices.dvxplorer.protocol import Generation
+from evetac_cli.devices.virtual.device_model import Body, WordSource
+from evetac_cli.devices.virtual.word_sources import PreparedWords as PreparedWords
+
+FIFO_BYTES = 512 << 10
+STORE_TO_FLASH = 0xC7  # obeyed, and logged; the driver does not know it
+_STRINGS = ("iniVation", "DVXplorer Mini")
+_LOG_PACKET = b"\x00\x07\x40\xe2\x01\x00sensor fault\0"
+
+
+def _fail(what: str, number: int, code: int) -> NoReturn:
+    kind = usb.core.USBTimeoutError if number == errno.ETIMEDOUT else usb.core.USBError
+    raise kind(what, code, number)
+
+
+class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
+    """One camera and its bus; pass it as `backend` to DvxplorerCamera.
+
+    firmware: 10 takes 8-byte values, 9 and before 4-byte ones; board: 4 for a Mini; faults: see virtual_faults.
+    `log` holds every vendor request that was obeyed: (request, value, index, data).
+    """
+
+    def __init__(
+        self,
+        source: WordSource,
+        firmware: int = 10,
+        serial: str = "DXM00042",
+        faults: tuple[str, ...] = (),
+        board: int = protocol.MINI_BOARD,
+        fifo_bytes: int = FIFO_BYTES,
+    ) -> None:
+        super().__init__()
+        self._firmware = firmware
+        self._board = board
+        self._strings = ("\u0409", *_STRINGS, serial)
+        self._configuration = 1
+        self._body = Body(source, firmware, faults, fifo_bytes)
+        self.log: list[tuple[int, int, int, bytes]] = []
+
+    @property
+    def overflowed(self) -> int:
+        """Words that were lost because nobody fetched them in time."""
+        return self._body.overflowed
+
+    # What pyusb asks of a bus.
+
+    def enumerate_devices(self) -> Iterator[Any]:
+        """The one device, unless it is unplugged."""
+        if not self._body.has("unplug"):
+            yield self
+
+    def get_parent(self, dev: Any) -> None:
+        """No hub is known."""
+
+    def get_device_descriptor(self, dev: Any) -> Any:
+        """What lsusb would show."""
+        return SimpleNamespace(
+            bLength=18,
+            bDescriptorType=1,
+            bcdUSB=0x0300,
+            bDeviceClass=0,
+            bDeviceSubClass=0,
+            bDeviceProtocol=0,
+            bMaxPacketSize0=9,
+            idVendor=protocol.VENDOR,
+            idProduct=protocol.PRODUCT,
+            bcdDevice=self._board << 8 | self._firmware,
+            iManufacturer=1,
+            iProduct=2,
+            iSerialNumber=3,
+            bNumConfigurations=1,
+            address=2,
+            bus=9,
+            port_number=1,
+            port_numbers=(1,),
+            speed=3 if self._body.has("usb2") else 4,
+        )
+
+    def get_configuration_descriptor(self, dev: Any, config: int) -> Any:
+        """The one configuration."""
+        if config:
+            raise IndexError
+        numbers = {"bLength": 9, "bDescriptorType": 2, "wTotalLength": 32, "bNumInterfaces": 1}
+        numbers |= {"bConfigurationValue": 1, "iConfiguration": 0, "bmAttributes": 0x80, "bMaxPower": 112}
+        return SimpleNamespace(**numbers, extra_descriptors=[])
+
+    def get_interface_descriptor(self, dev: Any, intf: int, alt: int, config: int) -> Any:
+        """The one interface, without alternatives."""
+        if intf or alt:
+            raise IndexError
+        numbers = {"bLength": 9, "bDescriptorType": 4, "bInterfaceNumber": 0, "bAlternateSetting": 0}
+        numbers |= {"bNumEndpoints": 2, "bInterfaceClass": 255, "bInterfaceSubClass": 0, "bInterfaceProtocol": 0}
+        return SimpleNamespace(**numbers, iInterface=0, extra_descriptors=[])
+
+    def get_endpoint_descriptor(self, dev: Any, ep: int, intf: int, alt: int, config: int) -> Any:
+        """Bulk endpoint of the events and interrupt endpoint of the log."""
+        address, kind, packet = ((protocol.DATA_ENDPOINT, 2, 1024), (protocol.DEBUG_ENDPOINT, 3, 64))[ep]
+        numbers = {"bLength": 7, "bDescriptorType": 5, "bEndpointAddress": address, "bmAttributes": kind}
+        numbers |= {"wMaxPacketSize": packet, "bInterval": 1, "bRefresh": 0, "bSynchAddress": 0}
+        return SimpleNamespace(**numbers, extra_descriptors=[])
+
+    def open_device(self, dev: Any) -> Any:
+        """A handle: the camera itself."""
+        self._check()
+        if self._body.has("no-permission"):
+            _fail("Access denied (insufficient permissions)", errno.EACCES, -3)
+        return self
+
+    def close_device(self, dev_handle: Any) -> None:
+        """Nothing is held."""
+
+    def set_configuration(self, dev_handle: Any, config_value: int) -> None:
+        """Choose the configuration."""
+        self._check()
+        self._configuration = config_value
+
+    def get_configuration(self, dev_handle: Any) -> int:
+        """The configuration chosen."""
+        self._check()
+        return self._configuration
+
+    def claim_interface(self, dev_handle: Any, intf: int) -> None:
+        """Refused if another program has it."""
+        self._check()
+        if self._body.has("busy"):
+            _fail("Resource busy", errno.EBUSY, -6)
+
+    def release_interface(self, dev_handle: Any, intf: int) -> None:
+        """Nothing is held."""
+
+    def is_kernel_driver_active(self, dev_handle: Any, intf: int) -> bool:
+        """No driver of the kernel wants this camera."""
+        return False
+
+    def clear_halt(self, dev_handle: Any, ep: int) -> None:
+        """End a stall."""
+        self._check()
+        self._body.halted = self._body.has("stall-for-good")
+
+    def ctrl_transfer(
+        self,
+        dev_handle: Any,
+        bmRequestType: int,  # names of pyusb
+        bRequest: int,
+        wValue: int,
+        wIndex: int,
+        data: Any,
+        timeout: int,
+    ) -> int:
+        """A request to the camera; what it does not know it answers with a STALL."""
+        self._check()
+        if (bmRequestType, bRequest, wValue >> 8) == (0x80, 6, 3):
+            text = self._strings[wValue & 0xFF].encode("utf-16-le")
+            return _answer(data, bytes([len(text) + 2, 3]) + text)
+        if bmRequestType == protocol.READ and bRequest == protocol.CONFIG:
+            value = self._body.read(wValue, wIndex)
+            if value is not None and len(data) == self._body.generation.value:
+                return _answer(data, value.to_bytes(len(data), "big"))
+        elif bmRequestType == protocol.WRITE and self._obeys(bRequest, wValue, wIndex, bytes(data), timeout):
+            self.log.append((bRequest, wValue, wIndex, bytes(data)))
+            return len(data)
+        _fail("Pipe error", errno.EPIPE, -9)
+
+    def bulk_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
+        """One transfer of event words."""
+        self._check()
+        self._body.halted |= self._body.once("stall") or self._body.has("stall-for-good")
+        if self._body.halted:
+            _fail("Pipe error", errno.EPIPE, -9)
+        data = self._body.transfer(len(buff), timeout / 1000)
+        self._check()
+        if not data:
+            _fail("Operation timed out", errno.ETIMEDOUT, -7)
+        return _answer(buff, data)
+
+    def intr_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
+        """One packet of the debug endpoint."""
+        self._check()
+        if self._body.once("log"):
+            return _answer(buff, _LOG_PACKET)
+        time.sleep(timeout / 1000)
+        _fail("Operation timed out", errno.ETIMEDOUT, -7)
+
+    def _obeys(self, request: int, value: int, index: int, data: bytes, timeout_ms: int) -> bool:
+        """Carry out a vendor request to write; False if the camera knows no such."""
+        if request == protocol.CONFIG:
+            size = self._body.generation.value
+            return len(data) == size and self._body.write(value, index, int.from_bytes(data, "big"))
+        if self._body.generation is Generation.REGISTERS:
+            return False
+        if request == protocol.FLUSH_STALE:
+            if self._body.has("slow-flush"):
+                time.sleep(timeout_ms / 1000)
+                _fail("Operation timed out", errno.ETIMEDOUT, -7)
+            self._body.flush_stale()
+        return request in (protocol.FLUSH_STALE, protocol.LOG_LEVEL, STORE_TO_FLASH)
+
+    def _check(self) -> None:
+        """Nothing answers once the plug is pulled."""
+        if self._body.has("unplug"):
+            self._body.power_off()
+            _fail("No such device (it may have been disconnected)", errno.ENODEV, -4)
+
+
+def _answer(buffer: Any, data: bytes) -> int:
+    """Put what fits into a buffer of pyusb."""
+    count = min(len(buffer), len(data))
+    buffer[:count] = array("B", data[:count])
+    return count

@@ -1,0 +1,119 @@
+"""A virtual RH-P12-RN(A): a servo in a process of its own on a pseudo terminal, which the real driver opens as a port.
+
+    with VirtualGripper(faults=["lost-answer@1.0"]) as gripper:
+        driver = RhP12Rn(gripper.port)
+
+Simulated. The process sleeps while nothing happens and ends with its parent, however that ends.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
+from typing import Any
+
+from evetac_cli.devices.rh_p12_rn.control_table import baud_code
+from evetac_cli.devices.virtual.servo_faults import ServoFault
+from evetac_cli.devices.virtual.servo_plant import Obstacle, SharedPlant
+from evetac_cli.errors import DeviceError
+from evetac_cli.resources import PACKAGE
+
+END_S = 5.0
+
+
+class VirtualGripper(AbstractContextManager["VirtualGripper"]):
+    """A servo on a pseudo terminal; `port` is its path."""
+
+    def __init__(
+        self,
+        plant: SharedPlant | Obstacle | None = None,
+        faults: Iterable[str] = (),
+        *,
+        baud: int = 2_000_000,
+        registers: Mapping[str, int] | None = None,
+        position_ticks: float = 400.0,
+        seed: int = 0,
+    ) -> None:
+        """Start the process; when this returns, the servo listens.
+
+        plant: what it moves: a gripper in a world stepped elsewhere; else its own drive, starting at position_ticks,
+        with or without an obstacle. faults: as `servo_faults` names them. registers: values that differ from the
+        factory's, by name. seed: of the faults that strike by chance.
+        """
+        if isinstance(plant, SharedPlant):
+            moved: dict[str, Any] = {"shared": str(plant.path)}
+        else:
+            moved = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
+        choice = {
+            "plant": moved,
+            "faults": [_checked(fault) for fault in faults],
+            "registers": {"Baud Rate": baud_code(baud), **(registers or {})},
+            "seed": seed,
+        }
+        found_at = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "evetac_cli.devices.virtual.servo_process", json.dumps(choice)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": found_at},
+            start_new_session=True,
+        )
+        try:
+            self.port: str = self._told()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Number of the servo's process."""
+        return self._process.pid
+
+    def inject(self, fault: str) -> None:
+        """Let a fault strike, at once or as its moment or share says."""
+        self._ask(inject=_checked(fault))
+
+    def look(self, register: str) -> int:
+        """Value of a register, read past the wire."""
+        return int(self._ask(look=register))
+
+    def instructions(self) -> dict[int, int]:
+        """How often the servo received each instruction."""
+        return {int(code): count for code, count in self._ask(instructions=True).items()}
+
+    def close(self) -> None:
+        """End the process; a second call does nothing."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        if self._process.stdin.closed:
+            return
+        self._process.stdin.close()
+        try:
+            self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _ask(self, **question: Any) -> Any:
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(question).encode() + b"\n")
+        self._process.stdin.flush()
+        return self._told()
+
+    def _told(self) -> Any:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise DeviceError("the virtual gripper's process has ended", hint="its words are on stderr")
+        return json.loads(line)
+
+
+def _checked(fault: str) -> str:
+    ServoFault.parse(fault)
+    return fault

@@ -1,0 +1,124 @@
+"""Event words made beforehand, as something for a virtual camera to send."""
+
+import time
+from threading import Condition
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.devices.dvxplorer.event_word_loops import REF_MASK
+from evetac_cli.devices.dvxplorer.event_words import encode
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
+
+_FRAME_US = 200  # of rain: the camera's default readout
+_DIFFERENT_FRAMES = 500
+
+
+class PreparedWords:
+    """A stream of words as a camera would have sent it, at its own pace or as fast as it is fetched.
+
+    paced: a word may be taken once the time of its frame has passed, counted from `run`. Unpaced, there are words
+    whenever somebody waits for them (so that no buffer overflows); device time runs ahead of the host's then, and the
+    driver believes no silence of more than a second.
+    """
+
+    def __init__(self, words: NDArray[np.uint32], *, paced: bool = True) -> None:
+        self._data = memoryview(words.astype("<u4").tobytes())
+        self._due_us = due_us(words) if paced else None
+        self._at = 0  # bytes taken
+        self._ran_us = 0.0  # before the last run
+        self._began_s: float | None = None  # of this run
+        self._changed = Condition()
+
+    @property
+    def left(self) -> int:
+        """Words that nobody took yet."""
+        return (len(self._data) - self._at) // 4
+
+    def run(self, on: bool) -> None:
+        """Let time pass, or stand still."""
+        with self._changed:
+            now_s = time.monotonic()
+            if self._began_s is not None:
+                self._ran_us += 1e6 * (now_s - self._began_s)
+            self._began_s = now_s if on else None
+            self._changed.notify_all()
+
+    def take(self, most: int, timeout_s: float) -> bytes:
+        """At most so many bytes that are due, waiting for the first of them; b"" if there are none in time."""
+        end_s = time.monotonic() + timeout_s
+        with self._changed:
+            while (wait_s := self._wait_s(timeout_s > 0)) != 0.0:
+                left_s = end_s - time.monotonic()
+                if left_s <= 0:
+                    return b""
+                self._changed.wait(left_s if wait_s is None else min(left_s, wait_s))
+            start = self._at
+            self._at = min(start + most, self._due())
+            return bytes(self._data[start : self._at])
+
+    def _due(self) -> int:
+        """Bytes whose time has come."""
+        if self._began_s is None:
+            return self._at
+        if self._due_us is None:
+            return len(self._data)
+        passed_us = int(self._ran_us + 1e6 * (time.monotonic() - self._began_s))
+        return 4 * int(np.searchsorted(self._due_us, passed_us, side="right"))
+
+    def _wait_s(self, waited_for: bool) -> float | None:
+        """Until something is due: 0 if it is, None if nothing will be."""
+        if self._due() > self._at and (waited_for or self._due_us is not None):
+            return 0.0
+        if self._began_s is None or self._due_us is None or self._at == len(self._data):
+            return None
+        due_s = self._began_s + 1e-6 * float(self._due_us[self._at // 4] - self._ran_us)
+        return max(1e-6, due_s - time.monotonic())
+
+
+def due_us(words: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """Time of every word after the first TIMESTAMP: of its frame, or of its own."""
+    if len(words) == 0:
+        return np.empty(0, np.int64)
+    stamps = np.flatnonzero(words >> 26 == 2)
+    ref = (words[stamps] & REF_MASK).astype(np.int64)
+    ms = np.cumsum(np.diff(ref, prepend=ref[:1]) & REF_MASK)
+    of_stamp = np.zeros(len(words), np.int64)
+    of_stamp[stamps] = SLICE_US * np.diff(ms, prepend=0)
+    begins = words >> 21 == (1 << 26 | 1 << 21) >> 21
+    within = np.where(begins, words >> 11 & 0x3FF, 0).astype(np.int64)
+    known = np.maximum.accumulate(np.where(begins | (words >> 26 == 2), np.arange(len(words)), 0))
+    return np.cumsum(of_stamp) + within[known]
+
+
+def rain(events_per_s: float, seconds: float, rng: np.random.Generator) -> NDArray[np.uint32]:
+    """Words of events at random, as many in every frame, no pixel twice in it: a load of a known number of events.
+
+    seconds * events_per_s events, rounded to whole events a frame of 200 us. They fall in patches of 8 x 8 pixels, half
+    of which fire, some two events a word; after 0.1 s the same comes again. ValueError for more than the frame holds.
+    """
+    frames = round(seconds * 1e6 / _FRAME_US)
+    each = round(events_per_s * _FRAME_US * 1e-6)
+    width, height = FRAME_PX
+    patches = -(-each // 32)
+    if not 0 < patches <= width * height // 64:
+        raise ValueError(f"events_per_s: expected 5000..768e6, found {events_per_s}")
+    if frames < 1:
+        raise ValueError(f"seconds: expected at least {_FRAME_US * 1e-6}, found {seconds}")
+    parts = []
+    for _ in range(min(frames, _DIFFERENT_FRAMES)):
+        patch = rng.choice(width * height // 64, patches, replace=False)
+        x = (8 * (patch % (width // 8)))[:, np.newaxis] + np.arange(64) % 8
+        y = (8 * (patch // (width // 8)))[:, np.newaxis] + np.arange(64) // 8
+        chosen = rng.choice(64 * patches, each, replace=False)
+        polarity = np.broadcast_to(rng.integers(0, 2, patches)[:, np.newaxis], (patches, 64))
+        parts.append((x.ravel()[chosen], y.ravel()[chosen], polarity.ravel()[chosen]))
+    t = np.repeat(_FRAME_US * np.arange(len(parts), dtype=np.int64) + _FRAME_US // 2, each)
+    x, y, p = (np.concatenate(column) for column in zip(*parts, strict=True))
+    once = Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+    times, rest = divmod(frames, _DIFFERENT_FRAMES)
+    words = np.tile(encode(once), (times, 1))
+    again_ms = _DIFFERENT_FRAMES * _FRAME_US // SLICE_US * np.arange(times, dtype=np.uint32)[:, np.newaxis]
+    words = np.where(words >> 26 == 2, words + again_ms, words)
+    last = encode(once.part(0, rest * each), first_ms=1 + _DIFFERENT_FRAMES * _FRAME_US // SLICE_US * times)
+    return np.concatenate([words.ravel(), last])

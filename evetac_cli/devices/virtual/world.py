@@ -1,0 +1,343 @@
+"""A simulated world in a process of its own, in real time, behind a virtual camera and a virtual gripper.
+
+The world makes a slice a millisecond from the moment the camera is told to run. Its events become event words, which
+the virtual camera sends over its virtual USB; its finger follows the registers of the virtual gripper, through shared
+memory. So drivers meet both as they would meet hardware.
+
+Why so: device time is the world's time. A world that cannot keep up with the host's clock is late, never slow, and says
+how many slices were late. A camera that is asked and has nothing to say has nothing left from before: so to say that
+there are no words, a late world first catches up with the moment at which it was asked.
+"""
+
+import gc
+import multiprocessing
+import os
+import select
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
+from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.realtime import starting
+from evetac_cli.realtime.message_pipe import Inbox, Outbox
+
+SLICE_S = 1e-3
+LATE_S = 5e-3  # a slice whose words leave later than this after its end was late
+BACKLOG_BYTES = 4 << 20  # of words that nobody fetched; further slices are dropped and counted
+FIRST_MS = 1  # device time of the first slice: a camera whose clock reads 0 looks as if it had wrapped
+PAPER_P_GAIN = 50  # the servo's gain at which the simulated drive was fitted
+WORD_BYTES = 4
+START_S = 120.0  # in which a world must be built, compiling included
+END_S = 2.0
+WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp comes to the moment at which a hand rises
+WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
+TRUTH_SLICES = 50  # whose truth is told at once
+CATCH_UP_S = 10.0  # a world that is later than this is given up on, for the moment
+_LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)  # shared with the process; began: host time of time 0, 0 while it stands
+
+
+class VirtualWorld:
+    """The world's side of a virtual camera (`run`, `take`) and of a virtual gripper (`plant`).
+
+    It may be given to a process that is being spawned: the copy is a source of words like this one, and whoever built
+    the world ends it. `truths` gives the truth of slices, a row of every array
+    for each, and None after the last, if asked for.
+    """
+
+    def __init__(
+        self,
+        plan: Mapping[str, Any],
+        seeds: np.random.SeedSequence,
+        *,
+        tells_truth: bool = False,
+        **durations: float,
+    ) -> None:
+        """Build the world of a plan, as devices.simulated.rig does; its time stands still until `run`."""
+        context = multiprocessing.get_context("spawn")
+        self.plant = SharedPlant()
+        self._asked_ns = 0
+        self._looking = False  # whether words were found by the last call, which had no time to wait
+        self._counters = context.Array("q", 4, lock=False)
+        self._orders, orders = context.Pipe()
+        self._words, words = context.Pipe(duplex=False)
+        truths, told = context.Pipe(duplex=False) if tells_truth else (None, None)
+        self.truths = None if truths is None else Inbox(truths)
+        self._process: BaseProcess | None = context.Process(
+            target=_live,
+            args=(dict(plan), seeds, durations, self.plant, orders, words, told, self._counters),
+            name="evetac-world",
+            daemon=True,
+        )
+        try:
+            starting.start(self._process)
+            orders.close()
+            words.close()
+            if told is not None:
+                told.close()
+            self._greet()
+        except BaseException:
+            self.close()
+            raise
+
+    def _greet(self) -> None:
+        """Wait for the world; DeviceError if it does not come up."""
+        if not self._orders.poll(START_S):
+            raise DeviceError("the virtual world did not start", expected=f"within {START_S:g} s")
+        try:
+            said = self._orders.recv()
+        except EOFError:
+            raise DeviceError("the process of the virtual world died while it started") from None
+        if isinstance(said, EvetacError):
+            raise said
+        if isinstance(said, str):
+            raise DeviceError(f"the virtual world could not be built: {said}")
+        self.sensor: Mapping[str, Any] = said["sensor"]
+        self.holding_ma: float = said["holding_ma"]
+        self.drawn: str = said["drawn"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_process": None, "truths": None}
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the world's process."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """Slices that left later than 5 ms after their end, and slices whose words nobody fetched."""
+        return {"slices_late": self._counters[_LATE], "slices_dropped": self._counters[_DROPPED]}
+
+    def run(self, on: bool) -> None:
+        """Let time pass, or stand still."""
+        try:
+            self._orders.send(on)
+        except OSError:
+            raise DeviceError("the process of the virtual world died") from None
+
+    def take(self, most: int, timeout_s: float) -> bytes:
+        """Event words, little-endian, as they come; b"" if none came in time, and none are due from before the call.
+
+        Who looks again and again without time to wait, until there are no words, has asked when he first looked.
+        """
+        if timeout_s > 0 or not self._looking:
+            self._asked_ns = time.monotonic_ns()
+        give_up_ns = time.monotonic_ns() + int(CATCH_UP_S * 1e9)
+        looks = timeout_s == 0
+        behind = True
+        while behind:
+            behind = self._is_behind(self._asked_ns) and time.monotonic_ns() < give_up_ns
+            if select.select([self._words], [], [], timeout_s)[0]:
+                data = os.read(self._words.fileno(), most)
+                if not data:
+                    raise DeviceError("the process of the virtual world died")
+                self._looking = looks
+                return data
+            timeout_s = SLICE_S
+        self._looking = False
+        return b""
+
+    def _is_behind(self, now_ns: int) -> bool:
+        """Whether a slice that ended before this moment has not been sent yet."""
+        began_ns = self._counters[_BEGAN_NS]
+        return bool(began_ns and (self._counters[_MADE] + 1) * SLICE_S * 1e9 < now_ns - began_ns)
+
+    def close(self) -> None:
+        """End the world; a second call does nothing."""
+        self._orders.close()
+        if self._process is not None and self._process.pid is not None:
+            self._process.join(END_S)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join()
+        self._words.close()
+        self.plant.close()
+
+
+def _live(
+    plan: dict[str, Any],
+    seeds: np.random.SeedSequence,
+    durations: dict[str, float],
+    plant: SharedPlant,
+    orders: Connection,
+    words: Connection,
+    truths: Connection | None,
+    counters: Any,
+) -> None:
+    """The world's process: build, say so, then obey orders until the other side is gone."""
+    starting.ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this
+    ticking, said = _build(plan, seeds, durations, plant, words, truths, counters)
+    try:
+        orders.send(said)
+    except OSError:  # the recorder did not wait
+        plant.path.unlink(missing_ok=True)
+        return
+    if ticking is None:
+        return
+    gc.freeze()
+    while True:
+        readable, _, _ = select.select([orders], ticking.waiting_for, [], ticking.wait_s)
+        try:
+            if readable:
+                ticking.run(orders.recv())
+            ticking.tick()
+        except (EOFError, OSError):  # the recorder is gone, perhaps without having been asked
+            plant.path.unlink(missing_ok=True)
+            return
+
+
+def _build(*made_of: Any) -> tuple["_Ticking | None", Any]:
+    """The world, and what to tell the other process: what it is, or why it cannot be built."""
+    try:
+        ticking = _Ticking(*made_of)
+    except EvetacError as error:
+        return None, error
+    except Exception as error:  # told by the other process
+        return None, f"{type(error).__name__}: {error}"
+    return ticking, ticking.described()
+
+
+class _Ticking:
+    """A world whose time follows the host's clock."""
+
+    def __init__(
+        self,
+        plan: dict[str, Any],
+        seeds: np.random.SeedSequence,
+        durations: dict[str, float],
+        plant: SharedPlant,
+        words: Connection,
+        truths: Connection | None,
+        counters: Any,
+    ) -> None:
+        from evetac_cli.devices.dvxplorer.event_words import encode, timestamp
+        from evetac_cli.devices.simulated import SimulatedGripper, rig
+
+        first = rig(plan, np.random.SeedSequence(0), **durations)
+        for _ in range(WARMING):  # loads or compiles everything, before there is a clock to keep
+            events = first.camera.read()
+            if events is None:
+                break
+            encode(events, FIRST_MS)
+            timestamp(FIRST_MS)
+            if isinstance(first.gripper, SimulatedGripper) and plan["scene"]["kind"] == "lift":
+                first.gripper.write_position(first.gripper.read().position_ticks + WARMING_TICKS)
+        self._encode = encode
+        self._timestamp = timestamp
+        self._rig = rig(plan, seeds, **durations)
+        if not isinstance(self._rig.gripper, SimulatedGripper):
+            raise DeviceError("a virtual gripper needs a scene with a gripper", found=str(plan["scene"]["name"]))
+        self._world = self._rig.gripper.world
+        self._gain_ma_tick = self._world.drive.gain_ma_tick / PAPER_P_GAIN
+        self._plant = plant
+        self._fd = words.fileno()
+        os.set_blocking(self._fd, False)
+        self._words = words
+        self._counters = counters
+        self._truths = None if truths is None else Outbox(truths)
+        self._known: list[Mapping[str, Any]] = []  # truth that was not told yet
+        self._backlog = b""
+        self._running = False
+        self._began_s = 0.0  # host time of the world's time 0
+        self._torque = False  # whether the servo ever had torque: until then the scene's own command holds
+        self._goals = Goals()
+        self._show(self._world.finger.closing_ticks)
+
+    def described(self) -> dict[str, Any]:
+        """What the other side is told of this world."""
+        return {
+            "sensor": dict(self._rig.camera.sensor),
+            "holding_ma": self._rig.holding_ma,
+            "drawn": self._rig.drawn,
+        }
+
+    def run(self, on: bool) -> None:
+        """Go on from the world's time, or stand still."""
+        if on and not self._running:
+            self._began_s = time.monotonic() - self._world.slices * SLICE_S
+        self._running = on
+        if not on:
+            self._tell_known()
+        self._counters[_BEGAN_NS] = int(self._began_s * 1e9) if on and not self._world.finished else 0
+
+    @property
+    def wait_s(self) -> float | None:
+        """Until the end of the next slice; None without an end, for a world that stands still or is over."""
+        if not self._running or self._world.finished:
+            return None
+        return max(0.0, self._began_s + (self._world.slices + 1) * SLICE_S - time.monotonic())
+
+    @property
+    def waiting_for(self) -> list[Connection]:
+        """Whether words wait for room in the pipe."""
+        return [self._words] if self._backlog else []
+
+    def tick(self) -> None:
+        """Make one slice if its time has come, and send what there is to send."""
+        if self.wait_s == 0.0:
+            self._obey(self._plant.goals())
+            before_ticks = self._world.finger.closing_ticks
+            events = self._rig.camera.read()
+            self._show(before_ticks)
+            # A sensor that is read out 5000 times a second begins every millisecond, whether or not it sees something:
+            # its TIMESTAMP comes once, at the end of the slice before, but for the very first.
+            if self._world.slices == 1:
+                self._queue(self._timestamp(FIRST_MS).tobytes())
+            words = b"" if events is None else self._encode(events, FIRST_MS).tobytes()[WORD_BYTES:]
+            self._queue(words + self._timestamp(FIRST_MS + self._world.slices).tobytes())
+            self._tell()
+            if time.monotonic() > self._began_s + self._world.slices * SLICE_S + LATE_S:
+                self._counters[_LATE] += 1
+        while self._backlog:
+            try:
+                self._backlog = self._backlog[os.write(self._fd, self._backlog) :]
+            except BlockingIOError:
+                break
+        if self._world.finished:
+            self._counters[_BEGAN_NS] = 0
+        self._counters[_MADE] = self._world.slices
+
+    def _tell(self) -> None:
+        """Tell the truth of the slice just made, some slices at a time."""
+        if self._truths is None or self._rig.truth is None:
+            return
+        self._known.append(self._rig.truth())
+        if len(self._known) >= TRUTH_SLICES or self._world.finished:
+            self._tell_known()
+        if self._world.finished:
+            self._truths.put(None)
+        self._truths.send()
+
+    def _tell_known(self) -> None:
+        if self._truths is not None and self._known:
+            self._truths.put({name: np.asarray([row[name] for row in self._known]) for name in self._known[0]})
+            self._truths.send()
+            self._known = []
+
+    def _queue(self, data: bytes) -> None:
+        if len(self._backlog) + len(data) > BACKLOG_BYTES:
+            self._counters[_DROPPED] += 1
+        else:
+            self._backlog += data
+
+    def _obey(self, goals: Goals) -> None:
+        """Pass the servo's registers on to the world's gripper."""
+        if goals != self._goals:
+            self._goals = goals
+            self._torque |= goals.torque
+            gain = self._gain_ma_tick * goals.p_gain
+            self._world.drive = replace(self._world.drive, gain_ma_tick=gain, current_limit_ma=goals.limit_ma)
+        if self._torque:
+            self._world.command = goals.command()
+
+    def _show(self, before_ticks: float) -> None:
+        """Show the servo how the finger moved."""
+        finger = self._world.finger
+        speed = (finger.closing_ticks - before_ticks) / SLICE_S
+        self._plant.show(Motion(finger.current_ma, finger.position_ticks, speed))

@@ -1,0 +1,241 @@
+"""The door through which foreign events come in: columns of any number type in, our columns out, or an InputError.
+
+Readers differ in everything (unsigned times, polarity -1/+1, floats), so none of them checks what all files share: they
+hand over batches of raw columns, and this module makes them true.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events, concatenate, empty
+from evetac_cli.formats.note import Note
+
+# Beyond 2^53 us (285 years) a float no longer holds whole microseconds. Camera clocks that count from 1970 are at 2^51.
+CLOCK_LIMIT_US = 2**53
+# Every millisecond costs a row of the slice index, so one broken time stamp must not make billions of empty slices.
+SPAN_LIMIT_US = 24 * 3600 * 1_000_000
+# uint16 coordinates
+FRAME_LIMIT_PX = 2**16
+
+
+class Columns(NamedTuple):
+    """A batch of raw events: t in us, x and y in px, p as in the file; `place` says where the user finds row i."""
+
+    t: NDArray[Any]
+    x: NDArray[Any]
+    y: NDArray[Any]
+    p: NDArray[Any]
+    place: Callable[[int], str]
+
+
+@dataclass
+class Foreign:
+    """What a reader hands over: raw batches, in file order, and what the file says about itself."""
+
+    format: str
+    frame_px: tuple[int, int]
+    batches: Iterable[Columns]
+    clock_us: int = 0  # to be added to every t, where a file keeps it apart
+    notes: list[str] = field(default_factory=list)
+    note: Note | None = None  # if the file is an export of ours; its times are in the clock of t
+    cut_short: bool = False  # its end is known to be missing
+
+
+def at_index(start: int, row: int) -> str:
+    """Where an event stands in a file that has no lines: its number, counted from 0."""
+    return f"at index {start + row}"
+
+
+class Normal(NamedTuple):
+    """What comes out of the door."""
+
+    events: Events  # the first one at t = 0, unless the file says when its recording began
+    first_us: int  # where t = 0 is in the file's clock; 0 without events
+    dropped: dict[str, int]  # events left out, by reason
+    sorted: int  # events put back in order: those that came after a later one
+
+
+def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tuple[int, int]:
+    """Width and height in px, or an InputError that asks for them."""
+    if frame_px is None:
+        raise InputError("the file does not say how large the frame is", where=where, hint=hint)
+    width, height = frame_px
+    if not (1 <= width <= FRAME_LIMIT_PX and 1 <= height <= FRAME_LIMIT_PX):
+        raise InputError(
+            "impossible frame size",
+            where=where,
+            expected=f"width and height from 1 to {FRAME_LIMIT_PX} px",
+            found=f"{width}x{height}",
+        )
+    return int(width), int(height)
+
+
+def frame_of(own: tuple[int, int] | None, asked: tuple[int, int] | None, where: str, hint: str = "") -> tuple[int, int]:
+    """The file's own frame, or else the one asked for; a wish that contradicts the file is refused.
+
+    Such a wish would have no effect. InputError with `hint` where neither is there.
+    """
+    wish = None if asked is None else checked_frame(asked, where, "")
+    if wish and own and wish != tuple(own):
+        raise InputError(
+            "the file says another frame size",
+            where=where,
+            expected="{}x{}".format(*own),
+            found="{}x{}".format(*wish),
+            hint="leave out --frame-size",
+        )
+    return checked_frame(own or wish, where, hint or "say it: --frame-size WIDTHxHEIGHT")
+
+
+def normalise(
+    batches: Iterable[Columns],
+    frame_px: tuple[int, int],
+    *,
+    sort: bool = False,
+    start_us: int | None = None,
+    may_be_empty: bool = False,
+    where: str = "",
+) -> Normal:
+    """Turn raw batches into one stream of events that starts at t = 0: with its first event, or at `start_us`.
+
+    Events outside the frame and events that are no numbers are dropped and counted. Raises InputError where columns
+    differ in length, a coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond
+    2^53 us or before `start_us`, time goes backwards and sort is off, the events span more than 24 h, none of them can
+    be used, or there are none at all and that was not expected (`may_be_empty`).
+    """
+    dropped = {"not_a_number": 0, "out_of_frame": 0}
+    parts = [empty()]
+    total = late = 0
+    first_late = ""
+    latest_us = -CLOCK_LIMIT_US
+    negative = zero = False
+    for given in batches:
+        check_lengths([len(column) for column in given[:4]], where)
+        total += len(given.t)
+        rows = _finite_rows(given)
+        dropped["not_a_number"] += len(given.t) - len(rows)
+        batch = _at(given, rows) if len(rows) < len(given.t) else given
+        _check_values(batch, where)
+        t, x, y, p, place = batch
+        negative = negative or bool(np.any(p == -1))
+        zero = zero or bool(np.any(p == 0))
+
+        inside = (x >= 0) & (x < frame_px[0]) & (y >= 0) & (y < frame_px[1])
+        dropped["out_of_frame"] += len(t) - int(np.count_nonzero(inside))
+        part = Events(
+            (np.rint(t) if t.dtype.kind == "f" else t)[inside].astype(np.int64),
+            x[inside].astype(np.uint16),
+            y[inside].astype(np.uint16),
+            (p[inside] > 0).astype(np.uint8),
+        )
+        if part.size:
+            latest_so_far = np.maximum(np.maximum.accumulate(part.t), latest_us)
+            latest_us = int(latest_so_far[-1])
+            is_late = part.t < latest_so_far
+            if not late and is_late.any():
+                first_late = place(int(np.flatnonzero(inside)[is_late][0]))
+            late += int(np.count_nonzero(is_late))
+        parts.append(part)
+
+    if not total and not may_be_empty:
+        raise no_events(where)
+    if negative and zero:
+        raise InputError("polarity mixes two codes", where=where, expected="0 and 1, or -1 and 1", found="-1 and 0")
+    events = concatenate(parts)
+    if total and not events.size:
+        raise InputError(
+            "none of the events can be used",
+            where=where,
+            expected=f"events inside the frame of {frame_px[0]}x{frame_px[1]} px",
+            found=f"{dropped['out_of_frame']} outside, {dropped['not_a_number']} that are no numbers",
+            hint="check the frame size and the order of the columns" if dropped["out_of_frame"] else "",
+        )
+    if late and not sort:
+        raise InputError(
+            "time goes backwards",
+            where=where,
+            expected="events in the order of their time",
+            found=f"{late} of {total} events come after a later one, first {first_late}",
+            hint="--sort puts them back in order",
+        )
+    if late:
+        order = np.argsort(events.t, kind="stable")
+        events = Events(events.t[order], events.x[order], events.y[order], events.p[order])
+    events, first_us = _from_zero(events, start_us, where)
+    return Normal(events, first_us, dropped, late)
+
+
+def no_events(where: str) -> InputError:
+    """What is said of a file that holds nothing."""
+    return InputError("holds no events", where=where, hint="was the recorder stopped before the camera began?")
+
+
+def check_lengths(lengths: Sequence[int], where: str) -> None:
+    """InputError unless the columns t, x, y, p have one length."""
+    if len(set(lengths)) != 1:
+        found = ", ".join(f"{name} {length}" for name, length in zip("txyp", lengths, strict=True))
+        raise InputError("columns differ in length", where=where, expected="t, x, y, p of one length", found=found)
+
+
+def _finite_rows(batch: Columns) -> NDArray[np.intp]:
+    """Rows that hold four numbers; NaN and infinity have no place in time or frame."""
+    finite = np.ones(len(batch.t), bool)
+    for column in batch[:4]:
+        finite &= np.isfinite(column)
+    return np.flatnonzero(finite)
+
+
+def _at(batch: Columns, rows: NDArray[np.intp]) -> Columns:
+    """Some rows of a batch, which still know their place in the file."""
+    t, x, y, p = (column[rows] for column in batch[:4])
+    return Columns(t, x, y, p, lambda row: batch.place(int(rows[row])))
+
+
+def _check_values(batch: Columns, where: str) -> None:
+    """Refuse values that mean the columns are not what we take them for; comparisons only, so nothing can wrap."""
+
+    def refuse(bad: NDArray[np.bool_], column: NDArray[Any], message: str, expected: str, hint: str = "") -> None:
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise InputError(
+                message, where=where, expected=expected, found=f"{column[row]} {batch.place(row)}", hint=hint
+            )
+
+    t, x, y, p, _ = batch
+    refuse((p != 0) & (p != 1) & (p != -1), p, "unknown polarity", "0 and 1, or -1 and 1", "is the order t x y p?")
+    for name, column in (("x", x), ("y", y)):
+        if column.dtype.kind == "f":
+            refuse(
+                column != np.rint(column), column, f"{name} lies between pixels", "whole pixels, before undistortion"
+            )
+    far = (t >= CLOCK_LIMIT_US) | (t <= -CLOCK_LIMIT_US)
+    refuse(far, t, "time out of range", "microseconds within 285 years of 0", "is the unit of time right?")
+
+
+def _from_zero(events: Events, start_us: int | None, where: str) -> tuple[Events, int]:
+    """Shift the start, or without one the first event, to t = 0; returns its time too."""
+    if not events.size:
+        return events, start_us or 0
+    first_us = int(events.t[0]) if start_us is None else start_us
+    if events.t[0] < first_us:
+        raise InputError(
+            "an event lies before the start of the recording that the file's own note tells",
+            where=where,
+            expected=f"times from {first_us} us on",
+            found=f"{events.t[0]} us",
+        )
+    span_us = int(events.t[-1]) - first_us
+    if span_us > SPAN_LIMIT_US:
+        raise InputError(
+            "the events span too long a time",
+            where=where,
+            expected=f"at most {SPAN_LIMIT_US // 3_600_000_000} h from first to last",
+            found=f"{span_us / 3.6e9:.1f} h",
+            hint="a broken time stamp, or the wrong unit (a first line `t_us x y p` or `t_s x y p` names it in text)",
+        )
+    return events._replace(t=events.t - first_us), first_us

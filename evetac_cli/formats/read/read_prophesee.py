@@ -1,0 +1,160 @@
+"""Read events from Prophesee's RAW (EVT2, EVT3) and DAT files with faery, the extra `convert`.
+
+The text at the head of a file, lines that begin with "% ", is read here: which encoding, which frame. Where it does not
+say the frame, faery would take 1280 x 720; we ask. And faery times events from the first word on, though they have no
+time before the first word that holds its high bits: a recorder that was started in the middle of a stream would seem
+to begin seconds too early. So what comes before that word is left out, as the maker's own software does.
+"""
+
+import re
+import tempfile
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, frame_of
+
+SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
+HEAD_LIMIT_BYTES = 1 << 20
+KINDS = {"2.0": "evt2", "evt2": "evt2", "3.0": "evt3", "evt3": "evt3"}
+WORD_BYTES = {"evt2": 4, "evt3": 2, "dat1": 8, "dat2": 8}
+TIME_HIGH = 0x8  # the upper four bits of a word that holds the high bits of time
+
+
+class Head(NamedTuple):
+    """What the text says, and where the words begin."""
+
+    kind: str  # evt2, evt3, dat1 or dat2
+    frame_px: tuple[int, int] | None
+    size: int
+
+
+def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
+    """Events of a RAW or DAT file; frame_px only for files that do not say theirs."""
+    where = str(path)
+    head = read_head(path)
+    frame = frame_of(head.frame_px, frame_px, where)
+    foreign = Foreign("prophesee", frame, ())
+    skipped = 0 if head.kind.startswith("dat") else untimed_bytes(path, head)
+    rest = (path.stat().st_size - head.size) % WORD_BYTES[head.kind]
+    if skipped:
+        foreign.notes.append(f"left out {skipped} bytes before the first time stamp")
+    if rest:
+        foreign.notes.append(f"cut short: the last {rest} bytes are no whole word")
+    foreign.batches = _trimmed(path, head, frame, skipped) if skipped else decode(path, head.kind, frame, where)
+    return foreign
+
+
+def read_head(path: Path) -> Head:
+    """Encoding and frame from the lines at the head; InputError for encodings that are not read here."""
+    where = str(path)
+    with path.open("rb") as file:
+        content = file.read(HEAD_LIMIT_BYTES)
+    said: dict[str, str] = {}
+    size = 0
+    while content.startswith(b"% ", size) and "end" not in said:
+        end = content.find(b"\n", size)
+        if end < 0:
+            raise InputError("the file ends inside its header", where=where, hint="copy it again")
+        key, _, value = content[size + 2 : end].decode(errors="replace").strip().partition(" ")
+        said[key.lower()] = value.strip()
+        size = end + 1
+    return Head(_kind(said, where), _frame(said), size + (2 if "evt" not in said and "format" not in said else 0))
+
+
+def _kind(said: dict[str, str], where: str) -> str:
+    if "evt" not in said and "format" not in said:
+        version = said.get("version", "1")
+        if version in ("1", "2"):
+            return f"dat{version}"
+        raise InputError("a DAT file of another version", where=where, expected="1 or 2", found=version[:20])
+    name = said.get("evt") or said.get("format", "").split(";")[0].lower()
+    if name in KINDS:
+        return KINDS[name]
+    raise InputError(
+        "a RAW file in an encoding that is not read here",
+        where=where,
+        expected="EVT2 or EVT3",
+        found=name[:20] or "no name",
+        hint="convert it to HDF5 or text with the maker's tools",
+    )
+
+
+def _frame(said: dict[str, str]) -> tuple[int, int] | None:
+    """`geometry 640x480`, `format EVT3;height=480;width=640`, or `Width 640` and `Height 480`."""
+    width, _, height = said.get("geometry", "").partition("x")
+    inside = dict(part.partition("=")[::2] for part in said.get("format", "").split(";"))
+    pairs = [(table.get("width"), table.get("height")) for table in (inside, said)]
+    for numbers in ((width, height), *pairs):
+        if all(number and re.fullmatch("[0-9]{1,5}", number) for number in numbers):
+            return int(str(numbers[0])), int(str(numbers[1]))
+    return None
+
+
+def untimed_bytes(path: Path, head: Head) -> int:
+    """Bytes before the first word that tells the high bits of time."""
+    word = WORD_BYTES[head.kind]
+    with path.open("rb") as file:
+        file.seek(head.size)
+        content = file.read(HEAD_LIMIT_BYTES)
+    words = np.frombuffer(content[: len(content) // word * word], f"<u{word}")
+    high = np.flatnonzero(words >> (8 * word - 4) == TIME_HIGH)
+    if not len(high):
+        return 0 if len(content) < HEAD_LIMIT_BYTES else len(words) * word
+    return int(high[0]) * word
+
+
+def _trimmed(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Iterator[Columns]:
+    """Decode a copy without the words that have no time."""
+    with tempfile.TemporaryDirectory() as folder, path.open("rb") as source:
+        copy = Path(folder) / "timed.raw"
+        with copy.open("wb") as target:
+            target.write(head_of(head.kind, frame))
+            source.seek(head.size + skipped)
+            while block := source.read(HEAD_LIMIT_BYTES):
+                target.write(block)
+        yield from decode(copy, head.kind, frame, str(path))
+
+
+def head_of(kind: str, frame: tuple[int, int]) -> bytes:
+    """The head of a RAW file."""
+    return "% evt {}.0\n% geometry {}x{}\n% end\n".format(kind[-1], *frame).encode()
+
+
+def decode(path: Path, kind: str, frame: tuple[int, int], where: str) -> Iterator[Columns]:
+    """All events of a file, by faery; `where` is what the user calls it."""
+    faery = _library(where)
+    start = 0
+    try:
+        stream = faery.events_stream_from_file(
+            path, dimensions_fallback=frame, version_fallback=kind, file_type=kind[:3]
+        )
+        if tuple(stream.dimensions()) != tuple(frame):
+            raise ValueError("its header says two frame sizes")
+        packets = iter(stream)
+        while (events := next(packets, None)) is not None:
+            yield Columns(events["t"], events["x"], events["y"], events["on"], partial(at_index, start))
+            start += len(events)
+    except BaseException as error:
+        # A panic of faery's Rust is a BaseException of a type that cannot be imported.
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        raise InputError(
+            "cannot be read as Prophesee's",
+            where=where,
+            found=f"after {start} events: {str(error).splitlines()[0][:200] if str(error) else type(error).__name__}",
+            hint="the file is damaged; copy it again",
+        ) from None
+
+
+def _library(where: str) -> Any:
+    try:
+        import faery
+    except ImportError as error:
+        hint = 'pip install "evetac[convert]"'
+        raise InputError("RAW and DAT files need faery", where=where, found=str(error), hint=hint) from None
+    return faery

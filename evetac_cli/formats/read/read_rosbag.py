@@ -1,0 +1,239 @@
+"""Read events from bags of ROS 1 (`.bag`) and ROS 2 (a folder, `.db3`, `.mcap`) with rosbags, the extra `convert`.
+
+rosbags finds the messages; what is in them is decoded in import_ros_messages, from their bytes. So a bag needs no
+definitions of its messages, and those of other topics do not matter. Where a ROS 1 bag says by the checksum of a
+definition that its messages have another layout under the same name, it is refused.
+"""
+
+import tempfile
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read import read_prophesee
+from evetac_cli.formats.read.event_validation import Columns, Foreign, frame_of
+from evetac_cli.formats.read.ros_messages import Fields, Packet, Part, decoder, event_array, event_packet, evetac_image
+
+SQLITE = b"SQLite format 3\x00"
+MCAP = b"\x89MCAP0\r\n"
+ROS1 = b"#ROSBAG V2.0\n"
+ZSTD = b"\x28\xb5\x2f\xfd"
+PROPHESEE = ("evt2", "evt3")
+ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
+
+ARRAY = "5e8beee5a6c107e504c2e78903c224b8"
+PACKET = "8a6101b351a64529ac77bd8b71074e52"
+IMAGE = "2818627cc6bda2f17fa76bbb89741632"
+# Types of messages: how they are decoded, and the checksum of their definition in ROS 1.
+TYPES: dict[str, tuple[Callable[[Fields], Any], str]] = {
+    "dvs_msgs/msg/EventArray": (event_array, ARRAY),
+    "prophesee_event_msgs/msg/EventArray": (event_array, ARRAY),
+    "event_camera_msgs/msg/EventPacket": (event_packet, PACKET),
+    "event_array_msgs/msg/EventArray": (event_packet, PACKET),
+    "evetac_software/msg/EvetacMsg": (evetac_image, IMAGE),
+}
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether this folder is a bag of ROS 2."""
+    return (path / "metadata.yaml").is_file()
+
+
+def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
+    """Events of one topic: the one named, or the first by name that holds events."""
+    where = str(path)
+    foreign = Foreign("rosbag", (1, 1), ())
+    with _opened(path) as (reader, ros2):
+        topic, kind, others = _choose(reader.connections, ros2, stream, where)
+        if others:
+            foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
+        first = next(_messages(reader, topic, kind, where), None)
+        if first is None:
+            raise InputError(f"no message on the topic {topic}", where=where, hint="a recorder that saw no camera?")
+        frame, content = _read(kind, first, ros2, f"{where}: message 0")
+    encoding = content.encoding if isinstance(content, Packet) else ""
+    foreign.frame_px = frame_of(frame, frame_px, where)
+    if encoding in PROPHESEE:
+        foreign.batches = _prophesee(path, topic, kind, foreign, encoding)
+    elif not isinstance(content, Packet) or decoder(encoding) is not None:
+        foreign.batches = _batches(path, topic, kind, foreign, encoding)
+    else:
+        raise InputError(
+            f"messages on {topic} are in an encoding that is not read here",
+            where=where,
+            expected=", ".join(ENCODINGS),
+            found=encoding[:40] or "none",
+        )
+    return foreign
+
+
+def _choose(connections: list[Any], ros2: bool, wanted: str | None, where: str) -> tuple[str, str, list[str]]:
+    """Topic, type of its messages, and the other topics with events."""
+    found: dict[str, str] = {}
+    for connection in connections:
+        if connection.msgtype in TYPES:
+            found[connection.topic] = connection.msgtype
+            checksum = TYPES[connection.msgtype][1]
+            if not ros2 and connection.digest not in (checksum, "*"):
+                raise InputError(
+                    f"{connection.msgtype} is defined in another way here",
+                    where=f"{where}: {connection.topic}",
+                    expected=f"checksum {checksum}",
+                    found=connection.digest[:40],
+                )
+    if not found:
+        kinds = sorted({connection.msgtype for connection in connections})
+        raise InputError(
+            "the bag holds no events", where=where, expected=", ".join(TYPES), found=", ".join(kinds)[:300] or "nothing"
+        )
+    first = min(found, key=lambda topic: (TYPES[found[topic]][1] == IMAGE, topic))  # rather events than images
+    topic = first if wanted is None else wanted
+    if topic not in found:
+        raise InputError("no events on this topic", where=where, expected=" or ".join(sorted(found)), found=topic)
+    return topic, found[topic], sorted(set(found) - {topic})
+
+
+def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
+    """A batch a message."""
+    decode = decoder(encoding)
+    stamps = []
+    with closing(_contents(path, topic, kind, foreign, encoding)) as contents:
+        for number, (where, content) in enumerate(contents):
+            if isinstance(content, Packet):
+                assert decode is not None
+                with _layout_in_words(where):
+                    part: Part = decode(content)
+            else:
+                part = content
+            if kind.startswith("evetac") and len(part.t):
+                stamps.append(int(part.t[0]))
+            yield Columns(*part, partial(_place, number))
+    if kind.startswith("evetac"):
+        apart = f"every {(stamps[-1] - stamps[0]) / (len(stamps) - 1) / 1000:.3g} ms" if len(stamps) > 1 else "once"
+        foreign.notes.append(
+            f"EvetacMsg holds images, not events: summed by pixel, {apart}, after the official software's noise filter;"
+            " all events of an image have its time"
+        )
+
+
+def _place(number: int, row: int) -> str:
+    return f"in message {number}, event {row}"
+
+
+def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
+    """The words of all messages as one RAW file, decoded by import_prophesee."""
+    where = f"{path}: {topic}"
+    with tempfile.TemporaryDirectory() as folder:
+        raw = Path(folder) / "topic.raw"
+        with raw.open("wb") as file:
+            file.write(read_prophesee.head_of(encoding, foreign.frame_px))
+            with closing(_contents(path, topic, kind, foreign, encoding)) as packets:
+                for _, packet in packets:
+                    file.write(packet.content)
+        try:
+            inner = read_prophesee.open_prophesee(raw, None)
+            foreign.notes += inner.notes
+            yield from inner.batches
+        except InputError as error:
+            raise InputError(str(error).replace(str(raw), where)) from None
+
+
+def _contents(
+    path: Path, topic: str, kind: str, foreign: Foreign, encoding: str
+) -> Generator[tuple[str, Any], None, None]:
+    """What is in each message of a topic; all have one frame and one encoding. Lost messages are noted."""
+    lost, expected = 0, None
+    with _opened(path) as (reader, ros2):
+        for number, message in enumerate(_messages(reader, topic, kind, str(path))):
+            where = f"{path}: message {number} on {topic}"
+            frame, content = _read(kind, message, ros2, where)
+            if frame != foreign.frame_px:
+                raise InputError(
+                    "the frame changes",
+                    where=where,
+                    expected="{}x{}".format(*foreign.frame_px),
+                    found="{}x{}".format(*frame),
+                )
+            if isinstance(content, Packet):
+                if content.encoding != encoding:
+                    raise InputError(
+                        "the encoding changes", where=where, expected=encoding, found=content.encoding[:40]
+                    )
+                lost += expected is not None and content.sequence > expected and content.sequence - expected
+                expected = content.sequence + 1
+            yield where, content
+    if lost:
+        foreign.notes.append(f"{lost} messages were lost before they were recorded")
+
+
+def _read(kind: str, message: bytes, ros2: bool, where: str) -> tuple[tuple[int, int], Any]:
+    """Frame and content of a message."""
+    if ros2 and message[: len(ZSTD)] == ZSTD:  # only metadata.yaml says so
+        hint = "name the folder of the bag, with its metadata.yaml"
+        raise InputError("the messages of this bag are compressed one by one", where=where, hint=hint)
+    with _layout_in_words(where):
+        content = TYPES[kind][0](Fields(message, ros2=ros2))
+        return (content.frame_px, content) if isinstance(content, Packet) else content
+
+
+@contextmanager
+def _layout_in_words(where: str) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise InputError("a message is damaged", where=where, found=str(error)) from None
+
+
+def _messages(reader: Any, topic: str, kind: str, where: str) -> Iterator[bytes]:
+    """The bytes of all messages of a topic, in the order of their reception."""
+    chosen = [one for one in reader.connections if (one.topic, one.msgtype) == (topic, kind)]
+    messages = iter(reader.messages(chosen))
+    number = 0
+    while True:
+        with _bag_in_words(where, f"message {number}"):
+            found = next(messages, None)
+        if found is None:
+            return
+        yield found[2]
+        number += 1
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
+    """The bag, open for reading, and whether it is of ROS 2."""
+    where = str(path)
+    try:
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
+    except ImportError as error:
+        hint = 'pip install "evetac[convert]"'
+        raise InputError("ROS bags need rosbags", where=where, found=str(error), hint=hint) from None
+    kind: Any = Reader2
+    if path.is_file():  # rosbags goes by the name of a file, we by its content
+        with path.open("rb") as file:
+            head = file.read(len(SQLITE))
+        kind = Reader1 if head.startswith(ROS1) else Reader2.STORAGE_PLUGINS[".mcap" if head[:8] == MCAP else ".db3"]
+    with _bag_in_words(where, "the bag"):
+        reader = kind(path)
+        reader.open()
+    try:
+        yield reader, kind is not Reader1
+    finally:
+        with suppress(Exception):
+            reader.close()
+
+
+@contextmanager
+def _bag_in_words(where: str, what: str) -> Iterator[None]:
+    """Damaged bags make rosbags, and the parsers below it, raise anything."""
+    try:
+        yield
+    except (MemoryError, InputError):
+        raise
+    except Exception as error:
+        found = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        hint = "rosbag reindex" if "index" in found else "the recorder may have been stopped; copy it again"
+        raise InputError(f"{what} cannot be read", where=where, found=found, hint=hint) from None

@@ -1,0 +1,47 @@
+"""Write the dot grid of a recording: as JSON, which `--calibration` takes, or as the official software's pickle.
+
+The pickle is a tuple of two arrays, centres (n, 2) as (x, y) and radii (n, 1). numpy 2 would write names into it that
+the numpy 1.24 of the official software does not know, so its older names are written, which all versions know.
+"""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.write.pieces import Progress
+from evetac_cli.kernels.calibration import grid
+from evetac_cli.store.calibration import Calibration, write_calibration
+from evetac_cli.store.provenance import made
+from evetac_cli.store.read import Recording
+
+PROTOCOL = 3  # the newest in which names are lines of text
+
+
+def write(recording: Recording, path: Path, progress: Progress) -> None:
+    """The grid that is stored in the recording; InputError if there is none."""
+    dots = recording.dot_xy_px
+    if dots is None:
+        raise InputError("the recording has no dot grid", where=str(recording.path), hint="evetac calibrate finds one")
+    radius_px = float(recording.read("sensor/dot_radius_px"))
+    if path.suffix.lower() == ".pkl":
+        path.write_bytes(official(dots.reshape(-1, 2), radius_px))
+        return
+    neighbours = [[int(other) for other in row if other >= 0] for row in grid.neighbours(dots.reshape(-1, 2))]
+    header = recording.header
+    write_calibration(
+        path,
+        Calibration(recording.frame_px, dots, radius_px, recording.window_px),
+        neighbours,
+        {},
+        {"recording": header["id"], "simulated": header["simulated"], "made": made()},
+    )
+
+
+def official(dot_xy_px: NDArray[np.float64], radius_px: float) -> bytes:
+    """The pickle of dots (n, 2); missing ones are left out, as it has no word for them."""
+    there = dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)].astype(np.float64)
+    content = pickle.dumps((there, np.full((len(there), 1), radius_px)), protocol=PROTOCOL)
+    return content.replace(b"cnumpy._core.", b"cnumpy.core.")

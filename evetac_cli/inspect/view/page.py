@@ -1,0 +1,316 @@
+"""The page that view writes: one HTML file that needs no network.
+
+Time series are drawn by Bokeh, whose script is put into the page (1.3 MB); the event images, and the dots over them, by
+the small script in view.html. Text that comes from files is escaped, and only placed by us: Bokeh is given numbers.
+"""
+
+import html
+import json
+import re
+from base64 import b64encode
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import EvetacError
+from evetac_cli.inspect.view.trial_files import Trial
+from evetac_cli.inspect.view.view_data import INK, Lane, Line, Look, Panel
+from evetac_cli.resources import PACKAGE
+
+LARGEST_BYTES = 20_000_000
+LONGEST_TEXT = 300
+NEUTRAL = "#7f8790"  # of lines that are seen on white and on black
+UNKNOWN = "#9aa1a9"
+
+
+def page(trial: Trial, look: Look) -> bytes:
+    """The whole page; EvetacError where it would be larger than 20 MB."""
+    script, library, charts = _charts(look)
+    title = trial.files[0].path.name
+    parts = {
+        "TITLE": html.escape(title),
+        "HEADING": _heading(trial, title, look.simulated),
+        "VIEWER": "" if len(look.moments) else "hidden",
+        "EMPTY": _empty(look),
+        "ONSETS": _onsets(look),
+        "CHARTS": charts,
+        "NOTES": "".join(f"<li>{html.escape(note)}</li>" for note in _notes(look)),
+        "FILES": _files(trial),
+        "DATA": _for_script(_data(look)),
+        "LIBRARY": library,
+        "SCRIPT": script,
+    }
+    template = (PACKAGE / "inspect" / "view" / "page.html").read_text(encoding="utf-8")
+    # One pass, so that a file name which looks like a mark stays a file name.
+    text = re.sub("@@([A-Z]+)@@", lambda mark: parts[mark[1]], template)
+    done = text.encode("utf-8", "replace")
+    if len(done) > LARGEST_BYTES:
+        raise EvetacError(
+            "the page would be too large",
+            where=str(trial.files[0].path),
+            expected=f"at most {LARGEST_BYTES // 1_000_000} MB",
+            found=f"{len(done) / 1e6:.1f} MB",
+            hint="fewer --moments, or a part with --start-s and --stop-s",
+        )
+    return done
+
+
+def _for_script(value: Any) -> str:
+    """JSON that may stand in a script element: nothing in it can end the element or begin a comment."""
+    return json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _base64(array: NDArray[Any] | None) -> str | None:
+    """Little-endian float32 (or bytes) for the page's script; null where there is none."""
+    if array is None:
+        return None
+    kind = "<u1" if array.dtype.kind in "ub" else "<f4"
+    return b64encode(np.ascontiguousarray(array, kind).tobytes()).decode()
+
+
+def _data(look: Look) -> dict[str, Any]:
+    return {
+        "span": [at / 1000 for at in look.span],
+        "shown_ms": look.shown_ms,
+        "frame": list(look.frame_px),
+        "window": look.window_px,
+        "moments": look.moments.tolist(),
+        "pictures": [b64encode(png).decode() for png in look.pictures],
+        "events": look.events,
+        "dots": 0 if look.rest_xy_px is None else len(look.rest_xy_px),
+        "rest": _base64(look.rest_xy_px),
+        "tracked": _base64(look.dot_xy_px),
+        "lost": _base64(look.lost),
+        "true_dots": 0 if look.true_xy_px is None else look.true_xy_px.shape[1],
+        "true": _base64(look.true_xy_px),
+        "onsets": {who: slice_ for who, slice_ in look.onsets.items() if slice_ is not None},
+    }
+
+
+# Text -----------------------------------------------------------------------------------------------------------------
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return html.escape(text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "...")
+
+
+def _inner(table: Any, *names: str) -> Any:
+    """A value inside nested tables of a header, which may hold anything; None where it is not there."""
+    for name in names:
+        table = table.get(name) if isinstance(table, dict) else None
+    return table
+
+
+def _recording_parameters(trial: Trial) -> Any:
+    """The parameters of the recording, which every file of a trial carries in its history."""
+    if trial.recording is not None:
+        return trial.recording.header["parameters"]
+    return _inner(trial.files[0].header["history"], trial.recording_id, "parameters")
+
+
+def _heading(trial: Trial, title: str, simulated: bool) -> str:
+    made = _recording_parameters(trial)
+    said = [
+        ("scene", _inner(made, "scene", "name")),
+        ("object", _inner(made, "object")),
+        ("", _inner(made, "object_row", "material")),
+        ("imported from", _inner(made, "source")),
+        ("individual", _inner(made, "individual")),
+    ]
+    badges = '<span class="badge simulated">simulated</span>' if simulated else ""
+    badges += "".join(
+        f'<span class="badge">{name} <b>{_short(value)}</b></span>' for name, value in said if value is not None
+    )
+    summary = _inner(made, "scene", "summary")
+    lead = f'<p class="lead">{_short(summary)}</p>' if isinstance(summary, str) else ""
+    id_ = f'<p class="id">recording <code>{html.escape(trial.recording_id)}</code></p>'
+    return f"<h1>{html.escape(title)}</h1><div>{badges}</div>{lead}{id_}"
+
+
+def _files(trial: Trial) -> str:
+    rows = []
+    for file in trial.files:
+        made = file.header["parameters"]
+        shown = ", ".join(
+            f"{html.escape(str(name))} {_short(value)}"
+            for name, value in made.items()
+            if not isinstance(value, (dict, list))
+        )
+        rows.append(
+            f"<tr><td>{file.kind}</td><td>{html.escape(file.path.name)}</td>"
+            f"<td><code title='{html.escape(file.header['id'])}'>{html.escape(file.header['id'][:12])}</code></td>"
+            f"<td>{shown}</td></tr>"
+        )
+    return "".join(rows)
+
+
+def _empty(look: Look) -> str:
+    """What to say instead of pictures and series, where there is nothing to draw."""
+    if look.slices == 0:
+        return "<p class='empty'>This recording is empty: it holds not one slice of a millisecond.</p>"
+    if look.pictures and not any(look.events) and look.panels and (look.panels[0].lines[0].value <= 1).all():
+        return "<p class='empty'>There is not one event in what is shown.</p>"
+    return ""
+
+
+def _onsets(look: Look) -> str:
+    """First slip by truth, label and model, and how far apart they are."""
+    if not look.onsets:
+        return ""
+    reference = next((slice_ for slice_ in look.onsets.values() if slice_ is not None), None)
+    cells = []
+    for who, slice_ in look.onsets.items():
+        simulated = " <small>(simulated)</small>" if who == "truth" else ""
+        if slice_ is None or reference is None:
+            cells.append(f"<span>{who}{simulated} <b>none</b></span>")
+            continue
+        away = slice_ - reference
+        later = f" <small>{away:+d} ms</small>" if away else ""
+        cells.append(
+            f"<button type='button' class='jump' data-ms='{slice_}'>{who}{simulated} "
+            f"<b>{slice_ / 1000:.3f} s</b>{later}</button>"
+        )
+    since = f" after {look.span[0] / 1000:.3f} s" if look.span[0] else ""
+    return f"<div class='onsets'><h2>First slip{since}</h2>" + "".join(cells) + "</div>"
+
+
+def _notes(look: Look) -> list[str]:
+    start, stop = look.span
+    notes = [f"Shown: {start / 1000:.3f} to {stop / 1000:.3f} s of {look.slices / 1000:.3f} s."]
+    if len(look.moments):
+        dense = ", ".join(f"{at / 1000:.3f} s ({why})" for why, at in look.dense.items())
+        notes.append(
+            f"{len(look.moments):,} images of {look.shown_ms} ms, spread evenly"
+            + (f" and, every 2 ms, around {dense}." if dense else ".")
+        )
+    notes.append("Series: every value, or the least and the greatest of each of 3,000 stretches of time.")
+    return notes + look.notes
+
+
+# Series ---------------------------------------------------------------------------------------------------------------
+
+
+def _charts(look: Look) -> tuple[str, str, str]:
+    """Bokeh's script for this page, its library, and the HTML in which the charts stand."""
+    if not look.panels and not look.lanes:
+        return "", "", ""
+    from bokeh.embed import components
+    from bokeh.models.ranges import Range1d
+    from bokeh.resources import Resources
+
+    start, stop = look.span
+    x_range = Range1d(start=start / 1000, end=stop / 1000, bounds=(start / 1000, stop / 1000))
+    figures = []
+    heads = []
+    number = 0
+    for panel in look.panels:
+        keys = "".join(
+            f"<span class='key {'ink' if line.colour == INK else ''}' style='--colour:{_colour(line)}'>"
+            f"{line.name if len(panel.lines) > 1 else ''} <output data-series='series{number + at}'></output></span>"
+            for at, line in enumerate(panel.lines)
+        )
+        keys += "".join(f"<span class='key level'>{name} {value:.3g}</span>" for name, value in panel.levels.items())
+        heads.append(_head(panel.title, panel.unit, panel.simulated, keys))
+        figures.append(_panel_figure(panel, x_range, number))
+        number += len(panel.lines)
+    if look.lanes:
+        keys = "<span class='key unknown'>not examined</span>" if any(lane.unknown for lane in look.lanes) else ""
+        heads.append(_head("Slip", "", False, keys))
+        figures.append(_lane_figure(look.lanes, x_range))
+    figures[-1].xaxis.visible = True
+    figures[-1].height += 34
+    script, places = components(tuple(figures))
+    charts = "".join(
+        f"<section class='chart'>{head}{place}</section>" for head, place in zip(heads, places, strict=True)
+    )
+    return script, Resources(mode="inline", components=["bokeh"]).render_js(), charts
+
+
+def _head(title: str, unit: str, simulated: bool, keys: str) -> str:
+    unit = f" <small>{unit}</small>" if unit else ""
+    mark = " <span class='badge simulated'>simulated</span>" if simulated else ""
+    return f"<h2>{_short(title)}{unit}{mark}<span class='keys'>{keys}</span></h2>"
+
+
+def _colour(line: Line) -> str:
+    return NEUTRAL if line.colour == INK else line.colour
+
+
+def _bare_figure(x_range: Any, **more: Any) -> Any:
+    """A figure without a frame that zooms in time: drag, or Ctrl and the wheel."""
+    from bokeh.models.annotations.geometry import Span
+    from bokeh.models.tools import BoxZoomTool, WheelZoomTool
+    from bokeh.plotting import figure
+
+    chart = figure(
+        x_range=x_range,
+        sizing_mode="stretch_width",
+        toolbar_location=None,
+        tools=[],
+        min_border_left=58,
+        min_border_right=14,
+        min_border_top=4,
+        min_border_bottom=4,
+        background_fill_alpha=0,
+        border_fill_alpha=0,
+        outline_line_color=None,
+        **more,
+    )
+    drag, wheel = BoxZoomTool(dimensions="width"), WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
+    chart.add_tools(drag, wheel)
+    chart.toolbar.active_drag, chart.toolbar.active_scroll = drag, wheel
+    chart.add_layout(
+        Span(location=x_range.start, dimension="height", line_color="#e0a000", line_width=2, name="cursor")
+    )
+    chart.xaxis.visible = False
+    chart.xaxis.axis_label = "s"
+    for axis in (*chart.xaxis, *chart.yaxis):
+        axis.axis_line_color = NEUTRAL
+        axis.major_tick_line_color = NEUTRAL
+        axis.minor_tick_line_color = None
+        axis.major_label_text_color = NEUTRAL
+        axis.axis_label_text_color = NEUTRAL
+        axis.axis_label_text_font_style = "normal"
+    chart.yaxis.fixed_location = None
+    chart.grid.grid_line_color = NEUTRAL
+    chart.grid.grid_line_alpha = 0.22
+    return chart
+
+
+def _panel_figure(panel: Panel, x_range: Any, number: int) -> Any:
+    """One axis with its series; their sources are named series0, series1, ... for the page's script."""
+    from bokeh.models.annotations.geometry import Span
+    from bokeh.models.sources import ColumnDataSource
+
+    chart = _bare_figure(x_range, height=112, y_axis_type="log" if panel.logarithmic else "linear")
+    if not panel.logarithmic:
+        chart.yaxis.ticker.desired_num_ticks = 4
+    for at, line in enumerate(panel.lines):
+        source = ColumnDataSource({"t": line.t_s, "v": line.value.astype(np.float32)}, name=f"series{number + at}")
+        chart.line("t", "v", source=source, line_color=_colour(line), line_width=1.4, line_join="round")
+    for value in panel.levels.values():
+        chart.add_layout(
+            Span(location=value, dimension="width", line_color=NEUTRAL, line_dash="dashed", line_width=1.2)
+        )
+    return chart
+
+
+def _lane_figure(lanes: list[Lane], x_range: Any) -> Any:
+    """Truth, label and model under each other: a bar where each says slip, a thin one where nobody looked."""
+    chart = _bare_figure(x_range, height=18 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)])
+    chart.ygrid.grid_line_color = None
+    for lane in lanes:
+        for parts, colour, height in ((lane.unknown, UNKNOWN, 0.16), (lane.slip, lane.colour, 0.7)):
+            shown = NEUTRAL if colour == INK else colour
+            chart.hbar(
+                y=[lane.name] * len(parts),
+                left=np.array([first for first, _ in parts]),
+                right=np.array([last for _, last in parts]),
+                height=height,
+                fill_color=shown,
+                line_color=shown,
+                line_width=1,  # a slip of one millisecond is still seen
+            )
+    return chart

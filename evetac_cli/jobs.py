@@ -1,0 +1,36 @@
+"""Jobs and what comes of them: a job makes one output file, an outcome holds its rows, progress is (done, total)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+Progress = Callable[[int, int], None]  # (done, total)
+
+
+def silent(done: int, total: int) -> None:
+    """Report no progress."""
+
+
+class Job(NamedTuple):
+    """One output to make: its inputs, where it goes, and what else tells it from its siblings."""
+
+    inputs: tuple[Path, ...]
+    output: Path
+    choice: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a job has to say: flat rows for the table and --json (units end the names), figures over all rows."""
+
+    rows: list[dict[str, Any]]
+    simulated: bool
+    summary: dict[str, Any] = field(default_factory=dict)
+    made: bool = True
+
+
+def outcome(job: Job, *, made: bool, simulated: bool, **figures: Any) -> Outcome:
+    """The row of a job that makes one file."""
+    row = {"output": str(job.output), "status": "made" if made else "up to date", **figures}
+    return Outcome([row], simulated, made=made)

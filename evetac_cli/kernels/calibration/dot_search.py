@@ -1,0 +1,149 @@
+"""Finds dots in a picture of the gel at rest (rest_image.py), with no idea of where they are or how large.
+
+First a vote: brightness just inside a circle against just outside, for every pixel and radius; the radius whose best
+places have the most votes is that of the dots. Then a fit: each centre is moved, and its radius changed, until a round
+edge with a smooth step fits the pixels of the rim (Gauss-Newton with weights that forget what fits badly).
+
+The radius is where log brightness is half way from dot to gel. Blur is one of brightness and not of its logarithm, so
+a dot five times darker than the gel looks smaller than it is printed, by half the blur: 0.6 px in the simulation.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.calibration.rest_image import RestImage
+
+Floats = NDArray[np.float64]
+
+SMALLEST_RADIUS_PX = 4
+LARGEST_SHARE = 0.1  # of the shorter side of the frame: a larger radius is not tried
+LEAST_CONTRAST = 3.0  # events; less is noise
+LEAST_PIXELS = 100  # so many pixels have moved, or nothing has
+VOTE = 0.8  # inside against outside: 2 is a dot that was moved in all directions, 1 half of one
+WHOLE_RUN = 0.7  # a pixel counts in the fit if its brightness changed by so much of the contrast
+RIM_PX = 8.0  # from the edge to the furthest pixel of the fit
+SECTORS, SECTORS_SEEN = 8, 6  # around the rim; a dot is found if so many show it
+SECTOR_SHARE = 0.3  # of a sector's rim pixels must have been passed by the edge
+WORST_RESIDUAL = 0.2  # rms, share of the contrast
+ITERATIONS = 20
+
+
+class Dots(NamedTuple):
+    """Centres (n, 2) in px and radii (n,) in px; NaN where the rim did not show."""
+
+    centre_xy_px: Floats
+    radius_px: Floats
+
+
+def contrast(picture: RestImage) -> float:
+    """Events from dot to gel; 0 if too few pixels saw anything move."""
+    span = picture.brighter.astype(np.int64) + picture.darker
+    moved = span[span >= LEAST_CONTRAST]
+    return float(np.percentile(moved, 90)) if len(moved) >= LEAST_PIXELS else 0.0
+
+
+def find(picture: RestImage) -> Dots:
+    """Find all dots of one size, in no order; none if nothing was seen to move."""
+    events = contrast(picture)
+    nothing = Dots(np.empty((0, 2)), np.empty(0))
+    if events == 0.0:
+        return nothing
+    signed = np.clip((picture.brighter.astype(np.float32) - picture.darker) / events, -1.0, 1.0).astype(np.float32)
+    largest = int(LARGEST_SHARE * min(signed.shape))
+    best, places, radius = 0.0, np.empty((0, 2)), 0
+    for tried in range(SMALLEST_RADIUS_PX, largest + 1):
+        score, at = _vote(signed, tried)
+        if score > best:
+            best, places, radius = score, at, tried
+    if len(places) == 0:
+        return nothing
+    return _distinct(fit(picture, places, float(radius)))
+
+
+def fit(picture: RestImage, centre_xy_px: Floats, radius_px: float) -> Dots:
+    """Fit dots near given places, (n, 2), and a common radius, with NaN where no such dot shows.
+
+    A dot is refused whose centre is more than 0.6 radii from where it was looked for, whose radius is more than a fifth
+    from that of the others, or whose rim is hidden in more than a quarter. ValueError if nothing moved in the picture.
+    """
+    events = contrast(picture)
+    if events == 0.0:
+        raise ValueError(f"expected {LEAST_PIXELS} pixels with {LEAST_CONTRAST:g} events or more, found fewer")
+    fitted = np.array([_fit_one(picture, events, place, radius_px) for place in centre_xy_px]).reshape(-1, 3)
+    usual = np.median(fitted[np.isfinite(fitted[:, 2]), 2]) if np.isfinite(fitted[:, 2]).any() else np.nan
+    fitted[~(np.abs(fitted[:, 2] - usual) <= 0.2 * usual)] = np.nan
+    return Dots(fitted[:, :2], fitted[:, 2])
+
+
+def _vote(signed: NDArray[np.float32], radius: int) -> tuple[float, Floats]:
+    """Sum of the votes for a radius, and the places (n, 2) that have them."""
+    width = max(2, radius // 3)
+    reach = radius + width
+    dy, dx = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    distance = np.hypot(dx, dy)
+    inside = (distance <= radius) & (distance > radius - width)
+    outside = (distance > radius) & (distance <= reach)
+    kernel = (inside / inside.sum() - outside / outside.sum()).astype(np.float32)
+    votes = cv2.filter2D(signed, cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT)
+    around = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    peaks = (votes >= cv2.dilate(votes, around)) & (votes >= VOTE)
+    y, x = np.nonzero(peaks)
+    return float(votes[peaks].sum()), np.stack([x, y], axis=1).astype(np.float64)
+
+
+def _fit_one(picture: RestImage, events: float, place: Floats, radius: float) -> tuple[float, float, float]:
+    """Centre x, y and radius of one dot, NaN if it does not show; share of darkening = 1 / (1 + exp((r - rho) / s))."""
+    refused = (np.nan, np.nan, np.nan)
+    height, width = picture.brighter.shape
+    reach = 1.6 * radius + RIM_PX
+    left, top = (max(0, int(value - reach)) for value in place)
+    right, bottom = (min(size, int(value + reach) + 2) for value, size in zip(place, (width, height), strict=True))
+    if right - left < 3 or bottom - top < 3:
+        return refused
+    brighter, darker = (side[top:bottom, left:right].astype(np.float64).ravel() for side in picture)
+    y, x = (axis.ravel().astype(np.float64) for axis in np.mgrid[top:bottom, left:right])
+    whole = brighter + darker >= WHOLE_RUN * events
+    if whole.sum() < LEAST_PIXELS // 4:
+        return refused
+    x, y, share = x[whole], y[whole], (darker / np.maximum(brighter + darker, 1))[whole]
+    estimate = np.array([*place, radius, 1.5])
+    rim_px = min(RIM_PX, 0.6 * radius)
+    for _ in range(ITERATIONS):
+        dx, dy = x - estimate[0], y - estimate[1]
+        rho = np.maximum(np.hypot(dx, dy), 1e-9)
+        near = np.abs(rho - estimate[2]) < rim_px
+        z = (rho[near] - estimate[2]) / estimate[3]
+        model = 1.0 / (1.0 + np.exp(-z))
+        slope = model * (1.0 - model) / estimate[3]
+        residual = share[near] - model
+        weight = 1.0 / (1.0 + (residual / WORST_RESIDUAL) ** 2)
+        jacobian = np.stack([-slope * dx[near] / rho[near], -slope * dy[near] / rho[near], -slope, -slope * z], axis=1)
+        weighted = jacobian * weight[:, None]
+        change = np.linalg.solve(weighted.T @ jacobian + 1e-6 * np.eye(4), weighted.T @ residual)
+        estimate += np.clip(change, -2.0, 2.0)
+        estimate[2] = np.clip(estimate[2], 0.5 * radius, 1.6 * radius)
+        estimate[3] = np.clip(estimate[3], 0.3, 0.5 * rim_px)
+        if np.hypot(*(estimate[:2] - place)) > 0.6 * radius:
+            return refused
+    if not near.any() or np.sqrt(np.average(residual**2, weights=weight)) > WORST_RESIDUAL:
+        return refused
+    edge = np.abs(rho - estimate[2]) < 2.0
+    sector = ((np.arctan2(dy, dx)[edge] / (2 * np.pi) % 1.0) * SECTORS).astype(int) % SECTORS
+    passed = np.bincount(sector, minlength=SECTORS) / (4.0 * 2 * np.pi * estimate[2] / SECTORS)
+    if (passed >= SECTOR_SHARE).sum() < SECTORS_SEEN:
+        return refused
+    return float(estimate[0]), float(estimate[1]), float(estimate[2])
+
+
+def _distinct(dots: Dots) -> Dots:
+    """Dots that were found, each once: places within a radius of an earlier one are the same dot."""
+    kept: list[int] = []
+    for index, centre in enumerate(dots.centre_xy_px):
+        if np.isfinite(centre).all() and all(
+            np.hypot(*(centre - dots.centre_xy_px[other])) > dots.radius_px[other] for other in kept
+        ):
+            kept.append(index)
+    return Dots(dots.centre_xy_px[kept], dots.radius_px[kept])

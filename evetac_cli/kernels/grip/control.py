@@ -1,0 +1,120 @@
+"""The controllers of a grasp by name, behind one `step`: what was felt and where the fingers are in, a goal out.
+
+The paper's law with both readings of its latch, ours (`by-load`), and two without feeling: `none`, the paper's control
+experiment, stays where light contact ended; `fixed:N` closes N ticks beyond it and stays there.
+"""
+
+import math
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, NamedTuple
+
+from evetac_cli.kernels.grip import load_proportional, paper
+from evetac_cli.kernels.grip.load_proportional import LoadLaw
+from evetac_cli.kernels.grip.paper import GripLaw, Phase
+
+LAWS: dict[str, GripLaw | LoadLaw] = {"paper": paper.PAPER, "relatch": paper.RELATCH, "by-load": LoadLaw()}
+FIXED = "fixed:"
+MOST_FIXED_TICKS = 300
+
+
+class Felt(NamedTuple):
+    """What the detector tells the controller: few numbers, so that they fit into shared memory."""
+
+    slips: int = 0  # slices with slip so far: a count that only rises
+    probability: float = math.nan  # of slip, in the last slice
+    drag_x_px: float = 0.0  # mean displacement of the dots: a load cell (see grip_by_load)
+    drag_y_px: float = 0.0
+
+
+@dataclass(frozen=True)
+class FixedGrip:
+    """Close this far beyond light contact and stay, in ticks; 0: stay where light contact ended, without a push."""
+
+    beyond: int
+
+
+def law_of(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
+    """The law of a controller: paper, relatch, by-load, none, or fixed:N. ValueError if there is no such controller.
+
+    gain: K_p of the paper's law in balance, in multiples; the others have none.
+    """
+    if name.startswith(FIXED):
+        ticks = name.removeprefix(FIXED)
+        if not (ticks.isascii() and ticks.isdigit() and 1 <= int(ticks) <= MOST_FIXED_TICKS):
+            raise ValueError(f"expected fixed:1 to fixed:{MOST_FIXED_TICKS} ticks, found {name}")
+        law: GripLaw | LoadLaw | FixedGrip = FixedGrip(int(ticks))
+    elif name == "none":
+        law = FixedGrip(0)
+    elif name in LAWS:
+        law = LAWS[name]
+    else:
+        raise ValueError(f"expected {', '.join(LAWS)}, none or fixed:N, found {name}")
+    if gain == 1.0:
+        return law
+    if not isinstance(law, GripLaw):
+        raise ValueError(f"a gain is for paper and relatch, found {name} with gain {gain:g}")
+    return replace(law, gain=gain)
+
+
+def feels(law: GripLaw | LoadLaw | FixedGrip) -> bool:
+    """Whether a controller listens to the detector at all."""
+    return not isinstance(law, FixedGrip)
+
+
+@dataclass
+class Control:
+    """A controller at work, stepped at control_hz; u_ff, x_ref and slip are for the record."""
+
+    law: GripLaw | LoadLaw | FixedGrip
+    control_hz: float = paper.PAPER_HZ
+    slip: bool = False  # counted since the step before
+    _seen: int = 0
+    _state: Any = None
+    _law: GripLaw = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Begin; ValueError for a rate that is none."""
+        if not (math.isfinite(self.control_hz) and self.control_hz > 0.0):
+            raise ValueError(f"control_hz: expected above 0, found {self.control_hz}")
+        if isinstance(self.law, LoadLaw):
+            self._law, self._state = paper.PAPER, load_proportional.start()
+        elif isinstance(self.law, GripLaw):
+            self._law, self._state = self.law.at(self.control_hz), paper.start()
+        else:
+            self._law, self._state = paper.PAPER, paper.start()
+
+    def step(self, phase: Phase, felt: Felt, position_ticks: int) -> int:
+        """One step: the goal in ticks."""
+        self.slip = felt.slips > self._seen
+        self._seen = felt.slips
+        if isinstance(self.law, LoadLaw):
+            return load_proportional.step(
+                self._state,
+                phase,
+                self.slip,
+                (felt.drag_x_px, felt.drag_y_px),
+                position_ticks,
+                1.0 / self.control_hz,
+                self.law,
+            )
+        if isinstance(self.law, FixedGrip) and phase is not Phase.CONTACT:
+            if self._state.phase is Phase.CONTACT:
+                self._state = paper.GripState(phase, -float(self.law.beyond), float(position_ticks))
+            if self.law.beyond == 0:
+                return position_ticks
+            return min(int(self._state.x_ref) + self.law.beyond, paper.PAPER.last_tick)
+        return paper.step(self._state, phase, self.slip, position_ticks, self._law)
+
+    @property
+    def u_ff_ticks(self) -> float:
+        """Feed-forward term of the paper's law, negative closes; of the others the push beyond the position."""
+        return float(self._state.u_ff)
+
+    @property
+    def x_ref_ticks(self) -> float:
+        """Reference position; NaN where there is none yet."""
+        return float(self._state.x_ref)
+
+    def parameters(self) -> dict[str, Any]:
+        """The law's constants, for a header."""
+        return asdict(self.law)

@@ -1,0 +1,157 @@
+"""What a network makes of some slices of features: inputs for dots, or a stack of event images.
+
+One kernel serves training, a whole trajectory and a live detector, so all three see the same bits: it takes a series of
+slices and the slices at which inputs end. A live detector gives it its last slices as a series.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.slip import features
+from evetac_cli.kernels.slip.features import EventImages
+from evetac_cli.kernels.slip.slip import CHANNELS, GEL_PX, Architecture, DotArchitecture, ImageArchitecture
+
+Series = NDArray[np.float32] | EventImages
+
+
+class Trajectory(NamedTuple):
+    """What a detector learns from, or is judged on: one trajectory, slice by slice."""
+
+    series: Series  # of the sort that its architecture sees
+    events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
+    label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
+    onset: int  # first slice of slip, -1 if there is none
+
+
+def part(series: Series, first: int, last: int) -> Series:
+    """The slices [first, last) of a series, a copy."""
+    if isinstance(series, EventImages):
+        images = series.part(first, last)
+        return EventImages(images.start.copy(), images.pixel.copy(), images.sign.copy())
+    return series[first:last].copy()
+
+
+def join(parts: Sequence[Series]) -> Series:
+    """Put at least one series of one sort end to end."""
+    if isinstance(parts[0], EventImages):
+        return features.join_images([images for images in parts if isinstance(images, EventImages)])
+    return np.concatenate([dots for dots in parts if not isinstance(dots, EventImages)])
+
+
+def length(series: Series) -> int:
+    """Slices in a series."""
+    return len(series.start) - 1 if isinstance(series, EventImages) else len(series)
+
+
+def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) -> NDArray[np.float32]:
+    """Network inputs of the samples that end at these slices of a series.
+
+    Dots: (slices, n, channels) as from `features.series` -> (samples, n, inputs_per_dot). Images: `EventImages` ->
+    (samples, history, height, width), the newest first. ValueError if the series is of the other sort, or a slice is
+    not there or has fewer than history - 1 slices before it.
+    """
+    ends = np.asarray(slices)
+    if ends.ndim != 1 or ends.dtype.kind not in "iu":
+        raise ValueError(f"expected slices as whole numbers in one dimension, found {ends.dtype} {ends.shape}")
+    last = length(series) - 1
+    if len(ends) and (ends.min() < architecture.history - 1 or ends.max() > last):
+        raise ValueError(
+            f"expected slices from {architecture.history - 1} to {last}, found {ends.min()} to {ends.max()}"
+        )
+    ends = ends.astype(np.int64)
+    if isinstance(architecture, ImageArchitecture):
+        if not isinstance(series, EventImages):
+            raise ValueError(f"{architecture.name}: expected event images, found dots {series.shape}")
+        images = np.zeros((len(ends), *architecture.input_shape), np.float32)
+        _images(*series, ends, GEL_PX[0], architecture.pool_px, images)
+        return images
+    if isinstance(series, EventImages) or series.ndim != 3 or series.shape[2] != len(CHANNELS):
+        found = "event images" if isinstance(series, EventImages) else str(series.shape)
+        raise ValueError(f"{architecture.name}: expected (slices, n, {len(CHANNELS)}), found {found}")
+    dots = np.empty((len(ends), series.shape[1], architecture.inputs_per_dot), np.float32)
+    fill(series, ends, table(architecture), dots)
+    return dots
+
+
+def rotate(
+    architecture: Architecture, inputs: NDArray[np.float32], rows: int, columns: int, quarter_turns: int
+) -> NDArray[np.float32]:
+    """Turn inputs as `features.rotate` does, and the displacements that have a direction with them; a new array.
+
+    Why so: after a quarter turn counter-clockwise, what pointed right points up. So x becomes y and y becomes -x.
+    """
+    if isinstance(architecture, ImageArchitecture):
+        turned = features.rotate(np.moveaxis(inputs, 1, 3), quarter_turns)
+        return np.ascontiguousarray(np.moveaxis(turned, 3, 1))
+    grid = inputs.reshape(len(inputs), rows, columns, -1)
+    turned = features.rotate(grid, quarter_turns)
+    right, down = architecture.columns_of("x"), architecture.columns_of("y")
+    for _ in range(quarter_turns % 4):
+        across = turned[..., right].copy()
+        turned[..., right] = turned[..., down]
+        turned[..., down] = -across
+    return turned.reshape(inputs.shape)
+
+
+def table(architecture: DotArchitecture) -> NDArray[np.int64]:
+    """The views of an architecture for `fill`, (views, 5): channel, recent, block, means, whether as change."""
+    return np.array(
+        [
+            (CHANNELS.index(view.channel), view.recent, view.block, view.means, view.change)
+            for view in architecture.views
+        ],
+        np.int64,
+    )
+
+
+@njit(cache=True)
+def fill(
+    series: NDArray[np.float32], ends: NDArray[np.int64], views: NDArray[np.int64], inputs: NDArray[np.float32]
+) -> None:
+    """What `at` does for dots, unchecked and into an array that is there; for a live detector, whose slices all fit."""
+    dots = series.shape[1]
+    for sample in range(ends.shape[0]):
+        end = ends[sample]
+        first = 0
+        for view in range(views.shape[0]):
+            channel, recent, block, means, change = views[view]
+            for ago in range(recent):
+                for dot in range(dots):
+                    inputs[sample, dot, first + ago] = series[end - ago, dot, channel]
+            for mean in range(means):
+                column = first + recent + mean
+                newest = end - mean * block
+                for dot in range(dots):
+                    inputs[sample, dot, column] = 0
+                for ago in range(block):
+                    for dot in range(dots):
+                        inputs[sample, dot, column] += series[newest - ago, dot, channel]
+                for dot in range(dots):
+                    inputs[sample, dot, column] /= np.float32(block)
+            if change:
+                for column in range(first + 1, first + recent + means):
+                    for dot in range(dots):
+                        inputs[sample, dot, column] = inputs[sample, dot, first] - inputs[sample, dot, column]
+            first += recent + means
+
+
+@njit(cache=True)
+def _images(
+    start: NDArray[np.int64],
+    pixel: NDArray[np.uint32],
+    sign: NDArray[np.int8],
+    ends: NDArray[np.int64],
+    width: int,
+    pool: int,
+    images: NDArray[np.float32],
+) -> None:
+    for sample in range(ends.shape[0]):
+        for ago in range(images.shape[1]):
+            image = images[sample, ago]
+            for k in range(start[ends[sample] - ago], start[ends[sample] - ago + 1]):
+                place = np.int64(pixel[k])
+                image[place // width // pool, place % width // pool] += sign[k]

@@ -1,0 +1,205 @@
+"""Which slices a slip detector is trained on, how often each is drawn, and how they are varied.
+
+Slip is rare, and most of the rest is silence, so samples are drawn from three pools (paper, Model Training & Data
+Selection):
+
+- slip: slices labelled slip;
+- busy: slices labelled no slip with more than 25 events;
+- quiet: all other slices labelled no slip.
+
+"Events" are those outside the window strip, because a detector must not know what the window sees. A batch of 72 holds
+32, 32 and 8 of them, and an epoch is one pass over the busy pool.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.slip import inputs, slip
+from evetac_cli.kernels.slip.features import EventImages
+from evetac_cli.kernels.slip.inputs import Trajectory
+
+BUSY_EVENTS = 25  # a slice with more is busy
+SLIP_SHARE = 32  # samples of each pool in a batch
+BUSY_SHARE = 32
+QUIET_SHARE = 8
+ROTATED_SHARE = 0.5
+NORMALISE_SAMPLES = 2000  # of each pool, enough for a mean and a spread
+NORMALISE_IMAGES = 200  # as many of images, which have some thousand values each
+NORMALISE_VALUES = 1 << 22  # at a time
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Trajectories end to end, and for each pool the slices (int64) at which a sample's history ends.
+
+    Why so: inputs are gathered anew for each batch, because all of them together hold every slice as often as the
+    history is long (2.4 GB for 360 trajectories of 1.5 s and hist10), and gathering takes a small part of a step.
+    """
+
+    architecture: slip.Architecture
+    rows: int
+    columns: int
+    series: inputs.Series
+    slip: NDArray[np.int64]
+    busy: NDArray[np.int64]
+    quiet: NDArray[np.int64]
+
+    def inputs(self, at: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Network inputs (samples, ...) of the samples that end at these slices."""
+        return inputs.at(self.architecture, self.series, at)
+
+
+def gather(
+    trajectories: Iterable[Trajectory],
+    architecture: slip.Architecture,
+    rows: int = 7,
+    columns: int = 8,
+    ahead_ms: int = 0,
+) -> Samples:
+    """Sort the slices of trajectories into the three pools; what no sample sees is left out.
+
+    A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
+    50 ms beyond. A slice is a sample when its history is full and it is labelled. With `ahead_ms` the same slices are
+    labelled as in `slip.shift`. ValueError where shapes, values or the onset do not fit, or where the slip or the busy
+    pool would be empty; the quiet pool may be.
+    """
+    history = architecture.history
+    pools: dict[str, list[NDArray[np.int64]]] = {"slip": [], "busy": [], "quiet": []}
+    parts = []
+    begin = count = 0
+    for index, trajectory in enumerate(trajectories):
+        count += 1
+        try:
+            _check(trajectory, rows * columns)
+            shifted = slip.shift(trajectory.label, ahead_ms)
+        except ValueError as error:
+            raise ValueError(f"trajectory {index}: {error}") from error
+        slices = len(shifted)
+        if trajectory.onset >= 0:
+            slices = min(slices, trajectory.onset + architecture.train_cut_ms)
+        label = shifted[:slices]
+        drawn = (np.arange(slices) >= history - 1) & (label >= 0)
+        if not drawn.any():
+            continue
+        busy = trajectory.events_outside[:slices] > BUSY_EVENTS
+        first = int(np.argmax(drawn)) - (history - 1)
+        for name, members in (("slip", label == 1), ("busy", (label == 0) & busy), ("quiet", (label == 0) & ~busy)):
+            pools[name].append(begin - first + np.flatnonzero(drawn & members))
+        parts.append(inputs.part(trajectory.series, first, slices))
+        begin += slices - first
+    ends = {name: np.concatenate([np.empty(0, np.int64), *pool]) for name, pool in pools.items()}
+    meanings = {"slip": "labelled slip", "busy": f"labelled no slip with more than {BUSY_EVENTS} events"}
+    for name, meaning in meanings.items():
+        if len(ends[name]) == 0:
+            raise ValueError(
+                f"the {name} pool is empty: expected at least one slice {meaning} with a full history of "
+                f"{history}, found none in {count} trajectories"
+            )
+    return Samples(architecture, rows, columns, inputs.join(parts), **ends)
+
+
+class Batch(NamedTuple):
+    """The slices that the samples of one batch end at, by pool."""
+
+    slip: NDArray[np.int64]
+    busy: NDArray[np.int64]
+    quiet: NDArray[np.int64]
+
+
+def steps_per_epoch(samples: Samples) -> int:
+    """Batches in one pass over the busy pool."""
+    return -(-len(samples.busy) // _busy_share(samples))
+
+
+def batches(samples: Samples, rng: np.random.Generator) -> Iterator[Batch]:
+    """Draw batches without end; `steps_per_epoch` of them see every busy sample once.
+
+    Each pool is shuffled, dealt out, and shuffled again when it is used up; slip and quiet samples run on over the
+    borders of epochs. The last batch of an epoch holds what is left of the busy pool, and the other shares shrink with
+    it (rounded up), so that the proportions hold. An empty quiet pool leaves its share to the busy pool.
+    """
+    share = _busy_share(samples)
+    slip_deck = _deal(samples.slip, rng)
+    quiet_deck = _deal(samples.quiet, rng)
+    quiet_share = QUIET_SHARE if len(samples.quiet) else 0
+    while True:
+        order = rng.permutation(samples.busy)
+        for start in range(0, len(order), share):
+            busy = order[start : start + share]
+            yield Batch(
+                _take(slip_deck, -(-SLIP_SHARE * len(busy) // share)),
+                busy,
+                _take(quiet_deck, -(-quiet_share * len(busy) // share)),
+            )
+
+
+def quarter_turns(samples: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """How often each sample is turned by 90 degrees: 1 to 3 times with probability 0.5, else not at all."""
+    return np.where(rng.random(samples) < ROTATED_SHARE, rng.integers(1, 4, samples), 0)
+
+
+def augment(samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Turn each input of a batch, as if the object had been gripped that way round; a new array (paper, as above)."""
+    result = batch.copy()
+    for times in (1, 2, 3):
+        chosen = turns == times
+        if chosen.any():
+            result[chosen] = inputs.rotate(samples.architecture, batch[chosen], samples.rows, samples.columns, times)
+    return result
+
+
+def moments(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation of each channel over what a batch holds: every pool counts by its share."""
+    images = isinstance(samples.architecture, slip.ImageArchitecture)
+    over = (0, 2, 3) if images else (0, 1)
+    most = NORMALISE_IMAGES if images else NORMALISE_SAMPLES
+    at_once = max(1, NORMALISE_VALUES // samples.inputs(samples.slip[:1]).size)
+    shares = np.array([SLIP_SHARE, _busy_share(samples), QUIET_SHARE if len(samples.quiet) else 0])
+    mean = square = np.zeros(1)
+    for share, pool in zip(shares / shares.sum(), (samples.slip, samples.busy, samples.quiet), strict=True):
+        spaced = pool[:: -(-len(pool) // most)] if len(pool) else pool
+        for begin in range(0, len(spaced), at_once):
+            chunk = spaced[begin : begin + at_once]
+            values = samples.inputs(chunk).astype(np.float64)
+            part = share * len(chunk) / len(spaced)
+            mean = mean + part * values.mean(axis=over)
+            square = square + part * np.square(values).mean(axis=over)
+    return mean, np.sqrt(np.maximum(square - np.square(mean), 0))
+
+
+def _busy_share(samples: Samples) -> int:
+    return BUSY_SHARE if len(samples.quiet) else BUSY_SHARE + QUIET_SHARE
+
+
+def _deal(pool: NDArray[np.int64], rng: np.random.Generator) -> Iterator[np.int64]:
+    while True:
+        yield from rng.permutation(pool)
+
+
+def _take(deck: Iterator[np.int64], count: int) -> NDArray[np.int64]:
+    return np.fromiter(islice(deck, count), np.int64, count)
+
+
+def _check(trajectory: Trajectory, dots: int) -> None:
+    slices = len(trajectory.label)
+    if inputs.length(trajectory.series) != slices:
+        raise ValueError(f"series: expected {slices} slices as labelled, found {inputs.length(trajectory.series)}")
+    if trajectory.events_outside.shape != (slices,):
+        raise ValueError(f"events_outside: expected shape {(slices,)}, found {trajectory.events_outside.shape}")
+    slip.check_labels(trajectory.label, trajectory.onset)
+    outside = trajectory.events_outside
+    if outside.dtype.kind not in "iu" or np.any(outside < 0):
+        raise ValueError(
+            f"events_outside: expected whole numbers of at least 0, found {outside.dtype} from {outside.min(initial=0)}"
+        )
+    if isinstance(trajectory.series, EventImages):
+        return
+    if trajectory.series.shape[1:] != (dots, len(slip.CHANNELS)):
+        raise ValueError(f"series: expected {dots} dots, found shape {trajectory.series.shape}")
+    if not np.isfinite(trajectory.series).all():
+        raise ValueError("series: expected finite numbers")

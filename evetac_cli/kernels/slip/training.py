@@ -1,0 +1,281 @@
+"""Train a slip detector: named recipes, and the steps of the optimiser."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from evetac_cli.kernels.slip.networks import Network, build, weights
+from evetac_cli.kernels.slip.sampling import Samples, augment, batches, moments, quarter_turns, steps_per_epoch
+
+CURVE_POINTS = 100
+KEEP_STEPS = 50  # how often a run may be kept, see `train`
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A named, complete set of training constants."""
+
+    name: str
+    optimiser: Literal["sgd", "adam", "adamw"]
+    learning_rate: float
+    normalise: bool  # shift and scale each input channel to mean 0 and spread 1 over the training samples
+    epochs: int
+    checkpoint_every: int  # epochs
+    weight_decay: float = 0.0
+    cosine: bool = False  # let the learning rate fall to 0 over the run, as half a cosine
+    average: float = 0.0  # keep the running mean of the weights, with this share of the old a step; 0: keep the last
+    gain: tuple[float, float] = (
+        1.0,
+        1.0,
+    )  # every sample is multiplied by a factor from this range, drawn log-uniformly
+
+
+RECIPES = {
+    recipe.name: recipe
+    for recipe in [
+        Recipe("paper", "sgd", learning_rate=1e-3, normalise=False, epochs=70, checkpoint_every=10),
+        # not the paper's: for when few steps are to be enough; their names travel with the result
+        Recipe("adam", "adam", learning_rate=1e-3, normalise=True, epochs=70, checkpoint_every=10),
+        # A single wrong slice spoils a trajectory's timing, and the mean of many late weights makes fewer of them. The
+        # gel is elastic and friction has no scale: an object half as heavy moves the dots half as far, with half the
+        # events, when it slips under half the force. So the factor makes lighter and heavier objects of those at hand.
+        Recipe(
+            "steady",
+            "adamw",
+            learning_rate=2e-3,
+            normalise=True,
+            epochs=70,
+            checkpoint_every=10,
+            weight_decay=0.01,
+            cosine=True,
+            average=0.999,
+            gain=(0.3, 2.0),
+        ),
+    ]
+}
+
+
+def factors(recipe: Recipe, samples: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """What each sample is multiplied by, drawn log-uniformly from the range of the recipe."""
+    least, most = recipe.gain
+    return np.exp(rng.uniform(math.log(least), math.log(most), samples)).astype(np.float32)
+
+
+class Checkpoint(NamedTuple):
+    """The network after some steps, as `networks.weights` gives it."""
+
+    step: int
+    weights: dict[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a run of training gave."""
+
+    recipe: Recipe
+    checkpoints: list[Checkpoint]  # the last is the end of the run
+    curve_step: NDArray[np.int64]  # (points,)
+    curve_loss: NDArray[np.float64]  # (points,) mean loss since the point before
+    steps: int
+    steps_planned: int  # what all epochs would have taken
+
+    @property
+    def cut(self) -> bool:
+        """Whether max_steps ended the run before its last epoch."""
+        return self.steps < self.steps_planned
+
+
+Kept = dict[str, NDArray[Any]]  # a run that is not over, as named arrays
+
+
+def train(
+    samples: Samples,
+    recipe: Recipe,
+    rng: np.random.Generator,
+    epochs: int | None = None,
+    max_steps: int | None = None,
+    on_progress: Callable[[int, int, float], None] | None = None,
+    device: str = "cpu",
+    kept: Kept | None = None,
+    on_keep: Callable[[Callable[[], Kept]], None] | None = None,
+) -> Training:
+    """Train one network with binary cross entropy (paper, Model Training & Data Selection).
+
+    `epochs` None takes the recipe's. Checkpoints are kept every `recipe.checkpoint_every` epochs and at the end; where
+    `max_steps` cuts the run, as many are spread evenly over the steps that are left, and the result's `cut` is True.
+    `on_progress` gets (step, steps, loss) at each of the up to 100 points of the loss curve. The result depends on the
+    generator's state alone (on one kind of machine and number of torch threads, which is the caller's to set).
+
+    `on_keep` is called every 50 steps with a function that gives the run as it then is. Given back as `kept`, with all
+    else as it was, the run goes on from there to the same result: the generators are led to the same place by drawing
+    again what had been drawn. ValueError when the loss stops being finite, or where `kept` is of another run.
+    """
+    epochs = recipe.epochs if epochs is None else epochs
+    if epochs < 1 or (max_steps is not None and max_steps < 1):
+        raise ValueError(f"expected at least one epoch and one step, found {epochs} and {max_steps}")
+    per_epoch = steps_per_epoch(samples)
+    planned = epochs * per_epoch
+    steps = planned if max_steps is None else min(planned, max_steps)
+    checkpoint_epochs = sorted({*range(recipe.checkpoint_every, epochs + 1, recipe.checkpoint_every), epochs})
+    wanted = {epoch * per_epoch for epoch in checkpoint_epochs}
+    if steps < planned:
+        wanted = set(_evenly(steps, len(checkpoint_epochs)))
+    points = set(_evenly(steps, CURVE_POINTS))
+
+    seeds, draws, turns, gains = rng.spawn(4)
+    run = _Run(_network(samples, recipe, int(seeds.integers(2**63))).to(device), recipe, device)
+    if kept is not None:
+        run.restore(kept)
+    for step, batch in enumerate(islice(batches(samples, draws), steps), start=1):
+        ends = np.concatenate(batch)
+        turned = quarter_turns(len(ends), turns)
+        factor = factors(recipe, len(ends), gains)
+        if step <= run.step:
+            continue  # done before the interruption
+        target = torch.zeros(len(ends))
+        target[: len(batch.slip)] = 1
+        varied = augment(samples, samples.inputs(ends), turned)
+        varied *= factor.reshape(-1, *(1,) * (varied.ndim - 1))
+        run.advance(varied, target, (step - 1) / steps)
+        if step in points:
+            mean = run.mean_loss()
+            if not np.isfinite(mean):
+                raise ValueError(f"recipe {recipe.name}: expected a finite loss, found {mean} by step {step}")
+            if on_progress:
+                on_progress(step, steps, mean)
+        if step in wanted:
+            run.checkpoints.append(Checkpoint(step, run.weights()))
+        if on_keep and step % KEEP_STEPS == 0 and step < steps:
+            on_keep(run.keep)
+    curve = np.array(run.curve_step, np.int64), np.array(run.curve_loss)
+    return Training(recipe, run.checkpoints, *curve, steps, planned)
+
+
+class _Run:
+    """A run of training between two steps."""
+
+    def __init__(self, network: Network, recipe: Recipe, device: str) -> None:
+        self.network = network
+        self.recipe = recipe
+        self.device = device
+        self.trained = dict(network.named_parameters())
+        make: Any = {"sgd": torch.optim.SGD, "adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[recipe.optimiser]
+        self.optimiser = make(
+            self.trained.values(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay, fused=True
+        )
+        self.average = {name: value.detach().clone() for name, value in self.trained.items() if recipe.average}
+        self.loss_sum = torch.zeros((), device=device)
+        self.step = self.since = 0
+        self.checkpoints: list[Checkpoint] = []
+        self.curve_step: list[int] = []
+        self.curve_loss: list[float] = []
+
+    def advance(self, batch: NDArray[np.float32], target: Tensor, done: float) -> None:
+        """Take one step of the optimiser; `done` is the share of the run that lies behind."""
+        if self.recipe.cosine:
+            for group in self.optimiser.param_groups:
+                group["lr"] = self.recipe.learning_rate * 0.5 * (1 + math.cos(math.pi * done))
+        self.optimiser.zero_grad()
+        logits = self.network(torch.from_numpy(batch).to(self.device))
+        loss = functional.binary_cross_entropy_with_logits(logits, target.to(self.device))
+        torch.autograd.backward(loss)
+        self.optimiser.step()
+        self.loss_sum += loss.detach()
+        self.step += 1
+        if self.average:
+            # early weights are soon forgotten: the mean of a short run reaches back for a tenth of it
+            share = min(self.recipe.average, (1 + self.step) / (10 + self.step))
+            new = [value.detach() for value in self.trained.values()]
+            torch._foreach_lerp_(list(self.average.values()), new, 1 - share)
+
+    def mean_loss(self) -> float:
+        """Mean loss since this was last asked, which becomes a point of the curve."""
+        mean = float(self.loss_sum) / (self.step - self.since)
+        self.curve_step.append(self.step)
+        self.curve_loss.append(mean)
+        self.loss_sum.zero_()
+        self.since = self.step
+        return mean
+
+    def weights(self) -> dict[str, NDArray[np.float32]]:
+        """The weights to be judged: the last, or their running mean."""
+        return weights(self.network) | {name: value.cpu().numpy().copy() for name, value in self.average.items()}
+
+    def keep(self) -> Kept:
+        """The run as named arrays."""
+        arrays: Kept = {
+            "step": np.array(self.step),
+            "since": np.array(self.since),
+            "loss_sum": self.loss_sum.cpu().numpy().copy(),
+            "curve_step": np.array(self.curve_step, np.int64),
+            "curve_loss": np.array(self.curve_loss, np.float64),
+        }
+        arrays |= {f"weights/{name}": value for name, value in weights(self.network).items()}
+        arrays |= {f"average/{name}": value.cpu().numpy().copy() for name, value in self.average.items()}
+        for index, state in self.optimiser.state_dict()["state"].items():
+            for name, value in state.items():
+                if value is not None:
+                    arrays[f"optimiser/{index}/{name}"] = value.cpu().numpy().copy()
+        for checkpoint in self.checkpoints:
+            for name, array in checkpoint.weights.items():
+                arrays[f"checkpoint/{checkpoint.step}/{name}"] = array
+        return arrays
+
+    def restore(self, kept: Kept) -> None:
+        """Become the run that `keep` gave; ValueError if it does not fit."""
+        found = _groups(kept)
+        try:
+            state = {name: torch.from_numpy(np.asarray(array)) for name, array in found["weights"].items()}
+            self.network.load_state_dict(state)
+            for name, average in self.average.items():
+                average.copy_(torch.from_numpy(np.asarray(found["average"][name])))
+            optimiser = self.optimiser.state_dict()
+            optimiser["state"] = {}
+            for name, array in found["optimiser"].items():
+                index, key = name.split("/")
+                optimiser["state"].setdefault(int(index), {})[key] = torch.from_numpy(np.array(array))
+            self.optimiser.load_state_dict(optimiser)
+            checkpoints: dict[int, dict[str, NDArray[np.float32]]] = {}
+            for name, array in found["checkpoint"].items():
+                step, key = name.split("/")
+                checkpoints.setdefault(int(step), {})[key] = array
+            self.checkpoints = [Checkpoint(*item) for item in checkpoints.items()]
+            self.loss_sum.copy_(torch.from_numpy(np.array(kept["loss_sum"])))
+            self.step, self.since = int(kept["step"]), int(kept["since"])
+            self.curve_step, self.curve_loss = kept["curve_step"].tolist(), kept["curve_loss"].tolist()
+        except (KeyError, RuntimeError) as error:
+            raise ValueError(f"expected a kept run of this network and recipe, found another: {error}") from error
+
+
+def _groups(kept: Kept) -> dict[str, Kept]:
+    """Arrays by the first part of their names."""
+    groups: dict[str, Kept] = {name: {} for name in ("weights", "average", "optimiser", "checkpoint")}
+    for name, array in kept.items():
+        group, _, rest = name.partition("/")
+        if rest:
+            groups[group][rest] = array
+    return groups
+
+
+def _network(samples: Samples, recipe: Recipe, seed: int) -> Network:
+    scale = offset = None
+    if recipe.normalise:
+        offset, spread = moments(samples)
+        # a channel that varies by rounding alone carries nothing: it is shifted to 0 and not blown up
+        scale = 1 / np.where(spread > 1e-6 * np.abs(offset), spread, 1)
+    with torch.random.fork_rng(devices=[]):  # torch draws first weights from its global generator only
+        torch.manual_seed(seed)
+        return build(samples.architecture, samples.rows, samples.columns, scale, offset)
+
+
+def _evenly(steps: int, points: int) -> list[int]:
+    """Up to `points` different steps, evenly spaced, of which the last is `steps`."""
+    return sorted({max(1, round(steps * (index + 1) / points)) for index in range(points)})

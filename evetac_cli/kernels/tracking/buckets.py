@@ -1,0 +1,189 @@
+"""Which dots an event may belong to: buckets of 16 x 16 px that list the dots within reach, and events block by block.
+
+The lists allow for MARGIN_PX of motion and are made again only when a dot has left that margin, so a slice without
+motion does not pay for them. Most buckets have one dot or none: `first_dot` tells which, or that there is a crowd, and
+only for a crowd are lists looked at. (A loop over a list of one entry costs more than all else that is done here.)
+
+Why so:
+- Events are taken in blocks that stay in the processor's nearest memory. What they say is computed for a whole block at
+  once, several events in one instruction, and added to the dots last.
+- An event near no dot, of a hot pixel or outside the frame is nobody's: nobody is the last row of the arrays of dots,
+  far away from all pixels. So every event takes the same way, and there is nothing for the processor to guess wrong.
+- What events add up to is summed as integers of 2**-36. Integer sums do not depend on the order of their terms, so the
+  positions are the same bits in whatever order the events of a slice arrive. A term is cut off by less than 1.5e-11.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.tracking import hot_pixels
+
+MARGIN_PX = 4.0
+BLOCK = 256  # events
+UNITS = 2.0**36  # a sum's integer for 1
+NOBODY_XY_PX = (-1000.0, -1000.0)  # farther from every pixel than any event may be from its dot
+_BITS = 4
+SIZE_PX = 1 << _BITS
+COLUMNS = -(-FRAME_PX[0] // SIZE_PX)
+ROWS = -(-FRAME_PX[1] // SIZE_PX)
+BUCKETS = COLUMNS * ROWS
+NOWHERE = np.uint16(BUCKETS)  # the bucket of what is outside the frame
+
+_ONE = np.uint64(1)
+
+
+def most_entries(dots: int, reach_px: float) -> int:
+    """How many entries the lists of so many dots can have."""
+    across = int(2 * (reach_px + MARGIN_PX)) // SIZE_PX + 2
+    return dots * min(BUCKETS, across**2)
+
+
+@njit(cache=True)
+def left_margin(centre_xy_px: NDArray[np.float64], listed_xy_px: NDArray[np.float64]) -> bool:
+    """Tell whether a dot is too far from where it was when the buckets were filled."""
+    for i in range(listed_xy_px.shape[0]):
+        if abs(centre_xy_px[i, 0] - listed_xy_px[i, 0]) > MARGIN_PX:
+            return True
+        if abs(centre_xy_px[i, 1] - listed_xy_px[i, 1]) > MARGIN_PX:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _within(x_px: float, y_px: float, reach_px: float) -> tuple[int, int, int, int]:
+    """First and one past the last bucket row, the same of columns, that a square of half width reach_px touches."""
+    first_row = max(0, int(y_px - reach_px) >> _BITS)
+    first_column = max(0, int(x_px - reach_px) >> _BITS)
+    last_row = min(ROWS - 1, int(y_px + reach_px) >> _BITS)
+    last_column = min(COLUMNS - 1, int(x_px + reach_px) >> _BITS)
+    return first_row, last_row + 1, first_column, last_column + 1
+
+
+@njit(cache=True)
+def fill(
+    centre_xy_px: NDArray[np.float64],
+    reach_px: float,
+    listed_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
+    bucket_start: NDArray[np.uint32],
+    bucket_dots: NDArray[np.uint32],
+) -> None:
+    """List the dots (n + 1, 2) within reach_px, and the margin, of bucket b in bucket_dots[bucket_start[b]:...[b + 1]].
+
+    listed_xy_px, (n, 2), is where they are then; first_dot[b] is the only dot, n for nobody, n + 1 for a crowd. A
+    missing dot (NaN) is on no list.
+    """
+    dots = listed_xy_px.shape[0]
+    reach_px += MARGIN_PX
+    bucket_start[:] = 0
+    for i in range(dots):
+        if np.isnan(centre_xy_px[i, 0]):
+            continue
+        listed_xy_px[i, 0] = centre_xy_px[i, 0]
+        listed_xy_px[i, 1] = centre_xy_px[i, 1]
+        row, row_stop, column, column_stop = _within(centre_xy_px[i, 0], centre_xy_px[i, 1], reach_px)
+        for r in range(row, row_stop):
+            for c in range(column, column_stop):
+                bucket_start[r * COLUMNS + c] += 1
+    # From counts to the end of every bucket; filling from the end then leaves its beginning.
+    total = 0
+    for b in range(BUCKETS):
+        total += bucket_start[b]
+        bucket_start[b] = total
+    bucket_start[BUCKETS] = total
+    for i in range(dots):
+        if np.isnan(centre_xy_px[i, 0]):
+            continue
+        row, row_stop, column, column_stop = _within(centre_xy_px[i, 0], centre_xy_px[i, 1], reach_px)
+        for r in range(row, row_stop):
+            for c in range(column, column_stop):
+                b = r * COLUMNS + c
+                bucket_start[b] -= 1
+                bucket_dots[bucket_start[b]] = i
+    first_dot[:] = dots
+    for b in range(BUCKETS):
+        listed = bucket_start[b + 1] - bucket_start[b]
+        if listed > 0:
+            first_dot[b] = bucket_dots[bucket_start[b]] if listed == 1 else dots + 1
+
+
+@njit(cache=True)
+def look_up(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    fired: NDArray[np.uint16],
+    hot: bool,
+    centre_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
+    bucket: NDArray[np.uint16],
+    near_dot: NDArray[np.uint32],
+    near_px: NDArray[np.float64],
+) -> bool:
+    """Fill near_dot, near_px (2, ...) from its centre to the event, and bucket for up to BLOCK events; tell of crowds.
+
+    If `hot`, events of hot pixels (hot_pixels.py) are nobody's. Those in a crowd are so too, until `look_up_crowd`.
+    """
+    for k in range(x.shape[0]):
+        inside = (x[k] < FRAME_PX[0]) & (y[k] < FRAME_PX[1])
+        b = (y[k] >> np.uint16(_BITS)) * np.uint16(COLUMNS) + (x[k] >> np.uint16(_BITS))
+        bucket[k] = b if inside else NOWHERE
+    if hot:
+        for k in range(x.shape[0]):
+            # Outside the frame, any pixel will do: nowhere is nowhere.
+            row = np.uint64(min(y[k], np.uint16(FRAME_PX[1] - 1))) + _ONE
+            column = np.uint64(min(x[k], np.uint16(FRAME_PX[0] - 1))) + _ONE
+            bucket[k] = NOWHERE if fired[row, column] & hot_pixels.HOT else bucket[k]
+    nobody = np.uint32(centre_xy_px.shape[0] - 1)
+    crowd = False
+    for k in range(x.shape[0]):
+        # Unsigned, as are the buckets: numba need not look for negative indices.
+        i = first_dot[bucket[k]]
+        crowd |= i > nobody
+        i = min(i, nobody)
+        near_dot[k] = i
+        near_px[0, k] = centre_xy_px[i, 0]
+        near_px[1, k] = centre_xy_px[i, 1]
+    for k in range(x.shape[0]):
+        near_px[0, k] = x[k] - near_px[0, k]
+        near_px[1, k] = y[k] - near_px[1, k]
+    return crowd
+
+
+@njit(cache=True)
+def look_up_crowd(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    begin: int,
+    centre_xy_px: NDArray[np.float64],
+    first_dot: NDArray[np.uint32],
+    bucket_start: NDArray[np.uint32],
+    bucket_dots: NDArray[np.uint32],
+    bucket: NDArray[np.uint16],
+    near_dot: NDArray[np.uint32],
+    near_px: NDArray[np.float64],
+    near_p: NDArray[np.uint8],
+) -> tuple[int, int]:
+    """Pair the events of a block that are in a crowd, from `begin` on, with every dot they may belong to.
+
+    Fills near_dot, near_px and, where p is not empty, near_p; returns where to go on, and how many pairs. There is room
+    for BLOCK pairs and as many as there are dots. `bucket` as from `look_up`.
+    """
+    nobody = np.uint32(centre_xy_px.shape[0] - 1)
+    pairs = 0
+    k = begin
+    while k < x.shape[0] and pairs < BLOCK:
+        b = bucket[k]
+        if first_dot[b] > nobody:
+            for entry in range(bucket_start[b], bucket_start[b + 1]):
+                i = bucket_dots[entry]
+                near_dot[pairs] = i
+                near_px[0, pairs] = x[k] - centre_xy_px[i, 0]
+                near_px[1, pairs] = y[k] - centre_xy_px[i, 1]
+                if p.shape[0]:
+                    near_p[pairs] = p[k]
+                pairs += 1
+        k += 1
+    return k, pairs

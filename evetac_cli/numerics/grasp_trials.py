@@ -1,0 +1,164 @@
+"""Short grasps in memory, for evaluate cost grasp and evaluate stability grasp: nothing is written.
+
+The hand rises as in the scene, but the lift ends soon after 50 mm, and the balance with the first catches.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli import resources
+from evetac_cli.devices import Rig
+from evetac_cli.events import Events
+from evetac_cli.kernels.grip import control as grip_control
+from evetac_cli.kernels.grip.control import Control, Felt
+from evetac_cli.params import Grasp
+from evetac_cli.sim import grasp_outcome, scene
+from evetac_cli.stages.grasp.loop import SLICES_S, Kept, Sense, Timing, hold
+from evetac_cli.stages.grasp.setup import sense_of
+from evetac_cli.store.files import StageFile
+
+LIFT_S = 3.5  # 50 mm are reached at 3.1 s
+LOST_MM = 25.0  # an object that moved so far in the gripper is lost
+CONTROLLERS = ("paper", "relatch", "by-load")
+
+
+@dataclass
+class Timed:
+    """A detector whose slices are timed."""
+
+    sense: Sense
+    took_us: list[float] = field(default_factory=list)
+
+    def step(self, events: Events) -> float:
+        """Slip probability after one more slice."""
+        started = time.perf_counter()
+        probability = self.sense.step(events)
+        self.took_us.append(1e6 * (time.perf_counter() - started))
+        return probability
+
+    @property
+    def felt(self) -> Felt:
+        """What the detector tells."""
+        return self.sense.felt
+
+
+@dataclass
+class Says:
+    """In a detector's place: something else says whether there is slip; the drag is the detector's."""
+
+    sense: Sense
+    slips: Callable[[], bool]
+    count: int = 0
+
+    def step(self, events: Events) -> float:
+        """1 or 0."""
+        self.sense.step(events)
+        slips = self.slips()
+        self.count += slips
+        return float(slips)
+
+    @property
+    def felt(self) -> Felt:
+        """The count of what was said."""
+        return self.sense.felt._replace(slips=self.count)
+
+
+def truthful(sense: Sense, devices: Rig) -> Sense:
+    """Slip as the simulation knows it."""
+    truth = devices.truth
+    assert truth is not None
+    return Says(sense, lambda: bool(truth()["truth/slip"]))
+
+
+@dataclass
+class UntilLost:
+    """A camera whose stream ends once the object has moved too far in the gripper: it would slide at length."""
+
+    devices: Rig
+    mm_per_px: float
+
+    @property
+    def sensor(self) -> Mapping[str, Any]:
+        """That of the camera."""
+        return self.devices.camera.sensor
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """That of the camera."""
+        return self.devices.camera.counted
+
+    def read(self) -> Events | None:
+        """The next slice; None once the object is lost."""
+        assert self.devices.truth is not None
+        moved_px = self.devices.truth()["truth/object_xy_px"]
+        return None if float(np.hypot(*moved_px)) * self.mm_per_px > LOST_MM else self.devices.camera.read()
+
+    def close(self) -> None:
+        """Close the camera."""
+        self.devices.camera.close()
+
+
+@dataclass(frozen=True)
+class Short:
+    """A grasp to make: which object, by which controller, and how it is timed."""
+
+    object: int
+    controller: str
+    gain: float = 1.0
+    lift_s: float = LIFT_S
+    balance_s: float = 4.0
+    latency_ms: int = 0
+    control_hz: float = 500.0
+    scene: str = "lift"
+    individual: str = "evetac"
+
+
+@dataclass(frozen=True)
+class Held:
+    """What came of it."""
+
+    figures: dict[str, Any]
+    rows: dict[str, NDArray[Any]]
+    feel_us: NDArray[np.float64]  # run time of each slice's feeling
+
+
+def grasp(
+    short: Short,
+    seed: int,
+    model: Path | None = None,
+    change: Callable[[dict[str, Any]], None] = lambda plan: None,
+    through: Callable[[Sense, Rig], Sense] = lambda sense, devices: sense,
+) -> Held:
+    """Make one short grasp.
+
+    model: of the detector, default the package's; `change` alters the plan (its object_row, individual_row, scene);
+    `through` puts something between the detector and the controller. ValueError where the plan cannot be simulated.
+    """
+    from evetac_cli.devices.simulated import rig
+
+    (plan,) = scene.plan(short.scene, str(short.object), short.individual, ("lift",))
+    plan = {key: dict(value) if isinstance(value, dict) else value for key, value in plan.items()}
+    change(plan)
+    touch_ms = round(SLICES_S * plan["scene"]["time"]["touch_s"])
+    timing = Timing(
+        touch_ms, round(SLICES_S * short.lift_s), round(SLICES_S * short.balance_s), short.control_hz, short.latency_ms
+    )
+    devices = rig(plan, np.random.SeedSequence([seed, short.object]), lift_s=short.lift_s, balance_s=short.balance_s)
+    control = Control(grip_control.law_of(short.controller, short.gain), short.control_hz)
+    kept = Kept()
+    try:
+        with StageFile(model or resources.MODEL, "model") as file:
+            timed = Timed(through(sense_of(file, devices.camera.sensor, Grasp().tracker), devices))
+        watched = replace(devices, camera=UntilLost(devices, plan["individual_row"]["mm_per_px"]))
+        hold(watched, timed, control, timing, lambda _, rows: kept.append_rows(rows), lambda _: None)
+    finally:
+        devices.close()
+    rows = kept.row_arrays()
+    figures = grasp_outcome.outcome(rows, plan["individual_row"]["mm_per_px"], timing.end_ms)
+    return Held(figures, rows, np.array(timed.took_us))

@@ -1,0 +1,125 @@
+"""What both cameras are given, checked: positions and paths in px, window, texture, lines, numbers in a range.
+
+ValueError with expected and found on anything else, before a camera changes.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from evetac_cli.sim.camera.contact_edges import Place, Rims, check_place
+
+FARTHEST_PX = 1e6
+MOST_PIECES = 1000  # of a curved path in a slice
+
+Floats = NDArray[np.float64]
+
+
+def moves(
+    dots: int,
+    dot_xy_px_start: ArrayLike,
+    dot_xy_px_end: ArrayLike,
+    dot_path_px: ArrayLike | None,
+    object_xy_px_start: ArrayLike,
+    object_xy_px_end: ArrayLike,
+) -> tuple[Floats, Floats, Floats]:
+    """Paths of so many dots (dots, k + 1, 2), and where the object (2,) starts and ends: arguments of `step`."""
+    dots_start = positions("dot_xy_px_start", dot_xy_px_start, dots)
+    dots_end = positions("dot_xy_px_end", dot_xy_px_end, dots)
+    paths = dot_paths(dot_path_px, dots_start, dots_end)
+    object_start = positions("object_xy_px_start", np.atleast_2d(object_xy_px_start), 1)[0]
+    object_end = positions("object_xy_px_end", np.atleast_2d(object_xy_px_end), 1)[0]
+    return paths, object_start, object_end
+
+
+def positions(name: str, given: ArrayLike, count: int | None = None) -> Floats:
+    """Places (n, 2) in px, contiguous; `count` says how many, if that matters."""
+    xy = np.ascontiguousarray(given, np.float64)
+    if xy.size == 0 and count in (0, None):
+        return np.empty((0, 2))
+    if xy.ndim != 2 or xy.shape[1] != 2 or count not in (None, len(xy)):
+        raise ValueError(f"{name}: expected ({'n' if count is None else count}, 2), found shape {xy.shape}")
+    if not _all_within(xy, FARTHEST_PX):
+        raise ValueError(f"{name}: expected finite positions within {FARTHEST_PX:g} px, found {xy.min()} to {xy.max()}")
+    return xy
+
+
+@njit(cache=True)
+def _all_within(xy: Floats, limit: float) -> bool:
+    return bool(np.all(np.abs(xy) <= limit))  # false for NaN
+
+
+def dot_paths(given: ArrayLike | None, dots_start: Floats, dots_end: Floats) -> Floats:
+    """Vertices of every dot's path, (dots, k + 1, 2), from (k + 1, dots, 2); straight from start to end without any."""
+    if given is None:
+        ends = np.empty((len(dots_start), 2, 2))
+        ends[:, 0] = dots_start
+        ends[:, 1] = dots_end
+        return ends
+    dots = len(dots_start)
+    path = np.asarray(given, np.float64)
+    if path.ndim != 3 or path.shape[1:] != (dots, 2) or not 2 <= len(path) <= MOST_PIECES + 1:
+        raise ValueError(f"dot_path_px: expected (2 to {MOST_PIECES + 1}, {dots}, 2), found shape {path.shape}")
+    positions("dot_path_px", path.reshape(-1, 2))
+    if not (np.array_equal(path[0], dots_start) and np.array_equal(path[-1], dots_end)):
+        raise ValueError("dot_path_px: expected dot_xy_px_start first and dot_xy_px_end last, found other positions")
+    return np.ascontiguousarray(path.transpose(1, 0, 2))
+
+
+def window_corners(window_px: tuple[int, int, int, int] | None, frame_px: tuple[int, int]) -> tuple[int, int, int, int]:
+    """x0, y0, x1, y1 of a window within the frame, ends excluded; all 0 without one."""
+    if window_px is None:
+        return 0, 0, 0, 0
+    x0, y0, x1, y1 = (int(corner) for corner in window_px)
+    if not (0 <= x0 < x1 <= frame_px[0] and 0 <= y0 < y1 <= frame_px[1]):
+        raise ValueError(f"window_px: expected x0, y0, x1, y1 within the frame {frame_px}, found {tuple(window_px)}")
+    return x0, y0, x1, y1
+
+
+def window_texture(
+    texture: NDArray[np.float32] | None, window_px: tuple[int, int, int, int] | None
+) -> NDArray[np.float32]:
+    """A texture whose sides are powers of two, as the window needs it; one level of 0 without any."""
+    if texture is None:
+        return np.zeros((1, 1), np.float32)
+    if window_px is None:
+        raise ValueError("texture: expected none without a window, found one")
+    pattern = np.ascontiguousarray(texture, np.float32)
+    if pattern.ndim != 2 or any(size < 1 or size & (size - 1) for size in pattern.shape):
+        raise ValueError(f"texture: expected two dimensions that are powers of two, found shape {pattern.shape}")
+    if not np.isfinite(pattern).all():
+        raise ValueError("texture: expected finite levels, found NaN or infinity")
+    return pattern
+
+
+def line_places(
+    rims: Rims | None, start: Place | None, end: Place | None, *, coarsely: bool = False
+) -> tuple[Place, Place] | None:
+    """Where lines are at both ends of a slice, checked; None if there are none, or none that moves.
+
+    `coarsely`, a cut edge that moves less than scans look at does not, which keeps a slow shear cheap.
+    """
+    if rims is None:
+        if start is not None or end is not None:
+            raise ValueError("rims_start, rims_end: expected none before a camera without rims, found some")
+        return None
+    if start is None or end is None:
+        raise ValueError("rims_start, rims_end: expected both before a camera with rims, found none")
+    if start is end is rims.rested:
+        return None
+    places = check_place("rims_start", rims, start), check_place("rims_end", rims, end)
+    rims.rested = end if start is end else None
+    return None if rims.still(*places, rims.cut_resolution_px * 0.99 if coarsely else 0.0) else places
+
+
+def check_range(name: str, value: float, low: float, high: float) -> None:
+    """Refuse a number out of a range whose ends are allowed, and NaN."""
+    if not low <= value <= high:
+        raise ValueError(f"{name}: expected {low:g} to {high:g}, found {value}")
+
+
+def check_whole(name: str, value: int, low: int, high: int) -> None:
+    """Refuse what is not a whole number, or out of a range."""
+    if not isinstance(value, (int, np.integer)):
+        raise ValueError(f"{name}: expected a whole number, found {value!r}")
+    check_range(name, value, low, high)

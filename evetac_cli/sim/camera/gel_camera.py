@@ -1,0 +1,196 @@
+"""The camera individual behind a gel: its dots at rest, its window and cut edge or none, what it sees of an object."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events
+from evetac_cli.sim.camera import contact_edges
+from evetac_cli.sim.camera.ideal import ideal
+from evetac_cli.sim.camera.ideal.ideal import IdealState
+from evetac_cli.sim.camera.low_pass import LowPass
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.camera.scanning.camera import CameraState
+
+Floats = NDArray[np.float64]
+
+CUT_NODES = 13  # places along the cut edge at which the gel's displacement is asked for
+FARTHEST_CUT_PX = 4.0  # from where the window begins
+CUT_STEP_PX = 1e-3  # the cut edge is placed anew once it has moved by more: a level has changed by 2e-4
+
+
+def dot_grid(individual: Mapping[str, Any], cut: bool) -> Floats:
+    """Dot centres at rest (rows, columns, 2) in px: the individual's grid, turned, with its jitter.
+
+    A cut gel lacks the columns that the window took away.
+    """
+    columns, rows = individual["dot_columns_px"], individual["dot_rows_px"]
+    rng = np.random.default_rng(individual["seed"])
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
+    grid = grid + rng.normal(0.0, individual["dot_jitter_px"], grid.shape)
+    angle = np.deg2rad(individual["turned_deg"])
+    middle = np.array(individual["frame_px"]) / 2
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    grid = (grid - middle) @ turn + middle
+    kept = grid[..., 0].max(axis=0) + individual["dot_radius_px"] < individual["window_px"][0]
+    dots: Floats = grid[:, kept] if cut else grid
+    return dots
+
+
+class Eye:
+    """A camera that looks at dots, and through the window at an object."""
+
+    def __init__(
+        self,
+        individual: Mapping[str, Any],
+        *,
+        cut: bool,
+        texture: NDArray[np.float32] | None,
+        rng: np.random.Generator,
+        readout: str = "dvxplorer",
+        outline: contact_edges.Outline | None = None,
+        outline_at_px: Floats | None = None,
+    ) -> None:
+        """Switch the individual's camera on.
+
+        `outline` is that of an object which dents the gel, its middle at `outline_at_px` (x, y) while the object is not
+        displaced. Whoever moves the gel moves its cut edge at `cut_rest_m` (CUT_NODES, 2), empty where none is seen.
+        """
+        self.grid_xy_px = dot_grid(individual, cut)
+        x0, y0, x1, y1 = individual["window_px"]
+        self.window_px: tuple[int, int, int, int] | None = (x0, y0, x1, y1) if cut else None
+        self.mm_per_px = float(individual["mm_per_px"])
+        frame = np.array(individual["frame_px"])
+        self.rest_m = (self.grid_xy_px.reshape(-1, 2) - frame / 2) * self.mm_per_px * 1e-3
+        model = camera.CameraModel(
+            frame_px=tuple(individual["frame_px"]),
+            threshold=individual["threshold"],
+            mismatch=individual["mismatch"],
+            noise_rate_hz=individual["noise_hz"],
+            hot_pixels=individual["hot_pixels"],
+            hot_rate_hz=tuple(individual["hot_pixel_hz"]),
+            edge_sigma_px=individual["edge_sigma_px"],
+            log_contrast=individual["log_contrast"],
+            dot_radius_px=individual["dot_radius_px"],
+            leak_hz=individual.get("leak_hz", 0.0),
+            refractory_us=individual.get("refractory_us", 0.0),
+        )
+        self._rng = rng
+        self._texture_at_px = rng.uniform(0, texture.shape[0], 2) if texture is not None else np.zeros(2)
+        self.dot_xy_px = self.grid_xy_px.reshape(-1, 2).copy()
+        self.object_xy_px = np.zeros(2)
+        bandwidth_hz = float(individual.get("bandwidth_hz", 0.0))  # 0: as fast as anything moves
+        self._lagging = None
+        if bandwidth_hz:
+            self._lagging = LowPass(bandwidth_hz, self.dot_xy_px), LowPass(bandwidth_hz, self.object_xy_px[None])
+        window = self.window_px if texture is not None else None
+        built = np.random.default_rng([individual["seed"], 1])
+        self._outline = outline
+        self._outline_at_px = frame / 2 if outline_at_px is None else outline_at_px
+        self._cut_x_px, self.cut_rest_m = self._cut_edge(individual, cut)
+        self._cut_m = np.zeros_like(self.cut_rest_m)
+        self._lines = None
+        if outline is not None or len(self.cut_rest_m):
+            self._place = self._place_at(self.object_xy_px, self._cut_m, 0.0)
+            self._lined_at = self.object_xy_px
+            line = (individual.get("cut_contrast", 0.0), individual.get("cut_width_px", 3.0))
+            self._lines = contact_edges.start(model.frame_px, self._place, outline, *line)
+        switch_on = ideal.start if readout == "ideal" else camera.start
+        self._camera: CameraState | IdealState = switch_on(
+            model, self.dot_xy_px, None, window, texture, rng, built, self._lines
+        )
+
+    def _cut_edge(self, individual: Mapping[str, Any], cut: bool) -> tuple[Floats, Floats]:
+        """Where the cut edge crosses every row at rest, in px, and where on it the gel's motion is asked for, in m.
+
+        A straight cut between two ends, each off the window's border by the individual's jitter. Empty without one.
+        """
+        if not cut or individual.get("cut_contrast", 0.0) == 0.0:
+            return np.zeros(0), np.zeros((0, 2))
+        width, height = individual["frame_px"]
+        border_px = individual["window_px"][0]
+        off_px = np.random.default_rng([individual["seed"], 2]).normal(0.0, individual.get("cut_jitter_px", 0.0), 2)
+        ends_px = border_px + np.clip(off_px, -FARTHEST_CUT_PX, FARTHEST_CUT_PX)
+        nodes_px = np.stack([np.full(CUT_NODES, float(border_px)), np.linspace(0.0, height - 1.0, CUT_NODES)], axis=1)
+        rest_m: Floats = (nodes_px - np.array([width, height]) / 2) * self.mm_per_px * 1e-3
+        return np.linspace(ends_px[0], ends_px[1], height), rest_m
+
+    def _place_at(self, object_xy_px: Floats, cut_m: Floats, strength: float) -> contact_edges.Place:
+        """Where rims and cut edge are, for an object and a gel displaced by so much."""
+        corner = np.zeros(2)
+        if self._outline is not None:
+            rows, columns = self._outline.picture.shape
+            corner = self._outline_at_px + object_xy_px - 0.5 * np.array([columns - 1.0, rows - 1.0])
+        cut_x = self._cut_x_px
+        if len(cut_x):
+            height = len(cut_x)
+            nodes = np.linspace(0.0, height - 1.0, CUT_NODES)
+            cut_x = cut_x + np.interp(np.arange(height), nodes, cut_m[:, 0] * 1e3 / self.mm_per_px)
+        return contact_edges.Place(corner, strength, cut_x)
+
+    @property
+    def line_events(self) -> int:
+        """How many events of the last slice rims and cut edge made alone."""
+        return 0 if self._lines is None else self._lines.events
+
+    def see(
+        self,
+        shift_m: Floats,
+        object_m: Floats,
+        contrast: float,
+        t0_us: int,
+        shift_path_m: Floats | None = None,
+        *,
+        cut_m: Floats | None = None,
+        strength: float = 0.0,
+    ) -> Events:
+        """Events of a slice in which the dots come to be displaced by shift_m (dots, 2), and the object by object_m.
+
+        Dots move on straight lines, or along shift_path_m (k + 1, dots, 2): their displacement at k + 1 equally spaced
+        times, from the end of the last slice to shift_m. The gel at the cut edge comes to be displaced by cut_m, of the
+        shape of `cut_rest_m` (not at all without it), and the object's outline to be seen with `strength`, 0 to 1.
+        """
+        to_px = 1e3 / self.mm_per_px
+        at_rest = self.grid_xy_px.reshape(-1, 2)
+        dots = at_rest + shift_m * to_px
+        path = None if shift_path_m is None else at_rest + shift_path_m * to_px
+        thing = object_m * to_px
+        begin = self.dot_xy_px if path is None else path[0]
+        seen = (begin, dots, self.object_xy_px, thing)
+        if self._lagging is not None:
+            path, seen = self._lag(np.stack([begin, dots]) if path is None else path, thing)
+        ends = (seen[0], seen[1], self._texture_at_px + seen[2], self._texture_at_px + seen[3])
+        lines = self._move_lines(seen[3], self._cut_m if cut_m is None else cut_m, strength)
+        if isinstance(self._camera, CameraState):
+            events = camera.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
+        else:
+            events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
+        self.dot_xy_px, self.object_xy_px = dots, thing
+        return events
+
+    def _move_lines(
+        self, object_xy_px: Floats, cut_m: Floats, strength: float
+    ) -> tuple[contact_edges.Place | None, contact_edges.Place | None]:
+        """Where lines were at the end of the last slice, and are at that of this one; nothing where there are none."""
+        if self._lines is None:
+            return None, None
+        before = self._place
+        still = self._outline is None or (strength == before.strength and (object_xy_px == self._lined_at).all())
+        moved_m = np.abs(cut_m - self._cut_m).max(initial=0.0)
+        if not still or moved_m * 1e3 > CUT_STEP_PX * self.mm_per_px:
+            self._place, self._cut_m, self._lined_at = (
+                self._place_at(object_xy_px, cut_m, strength),
+                cut_m,
+                object_xy_px,
+            )
+        return before, self._place
+
+    def _lag(self, path: Floats, thing: Floats) -> tuple[Floats, tuple[Floats, Floats, Floats, Floats]]:
+        """Where pixels of a finite bandwidth see the dots along a path, and start and end of dots and object."""
+        assert self._lagging is not None
+        dots, objects = self._lagging
+        path = dots.follow(path)
+        object_path = objects.follow(np.stack([self.object_xy_px, thing])[:, None])
+        return path, (path[0], path[-1], object_path[0, 0], object_path[-1, 0])

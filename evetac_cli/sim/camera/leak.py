@@ -1,0 +1,169 @@
+"""Leak: every reference falls, at such a speed that a pixel left alone gets brighter `leak_hz` times a second.
+
+A row of pixels is visited once in LEAK_SLICES slices, so these events come late by up to that; in the scanning camera
+each row in one of the slice's scans, in the ideal one row after the other within the slice. After an event the
+reference keeps what has leaked since the crossing, or the rate would fall.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.scanning.pixel_culling import Sleep
+from evetac_cli.sim.camera.scanning.scan_window import StripSleep
+
+# Slices in which leak visits every row of pixels once: a divisor of 480, so that all slices visit equally many.
+LEAK_SLICES = 40
+
+
+def drift(leak_hz: float) -> float:
+    """How far a reference falls from one visit to the next, in thresholds."""
+    return leak_hz * LEAK_SLICES * SLICE_US * 1e-6
+
+
+@njit(cache=True)
+def leak_in_scans(
+    first_row: int,
+    drift: np.float32,
+    dot_xy: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    sleep: Sleep,
+    object_seen: NDArray[np.float64],
+    texture: NDArray[np.float32],
+    first_x: int,
+    first_y: int,
+    strip_reference: NDArray[np.float32],
+    strip_threshold: NDArray[np.float32],
+    strip_release_us: NDArray[np.float64],
+    strip_sleep: StripSleep,
+    readout_us: NDArray[np.int64],
+    t0_us: float,
+    refractory_us: float,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Lower the references of every LEAK_SLICES-th row of a scanning camera, and compare them where they are."""
+    height, width = reference.shape
+    strip_rows, strip_columns = strip_reference.shape
+    scans = len(readout_us)
+    line = np.empty(width, np.float32)
+    sleep.watch_box[:] = np.nan
+    for row in range(first_row, height, LEAK_SLICES):
+        scan = (row // LEAK_SLICES) % scans
+        when = (drift, row, readout_us[scan], t0_us + scan * SLICE_US / scans, refractory_us, keys)
+        optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, 0, width, line)
+        made = _leak_row(line, reference[row], threshold[row], release_us[row], 0, *when, made)
+        sleep.lower2_px2[row] = np.inf
+        own = row - first_y
+        if 0 <= own < strip_rows:
+            place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], object_seen[2])
+            optics.sample_texture_run(texture, *place, own, 0, strip_columns, line)
+            strip = (strip_reference[own], strip_threshold[own], strip_release_us[own])
+            made = _leak_row(line, *strip, first_x, *when, made)
+            strip_sleep.wake_at[own] = -np.inf
+            strip_sleep.row_wakes_at[own] = -np.inf
+    return made
+
+
+@njit(cache=True)
+def _leak_row(
+    level: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    first_x: int,
+    drift: np.float32,
+    y: int,
+    readout_us: NDArray[np.int64],
+    now_us: float,
+    refractory_us: float,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Lower references side by side."""
+    for k in range(len(reference)):
+        step = threshold[k]
+        if step == np.inf:  # a pixel of the window, which has references of its own
+            continue
+        if len(release_us) and release_us[k] > now_us:
+            reference[k] = level[k]
+            continue
+        reference[k] -= drift * step
+        if level[k] - reference[k] < step:
+            continue
+        reference[k] += step
+        if len(release_us):
+            release_us[k] = now_us + refractory_us
+        if made < len(keys):
+            keys[made] = event_key(readout_us[first_x + k], first_x + k, y, True)
+        made += 1
+    return made
+
+
+@njit(cache=True)
+def draw_leaking_rows(
+    dot_xy: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    first_row: int,
+    level: NDArray[np.float32],
+) -> None:
+    """Fill every LEAK_SLICES-th row of `level` (height, width) with what dots (dots, 2) show there."""
+    height, width = level.shape
+    for y in range(first_row, height, LEAK_SLICES):
+        optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, y, 0, width, level[y])
+
+
+@njit(cache=True)
+def leak_in_rows(
+    level: NDArray[np.float32],
+    first_row: int,
+    first_x: int,
+    first_y: int,
+    drift: float,
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    refractory_us: float,
+    t0_us: float,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Lower the references of every LEAK_SLICES-th row of an ideal camera; that of a blind pixel is NaN."""
+    rows, columns = reference.shape
+    turn_us = SLICE_US * LEAK_SLICES / max(rows, LEAK_SLICES)
+    for row in range(first_row, rows, LEAK_SLICES):
+        time_us = min((row // LEAK_SLICES + 0.5) * turn_us, SLICE_US - 1.0)
+        for x in range(columns):
+            step = threshold[row, x]
+            if step == np.inf:  # a pixel of the window, which has references of its own
+                continue
+            if math.isnan(reference[row, x]):
+                if release_us[row, x] > t0_us + time_us:
+                    continue
+                reference[row, x] = level[row, x]
+            reference[row, x] -= np.float32(drift) * step
+            if level[row, x] - reference[row, x] < step:
+                continue
+            if made < len(keys):
+                keys[made] = event_key(int(time_us), first_x + x, first_y + row, True)
+            made += 1
+            if refractory_us > 0.0:
+                release_us[row, x] = t0_us + time_us + refractory_us
+                reference[row, x] = np.nan
+            else:
+                reference[row, x] += step
+    return made

@@ -1,0 +1,282 @@
+"""A simulated DVXplorer Mini: the events that moving dots and a sliding texture make.
+
+An ideal event camera follows every crossing of the threshold; this one scans. At a fixed rate it holds all pixels at
+once, compares each with the level at its last event, and reads the changed ones out: at most one event a pixel and
+scan, after which the present level is the new reference (5000 scans/s, global hold, no global reset: libcaer's
+defaults). Several threshold steps within one scan become one event.
+
+Timing: scan s of a slice holds the picture of its first instant, dots where their path has led them by then, and its
+time stamps run on over the columns, t = scan start + column / width * scan period, rounded down. So an event comes up
+to one scan after the change that made it, never before it, and the motion of the last scan period belongs to the next
+slice.
+
+The events are those of every pixel compared in every scan (but for RESOLUTION_PX), but most pixels are asleep: see
+scan_sleep (gel) and scan_window. Lines that are not dots: scan_lines. Leak makes its events up to 40 ms late: leak.
+
+A refractory pixel is blind: its reference follows what it is shown, until its time is over.
+
+Left out: bandwidth, dilation of dots. Dots beyond the cut are the caller's to leave out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.sim.camera import camera_input, leak, optics
+from evetac_cli.sim.camera.camera_input import check_range, check_whole
+from evetac_cli.sim.camera.contact_edges import Place, Rims
+from evetac_cli.sim.camera.event_keys import sorted_columns
+from evetac_cli.sim.camera.noise import add_noise, hot_rates
+from evetac_cli.sim.camera.scanning.pixel_culling import Sleep, sleeping_gel
+from evetac_cli.sim.camera.scanning.scan_dots import scan_dots
+from evetac_cli.sim.camera.scanning.scan_lines import scan_lines
+from evetac_cli.sim.camera.scanning.scan_window import StripSleep, scan_window, sleeping_strip
+
+# No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
+LOWEST_THRESHOLD = 0.25
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """One camera individual; ValueError where a value is out of range.
+
+    Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. The noise rate
+    is per pixel; every hot pixel has a rate of its own, whose distribution has the evenly spaced quantiles
+    `hot_rate_hz` (two: uniform between them). `leak_hz` is the rate a pixel of the events that leak makes; after an
+    event a pixel is held in reset for `refractory_us`, and its next reference is the level at the end of that time. A
+    slice holds at most `max_events`; what is beyond is lost, as on a full bus (the pixels have fired nevertheless),
+    and counted.
+    """
+
+    frame_px: tuple[int, int] = FRAME_PX
+    scans_per_ms: int = 5
+    threshold: float = 0.2
+    mismatch: float = 0.03
+    noise_rate_hz: float = 0.03
+    hot_pixels: int = 10
+    hot_rate_hz: tuple[float, ...] = (20.0, 200.0)
+    edge_sigma_px: float = optics.EDGE_SIGMA_PX
+    log_contrast: float = optics.LOG_CONTRAST
+    dot_radius_px: float = 15.0
+    leak_hz: float = 0.0
+    refractory_us: float = 0.0
+    max_events: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        width, height = self.frame_px
+        check_whole("frame_px, width", width, 1, 4096)
+        check_whole("frame_px, height", height, 1, 4096)
+        check_whole("scans_per_ms", self.scans_per_ms, 1, 100)
+        check_range("threshold", self.threshold, 0.01, 100.0)
+        check_range("mismatch", self.mismatch, 0.0, 1.0)
+        check_range("noise_rate_hz", self.noise_rate_hz, 0.0, 1e4)
+        check_whole("hot_pixels", self.hot_pixels, 0, width * height)
+        check_whole("hot_rate_hz, how many", len(self.hot_rate_hz), 2, 1000)
+        for lower, rate in zip((0.0, *self.hot_rate_hz), self.hot_rate_hz, strict=False):
+            check_range("hot_rate_hz, rising", rate, lower, 1e5)
+        check_range("edge_sigma_px", self.edge_sigma_px, 0.01, 100.0)
+        check_range("log_contrast", self.log_contrast, 0.01, 20.0)
+        check_range("dot_radius_px", self.dot_radius_px, 0.01, 1000.0)
+        check_range("leak_hz", self.leak_hz, 0.0, 10.0)
+        check_range("refractory_us", self.refractory_us, 0.0, 1e6)
+        check_whole("max_events", self.max_events, 1, 100_000_000)
+
+
+@dataclass
+class CameraState:
+    """What a camera remembers from slice to slice; `step` changes it in place.
+
+    `reference` and `threshold` are those of the gel's pixels, shape (height, width); under the window the threshold is
+    infinite, and the strip has a pair of its own. `seen_*` is where things were at the last scan.
+    """
+
+    model: CameraModel
+    profile: optics.DotProfile
+    reference: NDArray[np.float32]
+    threshold: NDArray[np.float32]
+    seen_dot_xy_px: NDArray[np.float64]
+    window_px: tuple[int, int, int, int]  # x0, y0, x1, y1; all 0 without a window
+    texture: NDArray[np.float32]
+    strip_reference: NDArray[np.float32]
+    strip_threshold: NDArray[np.float32]
+    strip_level: NDArray[np.float32]  # scratch
+    seen_object: NDArray[np.float64]  # x, y in px, contrast; NaN before the first slice
+    hot_pixel: NDArray[np.int64]  # y * width + x
+    hot_cumulative_hz: NDArray[np.float64]  # summed rates before each hot pixel, and of all
+    readout_us: NDArray[np.int64]  # (scans, width): time in the slice at which a column is read
+    keys: NDArray[np.int64]  # as long as a slice may be, so nothing grows; memory is taken only as far as it is written
+    # Until when a pixel is blind; their rows are empty without a refractory time that scans can tell.
+    release_us: NDArray[np.float64]
+    strip_release_us: NDArray[np.float64]
+    sleep: Sleep
+    strip_sleep: StripSleep
+    rims: Rims | None = None
+    slices: int = 0
+    dropped: int = 0
+
+
+def start(
+    model: CameraModel,
+    dot_xy_px: ArrayLike,
+    dot_radius_px: float | None,
+    window_px: tuple[int, int, int, int] | None,
+    texture: NDArray[np.float32] | None,
+    rng: np.random.Generator,
+    individual: np.random.Generator | None = None,
+    rims: Rims | None = None,
+) -> CameraState:
+    """Switch the camera on before dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
+
+    A pixel's reference starts at its level plus a uniform phase in (-C_i, C_i); without it all pixels of a rim would
+    fire at once. `dot_radius_px` None takes the model's. `window_px` is x0, y0, x1, y1, ends excluded: its pixels see
+    the texture (sides powers of two, from `optics.texture`) and no dots. Their first level is the one from which the
+    first `step` starts, so an object that is there already makes no flash. Without texture they see nothing.
+    `individual` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
+    `rims`, from `rims.start` for this frame, are lines that are not dots; the camera owns them from now on.
+    ValueError on non-finite positions, a window outside the frame, a texture that cannot be used or has no window.
+    """
+    width, height = model.frame_px
+    dots = camera_input.positions("dot_xy_px", dot_xy_px)
+    radius_px = model.dot_radius_px if dot_radius_px is None else float(dot_radius_px)
+    check_range("dot_radius_px", radius_px, 0.01, 1000.0)
+    profile = optics.dot_profile(radius_px, model.edge_sigma_px, model.log_contrast)
+    x0, y0, x1, y1 = camera_input.window_corners(window_px, model.frame_px)
+    pattern = camera_input.window_texture(texture, window_px)
+
+    built = rng if individual is None else individual
+    nominal = model.threshold * (1.0 + model.mismatch * built.standard_normal((height, width)))
+    threshold: NDArray[np.float32] = np.maximum(nominal, LOWEST_THRESHOLD * model.threshold).astype(np.float32)
+    phase: NDArray[np.float32] = threshold * rng.uniform(-1.0, 1.0, (height, width)).astype(np.float32)
+    strip_threshold = threshold[y0:y1, x0:x1].copy()
+    strip_reference = phase[y0:y1, x0:x1].copy()
+    threshold[y0:y1, x0:x1] = np.inf
+    columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
+    level = optics.gel_level(model.frame_px, dots, profile)
+    if rims is not None and rims.frame_px != (width, height):
+        raise ValueError(f"rims: expected those of a frame {model.frame_px}, found one of {rims.frame_px}")
+    blind = model.refractory_us > SLICE_US / model.scans_per_ms
+    return CameraState(
+        model=model,
+        profile=profile,
+        reference=level + phase,
+        threshold=threshold,
+        seen_dot_xy_px=dots.copy(),
+        window_px=(x0, y0, x1, y1),
+        texture=pattern,
+        strip_reference=strip_reference,
+        strip_threshold=strip_threshold,
+        strip_level=np.zeros_like(strip_reference),
+        seen_object=np.full(3, np.nan),
+        hot_pixel=built.choice(width * height, model.hot_pixels, replace=False),
+        hot_cumulative_hz=np.append(0.0, np.cumsum(hot_rates(model.hot_rate_hz, model.hot_pixels, built))),
+        readout_us=columns * SLICE_US // columns.size,
+        keys=np.empty(model.max_events, np.int64),
+        release_us=np.zeros((height, width if blind else 0)),
+        strip_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
+        sleep=sleeping_gel((height, width), len(dots), profile),
+        strip_sleep=sleeping_strip(strip_reference.shape, pattern),
+        rims=rims,
+    )
+
+
+def step(
+    state: CameraState,
+    dot_xy_px_start: ArrayLike,
+    dot_xy_px_end: ArrayLike,
+    object_xy_px_start: ArrayLike,
+    object_xy_px_end: ArrayLike,
+    texture_contrast: float,
+    t0_us: int,
+    rng: np.random.Generator,
+    dot_path_px: ArrayLike | None = None,
+    rims_start: Place | None = None,
+    rims_end: Place | None = None,
+) -> Events:
+    """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
+
+    Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end, in px; the contrast
+    (1: the texture as drawn, 0: out of sight) holds for the whole slice. Dots on curved paths come with `dot_path_px`
+    (k + 1, dots, 2): where they are at k + 1 equally spaced times, from their start to their end. A camera with rims
+    needs `rims_start` and `rims_end`, between which they move and fade evenly. ValueError on values that are not
+    finite, farther than 1e6 px, of another shape than at `start`, or a path with other ends; the state is then as
+    before.
+    """
+    path, object_start, object_end = camera_input.moves(
+        len(state.seen_dot_xy_px),
+        dot_xy_px_start,
+        dot_xy_px_end,
+        dot_path_px,
+        object_xy_px_start,
+        object_xy_px_end,
+    )
+    check_range("texture_contrast", texture_contrast, 0.0, 1e3)
+    lines = camera_input.line_places(state.rims, rims_start, rims_end, coarsely=True)
+
+    t0_us = int(t0_us)
+    model = state.model
+    gel = (state.seen_dot_xy_px, *state.profile, state.reference, state.threshold, state.release_us, state.sleep)
+    scanned = (state.readout_us, float(t0_us), float(model.refractory_us))
+    window = (
+        object_start,
+        object_end,
+        float(texture_contrast),
+        state.seen_object,
+        state.texture,
+        state.window_px[0],
+        state.window_px[1],
+        state.strip_reference,
+        state.strip_threshold,
+        state.strip_release_us,
+        state.strip_sleep,
+    )
+    if state.rims is not None and lines is not None:
+        rims = state.rims
+        seen = (rims.seen_corner, rims.seen_cut_x, rims.seen_level, rims.seen_cut_level)
+        edge = (rims.cut_contrast, rims.cut_half_px)
+        made, rims.events = scan_lines(*lines, rims.outline, *edge, seen, path, gel, window, *scanned, state.keys)
+    else:
+        scans = (0, model.scans_per_ms)
+        made = scan_dots(path, *gel, *scanned, *scans, state.keys, 0)
+        if state.strip_reference.size:
+            made = scan_window(*window, *scanned, *scans, state.keys, made)
+        if state.rims is not None:
+            state.rims.events = 0
+    if model.leak_hz > 0.0:
+        made = _leak(state, t0_us, made)
+    state.slices += 1
+    hot = (state.hot_pixel, state.hot_cumulative_hz)
+    made = add_noise(model.noise_rate_hz, *hot, model.frame_px, rng, state.keys, made)
+    kept = min(made, len(state.keys))
+    state.dropped += made - kept
+    return Events(*sorted_columns(state.keys[:kept], t0_us))
+
+
+def _leak(state: CameraState, t0_us: int, made: int) -> int:
+    """Let leak lower the references of the rows whose turn it is, and compare them."""
+    return int(
+        leak.leak_in_scans(
+            state.slices % leak.LEAK_SLICES,
+            np.float32(leak.drift(state.model.leak_hz)),
+            state.seen_dot_xy_px,
+            *state.profile,
+            state.reference,
+            state.threshold,
+            state.release_us,
+            state.sleep,
+            state.seen_object,
+            state.texture,
+            state.window_px[0],
+            state.window_px[1],
+            state.strip_reference,
+            state.strip_threshold,
+            state.strip_release_us,
+            state.strip_sleep,
+            state.readout_us,
+            float(t0_us),
+            float(state.model.refractory_us),
+            state.keys,
+            made,
+        )
+    )

@@ -1,0 +1,286 @@
+"""Which pixels of the gel may fire while dots move: the scanning camera asks no others.
+
+Why so: 63 dots have 46,000 ring pixels, and a scan makes some 200 events where all dots shake, next to none in a creep.
+- From a pixel's reference and threshold follow two distances to the nearest dot between which it surely does not fire;
+  while the box of a dot's path over the slice keeps it between them, it costs a comparison.
+- Of a slow dot even that is done once in many slices: a list of the pixels that may fire holds as long as the dot stays
+  within a somewhat larger box.
+
+A pixel is one integer here, y << PIXEL_SHIFT | x; a box is that of rings.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.sim.camera import optics, rings
+
+# A dot that has moved by no more, on either axis, since it was last looked at rests: no level has changed by more than
+# 0.0008, and tremor below it is not seen. It saves the looking where nothing but creep goes on.
+RESOLUTION_PX = 0.001
+# A dot that moves by `way` in a slice gets a list that holds for a box wider by SKIN_PX * sqrt(way) on each side: what
+# its making costs, spread over the slices until the dot has left the box, and what its length costs in each slice, are
+# then least together. From FAST_PX a slice on a list does not pay.
+SKIN_PX = 0.7
+FAST_PX = 0.2
+RUSH_PX = 0.25  # half the way in a slice from which on radii do not pay either
+MOST_WATCHED = 512  # pixels in the list of a dot; larger or blurred dots may do without
+PIXEL_SHIFT = 16
+COLUMN_MASK = 0xFFFF
+
+
+class Sleep(NamedTuple):
+    """A memory of what follows from references and paths, to be dropped at any time.
+
+    Between the square roots of `lower2_px2` and `upper2_px2` (height, width) from the nearest dot a pixel surely does
+    not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `watch_box` (dots, 4:
+    centre and half sides, NaN without a list), only the first `watching` pixels of its list `watched` may fire, with
+    radii `watched_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
+    `awake` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii.
+    """
+
+    level_index: NDArray[np.int16]
+    lower2_px2: NDArray[np.float32]
+    upper2_px2: NDArray[np.float32]
+    watch_box: NDArray[np.float64]
+    watched: NDArray[np.int32]
+    watched_px2: NDArray[np.float32]
+    watching: NDArray[np.int64]
+    awake: NDArray[np.int32]
+    entry: NDArray[np.int64]
+
+
+def sleeping_gel(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> Sleep:
+    """All pixels of a frame (height, width) awake."""
+    height, width = shape
+    return Sleep(
+        level_index=optics.level_index(profile),
+        lower2_px2=np.full(shape, np.inf, np.float32),
+        upper2_px2=np.full(shape, np.inf, np.float32),
+        watch_box=np.full((dots, 4), np.nan),
+        watched=np.empty((dots, MOST_WATCHED), np.int32),
+        watched_px2=np.empty((dots, 2, MOST_WATCHED), np.float32),
+        watching=np.zeros(dots, np.int64),
+        awake=np.empty(max(height * width, MOST_WATCHED) + 1, np.int32),
+        entry=np.empty(MOST_WATCHED + 1, np.int64),
+    )
+
+
+@njit(cache=True)
+def is_within(box: NDArray[np.float64], wider: NDArray[np.float64], dot: int) -> bool:
+    """Whether a dot's box of (dots, 4) lies in its wider one; not if that is NaN."""
+    across = abs(box[dot, 0] - wider[dot, 0]) + box[dot, 2] <= wider[dot, 2]
+    return bool(across and abs(box[dot, 1] - wider[dot, 1]) + box[dot, 3] <= wider[dot, 3])
+
+
+@njit(cache=True)
+def make_list(
+    dot: int,
+    box: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    now_us: float,
+    sleep: Sleep,
+) -> None:
+    """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot."""
+    sleep.watch_box[dot] = np.nan
+    sleep.watching[dot] = -1
+    way = 2.0 * max(box[2], box[3])
+    if way >= FAST_PX:
+        return
+    wider = np.empty((1, 4))
+    wider[0] = box
+    wider[0, 2:] += SKIN_PX * math.sqrt(way)
+    found = ring_pixels(wider[0], inner, outer, True, sleep)
+    found = keep_awake(
+        sleep.awake[:found],
+        wider,
+        inner,
+        outer,
+        steps_per_px,
+        profile,
+        reference,
+        threshold,
+        release_us,
+        now_us,
+        sleep,
+    )
+    if found <= sleep.watched.shape[1]:
+        for k in range(found):
+            pixel = sleep.awake[k]
+            sleep.watched[dot, k] = pixel
+            sleep.watched_px2[dot, 0, k] = sleep.lower2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
+            sleep.watched_px2[dot, 1, k] = sleep.upper2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
+        sleep.watching[dot] = found
+        sleep.watch_box[dot] = wider[0]
+
+
+@njit(cache=True)
+def keep_listed(
+    dot: int,
+    box: NDArray[np.float64],
+    pixels: int,
+    watched: NDArray[np.int32],
+    watched_px2: NDArray[np.float32],
+    awake: NDArray[np.int32],
+    entry: NDArray[np.int64],
+) -> int:
+    """As `keep_awake`, of a dot's list, for its box of (dots, 4); `entry` gets the kept ones' places in the list."""
+    centre_x = box[dot, 0]
+    centre_y = box[dot, 1]
+    half_x = np.float32(box[dot, 2])
+    half_y = np.float32(box[dot, 3])
+    kept = 0
+    for k in range(pixels):
+        pixel = watched[dot, k]
+        across = np.float32(abs((pixel & COLUMN_MASK) - centre_x))
+        down = np.float32(abs((pixel >> PIXEL_SHIFT) - centre_y))
+        nearest_across = max(across - half_x, np.float32(0.0))
+        nearest_down = max(down - half_y, np.float32(0.0))
+        farthest_across = across + half_x
+        farthest_down = down + half_y
+        least2 = nearest_across * nearest_across + nearest_down * nearest_down
+        greatest2 = farthest_across * farthest_across + farthest_down * farthest_down
+        awake[kept] = pixel
+        entry[kept] = k
+        kept += int(not ((least2 >= watched_px2[dot, 0, k]) & (greatest2 <= watched_px2[dot, 1, k])))
+    return kept
+
+
+@njit(cache=True)
+def renew_listed(
+    dot: int,
+    kept: int,
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    now_us: float,
+    sleep: Sleep,
+) -> None:
+    """Find new radii for the kept pixels of a dot's list that have fired; not yet for blind ones."""
+    for k in range(kept):
+        pixel = sleep.awake[k]
+        y = pixel >> PIXEL_SHIFT
+        x = pixel & COLUMN_MASK
+        if sleep.lower2_px2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
+            radii = optics.sleeping_radii(
+                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, sleep.level_index
+            )
+            sleep.lower2_px2[y, x] = radii[0]
+            sleep.upper2_px2[y, x] = radii[1]
+        sleep.watched_px2[dot, 0, sleep.entry[k]] = sleep.lower2_px2[y, x]
+        sleep.watched_px2[dot, 1, sleep.entry[k]] = sleep.upper2_px2[y, x]
+
+
+@njit(cache=True)
+def ring_pixels(own: NDArray[np.float64], inner: float, outer: float, awake_only: bool, sleep: Sleep) -> int:
+    """Collect the pixels of a dot's ring in `sleep.awake`, those that no place in its box (4,) lets fire left out.
+
+    They are not unless `awake_only`. Without a branch for each pixel, which would cost more than the rest. Returns
+    their number.
+    """
+    height, width = sleep.lower2_px2.shape
+    awake = sleep.awake
+    found = 0
+    first_row, end_row = rings.ring_rows(own, outer, height)
+    half_x = np.float32(own[2])
+    for y in range(first_row, end_row):
+        down = abs(y - own[1])
+        nearest_down2 = np.float32(max(down - own[3], 0.0) ** 2)
+        farthest_down2 = np.float32((down + own[3]) ** 2)
+        left, left_end, right, right_end = rings.ring_runs(own, inner, outer, y, width)
+        lower2 = sleep.lower2_px2[y]
+        upper2 = sleep.upper2_px2[y]
+        for first, end in ((left, left_end), (right, right_end)):
+            for x in range(first, end):
+                across = np.float32(abs(x - own[0]))
+                nearest_across = max(across - half_x, np.float32(0.0))
+                farthest_across = across + half_x
+                sleeps = (nearest_across * nearest_across + nearest_down2 >= lower2[x]) & (
+                    farthest_across * farthest_across + farthest_down2 <= upper2[x]
+                )
+                awake[found] = y << PIXEL_SHIFT | x
+                found += int(not (sleeps & awake_only))
+    return found
+
+
+@njit(cache=True)
+def keep_own(dot: int, found: int, box: NDArray[np.float64], inner: float, outer: float, sleep: Sleep) -> int:
+    """Leave pixels that are also in the ring of an earlier dot that moves to that one; returns the number kept."""
+    height, width = sleep.lower2_px2.shape
+    kept = 0
+    for k in range(found):
+        pixel = sleep.awake[k]
+        y = pixel >> PIXEL_SHIFT
+        x = pixel & COLUMN_MASK
+        taken = False
+        for other in range(dot):
+            if max(box[other, 2], box[other, 3]) <= 0.5 * RESOLUTION_PX:
+                continue
+            first_row, end_row = rings.ring_rows(box[other], outer, height)
+            if first_row <= y < end_row:
+                left, left_end, right, right_end = rings.ring_runs(box[other], inner, outer, y, width)
+                taken = taken or left <= x < left_end or right <= x < right_end
+        if not taken:
+            sleep.awake[kept] = pixel
+            kept += 1
+    return kept
+
+
+@njit(cache=True)
+def keep_awake(
+    given: NDArray[np.int32],
+    near_box: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    now_us: float,
+    sleep: Sleep,
+) -> int:
+    """Collect in `sleep.awake` the given pixels that may fire while dots are in their boxes; returns how many.
+
+    Blind pixels have no radii and are kept: their references follow what they are shown.
+    """
+    awake = sleep.awake
+    lower2 = sleep.lower2_px2
+    upper2 = sleep.upper2_px2
+    alone = len(near_box) == 1
+    centre_x, centre_y, half_x, half_y = near_box[0]
+    kept = 0
+    for pixel in given:
+        y = pixel >> PIXEL_SHIFT
+        x = pixel & COLUMN_MASK
+        if lower2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
+            radii = optics.sleeping_radii(
+                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, sleep.level_index
+            )
+            lower2[y, x] = radii[0]
+            upper2[y, x] = radii[1]
+        if alone:
+            across = abs(x - centre_x)
+            down = abs(y - centre_y)
+            nearest_across = max(across - half_x, 0.0)
+            nearest_down = max(down - half_y, 0.0)
+            least2 = nearest_across * nearest_across + nearest_down * nearest_down
+            greatest2 = (across + half_x) * (across + half_x) + (down + half_y) * (down + half_y)
+        else:
+            least2, greatest2 = rings.bounds(x, y, near_box)
+        awake[kept] = pixel
+        kept += int(not ((least2 >= lower2[y, x]) & (greatest2 <= upper2[y, x])))
+    return kept

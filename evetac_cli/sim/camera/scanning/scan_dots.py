@@ -1,0 +1,186 @@
+"""Scans of the gel: the events of moving dots, from the pixels that are awake.
+
+Every pixel is compared against the whole picture of its scan, so it has at most one event a scan; a dot that rests is
+not looked at.
+
+Why so: this and the other compiled parts of both cameras take their arrays one by one. Bundled (dots, pixels, window as
+named tuples all the way down) they made the same events, but a mix of motions took 1.4 times as long, and compiling 1.2
+times: it counts references to every array of a bundle wherever it is handed on.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.scanning.pixel_culling import (
+    COLUMN_MASK,
+    PIXEL_SHIFT,
+    RESOLUTION_PX,
+    RUSH_PX,
+    Sleep,
+    is_within,
+    keep_awake,
+    keep_listed,
+    keep_own,
+    make_list,
+    renew_listed,
+    ring_pixels,
+)
+
+
+@njit(cache=True)
+def scan_dots(
+    path: NDArray[np.float64],
+    seen_xy: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    sleep: Sleep,
+    readout_us: NDArray[np.int64],
+    t0_us: float,
+    refractory_us: float,
+    first_scan: int,
+    end_scan: int,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Compare the pixels that may fire in some scans; returns the number of events, also of those that do not fit.
+
+    Every pixel is compared against the whole picture of its scan, so it has at most one event a scan.
+    """
+    dots = len(path)
+    scans = len(readout_us)
+    at_xy = np.empty((dots, end_scan - first_scan, 2))
+    at_scans(path, scans, first_scan, at_xy)
+    box = rings.boxes(at_xy, seen_xy)
+    crowded = rings.crowded(box, outer)
+    near_xy = np.empty_like(at_xy)
+    near_box = np.empty((dots, 4))
+    table = (inner, outer, steps_per_px, profile)
+    pixels = (reference, threshold, release_us)
+    now_us = t0_us + first_scan * SLICE_US / scans
+    last_us = t0_us + (end_scan - 1) * SLICE_US / scans
+    for dot in range(dots):
+        if max(box[dot, 2], box[dot, 3]) <= 0.5 * RESOLUTION_PX:
+            continue
+        near = 1
+        if crowded[dot]:
+            near = rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
+            sleep.watch_box[dot] = np.nan
+            found = ring_pixels(box[dot], inner, outer, False, sleep)
+            found = keep_own(dot, found, box, inner, outer, sleep)
+            found = keep_awake(sleep.awake[:found], near_box[:near], *table, *pixels, now_us, sleep)
+        else:
+            if not is_within(box, sleep.watch_box, dot):
+                make_list(dot, box[dot], *table, *pixels, now_us, sleep)
+            if sleep.watching[dot] >= 0:
+                found = keep_listed(
+                    dot, box, sleep.watching[dot], sleep.watched, sleep.watched_px2, sleep.awake, sleep.entry
+                )
+            else:
+                rushes = max(box[dot, 2], box[dot, 3]) > RUSH_PX
+                found = ring_pixels(box[dot], inner, outer, not rushes, sleep)
+                if not rushes:
+                    found = keep_awake(sleep.awake[:found], box[dot : dot + 1], *table, *pixels, now_us, sleep)
+        if found > 0:
+            seen_by = near_xy[:near] if crowded[dot] else at_xy[dot : dot + 1]
+            made = _compare_pixels(
+                sleep.awake[:found],
+                seen_by,
+                inner,
+                steps_per_px,
+                profile,
+                *pixels,
+                sleep.lower2_px2,
+                sleep.upper2_px2,
+                readout_us,
+                t0_us,
+                refractory_us,
+                first_scan,
+                keys,
+                made,
+            )
+            if not crowded[dot] and sleep.watching[dot] >= 0:
+                renew_listed(dot, found, *table, *pixels, last_us, sleep)
+        for axis in range(2):
+            seen_xy[dot, axis] = at_xy[dot, end_scan - first_scan - 1, axis]
+    return made
+
+
+@njit(cache=True)
+def at_scans(path: NDArray[np.float64], scans: int, first_scan: int, at_xy: NDArray[np.float64]) -> None:
+    """Where dots (dots, k, 2) are at k scans from the first on."""
+    dots, vertices, _ = path.shape
+    for shot in range(at_xy.shape[1]):
+        vertex, over = divmod((first_scan + shot) * (vertices - 1), scans)
+        part = over / scans
+        for dot in range(dots):
+            for axis in range(2):
+                way = path[dot, vertex + 1, axis] - path[dot, vertex, axis]
+                at_xy[dot, shot, axis] = path[dot, vertex, axis] + part * way
+
+
+@njit(cache=True)
+def _compare_pixels(
+    awake: NDArray[np.int32],
+    near_xy: NDArray[np.float64],
+    inner: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    lower2_px2: NDArray[np.float32],
+    upper2_px2: NDArray[np.float32],
+    readout_us: NDArray[np.int64],
+    t0_us: float,
+    refractory_us: float,
+    first_scan: int,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Compare some pixels in every scan with the level that the nearest of some dots (near, scans, 2) gives them.
+
+    Until one fires, its radii say of most scans that it does not; its new ones are found when it is next needed.
+    """
+    near, shots, _ = near_xy.shape
+    scan_us = SLICE_US / len(readout_us)
+    blinding = release_us.size > 0
+    for pixel in awake:
+        y = pixel >> PIXEL_SHIFT
+        x = pixel & COLUMN_MASK
+        lower2 = lower2_px2[y, x]
+        upper2 = upper2_px2[y, x]
+        for shot in range(shots):
+            distance2 = np.float32(np.inf)
+            for dot in range(near):
+                across = np.float32(x - near_xy[dot, shot, 0])
+                down = np.float32(y - near_xy[dot, shot, 1])
+                distance2 = min(distance2, across * across + down * down)
+            if lower2 <= distance2 <= upper2:
+                continue
+            now_us = t0_us + (first_scan + shot) * scan_us
+            position = optics.profile_position(distance2, np.float32(inner), np.float32(steps_per_px))
+            level = optics.profile_level(position, profile)
+            if blinding and release_us[y, x] > now_us:
+                reference[y, x] = level
+                continue
+            change = level - reference[y, x]
+            if abs(change) < threshold[y, x]:
+                continue
+            reference[y, x] = level
+            if made < len(keys):
+                keys[made] = event_key(readout_us[first_scan + shot, x], x, y, change > 0)
+            made += 1
+            if blinding:
+                release_us[y, x] = now_us + refractory_us
+            lower2 = np.float32(np.inf)
+        lower2_px2[y, x] = lower2
+    return made

@@ -1,0 +1,214 @@
+"""Scans of the window: the events of a texture that slides by or fades.
+
+Why so: a level of the window changes by no more than the texture's steepest slope times the way of the object. A short
+run of pixels sleeps until that has used up what its most wakeful pixel lacks to its threshold.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.event_keys import event_key
+
+# Pixels side by side that wake together: with more, the most wakeful has less sleep; with fewer, there is more to ask.
+RUN_PX = 16
+# Where levels change by more in a scan, or fade, a run gets no sleep that is worth its finding.
+FAST_LEVEL = 0.002
+# More than single precision costs a level of the window, relative to the greatest.
+RUN_ROUNDING = 4e-6
+
+
+class StripSleep(NamedTuple):
+    """Which runs of RUN_PX pixels of the window may fire: those whose `wake_at` (rows, runs) has been travelled.
+
+    `row_wakes_at` (rows,) is a row's least. `travelled` (1,) adds up by how much any level can have changed so far,
+    from the texture's steepest slopes `across` and `down`, log units per px; `greatest` is its greatest level.
+    """
+
+    wake_at: NDArray[np.float64]
+    row_wakes_at: NDArray[np.float64]
+    travelled: NDArray[np.float64]
+    across: float
+    down: float
+    greatest: float
+
+
+def sleeping_strip(shape: tuple[int, int], texture: NDArray[np.float32]) -> StripSleep:
+    """All runs of a window (rows, columns) awake."""
+    rows, columns = shape
+    return StripSleep(
+        np.full((rows, -(-columns // RUN_PX)), -np.inf),
+        np.full(rows, -np.inf),
+        np.zeros(1),
+        *optics.texture_slope(texture),
+    )
+
+
+@njit(cache=True)
+def scan_window(
+    start_xy: NDArray[np.float64],
+    end_xy: NDArray[np.float64],
+    contrast: float,
+    seen: NDArray[np.float64],
+    texture: NDArray[np.float32],
+    first_x: int,
+    first_y: int,
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    sleep: StripSleep,
+    readout_us: NDArray[np.int64],
+    t0_us: float,
+    refractory_us: float,
+    first_scan: int,
+    end_scan: int,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Compare the window's runs of pixels that may fire, in every scan at which the picture is another."""
+    scans = len(readout_us)
+    rows, columns = reference.shape
+    runs = sleep.wake_at.shape[1]
+    line = np.empty(columns, np.float32)
+    for scan in range(first_scan, end_scan):
+        part = scan / scans
+        x = start_xy[0] + part * (end_xy[0] - start_xy[0])
+        y = start_xy[1] + part * (end_xy[1] - start_xy[1])
+        way = contrast * (sleep.across * abs(x - seen[0]) + sleep.down * abs(y - seen[1]))
+        first_look = math.isnan(seen[2])
+        faded = contrast != seen[2]
+        seen[0] = x
+        seen[1] = y
+        seen[2] = contrast
+        place = optics.texture_place(texture, first_x, first_y, x, y, contrast)
+        if first_look:
+            for row in range(rows):
+                optics.sample_texture_run(texture, *place, row, 0, columns, line)
+                reference[row] += line
+            continue
+        if faded:
+            sleep.wake_at[:] = -np.inf
+            sleep.row_wakes_at[:] = -np.inf
+        elif way == 0.0:
+            continue
+        else:
+            sleep.travelled[0] += way
+        travelled = sleep.travelled[0]
+        fast = faded or way > FAST_LEVEL
+        rounding = RUN_ROUNDING * contrast * sleep.greatest
+        now_us = t0_us + scan * SLICE_US / scans
+        for row in range(rows):
+            if not fast and travelled < sleep.row_wakes_at[row]:
+                continue
+            wake_at = sleep.wake_at[row]
+            run = 0
+            while run < runs:
+                if not fast and travelled < wake_at[run]:
+                    run += 1
+                    continue
+                first_run = run
+                while run < runs and (fast or travelled >= wake_at[run]):
+                    run += 1
+                first = first_run * RUN_PX
+                end = min(run * RUN_PX, columns)
+                optics.sample_texture_run(texture, *place, row, first, end, line)
+                blind_until_us = release_us[row, first:end]
+                made = compare_row(
+                    line,
+                    reference[row, first:end],
+                    threshold[row, first:end],
+                    blind_until_us,
+                    first_x + first,
+                    first_y + row,
+                    readout_us[scan],
+                    now_us,
+                    refractory_us,
+                    keys,
+                    made,
+                )
+                if fast:  # what slept may go on to: it has not fired
+                    continue
+                for awake_run in range(first_run, run):
+                    begin = awake_run * RUN_PX
+                    beyond = min(begin + RUN_PX, columns)
+                    slack = _least_slack(
+                        line[begin - first : beyond - first],
+                        reference[row, begin:beyond],
+                        threshold[row, begin:beyond],
+                        blind_until_us[begin - first : beyond - first],
+                        now_us,
+                    )
+                    wake_at[awake_run] = travelled + slack - rounding
+            if not fast:
+                sleep.row_wakes_at[row] = wake_at.min()
+    return made
+
+
+@njit(cache=True)
+def _least_slack(
+    level: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    now_us: float,
+) -> float:
+    """By how much levels side by side may surely change before any pixel fires; none while one of them is blind."""
+    for k in range(len(release_us)):
+        if release_us[k] > now_us:
+            return -np.inf
+    least = np.float32(np.inf)
+    for k in range(len(level)):
+        least = min(least, threshold[k] * np.float32(1.0 - RUN_ROUNDING) - abs(level[k] - reference[k]))
+    return float(least)
+
+
+@njit(cache=True)
+def compare_row(
+    level: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: NDArray[np.float64],
+    first_x: int,
+    y: int,
+    readout_us: NDArray[np.int64],
+    now_us: float,
+    refractory_us: float,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Compare pixels side by side, the first of which is (first_x, y), with the first levels.
+
+    `release_us` is empty where no pixel gets blind.
+    """
+    for k in range(len(release_us)):
+        if release_us[k] > now_us:
+            reference[k] = level[k]
+    # Most rows have nothing to report, and counting vectorises.
+    fired = 0
+    for k in range(len(reference)):
+        fired += int(abs(level[k] - reference[k]) >= threshold[k])
+    if fired == 0:
+        return made
+    for k in range(len(reference)):
+        change = level[k] - reference[k]
+        if abs(change) >= threshold[k]:
+            reference[k] = level[k]
+            if len(release_us):
+                release_us[k] = now_us + refractory_us
+            if made < len(keys):
+                keys[made] = event_key(readout_us[first_x + k], first_x + k, y, change > 0)
+            made += 1
+    return made
+
+
+@njit(cache=True)
+def wake_runs(wake_at: NDArray[np.float64], row_wakes_at: NDArray[np.float64], row: int, first: int, end: int) -> None:
+    """Let the runs of a row of the window that hold pixels first to end be compared when the object next moves."""
+    for run in range(first // RUN_PX, (end - 1) // RUN_PX + 1):
+        wake_at[row, run] = -np.inf
+    row_wakes_at[row] = -np.inf

@@ -1,0 +1,377 @@
+"""The gel's surface in shear, its friction, and the rigid object it holds: one implicit step at a time.
+
+Model, in SI units, x down, y to the side, rotation from x to y:
+
+- Layer. A gel of height H bonded to a stiff back. On a grid of nodes of area a, the surface displacement u is answered
+  by K u = a G/H u - (a G H/3) laplace(u), the Galerkin form for a displacement linear in depth. Its compliance to a
+  pattern of wave number k is 1/(G/H + G H k^2/3), that of the exact layer tanh(kH)/(G k): 0.1 % apart at kH = 0.5, 5 %
+  at 1.5, 25 % at 3 (a wavelength of 8.4 mm). A node carries the mass 4 rho H a/pi^2, which puts the first thickness
+  resonance where the exact layer has it, at sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt, and one Maxwell arm.
+- Friction. Set-valued Coulomb: the friction of a node lies in the disc of radius mu * normal force; where the node
+  slips it lies on the rim, against the slip. mu falls from static to kinetic with the slip speed of the step before.
+- Object. Rigid, held by two mirrored pads, of which one is simulated. Its lever arms follow it as it moves.
+
+Why so: a step minimises one convex function of the node velocities and the object's twist (Moreau's time stepping). It
+is stable for any stiffness, mass, friction and time step, and sticking is exact: no creep, no regularisation speed.
+How the minimum is found: gel_balance.
+
+theta: implicit Euler over theta * dt, then extrapolated to dt. 1 damps most and is of first order. 0.5 keeps the energy
+of oscillations and is of second order while nothing begins to stick or slip; but the velocities ring on after each
+such event, and where kinetic friction is below static that ringing breaks the stick again: do not use it there. 0.55,
+the default, damps the ringing by 0.82 a step.
+"""
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.sim.gel.contact import cell_area
+from evetac_cli.sim.gel.step import Layer, spring, step_nodes
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+DECAY_M = 2.3e-3  # lateral decay of the motion of a layer 4 mm high outside a contact: H / sqrt(3)
+
+
+@dataclass(frozen=True)
+class GelMaterial:
+    """What a pad is made of.
+
+    Shear modulus and height are those of a GelSight Mini gel (FEATS, from the same laboratory as Evetac). Density and
+    losses (tan delta 0.1-0.2 at 100-500 Hz) are generic values, to be drawn at random. To leave out on request:
+    `coupled` False, each node is a spring of its own (Winkler); `with_mass` False, the gel follows without inertia.
+    """
+
+    shear_modulus_pa: float = 145e3
+    height_m: float = 4e-3
+    density_kg_m3: float = 1e3
+    viscous_time_s: float = 2.4e-4
+    maxwell_share: float = 0.15
+    maxwell_time_s: float = 10e-3
+    coupled: bool = True
+    with_mass: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("shear_modulus_pa", "height_m", "density_kg_m3", "maxwell_time_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be finite and > 0, found {value}")
+        for name in ("viscous_time_s", "maxwell_share"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} must be finite and >= 0, found {value}")
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Coefficients of friction: static at rest, falling to kinetic at slip speeds well above stribeck_speed_m_s."""
+
+    static: float
+    kinetic: float
+    stribeck_speed_m_s: float = 0.01
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{entry.name} must be finite and >= 0, found {value}")
+        if self.kinetic > self.static:
+            raise ValueError(f"kinetic must be <= static, found {self.kinetic} > {self.static}")
+        if self.stribeck_speed_m_s == 0:
+            raise ValueError("stribeck_speed_m_s must be > 0, found 0")
+
+
+class StepInfo(NamedTuple):
+    """What one step did. Means are (x, y), weighted by pressure, and 0 without contact.
+
+    residual: largest force left unbalanced, of a node or of the object, as a share of all forces on the object.
+    slip_fraction: slipping / loaded nodes; 1 without contact, where nothing sticks.
+    gel_velocity_m_s, slip_velocity_m_s: mean velocity over the step of the gel, and of the object's surface against it.
+    gel_displacement_m: mean displacement of the gel at the end of the step.
+    friction_n: force of the object on one pad, x, y, and its moment about the origin in N m.
+    """
+
+    sweeps: int
+    residual: float
+    converged: bool
+    slip_fraction: float
+    gel_velocity_m_s: tuple[float, float]
+    slip_velocity_m_s: tuple[float, float]
+    gel_displacement_m: tuple[float, float]
+    friction_n: tuple[float, float, float]
+
+
+@dataclass(eq=False)
+class GelState:
+    """A pad and the object on it. Steps change the arrays in place; `copy` and `restore` allow to solve a step again.
+
+    displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step.
+    slip_m_s: (rows, columns), mean speed of the object's surface against the gel in the last step, 0 where it sticks.
+    stuck: (rows, columns), loaded and not slipping.
+    pose: x, y of the object's centre of mass in m and its rotation in rad; twist: its velocity.
+    inertia: mass, mass and moment of inertia of the object; may be changed between steps (a weight lands on it).
+    """
+
+    node_xy_m: Floats
+    material: GelMaterial
+    pads: int
+    cell_area_m2: float
+    inertia: Floats
+    pose: Floats
+    twist: Floats
+    displacement_m: Floats
+    velocity_m_s: Floats
+    maxwell_n: Floats
+    slip_m_s: Floats
+    stuck: Flags
+    _mean_m_s: Floats
+    _layer: Layer
+    _info: Floats
+
+    def copy(self) -> "GelState":
+        """The state as it is now, independent of what happens to this one."""
+        twin = copy.copy(self)
+        for name in _CHANGING:
+            setattr(twin, name, getattr(self, name).copy())
+        return twin
+
+    def restore(self, earlier: "GelState") -> None:
+        """Go back to an earlier copy."""
+        for name in _CHANGING:
+            getattr(self, name)[...] = getattr(earlier, name)
+
+
+_CHANGING = (
+    "inertia",
+    "pose",
+    "twist",
+    "displacement_m",
+    "velocity_m_s",
+    "maxwell_n",
+    "slip_m_s",
+    "stuck",
+    "_mean_m_s",
+)
+
+
+def start(
+    node_xy_m: Floats,
+    material: GelMaterial,
+    body_mass_kg: float,
+    body_inertia_kg_m2: float,
+    pads: int = 2,
+    *,
+    body_xy_m: tuple[float, float] = (0.0, 0.0),
+    cell_area_m2: float | None = None,
+) -> GelState:
+    """An undeformed gel, and an object at rest with its centre of mass at body_xy_m.
+
+    node_xy_m: (rows, columns, 2), a regular grid as from `contact.pad_nodes`. cell_area_m2 is read off it, and must be
+    given where there is only one row or column.
+    """
+    nodes = np.ascontiguousarray(node_xy_m, dtype=np.float64)
+    if nodes.ndim != 3 or nodes.shape[2] != 2 or nodes.size == 0 or not np.isfinite(nodes).all():
+        raise ValueError(f"node_xy_m must be finite with shape (rows, columns, 2), found shape {nodes.shape}")
+    area = cell_area(nodes) if cell_area_m2 is None else float(cell_area_m2)
+    for name, value in (
+        ("body_mass_kg", body_mass_kg),
+        ("body_inertia_kg_m2", body_inertia_kg_m2),
+        ("pads", pads),
+        ("cell_area_m2", area),
+    ):
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be finite and > 0, found {value}")
+    if len(body_xy_m) != 2 or not np.isfinite(body_xy_m).all():
+        raise ValueError(f"body_xy_m must be two finite numbers, found {body_xy_m}")
+    rows, columns, _ = nodes.shape
+    pitch_x = float(nodes[0, 1, 0] - nodes[0, 0, 0]) if columns > 1 else math.sqrt(area)
+    pitch_y = float(nodes[1, 0, 1] - nodes[0, 0, 1]) if rows > 1 else math.sqrt(area)
+    regular = np.stack(np.meshgrid(pitch_x * np.arange(columns), pitch_y * np.arange(rows)), axis=-1) + nodes[0, 0]
+    if not (pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)):
+        raise ValueError("node_xy_m must be a regular grid, x rising along columns and y along rows")
+    in_plane = material.shear_modulus_pa * material.height_m / 3 * area if material.coupled else 0.0
+    layer = Layer(
+        node_mass=4 * material.density_kg_m3 * material.height_m * area / math.pi**2 if material.with_mass else 0.0,
+        shear=material.shear_modulus_pa * area / material.height_m,
+        coupling_x=in_plane / pitch_x**2,
+        coupling_y=in_plane / pitch_y**2,
+        pitch_x=pitch_x,
+        pitch_y=pitch_y,
+        viscous_time=float(material.viscous_time_s),
+        maxwell_share=float(material.maxwell_share),
+        maxwell_time=float(material.maxwell_time_s),
+        pads=float(pads),
+    )
+    grid = (rows, columns)
+    return GelState(
+        node_xy_m=nodes,
+        material=material,
+        pads=pads,
+        cell_area_m2=area,
+        inertia=np.array([body_mass_kg, body_mass_kg, body_inertia_kg_m2], dtype=np.float64),
+        pose=np.array([*body_xy_m, 0.0], dtype=np.float64),
+        twist=np.zeros(3),
+        displacement_m=np.zeros((*grid, 2)),
+        velocity_m_s=np.zeros((*grid, 2)),
+        maxwell_n=np.zeros((*grid, 2)),
+        slip_m_s=np.zeros(grid),
+        stuck=np.zeros(grid, dtype=np.bool_),
+        _mean_m_s=np.zeros((*grid, 2)),
+        _layer=layer,
+        _info=np.zeros(12),
+    )
+
+
+def step(
+    state: GelState,
+    nodal_force_n: Floats,
+    body_force_n: Sequence[float] | Floats,
+    friction: Friction,
+    dt_s: float,
+    *,
+    theta: float = 0.55,
+    tolerance: float = 1e-6,
+    max_sweeps: int = 400,
+    prescribed_twist: Sequence[float] | Floats | None = None,
+) -> StepInfo:
+    """Move gel and object on by dt_s.
+
+    nodal_force_n: (rows, columns) normal force of each node of one pad, >= 0, best that at the time t + theta * dt.
+    body_force_n: force on the object beside friction, x, y, and its moment about the centre of mass.
+    prescribed_twist: the object moves just so (a table carries it, a stage drives it) and body_force_n has no effect.
+    theta: 0.5 to 1, see the module. The search ends when the residual is within the tolerance, or with `converged`
+    False after max_sweeps; the step is made in either case. ValueError, before anything is changed, where a value is
+    not finite or out of range.
+    """
+    nodal = np.ascontiguousarray(nodal_force_n, dtype=np.float64)
+    force = np.ascontiguousarray(body_force_n, dtype=np.float64)
+    wanted = state.twist if prescribed_twist is None else np.ascontiguousarray(prescribed_twist, dtype=np.float64)
+    if nodal.shape != state.stuck.shape:
+        raise ValueError(f"nodal_force_n must have the shape of the grid {state.stuck.shape}, found {nodal.shape}")
+    if force.shape != (3,) or wanted.shape != (3,):
+        raise ValueError(f"body_force_n and prescribed_twist must have shape (3,), found {force.shape}, {wanted.shape}")
+    if not (math.isfinite(dt_s) and dt_s > 0):
+        raise ValueError(f"dt_s must be finite and > 0, found {dt_s}")
+    if not (0.5 <= theta <= 1.0 and tolerance > 0 and max_sweeps >= 1):
+        raise ValueError(
+            "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
+            f" found {theta}, {tolerance} and {max_sweeps}"
+        )
+    fault = step_nodes(
+        state.displacement_m,
+        state.velocity_m_s,
+        state.maxwell_n,
+        state._mean_m_s,
+        state.slip_m_s,
+        state.stuck,
+        state.pose,
+        state.twist,
+        state.inertia,
+        state.node_xy_m,
+        nodal,
+        force,
+        prescribed_twist is not None,
+        wanted,
+        float(friction.static),
+        float(friction.kinetic),
+        float(friction.stribeck_speed_m_s),
+        float(dt_s),
+        float(theta),
+        float(tolerance),
+        max_sweeps,
+        state._layer,
+        state._info,
+    )
+    if fault:
+        raise ValueError(_FAULTS[fault])
+    info = state._info.tolist()
+    return StepInfo(
+        sweeps=int(info[0]),
+        residual=info[1],
+        converged=info[1] <= tolerance,
+        slip_fraction=info[2],
+        gel_velocity_m_s=(info[3], info[4]),
+        slip_velocity_m_s=(info[5], info[6]),
+        gel_displacement_m=(info[7], info[8]),
+        friction_n=(info[9], info[10], info[11]),
+    )
+
+
+_FAULTS = (
+    "",
+    "nodal_force_n must be finite and >= 0 at every node",
+    "body_force_n and prescribed_twist must be finite",
+    "state.inertia must be finite and > 0",
+    "the state is not finite: it was overwritten, or forces beyond all measure made it overflow",
+)
+
+
+def energy(state: GelState) -> float:
+    """Energy in J of the object's motion, and of the motion and deformation of all pads.
+
+    What the Maxwell arms store is left out: it is counted as lost until it comes back, so that energy at a time, less
+    that at an undeformed start, less the work of outer forces, is never positive.
+    """
+    answer = np.empty_like(state.displacement_m)
+    layer = state._layer
+    spring(state.displacement_m, layer.shear, layer.coupling_x, layer.coupling_y, answer)
+    pad = (state.displacement_m * answer).sum() + layer.node_mass * (state.velocity_m_s**2).sum()
+    return 0.5 * float((state.inertia * state.twist**2).sum() + state.pads * pad)
+
+
+def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY_M) -> tuple[NDArray[np.intp], Floats]:
+    """Nodes and weights, both (points, 4), that give the displacement of points on the gel from that of the nodes.
+
+    Bilinear between nodes and constant to the border of the pad (the outer sides of its cells); beyond, the value at
+    the border decays with exp(-distance / decay_m), as the motion of a bonded layer does outside a contact.
+    """
+    points = np.asarray(points_xy_m, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise ValueError(f"points_xy_m must be finite with shape (points, 2), found shape {points.shape}")
+    if not (math.isfinite(decay_m) and decay_m > 0):
+        raise ValueError(f"decay_m must be finite and > 0, found {decay_m}")
+    rows, columns, _ = node_xy_m.shape
+    low = np.empty((2, len(points)), dtype=np.intp)
+    high = np.empty_like(low)
+    part = np.empty((2, len(points)))
+    beyond = np.empty((2, len(points)))
+    for axis, line in enumerate((node_xy_m[0, :, 0], node_xy_m[:, 0, 1])):
+        half = (line[1] - line[0]) / 2 if len(line) > 1 else 0.0
+        place = points[:, axis]
+        beyond[axis] = np.maximum(0.0, np.maximum(line[0] - half - place, place - line[-1] - half))
+        index = np.interp(place, line, np.arange(len(line)))
+        low[axis] = np.minimum(index.astype(np.intp), len(line) - 1)
+        high[axis] = np.minimum(low[axis] + 1, len(line) - 1)
+        part[axis] = index - low[axis]
+    reach = np.exp(-np.hypot(*beyond) / decay_m)
+    corners = [(low, low, 1 - part[0], 1 - part[1]), (high, low, part[0], 1 - part[1])]
+    corners += [(low, high, 1 - part[0], part[1]), (high, high, part[0], part[1])]
+    indices = np.stack([at_y[1] * columns + at_x[0] for at_x, at_y, _, _ in corners], axis=-1)
+    weights = np.stack([reach * share_x * share_y for _, _, share_x, share_y in corners], axis=-1)
+    return indices, weights
+
+
+def displacement_at(state: GelState, indices: NDArray[np.intp], weights: Floats) -> Floats:
+    """Displacement in m, (points, 2), of the points for which `interpolation` gave these indices and weights."""
+    displacement: Floats = field_at(state.displacement_m, indices, weights)
+    return displacement
+
+
+@njit(cache=True)
+def field_at(field: Floats, indices: NDArray[np.intp], weights: Floats) -> Floats:
+    """Values (points, parts) of a field of the nodes, (rows, columns, parts), where `interpolation` says."""
+    parts = field.shape[2]
+    nodes = field.reshape(field.shape[0] * field.shape[1], parts)
+    found = np.zeros((len(indices), parts))
+    for point in range(len(indices)):
+        for corner in range(indices.shape[1]):
+            for part in range(parts):
+                found[point, part] += nodes[indices[point, corner], part] * weights[point, corner]
+    return found

@@ -1,0 +1,364 @@
+"""A gripped object in simulation: gripper, gel, object and camera of one scene, advanced one slice at a time.
+
+Three kinds of scene. `ramp`: the object already hangs in a gripper under current control. `lift`: it stands on a table,
+the gripper starts just before touch, and a hand lifts the gripper; in its frame the table sinks. `hold`: the gripper
+starts open, closes on an object that is then let go, and the object is pushed at times. One of two mirrored pads is
+simulated, one mechanical step of 1 ms a slice; the camera sees the pad at the end of the step.
+
+Why so: down is +x of the image in a grasp from the top, +y in one from the side; an upright object turns with it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.sim import gripper, scene
+from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel.dilation import dilation
+
+GRAVITY_M_S2 = 9.81
+STEP_S = 1e-3
+THETA = 0.55  # of the time step: second order but for a trace, and no ringing after a stick event
+SLIP_PX = 0.5  # an object that slid further than this in gross slip slips (scenes.md: the true onset)
+EPISODE_MS = 3  # gross slip is over after so many slices with a stuck node
+CONTACT_N = 0.01
+FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
+LOSS_AT_HZ = 100.0  # where an individual's loss tangent is meant
+GONE_M = 0.02  # an object that slid this far is lost
+PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
+APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
+TEXTURE_PX = (1024, 1024)
+TEXTURE_SEED = 7919  # with the object's number: an object has the same texture in every trial
+INDENTATION_STEP_M = 2e-8  # dilation is evaluated anew when the indentation has changed by this: 0.001 px
+
+
+def pad(scene_: Mapping[str, Any], individual: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Gel nodes (rows, columns, 2) in m: a cut gel ends at the window, a closed one at the edge of the frame."""
+    columns, rows = scene_["gel"]["nodes"]
+    mm_per_px = float(individual["mm_per_px"])
+    cut_m = (individual["window_px"][0] - FRAME_PX[0] / 2) * mm_per_px * 1e-3
+    end_m = cut_m if scene_["gel"]["cut"] else FRAME_PX[0] / 2 * mm_per_px * 1e-3
+    more = (end_m - cut_m) / PAD_M[0]
+    return contact.pad_nodes(
+        round(columns * (1 + more)), rows, (cut_m - PAD_M[0], end_m), (-PAD_M[1] / 2, PAD_M[1] / 2)
+    )
+
+
+def material(individual: Mapping[str, Any]) -> gel.GelMaterial:
+    """The gel of an individual: `GelMaterial` but for its shear modulus, and its loss_tangent where the row names one.
+
+    The loss tangent of spring, dashpot tau and Maxwell arm (share g, time t) at w is
+    (w tau + g wt / (1 + wt^2)) / (1 + g wt^2 / (1 + wt^2)); it is met by the choice of tau.
+    """
+    usual = gel.GelMaterial(shear_modulus_pa=float(individual["shear_modulus_pa"]))
+    if "loss_tangent" not in individual:
+        return usual
+    omega = 2 * np.pi * LOSS_AT_HZ
+    turn = omega * usual.maxwell_time_s
+    stored = 1 + usual.maxwell_share * turn**2 / (1 + turn**2)
+    lost_in_arm = usual.maxwell_share * turn / (1 + turn**2)
+    viscous_time_s = (float(individual["loss_tangent"]) * stored - lost_in_arm) / omega
+    return replace(usual, viscous_time_s=viscous_time_s)
+
+
+class SlipAccount:
+    """Whether a body slips, and how far it slid: gross slip beyond half a pixel, in episodes (scenes.md section 4)."""
+
+    def __init__(self, mm_per_px: float) -> None:
+        self._mm_per_px = mm_per_px
+        self._slid_m = 0.0
+        self._since_gross = 0
+        self.slips = False
+        self.fraction = 0.0
+
+    def follow(self, info: gel.StepInfo, force_n: float, along: int) -> None:
+        """Count one step; an episode of gross slip ends after a few slices with a stuck node."""
+        speed = info.slip_velocity_m_s[along]
+        gross = info.slip_fraction >= 1.0 and force_n > CONTACT_N and abs(speed) > 1e-6
+        if gross:
+            self._slid_m += speed * STEP_S
+            self._since_gross = 0
+        else:
+            self._since_gross += 1
+            if self._since_gross > EPISODE_MS:
+                self._slid_m = 0.0
+        self.slips = gross and abs(self.slid_px) > SLIP_PX
+        self.fraction = info.slip_fraction
+
+    @property
+    def slid_px(self) -> float:
+        """Distance slid in the present episode."""
+        return self._slid_m * 1e3 / self._mm_per_px
+
+
+class World:
+    """Everything that exists in one trial: `command` is set from outside, `step` makes a slice, `truth` tells of it."""
+
+    def __init__(
+        self,
+        plan: Mapping[str, Any],
+        mechanics: np.random.Generator,
+        optics_rng: np.random.Generator,
+        *,
+        lift_s: float = 10.0,
+        balance_s: float = 20.0,
+    ) -> None:
+        """Build what a plan names: scene, object (its number), object_row, individual_row."""
+        self._scene = plan["scene"]
+        self._time = self._scene["time"]
+        self._kind = self._scene["kind"]
+        self._drop = self._scene.get("drop")
+        thing, individual = plan["object_row"], plan["individual_row"]
+        self.drawn = scene.draw(self._scene, thing, mechanics, individual, plan["object"])
+        self._down = 1 if self._scene["gel"].get("sideways", False) else 0
+        self.eye = Eye(
+            individual,
+            cut=self._scene["gel"]["cut"],
+            texture=self._texture(plan["object"]),
+            rng=optics_rng,
+            readout=plan["readout"],
+        )
+        self._build_mechanics(thing, individual)
+        self.slices = 0
+        self.finished = False
+        self._mass_kg = self.drawn.mass_kg
+        self._lost_for = 0
+        self._account = SlipAccount(self.eye.mm_per_px)
+        self._shear_n = (0.0, 0.0)
+        self._table_m = 0.0
+        self._hand_m_s = 0.0
+        self._shift_indentation_m = -1.0
+        self._dilation_m: NDArray[np.float64] = np.zeros_like(self.eye.rest_m)
+        self._last_slice = self._planned_slices(lift_s, balance_s)
+        self._lift_starts_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
+        self._drops_at = round((float(self._time.get("touch_s", 0.0)) + lift_s) * 1000)
+        if self._drop:
+            self._drops_at += round(float(self._drop["after_s"]) * 1000)
+
+    def _planned_slices(self, lift_s: float, balance_s: float) -> int:
+        if self._kind == "lift":
+            return round((float(self._time["touch_s"]) + lift_s + balance_s) * 1000)
+        return round(float(self._time["longest_s"]) * 1000)
+
+    def _texture(self, number: int) -> NDArray[np.float32] | None:
+        """What the window shows of the object; nothing if the scene has no texture or the gel no window."""
+        if "texture" not in self._scene or not self._scene["gel"]["cut"]:
+            return None
+        rng = np.random.default_rng([TEXTURE_SEED, number])
+        return optics.texture(rng, TEXTURE_PX, self.drawn.texture_half_correlation_px, self.drawn.texture_log_sd)
+
+    def _build_mechanics(self, thing: Mapping[str, Any], individual: Mapping[str, Any]) -> None:
+        nodes = pad(self._scene, individual)
+        drawn = self.drawn
+        width_m = float(thing.get("grasped_width_mm", thing["width_mm"])) * 1e-3
+        upright = nodes if self._down == 0 else np.ascontiguousarray(nodes[..., ::-1])
+        radius_m = float(thing["width_mm"]) * 0.5e-3
+        self._gap = contact.gap_profile(upright - drawn.touch_m, thing["shape"], radius_m, drawn.tilt_rad)
+        self._material = material(individual)
+        self._curve = contact.force_curve(
+            self._gap,
+            contact.cell_area(nodes),
+            float(individual["normal_modulus_pa"]),
+            self._material.height_m,
+            float(individual.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
+            gripper.metres_per_tick(width_m),
+        )
+        self.drive = gripper.drive_of(individual, drawn.gear_friction_factor)
+        touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
+        self.command: tuple[gripper.Mode, float]
+        if self._kind == "ramp":
+            self.finger = gripper.closed_with(self.drive, self._curve, touch_ticks, self.holding_ma())
+            self.command = ("current", self.holding_ma())
+        else:
+            away = APPROACH_TICKS if self._kind == "lift" else -float(self._scene["gripper"]["open_ticks"])
+            self.finger = gripper.start(self.drive, self._curve, touch_ticks, away)
+            self.command = ("position", self.finger.position_ticks)
+        height_m = float(thing["height_mm"]) * 1e-3
+        inertia = drawn.mass_kg * (height_m**2 + width_m**2) / 12
+        along, across = drawn.touch_m[0], drawn.touch_m[1] + drawn.lever_m
+        middle_m = (along, across) if self._down == 0 else (across, along)
+        self._gel = gel.start(nodes, self._material, drawn.mass_kg, inertia, body_xy_m=middle_m)
+        self._middle_m = np.array(middle_m)  # the centre of mass at the start
+        self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
+        self._window_from_middle_m: tuple[float, float] | None = None
+        if self.eye.window_px is not None and self._middle_m.any():
+            window_px = np.array(self.eye.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
+            across_m, down_m = (window_px * self.eye.mm_per_px * 1e-3 - self._middle_m).tolist()
+            self._window_from_middle_m = (across_m, down_m)
+        self._at_dots = gel.interpolation(nodes, self.eye.rest_m)
+        self._at_cut = gel.interpolation(nodes, self.eye.cut_rest_m)
+        self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
+        self._on_table = self._kind == "lift"
+
+    def holding_ma(self) -> float:
+        """The current that closes to the drawn multiple of the force at the slip limit, and a little more if named."""
+        limit_n = self.drawn.mass_kg * GRAVITY_M_S2 / (2 * self.drawn.static_friction)
+        force_n = self.drawn.start_factor * limit_n + float(self._scene.get("gripper", {}).get("start_more_n", 0.0))
+        push_n = force_n * (1 + self.drive.friction_share) + self.drive.friction_n
+        return float(np.ceil(push_n / self.drive.force_per_current_n_ma))
+
+    def step(self) -> Events:
+        """Advance by one slice and return its events; sets `finished` with the last one."""
+        self._move()
+        shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
+        cut_m = gel.displacement_at(self._gel, *self._at_cut)
+        events = self.eye.see(shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, cut_m=cut_m)
+        self.slices += 1
+        self.finished = self.slices >= self._last_slice or self._over()
+        return events
+
+    def _fallen_m(self) -> float:
+        """How far the object has moved along gravity since the start."""
+        return float(self._gel.pose[self._down] - self._middle_m[self._down])
+
+    def _seen_m(self) -> NDArray[np.float64]:
+        """Displacement of the object where the window shows it: an object held off its middle turns, too."""
+        moved_m: NDArray[np.float64] = self._gel.pose[:2] - self._middle_m
+        turned = float(self._gel.pose[2])
+        if self._window_from_middle_m is not None and turned:
+            across, down = self._window_from_middle_m
+            cosine, sine = math.cos(turned), math.sin(turned)
+            moved_m[0] += (cosine - 1) * across - sine * down
+            moved_m[1] += sine * across + (cosine - 1) * down
+        return moved_m
+
+    def _contrast(self) -> float:
+        """How clearly the window shows the object: it blurs once it is away from the pad."""
+        if "texture" not in self._scene:
+            return 0.0
+        open_mm = max(-self.finger.closing_ticks, 0.0) * self._curve.metres_per_tick * 0.5e3
+        return float(np.exp(-open_mm / self._scene["texture"]["focus_mm"]))
+
+    def _dilated(self) -> NDArray[np.float64]:
+        """Shift of the dots by pressure alone; evaluated only where the indentation has changed."""
+        if abs(self.finger.indentation_m - self._shift_indentation_m) > INDENTATION_STEP_M:
+            self._shift_indentation_m = self.finger.indentation_m
+            depth = np.maximum(self.finger.indentation_m - self._gap, 0.0)
+            indices, weights = self._at_dots
+            at_dots = gel.field_at(depth[..., None], indices, weights)[:, 0]
+            nodes = self._gel.node_xy_m
+            self._dilation_m = dilation(self.eye.rest_m, nodes, depth, at_dots, self._material.height_m)
+        return self._dilation_m
+
+    def _move(self) -> None:
+        """One mechanical step: finger, gel, object, table."""
+        before_n = self.finger.force_n
+        mode, command = self.command
+        after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
+        force_n = before_n + THETA * (after_n - before_n)  # where the time step looks for its balance
+        nodal_n = contact.pressure(self.finger.indentation_m, self._gap, force_n)
+        if self._drop and self.slices == self._drops_at:
+            self._catch_weight()
+        if self._kind == "lift":
+            info = self._move_over_table(nodal_n)
+        elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.drawn.floor_m):
+            info = self._solve(nodal_n, 0.0, held=True)  # something else still carries the object, or the floor does
+        else:
+            info = self._solve(nodal_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
+        self._account.follow(info, self.finger.force_n, self._down)
+        self._shear_n = info.friction_n[:2]
+
+    def _solve(self, nodal_n: NDArray[np.float64], force_n: float, *, held: bool = False, speed: float = 0.0) -> Any:
+        """A step of the gel with a force on the object along gravity, or (held) with the object moving at a speed."""
+        force, twist = np.zeros(3), np.zeros(3)
+        force[self._down] = force_n
+        twist[self._down] = speed
+        return gel.step(
+            self._gel, nodal_n, force, self._friction, STEP_S, theta=THETA, prescribed_twist=twist if held else None
+        )
+
+    def _load(self) -> float:
+        """Share of the weight that hangs on the gripper: handed over smoothly after the rest."""
+        done = (self.slices * STEP_S - self._time["rest_s"]) / max(self._time["load_s"], STEP_S)
+        return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
+
+    def _push(self) -> float:
+        """Force of whoever pushes the object down at this moment, in N."""
+        push = self._scene.get("push")
+        if push is None:
+            return 0.0
+        now = self.slices * STEP_S
+        forces = [
+            force_n * float(np.sin(np.pi * (now - at) / push["lasts_s"]))
+            for at, force_n in zip(push["at_s"], push["force_n"], strict=True)
+            if at <= now < at + push["lasts_s"]
+        ]
+        return float(sum(forces))
+
+    def _catch_weight(self) -> None:
+        """A weight lands on the object and stays: inelastic."""
+        assert self._drop is not None
+        weight_kg = float(self._drop["mass_g"]) * 1e-3
+        share = weight_kg / (self._mass_kg + weight_kg)
+        speed = self._gel.twist[self._down]
+        self._gel.twist[self._down] = speed + share * (float(self._drop["speed_m_s"]) - speed)
+        self._mass_kg += weight_kg
+        self._gel.inertia[:2] = self._mass_kg
+
+    def _move_over_table(self, nodal_n: NDArray[np.float64]) -> Any:
+        """With the table under the object: where it would sink into the table, the table carries it.
+
+        Both ways are tried at most, first that of the slice before: an object that stands on the table goes on doing so
+        while the table has to push (else it would hang on it), one that hangs while it does not sink into the table.
+        """
+        hand_m_s = self._hand_speed((self.slices + 1) * STEP_S - self._lift_starts_s)
+        acceleration = (hand_m_s - self._hand_m_s) / STEP_S
+        self._hand_m_s = hand_m_s
+        self._table_m += hand_m_s * STEP_S
+        weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration)
+        speed, falling = (self._table_m - self._fallen_m()) / STEP_S, self._gel.twist[self._down]
+        self._before.restore(self._gel)
+        if self._on_table:
+            info = self._solve(nodal_n, 0.0, held=True, speed=speed)
+            inertial_n = self._mass_kg * (speed - falling) / (THETA * STEP_S)
+            if weight_n - 2 * info.friction_n[self._down] - inertial_n >= 0.0:
+                return info
+            self._gel.restore(self._before)
+        info = self._solve(nodal_n, weight_n)
+        self._on_table = bool(self._fallen_m() > self._table_m)
+        if self._on_table:
+            self._gel.restore(self._before)
+            info = self._solve(nodal_n, 0.0, held=True, speed=speed)
+        return info
+
+    def _hand_speed(self, since_s: float) -> float:
+        """Speed of the hand: a trapezoid that rises by the scene's height."""
+        hand = self._scene["hand"]
+        speed, acceleration = hand["speed_mm_s"] * 1e-3, hand["acceleration_mm_s2"] * 1e-3
+        ramp_s, cruise_s = speed / acceleration, hand["height_mm"] * 1e-3 / speed
+        return float(speed * min(max(min(since_s, cruise_s + ramp_s - since_s) / ramp_s, 0.0), 1.0))
+
+    def _over(self) -> bool:
+        """A ramp ends some time after contact is lost or the object slid away; a grasp when the object fell."""
+        if self._kind == "hold":
+            return False
+        fallen = self._fallen_m() > GONE_M
+        gone = self.finger.force_n <= 0.0 or fallen
+        if self._kind == "lift":
+            gone = fallen and self._table_m - self._fallen_m() > GONE_M and self.finger.force_n <= 0.0
+        self._lost_for = self._lost_for + 1 if gone else 0
+        return bool(self._lost_for > self._time.get("after_lost_s", 0.15) / STEP_S)
+
+    def truth(self) -> dict[str, Any]:
+        """What only a simulation knows, at the end of the slice made last; schema paths."""
+        moved_m = self._gel.pose[:2] - self._middle_m
+        row = {
+            "truth/dot_xy_px": self.eye.dot_xy_px.astype(np.float32),
+            "truth/object_xy_px": (moved_m * 1e3 / self.eye.mm_per_px).astype(np.float32),
+            "truth/slid_px": self._account.slid_px,
+            "truth/slip": self._account.slips,
+            "truth/slip_fraction": self._account.fraction,
+            "truth/normal_force_n": self.finger.force_n,
+            "truth/shear_force_n": self._shear_n,
+            "truth/closing_ticks": self.finger.closing_ticks,
+        }
+        if self._kind == "lift":
+            row["truth/table_gap_mm"] = (self._table_m - self._fallen_m()) * 1e3
+        return row

@@ -1,0 +1,198 @@
+"""A face that a hand or a robot presses on the gel and moves as planned: no gripper, no free object, no texture.
+
+A scene of kind `press` names the face (a rectangle or a disc) and one of two motions. `waypoints` (shear): pressed on
+once, then moved to random places in a disc so small that nothing slips, with rests between. `strokes` (press): drawn
+over the whole gel in lines, lifted off between them, so that every dot is moved.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.sim import scene
+from evetac_cli.sim.camera.contact_edges import Outline
+from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scenes.gripped import STEP_S, THETA, SlipAccount, material, pad
+
+Floats = NDArray[np.float64]
+
+
+class Timeline(NamedTuple):
+    """Where the face is, and how hard it presses: reached at time_s, smoothly (a cosine) from the entry before."""
+
+    time_s: Floats
+    xy_m: Floats
+    force_n: Floats
+
+    def at(self, now_s: float) -> tuple[Floats, float]:
+        """Place (x, y) in m and normal force in N."""
+        after = min(int(np.searchsorted(self.time_s, now_s, side="right")), len(self.time_s) - 1)
+        before = max(after - 1, 0)
+        span = self.time_s[after] - self.time_s[before]
+        done = float(np.clip((now_s - self.time_s[before]) / span, 0.0, 1.0)) if span > 0 else 1.0
+        share = 0.5 - 0.5 * np.cos(np.pi * done)
+        xy = self.xy_m[before] + share * (self.xy_m[after] - self.xy_m[before])
+        return xy, float(self.force_n[before] + share * (self.force_n[after] - self.force_n[before]))
+
+
+class Pressing:
+    """A trial of pressing: `step` makes a slice, `truth` tells of it."""
+
+    follows = False  # whether what is pressed is where the face is, or stays while the face shears it
+
+    def __init__(
+        self,
+        plan: Mapping[str, Any],
+        mechanics: np.random.Generator,
+        optics_rng: np.random.Generator,
+        outline: Outline | None = None,
+        outline_at_px: Floats | None = None,
+    ) -> None:
+        """Build what a plan names: scene, individual_row. The camera sees the face's outline, if there is one."""
+        self._scene = plan["scene"]
+        individual = plan["individual_row"]
+        self.eye = Eye(
+            individual,
+            cut=self._scene["gel"]["cut"],
+            texture=None,
+            rng=optics_rng,
+            readout=plan["readout"],
+            outline=outline,
+            outline_at_px=outline_at_px,
+        )
+        self.drawn = scene.draw(self._scene, plan["object_row"], mechanics, individual)
+        nodes = pad(self._scene, individual)
+        self._material = material(individual)
+        self._stiffness_n_m3 = float(individual["normal_modulus_pa"]) / self._material.height_m
+        self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
+        drawn = self.drawn
+        self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
+        self._at_dots = gel.interpolation(nodes, self.eye.rest_m)
+        self._at_cut = gel.interpolation(nodes, self.eye.cut_rest_m)
+        self._centre_m, self.timeline = self._plan_motion(mechanics)
+        self._account = SlipAccount(self.eye.mm_per_px)
+        self._xy_m, self._force_n = self.timeline.at(0.0)
+        self._shear_n = (0.0, 0.0)
+        self.slices = 0
+        self.finished = False
+
+    def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
+        motion = self._scene["motion"]
+        self._face = self._scene["face"]
+        self.follows = motion["kind"] == "strokes"
+        if motion["kind"] == "waypoints":
+            return self._plan_waypoints(motion, rng)
+        return np.zeros(2), self._plan_strokes(motion)
+
+    def _plan_waypoints(self, motion: Mapping[str, Any], rng: np.random.Generator) -> tuple[Floats, Timeline]:
+        """Press on with an offset, then shear to random places that need at most the scene's shear force."""
+        offset_m = rng.uniform(-1.0, 1.0, 2) * motion["offset_mm"] * 1e-3
+        area = self._weights(offset_m).sum() * self._gel.cell_area_m2
+        reach_m = motion["shear_n"] / (self._material.shear_modulus_pa * area / self._material.height_m)
+        entries = [(0.0, np.zeros(2), 0.0), (self._scene["time"]["rest_s"], np.zeros(2), 0.0)]
+        entries.append((entries[-1][0] + motion["press_s"], np.zeros(2), motion["normal_n"]))
+        for _ in range(motion["count"]):
+            angle, radius = rng.uniform(0, 2 * np.pi), reach_m * np.sqrt(rng.uniform())
+            place = radius * np.array([np.cos(angle), np.sin(angle)])
+            arrives = entries[-1][0] + rng.uniform(*motion["move_s"])
+            entries += [(arrives, place, motion["normal_n"]), (arrives + motion["pause_s"], place, motion["normal_n"])]
+        return offset_m, timeline(entries)
+
+    def _plan_strokes(self, motion: Mapping[str, Any]) -> Timeline:
+        """Lines along x, there and back, then along y, over the whole pad, never over its edge."""
+        inset = self._face.get("radius_mm", 0.0) * 1e-3
+        low, high = self._gel.node_xy_m.min(axis=(0, 1)) + inset, self._gel.node_xy_m.max(axis=(0, 1)) - inset
+        entries = [(0.0, low, 0.0), (self._scene["time"]["rest_s"], low, 0.0)]
+        for along in (0, 1):
+            lines = np.linspace(low[1 - along], high[1 - along], motion["lines"])
+            for number, line in enumerate(lines):
+                ends = (low[along], high[along]) if number % 2 == 0 else (high[along], low[along])
+                first, last = (np.array([end, line])[:: 1 if along == 0 else -1] for end in ends)
+                start = entries[-1][0] + motion["approach_s"]
+                there = start + motion["press_s"]
+                done = there + np.linalg.norm(last - first) / (motion["speed_mm_s"] * 1e-3)
+                entries += [(start, first, 0.0), (there, first, motion["normal_n"]), (done, last, motion["normal_n"])]
+                entries.append((done + motion["press_s"], last, 0.0))
+        return timeline(entries)
+
+    def _weights(self, centre_m: Floats) -> Floats:
+        """Share of each node's cell that the face covers, (rows, columns); soft over one cell."""
+        from_centre = self._gel.node_xy_m - centre_m
+        pitch_m = np.sqrt(self._gel.cell_area_m2)
+        if "radius_mm" in self._face:
+            inside_m = self._face["radius_mm"] * 1e-3 - np.linalg.norm(from_centre, axis=2)
+        else:
+            inside_m = (np.array(self._face["size_mm"]) * 0.5e-3 - np.abs(from_centre)).min(axis=2)
+        weights: Floats = np.clip(inside_m / pitch_m + 0.5, 0.0, 1.0)
+        return weights
+
+    def step(self) -> Events:
+        """Advance by one slice and return its events; sets `finished` with the last one."""
+        now = (self.slices + THETA) * STEP_S
+        xy_m, force_n = self.timeline.at(now + (1 - THETA) * STEP_S)
+        _, balance_n = self.timeline.at(now)
+        weights = self._weights(self._centre_m + (xy_m if self.follows else 0.0))
+        covered = weights.sum()
+        borne = self._borne(covered)
+        force_n, balance_n = borne * force_n, borne * balance_n
+        nodal_n = weights * (balance_n / covered) if covered > 0 else np.zeros_like(weights)
+        velocity = (xy_m - self._xy_m) / STEP_S
+        info = gel.step(
+            self._gel,
+            nodal_n,
+            np.zeros(3),
+            self._friction,
+            STEP_S,
+            theta=THETA,
+            prescribed_twist=np.array([*velocity, 0.0]),
+        )
+        self._xy_m, self._force_n, self._shear_n = xy_m, force_n if covered > 0 else 0.0, info.friction_n[:2]
+        self._account.follow(info, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
+        shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated(weights)
+        cut_m = gel.displacement_at(self._gel, *self._at_cut)
+        events = self.eye.see(shift_m, self._xy_m, 0.0, self.slices * SLICE_US, cut_m=cut_m, strength=self._strength())
+        self.slices += 1
+        time = self._scene["time"]
+        self.finished = self.slices * STEP_S >= self.timeline.time_s[-1] + time.get("after_s", time["rest_s"])
+        return events
+
+    def _borne(self, covered: float) -> float:
+        """Share of the hand's force that the pad bears where it covers so many cells: all of it."""
+        return 1.0
+
+    def _strength(self) -> float:
+        """How clearly the camera sees the face's outline, 0 to 1."""
+        return 0.0
+
+    def _dilated(self, weights: Floats) -> Floats:
+        """Shift of the dots by pressure alone."""
+        if self._force_n <= 0.0:
+            return np.zeros_like(self.eye.rest_m)
+        area = weights.sum() * self._gel.cell_area_m2
+        depth = weights * (self._force_n / (self._stiffness_n_m3 * area))
+        indices, share = self._at_dots
+        at_dots = (depth.reshape(-1)[indices] * share).sum(axis=1)
+        return dilation(self.eye.rest_m, self._gel.node_xy_m, depth, at_dots, self._material.height_m)
+
+    def truth(self) -> dict[str, Any]:
+        """What only a simulation knows, at the end of the slice made last; schema paths."""
+        return {
+            "truth/dot_xy_px": self.eye.dot_xy_px.astype(np.float32),
+            "truth/object_xy_px": self.eye.object_xy_px.astype(np.float32),
+            "truth/slid_px": self._account.slid_px,
+            "truth/slip": self._account.slips,
+            "truth/slip_fraction": self._account.fraction,
+            "truth/normal_force_n": self._force_n,
+            "truth/shear_force_n": self._shear_n,
+        }
+
+
+def timeline(entries: list[tuple[float, Floats, float]]) -> Timeline:
+    """The timeline through (time in s, place in m, force in N)."""
+    time_s, xy_m, force_n = zip(*entries, strict=True)
+    return Timeline(np.array(time_s), np.array(xy_m), np.array(force_n))

@@ -1,0 +1,134 @@
+"""An object with rims that a hand presses on the gel, shears, and rubs over it: the rims make most of the events.
+
+What touches is the inside of the outline that the camera sees, an ellipse (a finger) or a ring (the handle of a pair of
+scissors), and its rims move with it. Apart from that a scene of kind `rub` is one of pressing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import FRAME_PX
+from evetac_cli.sim.camera import contact_edges
+from evetac_cli.sim.scene import Drawn
+from evetac_cli.sim.scenes.gripped import STEP_S
+from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
+
+Floats = NDArray[np.float64]
+
+SIZES_PX = {"finger": (250.0, 180.0), "handle": (260.0, 150.0)}  # across, down
+THICK_PX = {"finger": None, "handle": 40.0}
+STARTS_PX = ((200.0, 260.0), (60.0, 160.0))  # how far from the middle of the view it touches, across and down
+STAYS_PX = (320.0, 240.0)  # and its middle stays as near to it, where a direction of a rub allows
+DIRECTIONS = 64
+SEEN_FROM_N = 0.2  # pressed with this much or more an object is in full view
+
+
+@dataclass(frozen=True)
+class DrawnRub(Drawn):
+    """What was drawn for one trajectory: frictions as in all scenes, and the object."""
+
+    thing: str
+    normal_n: float
+    rim_log: float
+    rim_width_px: float
+
+
+class Rubbing(Pressing):
+    """A trial of rubbing: `step` makes a slice, `truth` tells of it."""
+
+    follows = True
+
+    def __init__(
+        self, plan: Mapping[str, Any], mechanics: np.random.Generator, optics_rng: np.random.Generator
+    ) -> None:
+        """Build what a plan names: scene, individual_row."""
+        rub = plan["scene"]["rub"]
+        thing = str(mechanics.choice(rub["objects"]))
+        log, width_px = (float(mechanics.uniform(*rub[key])) for key in ("rim_log", "rim_width_px"))
+        self._normal_n = float(mechanics.uniform(*rub["normal_n"]))
+        self._size_px, self._thick_px = np.array(SIZES_PX[thing]), THICK_PX[thing]
+        outline = contact_edges.ellipse(self._size_px, log, width_px, self._thick_px)
+        far_px = np.array(
+            [mechanics.uniform(*span) for span in STARTS_PX]
+        )  # to one side: the first rub crosses the view
+        self._starts_px: Floats = far_px * mechanics.choice([-1.0, 1.0], 2)
+        super().__init__(plan, mechanics, optics_rng, outline, np.array(FRAME_PX) / 2 + self._starts_px)
+        base: dict[str, Any] = asdict(self.drawn)
+        self.drawn = DrawnRub(**base, thing=thing, normal_n=self._normal_n, rim_log=log, rim_width_px=width_px)
+
+    def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
+        """Touch, shear there and back, ease off, rub in random directions with pauses between, lift off."""
+        rub = self._scene["rub"]
+        mm_per_px = self.eye.mm_per_px
+        place = np.zeros(2)
+        entries = [(0.0, place, 0.0), (self._scene["time"]["rest_s"], place, 0.0)]
+
+        def go(to_px: Floats, takes_s: float, force_n: float) -> None:
+            entries.append((entries[-1][0] + takes_s, to_px * mm_per_px * 1e-3, force_n))
+
+        go(place, rub["touch_s"], self._normal_n)
+        angle = rng.uniform(0.0, 2 * np.pi)
+        aside = rub["shear_px"] * np.array([np.cos(angle), np.sin(angle)])
+        for to_px, share in ((aside, 0.25), (-aside, 0.5), (place, 0.25)):
+            go(to_px, share * rub["shear_s"], self._normal_n)
+        rub_n = float(rng.uniform(*rub["rub_n"]))
+        go(place, rub["pause_s"], rub_n)
+        for _ in range(int(rng.integers(rub["count"][0], rub["count"][1] + 1))):
+            length_px = float(rng.uniform(*rub["length_mm"])) / mm_per_px
+            peak_px_s = float(rng.uniform(*rub["speed_mm_s"])) / mm_per_px
+            place = place + length_px * _direction(
+                self._starts_px + place, length_px, rub["length_mm"][1] / mm_per_px, rng
+            )
+            go(place, 0.5 * np.pi * length_px / peak_px_s, rub_n)
+            go(place, rub["pause_s"], rub_n)
+        go(place, rub["lift_s"], 0.0)
+        return self._starts_px * mm_per_px * 1e-3, timeline(entries)
+
+    def _weights(self, centre_m: Floats) -> Floats:
+        """Share of each node's cell inside the outline, (rows, columns); soft over one cell."""
+        from_centre_px = (self._gel.node_xy_m - centre_m) * 1e3 / self.eye.mm_per_px
+        pitch_px = np.sqrt(self._gel.cell_area_m2) * 1e3 / self.eye.mm_per_px
+        inside_px = _inside(from_centre_px, self._size_px / 2)
+        if self._thick_px is not None:
+            inside_px = np.minimum(inside_px, -_inside(from_centre_px, self._size_px / 2 - self._thick_px))
+        weights: Floats = np.clip(inside_px / pitch_px + 0.5, 0.0, 1.0)
+        return weights
+
+    def _borne(self, covered: float) -> float:
+        """Share of the hand's force that the pad bears: an object half over its edge is pressed in no deeper."""
+        area_px2 = np.prod(self._size_px)
+        if self._thick_px is not None:
+            area_px2 -= np.prod(self._size_px - 2 * self._thick_px)
+        cells = 0.25 * np.pi * area_px2 * (self.eye.mm_per_px * 1e-3) ** 2 / self._gel.cell_area_m2
+        return float(min(covered / cells, 1.0))
+
+    def _strength(self) -> float:
+        """How clearly the object is seen: not at all before the hand presses."""
+        return min(self.timeline.at((self.slices + 1) * STEP_S)[1] / SEEN_FROM_N, 1.0)
+
+    def truth(self) -> dict[str, Any]:
+        """What only a simulation knows, at the end of the slice made last; schema paths."""
+        return {**super().truth(), "truth/line_events": self.eye.line_events}
+
+
+def _inside(from_centre: Floats, half: Floats) -> Floats:
+    """How far points (..., 2) lie inside an ellipse, to first order at its rim."""
+    scaled = np.linalg.norm(from_centre / half, axis=-1)
+    steep = np.linalg.norm(from_centre / half**2, axis=-1)
+    inside: Floats = scaled * (1.0 - scaled) / np.maximum(steep, 1e-9) + (scaled == 0.0) * half.min()
+    return inside
+
+
+def _direction(from_px: Floats, length_px: float, longest_px: float, rng: np.random.Generator) -> Floats:
+    """A random direction among those that keep the object in view, also in the longest rub after, or the nearest."""
+    angles = rng.uniform(0.0, 2 * np.pi, DIRECTIONS)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    ends_px = np.abs(from_px + length_px * directions)
+    beyond = np.maximum(ends_px - STAYS_PX, 0.0).sum(axis=1)
+    trapped = np.maximum(longest_px - np.linalg.norm(ends_px + STAYS_PX, axis=1), 0.0)
+    chosen: Floats = directions[int(np.argmin(beyond + trapped))]  # the first of those that stay
+    return chosen

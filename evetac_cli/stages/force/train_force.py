@@ -1,0 +1,188 @@
+"""fit: shear force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
+
+Two models into one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's
+network, trained on all but the last, on which the best epoch is chosen. What they are fitted to is the reading of a
+force sensor: the true force of a simulated recording, with noise.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.force import models as forces
+from evetac_cli.params import EvaluateForce, Fit, recipe_of
+from evetac_cli.stages.evaluate import with_truth
+from evetac_cli.stages.splits import check_disjoint
+from evetac_cli.stages.track_rgb import PRESET
+from evetac_cli.store.files import StageFile, up_to_date, write_stage
+from evetac_cli.store.provenance import Header, Recipe
+
+INPUTS = ("tracks", "recording")
+OUTPUT = "force-model"
+METHOD = 1
+SAMPLE_MS = 40  # samples lie at the frames of a sensor of 25 Hz, whatever the sensor
+LAYERS = 3
+
+
+class Samples(NamedTuple):
+    """What a model learns or is judged on, from one trajectory."""
+
+    slice_: NDArray[np.int64]  # (samples,)
+    moved_px: forces.Floats  # (samples, dots, 2)
+    force_n: forces.Floats  # (samples, 2), as a force sensor reads it
+
+
+class ForceModel(NamedTuple):
+    """What a force-model file holds."""
+
+    sensor: str
+    individual: str
+    dot_shape: tuple[int, int]
+    regression: forces.Regression
+    network: forces.Network
+
+
+def jobs(files: list[Path], params: Fit, out: Path | None) -> list[Job]:
+    """One model from all tracks files together: `shear.force-model.h5` beside the first."""
+    if len(files) < 2:
+        raise InputError(
+            "nothing is left to hold out", expected="at least two tracks files, of a trajectory each", found="one"
+        )
+    output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"shear.{OUTPUT}.h5"
+    return [Job(tuple(files), output)]
+
+
+def run(job: Job, params: Fit, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Fit both models and store them as arrays."""
+    headers, sensors, individuals, shapes = [], [], [], []
+    for path in job.inputs:
+        with StageFile(path, "tracks") as tracks, with_truth(tracks):
+            headers.append(tracks.header)
+            sensors.append(sensor_of(tracks.header))
+            individuals.append(tracks.read("sensor/individual"))
+            shapes.append(shape_of(tracks))
+    check_disjoint(headers[:-1], headers[-1:], "held out", job.inputs[-1:])
+    for what, found in (("sensors", sensors), ("dot grids", shapes)):
+        if len(set(found)) > 1:
+            odd = next(number for number, entry in enumerate(found) if entry != found[0])
+            raise InputError(
+                f"the files are of different {what}",
+                where=str(job.inputs[odd]),
+                expected=f"{found[0]} as in {job.inputs[0]}",
+                found=str(found[odd]),
+            )
+    recipe = Recipe(OUTPUT, METHOD, recipe_of(params), seed=params.seed, parents=tuple(headers))
+    simulated = recipe.simulated
+    if up_to_date(job.output, recipe, force=force):
+        return outcome(job, made=False, simulated=simulated)
+
+    from evetac_cli.kernels.force import training as force_training  # brings torch
+
+    noise, training = np.random.default_rng(params.seed).spawn(2)
+    samples = [read_samples(path, params, noise) for path in job.inputs]
+    moved_px = np.concatenate([one.moved_px for one in samples])
+    force_n = np.concatenate([one.force_n for one in samples])
+    held_out = samples[-1]
+    learned = len(force_n) - len(held_out.force_n)
+    try:
+        regression = forces.fit_regression(moved_px, force_n)
+        trained = force_training.train(
+            moved_px[:learned],
+            force_n[:learned],
+            held_out.moved_px,
+            held_out.force_n,
+            training,
+            params.epochs,
+            progress,
+        )
+    except ValueError as error:
+        raise InputError(
+            f"no force can be fitted: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more"
+        ) from error
+    arrays: dict[str, Any] = {
+        "sensor": sensors[0],
+        "individual": ", ".join(dict.fromkeys(individuals)),
+        "dot_shape": np.array(shapes[0], np.int32),
+        "regression/slope_n_px": regression.slope_n_px,
+        "regression/offset_n": regression.offset_n,
+        "network/scale_px": np.float64(trained.network.scale_px),
+        "network/scale_n": np.float64(trained.network.scale_n),
+        "curve/learned_n": trained.learned_n,
+        "curve/held_out_n": trained.held_out_n,
+        "curve/chosen": np.int64(trained.chosen),
+    }
+    for number, layer in enumerate(trained.network.layers):
+        arrays |= {f"network/{number}/weight": layer.weight, f"network/{number}/bias": layer.bias}
+    write_stage(job.output, recipe, arrays)
+    return outcome(
+        job,
+        made=True,
+        simulated=simulated,
+        sensor=sensors[0],
+        individual=arrays["individual"],
+        trajectories=len(job.inputs),
+        samples=len(force_n),
+        epoch=trained.chosen + 1,
+        held_out_n_rms=float(trained.held_out_n[trained.chosen]),
+    )
+
+
+def read_samples(path: Path, params: Fit | EvaluateForce, noise: np.random.Generator) -> Samples:
+    """Samples of a trajectory, with the force as a sensor with noise reads it; InputError where there are none."""
+    with StageFile(path, "tracks") as tracks, with_truth(tracks) as recording:
+        try:
+            chosen = forces.sample_slices(recording.read("truth/normal_force_n"), params.samples, SAMPLE_MS)
+            moved_px = forces.displacement(tracks.read("dot_xy_px")[chosen], rest_of(tracks))
+        except ValueError as error:
+            raise InputError(f"no force can be told: {error}", where=str(path)) from error
+        force_n = recording.read("truth/shear_force_n")[chosen].astype(float)
+    return Samples(chosen, moved_px, force_n + noise.normal(0.0, params.noise_n, force_n.shape))
+
+
+def rest_of(tracks: StageFile) -> forces.Floats:
+    """Places of the dots at rest, (dots, 2) in px."""
+    rest: forces.Floats = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+    return rest
+
+
+def shape_of(tracks: StageFile) -> tuple[int, int]:
+    """Rows and columns of the dot grid."""
+    rows, columns, _ = tracks.contents()["sensor/dot_xy_px"][1]
+    return rows, columns
+
+
+def sensor_of(tracks: Header) -> str:
+    """What the dots were tracked in: `events`, or `frames` of an RGB sensor."""
+    return "frames" if tracks["parameters"].get("preset") == PRESET else "events"
+
+
+def read_model(path: Path) -> tuple[Header, ForceModel]:
+    """Header and contents of a force model."""
+    with StageFile(path, OUTPUT) as file:
+        rows, columns = file.read("dot_shape").tolist()
+        regression = forces.Regression(file.read("regression/slope_n_px"), file.read("regression/offset_n"))
+        layers = tuple(
+            forces.Layer(file.read(f"network/{number}/weight"), file.read(f"network/{number}/bias"))
+            for number in range(LAYERS)
+        )
+        network = forces.Network(layers, float(file.read("network/scale_px")), float(file.read("network/scale_n")))
+        shape = (int(rows), int(columns))
+        if network.layers[0].weight.shape[1] != 2 * rows * columns:
+            raise InputError("the network does not fit the dot grid", where=str(path), hint="the file is damaged")
+        return file.header, ForceModel(file.read("sensor"), file.read("individual"), shape, regression, network)
+
+
+def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
+    """Refuse tracks of another dot grid than the model's."""
+    shape = shape_of(tracks)
+    if shape != model.dot_shape:
+        raise InputError(
+            "the tracks have another dot grid than the force model",
+            where=str(tracks.path),
+            expected="{} rows x {} columns".format(*model.dot_shape) + f" as in {model_path}",
+            found="{} rows x {} columns".format(*shape),
+        )

@@ -1,0 +1,157 @@
+"""The loop of a grasp: read a slice, feel, and at the controller's rate read the gripper and command it.
+
+What happens goes into a `Kept`: in memory, because a simulated grasp can be made again, and writing it once costs a
+third of writing it in segments.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from evetac_cli.devices import GripperReading, Rig
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US, Events, concatenate
+from evetac_cli.kernels.grip.control import Control, Felt
+from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.store import schema
+
+SLICES_S = 1_000_000 // SLICE_US
+
+
+class Sense(Protocol):
+    """What feels: a `SlipSense`, or what a test puts in its place."""
+
+    def step(self, events: Events) -> float:
+        """Slip probability after one more slice."""
+
+    @property
+    def felt(self) -> Felt:
+        """What a controller may know after the last slice."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When phases end, in slices from the start, and how the controller is timed.
+
+    InputError where the steps of the controller are no whole number of slices apart.
+    """
+
+    touch_ms: int
+    lift_ms: int
+    balance_ms: int
+    control_hz: float = 500.0
+    latency_ms: int = 0  # between what is felt and the controller that hears of it
+
+    def __post_init__(self) -> None:
+        if SLICES_S % self.control_hz:
+            expected = "a rate of which 1000 is a multiple, as in 50, 100, 250, 500, 1000"
+            raise InputError(
+                "slices end every millisecond", where="--control-hz", expected=expected, found=f"{self.control_hz:g}"
+            )
+
+    @property
+    def every_ms(self) -> int:
+        """Slices between steps of the controller."""
+        return round(SLICES_S / self.control_hz)
+
+    @property
+    def end_ms(self) -> int:
+        """When a grasp that holds ends."""
+        return self.touch_ms + self.lift_ms + self.balance_ms
+
+    def phase(self, slice_: int) -> Phase:
+        """The phase of a slice."""
+        if slice_ < self.touch_ms:
+            return Phase.CONTACT
+        return Phase.LIFT if slice_ < self.touch_ms + self.lift_ms else Phase.BALANCE
+
+
+@dataclass
+class Kept:
+    """Slices and rows of a grasp, by their paths in a recording."""
+
+    events: list[Events] = field(default_factory=list)
+    rows: dict[str, list[Any]] = field(default_factory=dict)
+
+    def append(self, events: Events, rows: dict[str, Any]) -> None:
+        """One slice, and one row of each of the named datasets."""
+        self.events.append(events)
+        self.append_rows(rows)
+
+    def append_rows(self, rows: dict[str, Any]) -> None:
+        """One row of each of the named datasets, without the events."""
+        for name, row in rows.items():
+            self.rows.setdefault(name, []).append(row)
+
+    def row_arrays(self) -> dict[str, Any]:
+        """Rows as arrays, with the types of the recording's schema."""
+        table = schema.load("recording")
+        arrays = {}
+        for name, rows in self.rows.items():
+            described = table.find(name)
+            assert described is not None, name
+            arrays[name] = np.asarray(rows, dtype=described.dtype)
+        return arrays
+
+    def arrays(self) -> dict[str, Any]:
+        """All of it, as a recording has it."""
+        whole = concatenate(self.events)
+        starts = np.concatenate([[0], np.cumsum([piece.size for piece in self.events])])
+        columns = {f"events/{name}": getattr(whole, name) for name in Events._fields}
+        return {**columns, "ms_to_idx": starts.astype(np.int64), **self.row_arrays()}
+
+
+def row_of(
+    control: Control, phase: Phase, felt: Felt, reading: GripperReading, goal: int, now_us: int
+) -> dict[str, Any]:
+    """What is recorded of a step of the controller."""
+    return {
+        "gripper/t_us": now_us,
+        "gripper/current_target_ma": float("nan"),
+        "gripper/current_written_ma": 0,
+        "gripper/current_ma": reading.current_ma,
+        "gripper/position_ticks": reading.position_ticks,
+        "control/t_us": now_us,
+        "control/u_ff_ticks": control.u_ff_ticks,
+        "control/x_ref_ticks": control.x_ref_ticks,
+        "control/goal_ticks": goal,
+        "control/slip": control.slip,
+        "control/phase": phase,
+        "control/drag_px": (felt.drag_x_px, felt.drag_y_px),
+    }
+
+
+def hold(
+    devices: Rig,
+    sense: Sense | None,
+    control: Control,
+    timing: Timing,
+    keep: Callable[[Events, dict[str, Any]], None],
+    progress: Callable[[int], None],
+) -> int:
+    """Read, feel, control, until the scene has ended; returns how many slices there were."""
+    gripper = devices.gripper
+    assert gripper is not None
+    every_ms = timing.every_ms
+    heard: deque[Felt] = deque([Felt()] * timing.latency_ms, maxlen=timing.latency_ms + 1)
+    slices = 0
+    while (events := devices.camera.read()) is not None:
+        rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
+        rows["control/probability"] = float("nan") if sense is None else sense.step(events)
+        if sense is not None and (timing.latency_ms or slices % every_ms == 0):
+            heard.append(sense.felt)
+        if slices % every_ms == 0:
+            felt = heard[0] if heard else Felt()
+            phase = timing.phase(slices)
+            reading = gripper.read()
+            goal = control.step(phase, felt, reading.position_ticks)
+            gripper.write_position(goal)
+            rows |= row_of(control, phase, felt, reading, goal, devices.clock.now_us())
+        keep(events, rows)
+        slices += 1
+        if slices % 100 == 0:
+            progress(slices)
+    return slices

@@ -1,0 +1,97 @@
+"""The slip detector as a grasp feels with it: slices in, slip and load out, one slice after the other.
+
+The same start/step kernels as in `track` and `featurize`. What a controller is told is a `Felt`: a handful of numbers
+that fit into shared memory, so that a detector in another process can tell them too.
+
+Why so: a closed gel has a column of dots more than a cut one, where the window would be. All dots are tracked, because
+they steady each other; a network for a cut gel is shown those that it knows.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.kernels.grip.control import Felt
+from evetac_cli.kernels.slip.detector import Live
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.stages.slip_detectors import detector_of
+from evetac_cli.store.files import StageFile
+
+
+def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.bool_]:
+    """Which of a gel's dots (rows, columns, 2) a network for a grid of rows x columns knows, flattened.
+
+    All of a grid of that size; of one with a column more, all but the column farthest to the right. ValueError for
+    another grid.
+    """
+    grid = int(dot_xy_px.shape[0]), int(dot_xy_px.shape[1])
+    known = np.ones(grid, np.bool_)
+    if grid == (rows, columns + 1):
+        known[:, np.argmax(np.nanmean(dot_xy_px[..., 0], axis=0))] = False
+    elif grid != (rows, columns):
+        raise ValueError(f"expected {rows} x {columns} dots, or a column more, found {grid[0]} x {grid[1]}")
+    return known.reshape(-1)
+
+
+def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which dots of a gel, at rest at (rows, columns, 2), a model knows; InputError if it is for another grid."""
+    rows, columns = (int(size) for size in model.read("dot_shape"))
+    try:
+        return known_dots(dot_xy_px, rows, columns)
+    except ValueError as error:
+        raise InputError(f"the model is for another dot grid: {error}", where=str(model.path)) from None
+
+
+@dataclass
+class SlipSense:
+    """The detector: what it has felt so far."""
+
+    tracking: tracker.TrackerState
+    live: Live
+    threshold: float
+    known: NDArray[np.bool_] | None  # dots that the network sees; None: all
+    missing: NDArray[np.bool_] | None  # dots that are not there; None: none
+    count: int = 0  # slices with slip so far: what the controller reads
+    probability: float = float("nan")
+
+    @classmethod
+    def start(
+        cls,
+        model: StageFile,
+        dot_xy_px: NDArray[np.float64],
+        window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
+        constants: tracker.TrackerConstants,
+    ) -> "SlipSense":
+        """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid."""
+        known = dots_for(model, dot_xy_px)
+        rest = dot_xy_px.reshape(-1, 2)
+        live = Live(detector_of(model), rest[known], window_px)
+        missing = np.isnan(rest[:, 0])
+        return cls(
+            tracker.start(rest, constants),
+            live,
+            float(model.read("threshold")),
+            None if known.all() else known,
+            missing if missing.any() else None,
+        )
+
+    def step(self, events: Events) -> float:
+        """Slip probability after one more slice; NaN until the history is full."""
+        tracking = self.tracking
+        tracker.step(tracking, events.x, events.y, events.p)
+        dots, counts = tracking.dot_xy_px, tracking.events_per_dot
+        if self.known is not None:
+            dots, counts = dots[self.known], counts[self.known]
+        self.probability = self.live.step(dots, counts, events.x, events.y, events.p)
+        self.count += self.probability >= self.threshold
+        return self.probability
+
+    @property
+    def felt(self) -> Felt:
+        """What a controller may know after the last slice: also how far all dots have been dragged, in the mean."""
+        dragged = self.tracking.dot_xy_px - self.tracking.rest_xy_px
+        x_px, y_px = (dragged if self.missing is None else dragged[~self.missing]).mean(axis=0).tolist()
+        return Felt(self.count, self.probability, x_px, y_px)

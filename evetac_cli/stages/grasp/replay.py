@@ -1,0 +1,133 @@
+"""A grasp on a recording: what detector and controller would have decided, slice by slice; nothing moves.
+
+The gripper is where the recording says it was, if it says so, and obeys nobody. Time is the recording's: every slice is
+felt and every step made, however long they take, so that the same recording gives the same decisions.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices import Clock, GripperReading, Rig
+from evetac_cli.devices.replay import ReplayCamera
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, Progress, outcome
+from evetac_cli.kernels.grip.control import Control
+from evetac_cli.params import Grasp
+from evetac_cli.sim import scene
+from evetac_cli.stages.grasp import setup
+from evetac_cli.stages.grasp.loop import Kept, Timing, hold
+from evetac_cli.stages.grasp.online_detector import dots_for
+from evetac_cli.store.files import StageFile, up_to_date, write_stage
+from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.read import Recording, open_recording
+
+METHOD = 1
+
+
+class RecordedGripper:
+    """A gripper that was where a recording says, at the time of a clock; commands have no effect."""
+
+    counted: Mapping[str, int] = MappingProxyType({})
+
+    def __init__(self, recording: Recording, clock: Clock) -> None:
+        self._clock = clock
+        self._t_us = np.zeros(1, np.int64)
+        self._ticks, self._current_ma = np.zeros(1, np.int32), np.zeros(1, np.float32)
+        if recording.has("gripper") and recording.length("gripper/t_us"):
+            self._t_us = recording.read("gripper/t_us")
+            self._ticks = recording.read("gripper/position_ticks")
+            self._current_ma = recording.read("gripper/current_ma")
+
+    def read(self) -> GripperReading:
+        """What it said last before now; 0 if there was none."""
+        at = max(int(np.searchsorted(self._t_us, self._clock.now_us(), side="right")) - 1, 0)
+        return GripperReading(float(self._current_ma[at]), int(self._ticks[at]))
+
+    def write_current(self, current_ma: int) -> None:
+        """Move nothing."""
+
+    def write_position(self, goal_ticks: int) -> None:
+        """Move nothing."""
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+def check(job: Job, params: Grasp, *, force: bool) -> None:
+    """InputError for what a run would refuse; only files are looked at."""
+    with open_recording(job.inputs[0]) as recording:
+        timing = timing_of(params, recording.header["parameters"])
+        control = Control(setup.law_of(params), params.control_hz)
+        if not up_to_date(job.output, _recipe(job, params, recording, timing, control), force=force):
+            _refuse_unknown_dots(params, recording)
+
+
+def _recipe(job: Job, params: Grasp, recording: Recording, timing: Timing, control: Control) -> Recipe:
+    parameters = {
+        **setup.parameters_of(job, params, control),
+        "replayed": True,
+        "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
+    }
+    parents = (*setup.parents_of(setup.model_of(params)), recording.header)
+    return Recipe("recording", METHOD, parameters, parents=parents)
+
+
+def _refuse_unknown_dots(params: Grasp, recording: Recording) -> None:
+    model_path, dot_xy_px = setup.model_of(params), recording.dot_xy_px
+    if model_path is None:
+        return
+    if dot_xy_px is None:
+        raise InputError("no dots are known in this recording", where=str(recording.path))
+    with StageFile(model_path, "model") as model:
+        dots_for(model, dot_xy_px)
+
+
+def run(job: Job, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
+    """Feel and decide on a recording, and write events and decisions."""
+    model_path, control = setup.model_of(params), Control(setup.law_of(params), params.control_hz)
+    with open_recording(job.inputs[0]) as recording:
+        timing = timing_of(params, recording.header["parameters"])
+        recipe = _recipe(job, params, recording, timing, control)
+        if up_to_date(job.output, recipe, force=force):
+            return outcome(job, made=False, simulated=recipe.simulated)
+        _refuse_unknown_dots(params, recording)
+        sensor = {name: recording.read(name) for name in recording.contents() if name.startswith("sensor/")}
+        sensor |= {"t_offset": recording.read("t_offset")}
+        sense = None
+        if model_path is not None:
+            with StageFile(model_path, "model") as model:
+                sense = setup.sense_of(model, sensor, params.tracker)
+        camera = ReplayCamera(job.inputs[0])
+        devices = Rig(camera, RecordedGripper(recording, camera), camera)
+        kept = Kept()
+        try:
+            slices = hold(devices, sense, control, timing, kept.append, lambda done: progress(done, len(recording)))
+        finally:
+            devices.close()
+    if not slices:
+        raise InputError("there is not a single slice", where=str(job.inputs[0]))
+    write_stage(job.output, recipe, {**sensor, **kept.arrays()})
+    steps = kept.row_arrays()
+    return outcome(
+        job,
+        made=True,
+        simulated=recipe.simulated,
+        slices=slices,
+        slices_with_slip=sense.count if sense is not None else 0,
+        steps=len(steps["control/slip"]),
+        steps_with_slip=int(steps["control/slip"].sum()),
+    )
+
+
+def timing_of(params: Grasp, recorded: Mapping[str, Any]) -> Timing:
+    """When phases ended in a recording that is a grasp itself, else when they would by the flags."""
+    if {"scene", "lift_s", "balance_s"} <= set(recorded):
+        touch_s, lift_s, balance_s = recorded["scene"]["time"]["touch_s"], recorded["lift_s"], recorded["balance_s"]
+    else:
+        planned = scene.plan(params.scene, params.objects, params.individual, ("lift",), params.gel, params.readout)
+        touch_s, lift_s, balance_s = planned[0]["scene"]["time"]["touch_s"], params.lift_s, params.balance_s
+    touch_ms, lift_ms, balance_ms = (round(1000 * seconds) for seconds in (touch_s, lift_s, balance_s))
+    return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)

@@ -1,0 +1,73 @@
+"""What a grasp is made of, by its flags: law, model, phases, detector; the same in simulation and in real time."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from evetac_cli import resources
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job
+from evetac_cli.kernels.grip import control as grip_control
+from evetac_cli.kernels.grip.control import Control
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.params import Grasp
+from evetac_cli.stages.grasp.loop import SLICES_S, Timing
+from evetac_cli.stages.grasp.online_detector import SlipSense
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.provenance import Header
+
+
+def law_of(params: Grasp) -> Any:
+    """The controller's law; InputError if there is none of that name, or none with that gain."""
+    try:
+        return grip_control.law_of(params.controller, params.gain)
+    except ValueError as error:
+        where = "--controller" if params.gain == 1.0 else "--controller, --gain"
+        raise InputError("unknown value", where=where, expected=str(error).removeprefix("expected ")) from None
+
+
+def model_of(params: Grasp) -> Path | None:
+    """The model file that a grasp feels with: the one named, else the package's; None without a detector."""
+    if not grip_control.feels(law_of(params)):
+        return None
+    return params.model if params.model is not None else resources.MODEL
+
+
+def timing_of(params: Grasp, scene: dict[str, Any]) -> Timing:
+    """When the phases of a scene end, and how the controller is timed."""
+    touch_ms, lift_ms, balance_ms = (
+        round(SLICES_S * seconds) for seconds in (scene["time"]["touch_s"], params.lift_s, params.balance_s)
+    )
+    return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)
+
+
+def sense_of(model: StageFile, sensor: Mapping[str, Any], preset: str) -> SlipSense:
+    """The detector of a model, for a sensor with these datasets `sensor/...`."""
+    constants = tracker.PRESETS[preset].for_dots(float(sensor["sensor/dot_radius_px"]))
+    return SlipSense.start(model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants)
+
+
+def parameters_of(job: Job, params: Grasp, control: Control) -> dict[str, Any]:
+    """The parameters of a grasp's recipe."""
+    feeling = {"preset": params.tracker, "constants": asdict(tracker.PRESETS[params.tracker])}
+    return {
+        **job.choice.get("plan", {}),
+        "trial": job.choice["trial"],
+        "controller": params.controller,
+        "gain": params.gain,
+        "law": control.parameters(),
+        "latency_ms": params.latency_ms,
+        "control_hz": params.control_hz,
+        "tracker": feeling if grip_control.feels(control.law) else None,
+        "lift_s": params.lift_s,
+        "balance_s": params.balance_s,
+    }
+
+
+def parents_of(model_path: Path | None) -> tuple[Header, ...]:
+    """The model that a grasp feels with, if it does."""
+    if model_path is None:
+        return ()
+    with StageFile(model_path, "model") as model:
+        return (model.header,)

@@ -1,0 +1,153 @@
+"""What a gripper does in a recording from devices: it closes until contact, holds, and lets the current fall.
+
+The law is a pure start/step state machine; the loop runs it at 500 Hz in a thread of its own, so that a gripper that
+answers late does not hold up the camera. (paper, "Experimental Setup and Data Collection Procedure"; in a simulated
+scene stages/record.py commands in step with the world's time instead.)
+"""
+
+import math
+import threading
+import time
+from array import array
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices import Gripper, GripperReading
+from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSettings
+
+COMMAND_MS = 2  # the gripper is commanded at 500 Hz
+RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
+OPENED_TICKS = 30  # an object is lost once the fingers are so far apart again: 4 mm
+
+
+class Phase(IntEnum):
+    """What the gripper is about."""
+
+    CLOSING = 0
+    HOLDING = 1
+    FALLING = 2
+
+
+@dataclass(frozen=True)
+class Hold:
+    """How an object is gripped and let go, in motor current; closing is positive."""
+
+    closing_ma: int
+    holding_ma: float
+    hold_s: float
+    lowest_ma: float  # the recording ends where the target falls below
+
+
+@dataclass
+class HoldState:
+    """What is remembered between commands."""
+
+    closing: Closing
+    phase: Phase = Phase.CLOSING
+    target_ma: float = math.nan
+    touch_ticks: int = 0
+    held: int = 0
+    ended: str = ""  # why there is nothing left to do
+
+
+def start(hold: Hold) -> HoldState:
+    """The state before the first command."""
+    return HoldState(Closing(ClosingSettings(current_ma=hold.closing_ma)))
+
+
+def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.Generator) -> float:
+    """One command: returns the target current in mA, and sets `state.ended` in words once there is nothing left to do.
+
+    The target falls by U(-0.025, -0.0025) mA a command (paper); what is written to the gripper is its whole number.
+    DeviceError if the fingers meet nothing.
+    """
+    if state.phase is Phase.CLOSING:
+        state.target_ma = hold.closing_ma
+        if state.closing.step(reading.position_ticks):
+            state.phase = Phase.HOLDING
+    if state.phase is Phase.HOLDING:
+        state.target_ma = hold.holding_ma
+        state.touch_ticks = reading.position_ticks
+        state.held += 1
+        if state.held * COMMAND_MS > 1000 * hold.hold_s:
+            state.phase = Phase.FALLING
+    elif state.phase is Phase.FALLING:
+        state.target_ma += rng.uniform(*RAMP_MA)
+        if state.target_ma <= hold.lowest_ma:
+            state.ended = "the current reached its lower limit"
+        elif reading.position_ticks <= state.touch_ticks - OPENED_TICKS:
+            state.ended = "the gripper opened"
+    return state.target_ma
+
+
+class GripperLoop:
+    """A thread that reads and commands a gripper every 2 ms, and keeps a row of each command until it is fetched."""
+
+    def __init__(
+        self, gripper: Gripper, act: Callable[[GripperReading], tuple[float, str]], now_us: Callable[[], int]
+    ) -> None:
+        """act: (target current in mA, why it is over or "") for a reading; now_us: device time of the recording."""
+        self._gripper = gripper
+        self._act = act
+        self._now_us = now_us
+        self._rows: deque[dict[str, Any]] = deque()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="gripper", daemon=True)
+        self.commands = 0
+        self.misses = 0  # moments at which no command was given, because the one before took too long
+        self.cycle_us = array("d")  # time that reading and commanding took
+        self.ended = ""
+        self.error: Exception | None = None
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End after the command that is under way; the gripper is not used after this returns."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of the commands given since this was last asked, oldest first."""
+        return [self._rows.popleft() for _ in range(len(self._rows))]
+
+    def _run(self) -> None:
+        try:
+            due = time.monotonic()
+            while not (self._stop.is_set() or self.ended):
+                started = time.monotonic()
+                self._command()
+                now = time.monotonic()
+                self.cycle_us.append((now - started) * 1e6)
+                due += COMMAND_MS * 1e-3
+                if now > due + COMMAND_MS * 1e-3:
+                    missed = int((now - due) / (COMMAND_MS * 1e-3))
+                    self.misses += missed
+                    due += missed * COMMAND_MS * 1e-3
+                self._stop.wait(max(0.0, due - now))
+        except Exception as error:  # told by the thread that records
+            self.error = error
+
+    def _command(self) -> None:
+        reading = self._gripper.read()
+        target_ma, self.ended = self._act(reading)
+        now_us = self._now_us()
+        written_ma = round(target_ma)
+        self._gripper.write_current(written_ma)
+        self._rows.append(
+            {
+                "gripper/t_us": now_us,
+                "gripper/current_target_ma": target_ma,
+                "gripper/current_written_ma": written_ma,
+                "gripper/current_ma": reading.current_ma,
+                "gripper/position_ticks": reading.position_ticks,
+            }
+        )
+        self.commands += 1

@@ -1,0 +1,87 @@
+"""What a camera sees, as a small picture of characters on the terminal; nothing is written and no gripper moves."""
+
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli import console
+from evetac_cli.devices import Rig
+from evetac_cli.devices.naming import GripperName, camera_name, open_rig
+from evetac_cli.events import Events
+from evetac_cli.jobs import Job, Outcome, Progress
+from evetac_cli.params import Record
+from evetac_cli.stages.record.capture_plan import settings
+
+COLUMNS, ROWS = 80, 30  # characters, which are twice as high as wide
+SHOWN_MS = 100  # events of so long make one picture
+SHADES = " .:-=+*#%@"
+FULL = 2.0  # events a pixel for the darkest shade
+
+
+def run(job: Job, params: Record, seeds: np.random.SeedSequence, progress: Progress) -> Outcome:
+    """Show the camera until --seconds are over, its stream ends, or Ctrl-C."""
+    camera = camera_name(params.camera)
+    if camera.kind == "sim":
+        from evetac_cli.devices.simulated import rig as simulated
+
+        rig = simulated(job.choice["plan"], seeds)
+    else:
+        rig = open_rig(camera, GripperName("none"), settings(params), job.choice.get("plan"), seeds)
+    try:
+        most = round(1000 * params.seconds) if params.seconds is not None else None
+        row = _watch(rig, most, paced=camera.kind == "sim")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("stopped; nothing was written") from None
+    finally:
+        rig.close()
+    row = {"camera": str(camera), **row}
+    return Outcome([row], rig.simulated or any(parent["simulated"] for parent in rig.parents), {"shown": 1})
+
+
+def _watch(rig: Rig, most: int | None, *, paced: bool) -> dict[str, Any]:
+    """Read and show; `paced` holds a simulation back to real time."""
+    frame = tuple(int(size) for size in rig.sensor_known()["sensor/frame_px"])
+    latest: deque[Events] = deque(maxlen=SHOWN_MS)
+    slices = total = 0
+    began_s = time.monotonic()
+    with console.live() as show:
+        while slices != most and (events := rig.camera.read()) is not None:
+            slices += 1
+            total += events.size
+            latest.append(events)
+            if paced:
+                time.sleep(max(0.0, began_s + slices * 1e-3 - time.monotonic()))
+            if slices % SHOWN_MS == 0:
+                show(f"{_headline(rig, latest, slices, began_s)}\n{picture(list(latest), frame)}")
+    passed_s = time.monotonic() - began_s
+    return {
+        "slices": slices,
+        "events": total,
+        "events_per_s": total / (slices * 1e-3) if slices else None,
+        "slices_per_s": slices / passed_s,
+        "lost": "; ".join(f"{name} {count}" for name, count in rig.counted().items() if count) or None,
+    }
+
+
+def _headline(rig: Rig, latest: deque[Events], slices: int, began_s: float) -> str:
+    events_s = sum(events.size for events in latest) / (len(latest) * 1e-3)
+    slices_s = slices / (time.monotonic() - began_s)
+    lost = sum(rig.counted().values())
+    return f"{slices * 1e-3:8.1f} s   {slices_s:6.0f} slices/s   {events_s:11,.0f} events/s   lost {lost:,}"
+
+
+def picture(parts: list[Events], frame_px: tuple[int, ...]) -> str:
+    """Events as ROWS lines of COLUMNS characters, darker where there are more."""
+    width, height = frame_px
+    counts: NDArray[np.int64] = np.zeros(ROWS * COLUMNS, np.int64)
+    for events in parts:
+        column = events.x.astype(np.int64) * COLUMNS // width
+        row = events.y.astype(np.int64) * ROWS // height
+        counts += np.bincount(row * COLUMNS + column, minlength=ROWS * COLUMNS)
+    pixels = width * height / (ROWS * COLUMNS)
+    dark = np.sqrt(np.minimum(counts / (FULL * pixels), 1.0))  # a single dot's events are to be seen, too
+    shade = np.ceil(dark * (len(SHADES) - 1)).astype(np.int64).reshape(ROWS, COLUMNS)
+    return "\n".join("".join(SHADES[value] for value in line) for line in shade)

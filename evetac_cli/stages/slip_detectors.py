@@ -1,0 +1,88 @@
+"""Slip detectors out of model files, and what they see and say of features files."""
+
+from pathlib import Path
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.slip import features, inputs, slip
+from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.stages.splits import object_of
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.provenance import Header
+
+
+def read_trajectory(path: Path, architecture: slip.Architecture) -> Trajectory:
+    """What an architecture sees of a labelled features file, and its labels."""
+    with StageFile(path, "features") as file:
+        if not file.has("label"):
+            raise InputError(
+                "these features have no labels", where=str(path), hint="evetac label, then evetac featurize"
+            )
+        return Trajectory(
+            series_of(file, architecture),
+            file.read("events_outside"),
+            file.read("label"),
+            int(file.read("onset_slice")),
+        )
+
+
+def series_of(
+    file: StageFile, architecture: slip.Architecture, start: int = 0, stop: int | None = None
+) -> inputs.Series:
+    """What an architecture sees of the slices [start, stop) of a features file; InputError if it is not there."""
+    if isinstance(architecture, slip.ImageArchitecture):
+        if not file.has("image"):
+            raise InputError(
+                f"{architecture.name} sees event images, and these features have none",
+                where=str(file.path),
+                hint="evetac featurize --images",
+            )
+        begin = file.read("image/start", start, None if stop is None else stop + 1)
+        pixels = (file.read(f"image/{name}", int(begin[0]), int(begin[-1])) for name in ("pixel", "sign"))
+        return features.EventImages(begin - begin[0], *pixels)
+    across = None
+    if {"x", "y"} & {view.channel for view in architecture.views}:
+        if not file.has("displacement_xy_px"):
+            raise InputError(
+                f"{architecture.name} sees displacements with their direction, and these features have none",
+                where=str(file.path),
+                hint="they were made by an older evetac; evetac featurize --force",
+            )
+        across = file.read("displacement_xy_px", start, stop)
+    return features.series(file.read("displacement_px", start, stop), file.read("events_per_dot", start, stop), across)
+
+
+def predict(detector: Detector, trajectory: Trajectory, header: Header, ahead_ms: int) -> slip.Prediction:
+    """What a detector says of a trajectory, beside its labels, from the first slice that is labelled.
+
+    The labels are shifted by `ahead_ms`, as F1 is counted; the onset is not, as the timing is judged.
+    """
+    architecture, slices = detector.architecture, len(trajectory.label)
+    examined = np.flatnonzero(trajectory.label >= 0)
+    probability = np.full(slices, np.nan, np.float32)
+    if len(examined):
+        # what stands before has no part in anything, and images take long: begin where the first history begins
+        begin = max(0, int(examined[0]) - architecture.history - architecture.every + 2)
+        probability[begin:] = detector.over(inputs.part(trajectory.series, begin, slices), begin)
+        probability[: examined[0]] = np.nan
+    label = slip.shift(trajectory.label, ahead_ms)
+    return slip.Prediction(probability, label, trajectory.onset, object_of(header))
+
+
+def ahead_of(model: StageFile) -> int:
+    """How far ahead a model predicts slip, in ms."""
+    return int(model.read("ahead_ms")) if model.has("ahead_ms") else 0
+
+
+def detector_of(model: StageFile) -> Detector:
+    """The detector in a model file; InputError if its architecture is unknown or its graph damaged."""
+    name = model.read("architecture")
+    if name not in slip.ARCHITECTURES:
+        known = ", ".join(slip.ARCHITECTURES)
+        raise InputError("unknown architecture", where=str(model.path), expected=known, found=str(name))
+    try:
+        return Detector(model.read("onnx").tobytes(), slip.ARCHITECTURES[name])
+    except ValueError as error:
+        raise InputError(str(error), where=str(model.path), hint="the file is damaged; train it again") from error

@@ -1,0 +1,93 @@
+"""Which options of `record` and `grasp` belong to what a run may have, so that none is ignored without a word."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from enum import StrEnum
+
+from evetac_cli.devices.naming import camera_name
+from evetac_cli.errors import InputError
+from evetac_cli.params import Grasp, Record, flag_of
+from evetac_cli.stages.record.capture_plan import names
+
+
+class Source(StrEnum):
+    """Where events come from, and what is commanded beside; a run has some of these."""
+
+    IMPORT = "an import (--from)"
+    SCENE = "a simulated scene (--camera sim or virtual)"
+    STEPPED = "a simulated scene in its own time (--camera sim)"
+    DEVICE = "a device (--camera virtual, dvxplorer, dv or replay:FILE)"
+    RECORDED = "a recording from a device (--camera virtual, dvxplorer, dv or replay:FILE)"
+    SENSOR = "a camera that can be set up (--camera virtual, dvxplorer or dv)"
+    MOVED = "a gripper that is moved (--gripper virtual or PORT)"
+    LIVE = "--live"
+    GRASPED = "a grasp with devices (--camera virtual, dvxplorer or dv)"
+
+
+# Of a field that is not named here nothing depends on the source, or `names` says what fits together.
+RECORD: dict[str, tuple[Source, ...]] = {
+    **dict.fromkeys(("scene", "objects", "individual", "gel", "readout"), (Source.SCENE,)),
+    "tones": (Source.STEPPED,),
+    **dict.fromkeys(("count", "seed", "live"), (Source.SCENE, Source.DEVICE)),
+    **dict.fromkeys(("frame_size", "sort", "stream"), (Source.IMPORT,)),
+    "calibration": (Source.IMPORT, Source.RECORDED),
+    "gripper": (Source.SCENE, Source.DEVICE),
+    "seconds": (Source.DEVICE, Source.LIVE),
+    **dict.fromkeys(("closing_ma", "holding_ma", "hold_s", "lowest_ma"), (Source.MOVED,)),
+    **dict.fromkeys(("threshold_on", "threshold_off", "readout_rate"), (Source.SENSOR,)),
+    **dict.fromkeys(("expect", "resume"), (Source.RECORDED,)),
+}
+GRASP: dict[str, tuple[Source, ...]] = {
+    **dict.fromkeys(("objects", "individual", "gel", "readout"), (Source.SCENE,)),
+    **dict.fromkeys(("calibration", "arm", "max_current_ma", "max_seconds", "watchdog_ms"), (Source.GRASPED,)),
+}
+
+
+def sources(params: Record) -> set[Source]:
+    """What the run has; InputError for devices that there are not, or that do not fit together."""
+    cameras, gripper = names(params)
+    if params.source is not None:
+        return {Source.IMPORT}
+    if cameras[0].kind == "sim":
+        return {Source.SCENE, Source.STEPPED} | ({Source.LIVE} if params.live else set())
+    found = {Source.DEVICE, Source.LIVE if params.live else Source.RECORDED}
+    if any(camera.kind == "virtual" and camera.prepared_events_s is None for camera in cameras):
+        found.add(Source.SCENE)
+    if any(camera.kind != "replay" for camera in cameras):
+        found.add(Source.SENSOR)
+    if gripper.kind != "none" and not params.live:
+        found.add(Source.MOVED)
+    return found
+
+
+def refuse_idle_options(params: Record | Grasp) -> None:
+    """InputError for an option that is not at its default and belongs to nothing that this run has."""
+    if isinstance(params, Grasp):
+        camera = camera_name(params.camera)
+        simulated = camera.kind in ("sim", "virtual") and camera.prepared_events_s is None
+        has = {Source.SCENE} if simulated else set()
+        _refuse(params, GRASP, has if camera.kind in ("sim", "replay") else has | {Source.GRASPED})
+    else:
+        _refuse(params, RECORD, sources(params))
+
+
+def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], has: set[Source]) -> None:
+    for item in fields(params):
+        belongs = table.get(item.name)
+        if belongs is None or getattr(params, item.name) == item.default or has.intersection(belongs):
+            continue
+        raise InputError(
+            f"has no effect here: it belongs to {' or '.join(belongs)}",
+            where=flag_of(item),
+            found=_named(params),
+            hint=f"leave out {flag_of(item)}",
+        )
+
+
+def _named(params: Record | Grasp) -> str:
+    """The flags that say where events come from."""
+    if isinstance(params, Record) and params.source is not None:
+        return f"--from {params.source}"
+    gripper = f", --gripper {params.gripper}" if params.gripper is not None else ""
+    live = ", --live" if isinstance(params, Record) and params.live else ""
+    return f"--camera {params.camera}{gripper}{live}"

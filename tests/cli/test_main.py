@@ -1,0 +1,566 @@
+"""The command line: help, flags, exit codes, --json, outputs. Stages are stand-ins, so that only main is tested."""
+
+import dataclasses
+import importlib.util
+import json
+import os
+import pickle
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from evetac_cli import __version__, params
+from evetac_cli.cli import main
+from evetac_cli.cli.main import EVALUATE, PIPELINE, app
+from evetac_cli.errors import (
+    DeviceError,
+    DeviceTimeout,
+    EvetacError,
+    InputError,
+    SceneError,
+    SchemaError,
+    carried,
+    carry,
+    told,
+)
+from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.resources import PACKAGE
+from evetac_cli.stages import per_file
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe
+
+COMMANDS = [([command.name], command) for command in PIPELINE]
+COMMANDS += [(["evaluate", command.name], command) for command in EVALUATE]
+
+
+def evetac(*arguments: str | Path) -> Result:
+    """Run the program in this process, on a wide terminal without colours."""
+    wide = {"COLUMNS": "400", "TERM": "dumb", "NO_COLOR": "1"}
+    return CliRunner().invoke(app, [str(argument) for argument in arguments], env=wide)
+
+
+def plain_text(text: str) -> str:
+    """Without colours, frames and runs of blanks."""
+    return re.sub(r"\s+", " ", re.sub(r"\x1b\[[0-9;]*m|[│╭╮╰╯─]", " ", text))
+
+
+Act = Callable[[Job, Any], Outcome]
+
+
+@pytest.fixture
+def label_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Act], None]:
+    """Let a function stand in for what `evetac label` does to each file."""
+
+    def put(act: Act) -> None:
+        def run(job: Job, chosen: Any, *, force: bool = False, progress: Progress = silent) -> Outcome:
+            progress(0, 1)
+            return act(job, chosen)
+
+        stage = SimpleNamespace(run=run, jobs=lambda files, chosen, out: per_file(files, "labels", out))
+        monkeypatch.setitem(sys.modules, "evetac_cli.stages.label", stage)
+
+    return put
+
+
+def made(job: Job, chosen: Any) -> Outcome:
+    """A stage that makes its output."""
+    job.output.parent.mkdir(parents=True, exist_ok=True)
+    job.output.write_text("made")
+    return outcome(job, made=True, simulated=True, slices=3, confidence=float("nan"))
+
+
+def skipped(job: Job, chosen: Any) -> Outcome:
+    """A stage whose output is up to date."""
+    return outcome(job, made=False, simulated=False)
+
+
+def raising(error: BaseException) -> Act:
+    """A stage that fails."""
+
+    def act(job: Job, chosen: Any) -> Outcome:
+        raise error
+
+    return act
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Three inputs in the present folder."""
+    monkeypatch.chdir(tmp_path)
+    names = [f"{letter}.recording.h5" for letter in "abc"]
+    for name in names:
+        Path(name).write_text(name)
+    return names
+
+
+def test_version() -> None:
+    """Assert that the version is that of the package, on stdout alone."""
+    result = evetac("--version")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, f"evetac {__version__}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [[], ["evaluate"]])
+def test_without_a_command(arguments: list[str]) -> None:
+    """Assert that without a command there is help, listing all there are."""
+    text = plain_text(evetac(*arguments).output)
+    assert "Usage:" in text
+    for path, _ in COMMANDS:
+        if path[: len(arguments)] == arguments:
+            assert path[len(arguments)] in text
+
+
+@pytest.mark.parametrize(
+    "arguments", [["labl"], ["evaluate", "slp"], ["label"], ["info"], ["--nothing"], ["label", "a.h5", "--nothing"]]
+)
+def test_wrong_usage(arguments: list[str]) -> None:
+    """Assert that an unknown command or flag, and a missing file argument, end with exit code 2 and empty stdout."""
+    result = evetac(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize(("path", "command"), COMMANDS, ids=[" ".join(path) for path, _ in COMMANDS])
+def test_help_says_everything(path: list[str], command: main.Command) -> None:
+    """Assert that the help of a command has each flag with help, choices, unit and default, also where that is 0."""
+    result = evetac(*path, "--help")
+    text = plain_text(result.output)
+    assert result.exit_code == 0
+    assert command.params.__doc__ in text
+    for item in dataclasses.fields(command.params):
+        about = item.metadata
+        flag = params.flag_of(item)
+        start = text.index(f" {flag} ")
+        entry = text[start : start + 600]
+        said = plain_text(about["help"])
+        assert said in entry, item.name
+        tail = entry[entry.index(said) + len(said) :].split(" --")[0]
+        if len(about["choices"]) > 1:
+            assert f"({', '.join(about['choices'])})" in tail
+        if about["unit"]:
+            assert f"[{about['unit']}]" in tail
+        if item.default is None or item.default is False or item.default == "":
+            assert "[default" not in tail
+        else:
+            assert f"[default: {item.default}]" in tail
+    for flag in ("--out -o", "--force -f", "--jobs -j", "--config", "--json", "--quiet -q", "--verbose -v"):
+        assert flag in text
+
+
+def test_stage_modules_exist() -> None:
+    """Assert that every command names a module of the package (imported only when it runs)."""
+    for _, command in COMMANDS:
+        assert importlib.util.find_spec(f"evetac_cli.{command.module}") is not None
+
+
+ERRORS = [
+    (EvetacError("m"), 1),
+    (InputError("m"), 2),
+    (SchemaError("m"), 2),
+    (SceneError("m"), 2),
+    (DeviceError("m"), 3),
+    (DeviceTimeout("m"), 3),
+]
+
+
+@pytest.mark.parametrize(("error", "code"), ERRORS, ids=lambda value: type(value).__name__)
+def test_exit_codes(label_is: Any, files: list[str], error: EvetacError, code: int) -> None:
+    """Assert that each kind of error ends with its code, in words on stderr, without a traceback."""
+    label_is(raising(error))
+    result = evetac("label", files[0])
+    assert (result.exit_code, result.stdout, result.stderr) == (code, "", "error: m\n")
+
+
+def test_error_says_where_expected_found_try(label_is: Any, files: list[str]) -> None:
+    """Assert that all parts of an error are printed."""
+    label_is(raising(InputError("bad", where="a.h5", expected="this", found="that", hint="the other")))
+    assert evetac("label", files[0]).stderr == (
+        "error: a.h5: bad\n  expected: this\n  found:    that\n  try:      the other\n"
+    )
+
+
+def test_verbose_has_the_traceback(label_is: Any, files: list[str]) -> None:
+    """Assert that -v shows where an error was raised."""
+    label_is(raising(InputError("m")))
+    result = evetac("label", files[0], "-v")
+    assert result.exit_code == 2
+    assert "Traceback" in result.stderr
+    assert result.stderr.endswith("error: m\n")
+    label_is(raising(PermissionError(13, "Permission denied", "x.h5")))
+    result = evetac("label", files[0], "-v")
+    assert (result.exit_code, result.stderr.splitlines()[-1]) == (2, "error: x.h5: Permission denied")
+    assert "Traceback" in result.stderr
+
+
+def test_ctrl_c(label_is: Any, files: list[str]) -> None:
+    """Assert that Ctrl-C ends with 130 and says that finished files are complete."""
+    label_is(raising(KeyboardInterrupt()))
+    result = evetac("label", *files)
+    assert (result.exit_code, result.stdout) == (130, "")
+    assert result.stderr.startswith("interrupted: ")
+
+
+def test_errors_of_ours_are_not_hidden(label_is: Any, files: list[str]) -> None:
+    """Assert that a bug is not dressed up as an error of the user."""
+    label_is(raising(ZeroDivisionError()))
+    assert isinstance(evetac("label", files[0]).exception, ZeroDivisionError)
+
+
+def test_an_error_does_not_stop_the_others(label_is: Any, files: list[str]) -> None:
+    """Assert that the other files are made, every error is printed, and the first one gives the exit code."""
+
+    def act(job: Job, chosen: Any) -> Outcome:
+        if job.output.name != "b.labels.h5":
+            raise (DeviceError if job.output.name.startswith("a") else InputError)(f"bad {job.output.name}")
+        return made(job, chosen)
+
+    label_is(act)
+    result = evetac("label", *files, "--json")
+    assert result.exit_code == 3
+    assert [row["output"] for row in json.loads(result.stdout)["rows"]] == ["b.labels.h5"]
+    assert "error: bad a.labels.h5" in result.stderr
+    assert "error: bad c.labels.h5" in result.stderr
+    assert Path("b.labels.h5").exists()
+
+
+def test_json_shape(label_is: Any, files: list[str]) -> None:
+    """Assert that --json prints one object of four keys with a row for each file, null for NaN, and messages apart."""
+    label_is(made)
+    result = evetac("label", *files, "--json")
+    assert result.exit_code == 0
+    assert result.stdout.count("\n") == 1
+    shown = json.loads(result.stdout)
+    assert list(shown) == ["command", "simulated", "rows", "summary"]
+    assert shown["command"] == "label"
+    assert shown["simulated"] is True
+    assert shown["rows"] == [
+        {"output": f"{name}.labels.h5", "status": "made", "slices": 3, "confidence": None} for name in "abc"
+    ]
+    assert shown["summary"] == {"made": 3, "up_to_date": 0}
+    assert result.stderr.startswith("label: ")
+    assert evetac("label", *files, "--json", "-q").stderr == ""
+
+
+def test_json_of_evaluate_says_its_subject(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
+    """Assert that the command of a subject is `evaluate slip`, and its own summary is shown."""
+    answer = Outcome([{"f1": 0.5}], True, {"f1_mean": 0.5, "report": "x.report.h5"})
+    stage = SimpleNamespace(
+        jobs=lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))], run=lambda *_, **__: answer
+    )
+    monkeypatch.setitem(sys.modules, "evetac_cli.stages.evaluate.slip", stage)
+    shown = json.loads(evetac("evaluate", "slip", *files, "--json").stdout)
+    assert shown == {"command": "evaluate slip", "simulated": True, "rows": answer.rows, "summary": answer.summary}
+
+
+def test_json_where_everything_failed(label_is: Any, files: list[str]) -> None:
+    """Assert that --json is still one valid object, without rows, with every error, which stderr has too."""
+    label_is(raising(InputError("m")))
+    result = evetac("label", *files, "--json")
+    assert result.exit_code == 2
+    shown = json.loads(result.stdout)
+    assert (shown["rows"], shown["simulated"], shown["summary"]) == ([], None, {"made": 0, "up_to_date": 0})
+    assert [shown["error"], *shown["more_errors"]] == [{"kind": "InputError", "message": "m", "exit_status": 2}] * 3
+    assert result.stderr.count("error: m") == 3
+
+
+PARTS = {"message": "m", "where": "w", "expected": "e", "found": "f", "hint": "h", "kept": "k"}
+ENDINGS: list[tuple[BaseException, int, dict[str, str]]] = [
+    (error, code, {"kind": type(error).__name__, "message": "m"}) for error, code in ERRORS
+]
+ENDINGS += [
+    (DeviceError(**PARTS), 3, {"kind": "DeviceError", **PARTS}),
+    (KeyboardInterrupt("interrupted: 7 slices"), 130, {"kind": "Interrupted", "message": "interrupted: 7 slices"}),
+    (
+        PermissionError(13, "Permission denied", "x.h5"),
+        2,
+        {"kind": "PermissionError", "message": "Permission denied", "where": "x.h5"},
+    ),
+    (ZeroDivisionError("bug"), 1, {"kind": "ZeroDivisionError", "message": "bug"}),
+]
+
+
+@pytest.mark.parametrize(("error", "code", "told"), ENDINGS, ids=lambda value: type(value).__name__)
+def test_json_says_how_it_ended(
+    label_is: Any, files: list[str], error: BaseException, code: int, told: dict[str, str]
+) -> None:
+    """Assert that whatever ends a command, --json is one object with the error, the exit status and what was made."""
+    label_is(lambda job, chosen: made(job, chosen) if job.output.name.startswith("a") else raising(error)(job, chosen))
+    result = evetac("label", *files[:2], "--json")
+    assert result.exit_code == code
+    assert result.stdout.count("\n") == 1
+    shown = json.loads(result.stdout)
+    assert shown["error"] == {**told, "exit_status": code}
+    assert [row["output"] for row in shown["rows"]] == ["a.labels.h5"]
+    assert (shown["command"], shown["simulated"], shown["summary"]) == ("label", True, {"made": 1, "up_to_date": 0})
+
+
+@pytest.mark.parametrize("error", [DeviceError("gone"), KeyboardInterrupt("interrupted: 7 slices in a.labels.h5")])
+def test_json_has_the_rows_of_what_was_kept(label_is: Any, files: list[str], error: BaseException) -> None:
+    """Assert that the file of a recording that was interrupted, or whose device failed, has its row."""
+
+    def act(job: Job, chosen: Any) -> Outcome:
+        raise carry(error, outcome(job, made=True, simulated=True, slices=7))
+
+    label_is(act)
+    shown = json.loads(evetac("label", files[0], "--json").stdout)
+    assert shown["rows"] == [{"output": "a.labels.h5", "status": "made", "slices": 7}]
+    assert (shown["simulated"], shown["summary"]["made"]) == (True, 1)
+    assert shown["error"]["message"] == str(error)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "command", "words"),
+    [
+        (["label", "a.recording.h5", "--confirm-ms", "2.5"], "label", "--confirm-ms"),
+        (["label", "a.recording.h5", "--nonsense"], "label", "--nonsense"),
+        (["label"], "label", "Missing argument"),
+        (["evaluate", "slip", "--nonsense"], "evaluate slip", "--nonsense"),
+        (["nonsense"], "", "nonsense"),
+        (["--nonsense", "label"], "", "--nonsense"),
+        (["info"], "info", "Missing argument"),
+    ],
+)
+def test_json_of_usage_errors(files: list[str], arguments: list[str], command: str, words: str) -> None:
+    """Assert that a command line that is not understood is one object too, and nothing on stdout without --json."""
+    result = evetac(*arguments, "--json")
+    assert result.exit_code == 2
+    shown = json.loads(result.stdout)
+    assert (shown["command"], shown["rows"], shown["error"]["exit_status"]) == (command, [], 2)
+    assert words in shown["error"]["message"]
+    assert words in plain_text(result.stderr)
+    assert evetac(*arguments).stdout == ""
+
+
+@pytest.mark.parametrize("arguments", [["info", "none.h5"], ["repair", "none"], ["export", "none.h5"], ["track"]])
+def test_json_of_every_kind_of_command(files: list[str], arguments: list[str]) -> None:
+    """Assert that commands that look, export and compute keep the same rule."""
+    more = ["--format", "text"] if arguments[0] == "export" else files[:1] if arguments[0] == "track" else []
+    result = evetac(*arguments, *more, "--json")
+    shown = json.loads(result.stdout)
+    assert (result.exit_code, shown["command"], shown["error"]["exit_status"]) == (2, arguments[0], 2)
+    assert shown["error"]["message"] in result.stderr
+
+
+@pytest.mark.parametrize("error", [DeviceTimeout(**PARTS), SchemaError(**PARTS)])
+def test_errors_come_whole_from_worker_processes(error: EvetacError) -> None:
+    """Assert that an error that was pickled has its words and parts."""
+    back = pickle.loads(pickle.dumps(carry(error, outcome(Job((), Path("x.h5")), made=True, simulated=True))))
+    assert (type(back), str(back), told(back)) == (type(error), str(error), told(error))
+    assert carried(back).rows == carried(error).rows
+    assert str(back).splitlines() == [
+        "w: m",
+        "  expected: e",
+        "  found:    f",
+        "  try:      h",
+        "  kept:     k",
+    ]
+
+
+def test_table(label_is: Any, files: list[str]) -> None:
+    """Assert that people get a table that says simulated, and the time it took on stderr."""
+    label_is(made)
+    result = evetac("label", *files)
+    assert "label (simulated)" in result.stdout
+    assert "b.labels.h5" in result.stdout
+    assert re.fullmatch(r"label: \d+\.\d s\n", result.stderr)
+
+
+def test_up_to_date_is_said(label_is: Any, files: list[str]) -> None:
+    """Assert that a run without work ends well and says so."""
+    label_is(skipped)
+    result = evetac("label", *files)
+    assert result.exit_code == 0
+    assert result.stderr == "label: up to date, nothing to do\n"
+    assert "up_to_date: 3" in result.stdout
+
+
+def test_quiet(label_is: Any, files: list[str]) -> None:
+    """Assert that -q prints nothing but errors."""
+    label_is(made)
+    result = evetac("label", *files, "-q")
+    assert (result.exit_code, result.output) == (0, "")
+    label_is(raising(InputError("m")))
+    result = evetac("label", files[0], "-q")
+    assert (result.exit_code, result.output) == (2, "error: m\n")
+
+
+def test_out_is_a_folder_or_a_file(label_is: Any, files: list[str]) -> None:
+    """Assert that -o takes a folder for many, a file for one, and refuses one file for many before any work."""
+    label_is(made)
+    assert evetac("label", *files, "-o", "new/folder").exit_code == 0
+    assert sorted(os.listdir("new/folder")) == ["a.labels.h5", "b.labels.h5", "c.labels.h5"]
+    assert evetac("label", files[0], "-o", "one.h5").exit_code == 0
+    assert Path("one.h5").exists()
+    result = evetac("label", *files, "-o", "all.h5")
+    assert result.exit_code == 2
+    assert "one output file cannot hold several results" in result.stderr
+    assert "a folder for 3 files" in result.stderr
+    assert not Path("all.h5").exists()
+
+
+def test_clash_of_outputs(label_is: Any, files: list[str]) -> None:
+    """Assert that inputs of one name are not written over each other, and nothing is made."""
+    label_is(made)
+    Path("sub").mkdir()
+    result = evetac("label", "a.recording.h5", "sub/a.recording.h5", "b.recording.h5", "-o", "out")
+    assert result.exit_code == 2
+    assert "several inputs would write the same output" in result.stderr
+    assert "out/a.labels.h5" in result.stderr
+    assert "b.labels.h5" not in result.stderr
+    assert not Path("out").exists()
+    assert evetac("label", "a.recording.h5", "./a.recording.h5").exit_code == 2
+    assert evetac("label", "a.recording.h5", "sub/a.recording.h5").exit_code == 0
+
+
+def test_many_outputs_are_checked_quickly(label_is: Any, files: list[str]) -> None:
+    """Assert that thousands of files are compared in no time, not each with each (that took minutes)."""
+    label_is(skipped)
+    jobs = [Job((), Path(f"{number}.h5")) for number in range(30_000)]
+    main._check_outputs(jobs, [], params.Label(), force=True)
+    with pytest.raises(InputError, match=r"29999\.h5"):
+        main._check_outputs([*jobs, jobs[-1]], [], params.Label(), force=True)
+
+
+def test_force_never_replaces_an_input(label_is: Any, files: list[str]) -> None:
+    """Assert that --force does not destroy what the output is made from, also not through another name for it."""
+    label_is(made)
+    Path("link.h5").symlink_to("a.recording.h5")
+    for out in ("a.recording.h5", "../" + Path.cwd().name + "/a.recording.h5", str(Path("a.recording.h5").resolve())):
+        result = evetac("label", "a.recording.h5", "-o", out, "--force")
+        assert result.exit_code == 2
+        assert "the output would replace an input" in result.stderr
+    assert evetac("label", "link.h5", "-o", "a.recording.h5", "-f").exit_code == 2
+    assert Path("a.recording.h5").read_text() == "a.recording.h5"
+    assert evetac("label", "a.recording.h5", "-o", "b.labels.h5", "-f").exit_code == 0
+
+
+def test_force_never_replaces_a_file_named_by_a_flag(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
+    """Assert that a file given by a flag, such as a model, is an input too."""
+    stage = SimpleNamespace(jobs=lambda files, chosen, out: [Job((), out)], run=lambda *_, **__: pytest.fail("ran"))
+    monkeypatch.setitem(sys.modules, "evetac_cli.stages.grasp", stage)
+    result = evetac("grasp", "--model", "a.recording.h5", "-o", "a.recording.h5", "--force")
+    assert result.exit_code == 2
+    assert "the output would replace an input" in result.stderr
+
+
+@pytest.mark.parametrize("number", ["0", "-1"])
+def test_number_of_jobs(label_is: Any, files: list[str], number: str) -> None:
+    """Assert that at least one job is needed, and that it must be a number."""
+    label_is(made)
+    result = evetac("label", *files, "--jobs", number)
+    assert result.exit_code == 2
+    assert "--jobs: out of range" in result.stderr
+    assert evetac("label", *files, "--jobs", "two").exit_code == 2
+    assert evetac("label", files[0], "--jobs", "8").exit_code == 0
+
+
+def parameters(job: Job, chosen: Any) -> Outcome:
+    """A stage that shows what it was given."""
+    return outcome(job, made=True, simulated=False, **dataclasses.asdict(chosen))
+
+
+def test_flags_and_config_reach_the_stage(label_is: Any, files: list[str]) -> None:
+    """Assert that flags, config file and defaults arrive in the stage, in this order of priority."""
+    label_is(parameters)
+    Path("c.toml").write_text("[label]\nconfirm_ms = 9\nthreshold_px = 0.25\n")
+
+    def row(*arguments: str) -> dict[str, Any]:
+        return dict(json.loads(evetac("label", files[0], "--json", *arguments).stdout)["rows"][0])
+
+    assert row().items() >= dataclasses.asdict(params.Label()).items()
+    assert row("--config", "c.toml").items() >= {"confirm_ms": 9, "threshold_px": 0.25}.items()
+    flags = row("--config", "c.toml", "--confirm-ms", "3", "--after-ms", "0")
+    assert flags.items() >= {"confirm_ms": 3, "threshold_px": 0.25, "after_ms": 0}.items()
+
+
+WRONG = [
+    (["--confirm-ms", "0"], "--confirm-ms: out of range"),
+    (["--threshold-px", "nan"], "--threshold-px: not a finite number"),
+    (["--threshold-px", "-0.1"], "--threshold-px: out of range"),
+    (["--confirm-ms", "2.5"], "Invalid value"),
+    (["--config", "none.toml"], "none.toml: cannot be read"),
+    (["--config", "c.toml"], "did you mean `confirm_ms`?"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), WRONG, ids=[" ".join(arguments) for arguments, _ in WRONG])
+def test_wrong_parameters(label_is: Any, files: list[str], arguments: list[str], words: str) -> None:
+    """Assert that wrong values are refused before the stage runs, with exit code 2."""
+    label_is(lambda job, chosen: pytest.fail("ran"))
+    Path("c.toml").write_text("[label]\nconfirm = 9\n")
+    result = evetac("label", files[0], *arguments)
+    assert result.exit_code == 2
+    assert words in plain_text(result.stderr)
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize("given", [[], ["--sort"], ["--no-sort"]])
+def test_switches_can_be_set_and_unset(monkeypatch: pytest.MonkeyPatch, files: list[str], given: list[str]) -> None:
+    """Assert that a switch of a config file can be turned off again by a flag."""
+    stage = SimpleNamespace(jobs=lambda files, chosen, out: [Job((), Path("x.h5"))])
+    stage.run = lambda job, chosen, **_: parameters(job, chosen)
+    monkeypatch.setitem(sys.modules, "evetac_cli.stages.record", stage)
+    Path("c.toml").write_text("[record]\nsort = true\n")
+    result = evetac("record", "--config", "c.toml", "--json", *given) if given else evetac("record", "--json")
+    (row,) = json.loads(result.stdout, parse_constant=pytest.fail)["rows"] if result.exit_code == 0 else [{}]
+    assert row["sort"] is (given == ["--sort"])
+
+
+@pytest.fixture
+def report(files: list[str]) -> Path:
+    """A real report in the present folder."""
+    rows = {"command": "evaluate slip", "rows": "[]", "summary": '{"f1": 0.5}'}
+    write_stage(Path("a.slip.report.h5"), Recipe("report", 1, {}), rows)
+    return Path("a.slip.report.h5")
+
+
+def test_info(report: Path) -> None:
+    """Assert that info shows a file in words and, with --json, in the one shape of all results."""
+    result = evetac("info", report)
+    assert result.exit_code == 0
+    assert "a.slip.report.h5" in result.stdout
+    shown = json.loads(evetac("info", report, report, "--json").stdout)
+    assert (shown["command"], shown["simulated"], shown["summary"]) == ("info", False, {"files": 2})
+    with StageFile(report) as file:
+        assert [row["id"] for row in shown["rows"]] == [file.header["id"]] * 2
+
+
+def test_info_of_what_is_no_stage_file(report: Path, files: list[str]) -> None:
+    """Assert that a foreign file is an error in words."""
+    for wrong in (files[0], "none.h5", "."):
+        result = evetac("info", report, wrong)
+        assert result.exit_code == 2
+        assert result.stderr.startswith(f"error: {wrong}: ")
+
+
+def test_validate(report: Path, files: list[str]) -> None:
+    """Assert that validate ends with 0 for valid files, and with 2 and a row for each where one is not."""
+    assert evetac("validate", report).exit_code == 0
+    result = evetac("validate", report, files[0], "none.h5", "--json")
+    assert result.exit_code == 2
+    shown = json.loads(result.stdout)
+    assert [row["valid"] for row in shown["rows"]] == [True, False, False]
+    assert shown["summary"] == {"files": 3, "invalid": 2}
+    assert "no such file" in shown["rows"][2]["faults"]
+
+
+def test_several_jobs_at_a_time(files: list[str]) -> None:
+    """Assert that worker processes report the errors of all files like one process does: this is the real program."""
+    paths = [str(Path(name).resolve()) for name in files[:2]]
+    run = [sys.executable, "-m", "evetac_cli", "track", *paths, "--json", "--jobs"]
+    done = [
+        subprocess.run([*run, number], capture_output=True, text=True, timeout=100, check=False, cwd=PACKAGE.parent)
+        for number in ("2", "1")
+    ]
+    for result in done:
+        assert result.returncode == 2
+        assert json.loads(result.stdout)["rows"] == []
+    assert done[0].stdout == done[1].stdout
+    assert done[0].stderr == done[1].stderr
+    assert all(f"error: {path}: cannot be opened" in done[0].stderr for path in paths)

@@ -1,0 +1,49 @@
+"""Worker processes after Ctrl-C: what is finished is told, and nothing is begun."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from evetac_cli.cli import workers
+from evetac_cli.jobs import Job, Outcome
+
+JOB = Job((), Path("a.recording.h5"))
+
+
+@pytest.fixture
+def stage_is(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Let a function stand in for a stage's run, and let nothing catch signals."""
+
+    def put(run: Any) -> None:
+        monkeypatch.setattr(workers.importlib, "import_module", lambda name: SimpleNamespace(run=run))
+
+    monkeypatch.setattr(workers, "catch_interrupts", lambda: None)
+    monkeypatch.setattr(workers, "_came", False)
+    return put
+
+
+def test_nothing_is_begun_after_an_interrupt(stage_is: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a worker that was interrupted leaves the jobs alone that wait for it."""
+    stage_is(lambda *_, **__: pytest.fail("begun"))
+    monkeypatch.setattr(workers, "_came", True)
+    assert workers._in_worker("record", JOB, None, False) is None
+
+
+def test_what_was_finished_when_it_came_is_told(stage_is: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a job whose file was complete when Ctrl-C came is a result, and one broken off is none."""
+    made = Outcome([{"output": "a"}], True)
+
+    def finished(*_: Any, **__: Any) -> Outcome:
+        monkeypatch.setattr(workers, "_came", True)
+        return made
+
+    def broken_off(*_: Any, **__: Any) -> Outcome:
+        raise KeyboardInterrupt
+
+    stage_is(finished)
+    assert workers._in_worker("record", JOB, None, False) is made
+    monkeypatch.setattr(workers, "_came", False)
+    stage_is(broken_off)
+    assert workers._in_worker("record", JOB, None, False) is None

@@ -1,0 +1,174 @@
+"""The second camera backend, against a stand-in for the maker's library; with the library itself, as far as it goes."""
+
+import sys
+import time
+from collections import deque
+from contextlib import closing
+from datetime import timedelta
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.devices import Clock, EventCamera
+from evetac_cli.devices.dv import DvCamera
+from evetac_cli.devices.dvxplorer.protocol import READOUT_RATES, DvxplorerSettings
+from evetac_cli.errors import DeviceError
+from evetac_cli.events import SLICE_US, Events
+
+EPOCH_US = 1_700_000_000_000_000
+ROW = np.dtype([("timestamp", "<i8"), ("x", "<i2"), ("y", "<i2"), ("polarity", "i1")])
+
+
+class Batch:
+    """As dv.EventStore."""
+
+    def __init__(self, rows: np.ndarray) -> None:
+        self._rows = rows
+
+    def size(self) -> int:
+        return len(self._rows)
+
+    def numpy(self) -> np.ndarray:
+        return self._rows
+
+
+class FakeMini:
+    """As dv.io.camera.DVXplorerM: hands out prepared batches, then None."""
+
+    def __init__(self, *serial: str) -> None:
+        self.told: dict[str, Any] = {"serial": serial}
+        self.batches: deque[Batch] = deque()
+        self.running = True
+        FakeMini.latest = self
+
+    latest: "FakeMini"
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("set"):
+            raise AttributeError(name)
+        return lambda value: self.told.__setitem__(name, value)
+
+    def getCameraName(self) -> str:  # the library's name
+        return "DVXplorerM_FAKE"
+
+    def getNextEventBatch(self) -> Batch | None:
+        return self.batches.popleft() if self.batches else None
+
+    def isRunning(self) -> bool:
+        return self.running
+
+
+RATES = SimpleNamespace(
+    **{name.upper().replace("-", "_").replace("LOSSY", "CONSTANT_LOSSY"): name for name in READOUT_RATES}
+)
+
+
+def library(camera: Any = FakeMini) -> Any:
+    known = SimpleNamespace(DVXplorerM=camera, DVXplorer=SimpleNamespace(ReadoutFPS=RATES))
+    return SimpleNamespace(io=SimpleNamespace(camera=known))
+
+
+def batch(t_us: list[int]) -> Batch:
+    rows = np.zeros(len(t_us), ROW)
+    rows["timestamp"] = np.array(t_us) + EPOCH_US
+    rows["x"] = np.arange(len(t_us))
+    rows["polarity"] = 1
+    return Batch(rows)
+
+
+def test_settings_are_told() -> None:
+    """Assert that every setting reaches the library in its own words, and batches of 1 ms."""
+    settings = DvxplorerSettings(3, 4, "lossy-2000", 500, global_hold=False)
+    with closing(DvCamera("ABC", settings, library())) as camera:
+        assert camera.sensor["sensor/individual"] == "dv:DVXplorerM_FAKE"
+    assert FakeMini.latest.told == {
+        "serial": ("ABC",),
+        "setReadoutFPS": "lossy-2000",
+        "setContrastThresholdOn": 3,
+        "setContrastThresholdOff": 4,
+        "setGlobalHold": False,
+        "setMIPITimeoutValue": timedelta(microseconds=500),
+        "setTimeInterval": timedelta(microseconds=1000),
+    }
+
+
+def test_slices_and_clock() -> None:
+    """Assert slices from the first event's ms on, empty ones included, closed by device or host time; late events."""
+    camera: EventCamera = DvCamera(library=library())
+    mini = FakeMini.latest
+    mini.batches += [batch([300, 900]), batch([3100, 4000])]
+    slices = [camera.read() for _ in range(4)]
+    assert [part.t.tolist() for part in slices if part is not None] == [[300, 900], [], [], [3100]]
+    assert all([each.dtype for each in part] == [np.int64, np.uint16, np.uint16, np.uint8] for part in slices if part)
+    clock: Clock = camera  # type: ignore[assignment]
+    assert clock.now_us() >= 4000
+    silent = [camera.read() for _ in range(20)]
+    assert isinstance(silent[0], Events)
+    assert silent[0].t.tolist() == [4000]
+    assert sum(part.size for part in silent[1:] if part is not None) == 0
+    mini.batches.append(batch([5000, 5001, 10**7]))
+    while mini.batches:  # on a busy machine several slices may have been closed already
+        camera.read()
+    assert camera.counted == {"late_events": 2}
+    camera.close()
+    camera.close()
+    assert camera.read() is None
+
+
+def test_silent_from_the_start() -> None:
+    """Assert empty slices at the host's pace."""
+    with closing(DvCamera(library=library())) as camera:
+        began_s = time.monotonic()
+        slices = [camera.read() for _ in range(150)]
+        assert all(part is not None and part.size == 0 for part in slices)
+        assert time.monotonic() - began_s > 0.1
+
+
+def test_unplugged() -> None:
+    """Assert that what came is handed out, and then a DeviceError, each time."""
+    camera = DvCamera(library=library())
+    mini = FakeMini.latest
+    mini.batches += [batch([300]), batch([1000 + SLICE_US])]
+    mini.running = False
+    assert camera.read() is not None
+    assert camera.read() is not None
+    for _ in range(2):
+        with pytest.raises(DeviceError, match="no longer on the bus"):
+            camera.read()
+    camera.close()
+
+
+@pytest.mark.parametrize("error", [RuntimeError("No compatible devices"), IndexError("vector"), ValueError("x")])
+def test_camera_that_cannot_be_opened(error: Exception) -> None:
+    """Assert that what the library raises becomes a DeviceError with a hint."""
+
+    def refuse(*serial: str) -> None:
+        raise error
+
+    with pytest.raises(DeviceError, match="evetac doctor"):
+        DvCamera(library=library(refuse))
+
+
+def test_library_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing extra is said, with the command that installs it."""
+    monkeypatch.setitem(sys.modules, "dv_processing", None)
+    with pytest.raises(DeviceError, match=r"pip install 'evetac\[camera\]'"):
+        DvCamera()
+
+
+def test_the_library_itself() -> None:
+    """Assert that the maker's library has every name we use, and that without a camera there is a DeviceError."""
+    real = pytest.importorskip("dv_processing")
+    mini = real.io.camera.DVXplorerM
+    told = [name for name in FakeMini("x").told if name.startswith("set")]
+    with closing(DvCamera(library=library())):
+        told = [name for name in FakeMini.latest.told if name.startswith("set")]
+    assert len(told) == 6
+    for name in (*told, "getCameraName", "getNextEventBatch", "isRunning"):
+        assert hasattr(mini, name)
+    assert vars(RATES).keys() == real.io.camera.DVXplorer.ReadoutFPS.__members__.keys()
+    if not real.io.camera.discover():
+        with pytest.raises(DeviceError, match="could not open"):
+            DvCamera()

@@ -1,0 +1,241 @@
+"""The gripper driver when something breaks: an error in words or a counted loss, and torque off at every way out."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus, PortGone
+from evetac_cli.devices.virtual.dynamixel_frames import Instruction
+from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.errors import DeviceError, DeviceTimeout
+from evetac_cli.resources import PACKAGE
+from tests.conftest import SLOW, is_off
+
+QUICK = RhP12RnSettings(answer_ms=250, watchdog_ms=1000)  # where answers are lost on purpose
+
+
+def cycles(driver: RhP12Rn, count: int) -> None:
+    for _ in range(count):
+        driver.read()
+        driver.write_current(5)
+
+
+@pytest.mark.parametrize(
+    ("fault", "counted"),
+    [("lost-answer", "answers_lost"), ("bad-crc", "answers_damaged"), ("late-answer", "answers_stray")],
+)
+def test_one_spoiled_answer_is_counted(fresh: VirtualGripper, fault: str, counted: str) -> None:
+    """Assert that the driver goes on after one answer that was lost, damaged or late, and counts it."""
+    with RhP12Rn(fresh.port, settings=QUICK) as driver:
+        cycles(driver, 3)
+        fresh.inject(fault)
+        until_s = time.monotonic() + 10.0
+        while driver.counted[counted] == 0 and time.monotonic() < until_s:
+            cycles(driver, 3)
+        assert driver.counted[counted] >= 1
+    assert is_off(fresh)
+
+
+@pytest.mark.parametrize("fault", ["lost-answer%20", "bad-crc%20"])
+def test_many_spoiled_answers(fault: str) -> None:
+    """Assert that with a fifth of all answers spoiled, losses are counted until the driver gives up in words."""
+    with VirtualGripper(seed=3) as gripper:
+        driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=30, watchdog_ms=1000))
+        gripper.inject(fault)
+        with pytest.raises(DeviceError, match="answer"):
+            cycles(driver, 2000)
+        assert gripper.look("Torque Enable") == 0
+        assert driver.counted["answers_lost"] + driver.counted["answers_damaged"] >= 2
+
+
+def test_set_up_is_repeated_after_a_loss() -> None:
+    """Assert that the driver sets up anew when an answer was late, so that no answer is taken for another's."""
+    with VirtualGripper(faults=["late-answer"]) as gripper:
+        with RhP12Rn(gripper.port, settings=QUICK) as driver:
+            assert driver.described["eeprom_written"] == {"Operating Mode": [5, 0], "Return Delay Time": [250, 0]}
+            assert driver.described["range_ticks"] == [0, 740]
+            assert driver.counted["answers_lost"] >= 1
+        assert gripper.instructions()[Instruction.PING] >= 3  # the first, once more, and the one of the second set-up
+
+
+def test_set_up_gives_up_on_a_bad_line() -> None:
+    """Assert that a line on which nearly every set-up loses an answer is refused in words, with torque off."""
+    with VirtualGripper(faults=["lost-answer%20"], seed=1) as gripper:
+        with pytest.raises(DeviceError, match="answer"):
+            RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=20, watchdog_ms=1000))
+        assert gripper.look("Torque Enable") == 0
+
+
+def test_overload_is_named(fresh: VirtualGripper) -> None:
+    """Assert that a hardware error ends the driver in words, that opening says so too, and that reboot mends it."""
+    driver = RhP12Rn(fresh.port, settings=SLOW)
+    cycles(driver, 3)
+    fresh.inject("overload")
+    with pytest.raises(DeviceError, match=r"hardware error: overload(.|\n)*torque is off"):
+        cycles(driver, 300)
+    assert is_off(fresh)
+    with pytest.raises(DeviceError, match="hardware error: overload"):
+        RhP12Rn(fresh.port, settings=SLOW)
+    with Bus(fresh.port, 2_000_000, answer_ms=2000) as bus:
+        bus.tolerant = True
+        bus.reboot()
+    RhP12Rn(fresh.port, settings=SLOW).close()
+
+
+def test_watchdog_fault_is_found_though_commands_are_not_answered(fresh: VirtualGripper) -> None:
+    """Assert that a tripped watchdog is found by the next command that is answered."""
+    driver = RhP12Rn(fresh.port, settings=SLOW)
+    cycles(driver, 3)
+    fresh.inject("watchdog")
+    with pytest.raises(DeviceError, match="bus watchdog has tripped"):
+        cycles(driver, 120)
+    assert fresh.look("Torque Enable") == 0
+
+
+def test_unplugging_is_said_and_stops_the_gripper() -> None:
+    """Assert that a port that goes away is an error in words at once, and that the watchdog takes the current."""
+    with VirtualGripper(faults=["unplug@0.2"]) as gripper:
+        driver = RhP12Rn(gripper.port, settings=QUICK)
+        with pytest.raises(PortGone, match=r"port is gone(.|\n)*watchdog stops it after 1000 ms"):
+            while True:
+                cycles(driver, 1)
+        driver.close()
+        deadline_s = time.monotonic() + 20
+        while gripper.look("Bus Watchdog") != -1 and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        assert gripper.look("Bus Watchdog") == -1
+        time.sleep(0.05)
+        assert gripper.look("Present Current") == 0
+
+
+def test_a_dead_gripper_is_a_timeout() -> None:
+    """Assert that silence for good is a DeviceTimeout that says that torque may be on."""
+    with VirtualGripper() as gripper:
+        driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=100, watchdog_ms=1000))
+        cycles(driver, 2)
+        gripper.inject("lost-answer%100")
+        with pytest.raises(DeviceTimeout, match=r"no answer(.|\n)*could not be switched off; its watchdog stops it"):
+            cycles(driver, 1)
+        driver.close()
+        assert gripper.look("Torque Enable") == 0  # it heard, but could not say so
+
+
+# Every way out
+
+
+PROGRAM = """
+import sys, time
+from evetac_cli.devices.rh_p12_rn import RhP12Rn, RhP12RnSettings
+driver = RhP12Rn(sys.argv[1], settings=RhP12RnSettings(answer_ms=200, watchdog_ms=500))
+driver.write_current(30)
+driver.write_current(30)
+print("ready", flush=True)
+if sys.argv[2] == "end":
+    sys.exit()
+if sys.argv[2] == "error":
+    raise RuntimeError
+while True:
+    driver.read()
+    driver.write_current(30)
+    time.sleep(0.002)
+"""
+
+
+@pytest.mark.parametrize(
+    ("way", "code"),
+    [("end", 0), ("error", 1), (signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
+)
+def test_torque_is_off_when_the_program_has_ended(fresh: VirtualGripper, way: Any, code: int) -> None:
+    """Assert that a program that never closes the gripper leaves no torque, however it ends."""
+    assert run_program(fresh, way) == code
+    assert is_off(fresh)
+    assert fresh.look("Bus Watchdog") == 0
+
+
+def test_watchdog_stops_the_gripper_of_a_killed_program(fresh: VirtualGripper) -> None:
+    """Assert that a program that is killed loses the gripper to the watchdog."""
+    assert run_program(fresh, signal.SIGKILL) == -signal.SIGKILL
+    deadline_s = time.monotonic() + 20
+    while fresh.look("Bus Watchdog") != -1 and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    time.sleep(0.05)
+    assert (fresh.look("Bus Watchdog"), fresh.look("Present Current")) == (-1, 0)
+
+
+def run_program(gripper: VirtualGripper, way: Any) -> int:
+    """Exit code of PROGRAM, ended by itself (a word) or by a signal once it commands the gripper."""
+    command = [sys.executable, "-c", PROGRAM, gripper.port, way if isinstance(way, str) else "go"]
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, start_new_session=True
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == b"ready\n"
+        if not isinstance(way, str):
+            assert gripper.look("Goal Current") == 30
+            time.sleep(0.05)
+            program.send_signal(way)
+        program.communicate(timeout=30)
+        return program.returncode
+
+
+def test_an_error_inside_with_switches_torque_off(fresh: VirtualGripper) -> None:
+    """Assert that an exception leaves the block with the gripper off, and that closing twice is as closing once."""
+    with pytest.raises(KeyboardInterrupt), RhP12Rn(fresh.port, settings=SLOW) as driver:
+        driver.write_current(9)
+        raise KeyboardInterrupt
+    assert is_off(fresh)
+    driver.close()
+
+
+def test_ctrl_c_in_a_transaction_leaves_the_port_usable(fresh: VirtualGripper, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that after an interrupt while waiting for an answer the next question is answered, and close closes."""
+    driver = RhP12Rn(fresh.port, settings=SLOW)
+    driver.write_current(9)
+    read = driver._bus._port.readPort
+
+    def interrupted(length: int) -> bytes:
+        monkeypatch.setattr(driver._bus._port, "readPort", read)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(driver._bus._port, "readPort", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        driver.read()
+    driver.read()
+    assert driver.counted["answers_lost"] == 0
+    driver.close()
+    assert is_off(fresh)
+
+
+def test_close_waits_for_another_threads_command(fresh: VirtualGripper) -> None:
+    """Assert that closing while another thread commands leaves torque off, and tells the other that it is closed."""
+    driver = RhP12Rn(fresh.port, settings=SLOW)
+    told: list[str] = []
+
+    def command() -> None:
+        try:
+            while True:
+                cycles(driver, 1)
+        except DeviceError as error:
+            told.append(str(error))
+
+    other = threading.Thread(target=command)
+    other.start()
+    time.sleep(0.1)
+    driver.close()
+    other.join(timeout=30)
+    assert is_off(fresh)
+    assert len(told) == 1
+    assert "is closed" in told[0]
+
+
+def test_nothing_is_reset_to_factory_values(gripper: VirtualGripper) -> None:
+    """Assert that in all that was done to this gripper there is no factory reset."""
+    assert Instruction.FACTORY_RESET not in gripper.instructions()

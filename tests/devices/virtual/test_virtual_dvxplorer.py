@@ -1,0 +1,353 @@
+"""The virtual DVXplorer Mini: answers, stream and faults as a program on the other side of pyusb meets them."""
+
+import errno
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import usb.core
+import usb.util
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from evetac_cli.devices.dvxplorer import event_words
+from evetac_cli.devices.virtual.camera_faults import FAULTS, fault
+from evetac_cli.devices.virtual.virtual_dvxplorer import STORE_TO_FLASH, PreparedWords, VirtualDvxplorer
+from evetac_cli.devices.virtual.word_sources import due_us, rain
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events, concatenate
+
+WRITE, READ = 0x40, 0xC0
+SIZE = {9: 4, 10: 8}
+
+
+def words_of(seconds: float, events_per_s: float = 20_000) -> NDArray[np.uint32]:
+    return rain(events_per_s, seconds, np.random.default_rng(0))
+
+
+def plugged(device: VirtualDvxplorer) -> Any:
+    """The camera as pyusb sees it."""
+    found = usb.core.find(idVendor=0x152A, idProduct=0x8419, backend=device)
+    found.set_configuration()
+    usb.util.claim_interface(found, 0)
+    return found
+
+
+def write(device: Any, module: int, parameter: int, value: int, size: int = 8) -> int:
+    sent: int = device.ctrl_transfer(WRITE, 0xBF, module, parameter, value.to_bytes(size, "big"), 100)
+    return sent
+
+
+def read(device: Any, module: int, parameter: int, size: int = 8) -> int:
+    return int.from_bytes(bytes(device.ctrl_transfer(READ, 0xBF, module, parameter, size, 100)), "big")
+
+
+def run(device: Any, firmware: int = 10) -> None:
+    write(device, *((1, 3, 1) if firmware >= 10 else (5, 0x3000, 2)), SIZE[firmware])
+
+
+def transfers(device: Any, size: int = 65536, timeout_ms: int = 20) -> Iterator[bytes]:
+    """Transfers until nothing comes."""
+    while True:
+        try:
+            yield bytes(device.read(0x82, size, timeout_ms))
+        except usb.core.USBTimeoutError:
+            return
+
+
+def decoded(data: bytes) -> tuple[Events, dict[str, int]]:
+    decoder = event_words.start()
+    events = concatenate([event_words.step(decoder, data), event_words.flush(decoder)])
+    return events, {name: count for name, count in decoder.counted.items() if count}
+
+
+def same(one: Events, other: Events) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("firmware", SIZE)
+def test_descriptors(firmware: int) -> None:
+    """Assert what lsusb would show of a Mini: id, model and firmware, strings, and its two endpoints."""
+    device = plugged(VirtualDvxplorer(PreparedWords(words_of(0.1)), firmware=firmware, serial="ABC"))
+    assert device.bcdDevice == 0x0400 | firmware
+    assert (device.serial_number, device.product) == ("ABC", "DVXplorer Mini")
+    interface = device.get_active_configuration()[(0, 0)]
+    kinds = {end.bEndpointAddress: usb.util.endpoint_type(end.bmAttributes) for end in interface}
+    assert kinds == {0x82: usb.util.ENDPOINT_TYPE_BULK, 0x81: usb.util.ENDPOINT_TYPE_INTR}
+
+
+@pytest.mark.parametrize(("firmware", "wrong"), [(10, 4), (9, 8), (10, 7), (9, 3)])
+def test_wrong_length_stalls(firmware: int, wrong: int) -> None:
+    """Assert a STALL for values of the other generation's length, both ways, and the right ones obeyed."""
+    device = plugged(VirtualDvxplorer(PreparedWords(words_of(0.1)), firmware=firmware))
+    size = SIZE[firmware]
+    assert (read(device, 1, 0, size), read(device, 1, 1, size)) == (640, 480)
+    assert write(device, 3, 5, 11, size) == size
+    assert read(device, 3, 5, size) == 11
+    for refused in (lambda: read(device, 1, 0, wrong), lambda: write(device, 3, 5, 1, wrong)):
+        with pytest.raises(usb.core.USBError) as error:
+            refused()
+        assert error.value.errno == errno.EPIPE
+
+
+@pytest.mark.parametrize(
+    ("firmware", "request_", "refused"),
+    [
+        (10, (WRITE, 0xBF, 1, 0, bytes(8)), True),  # a size that can only be read
+        (10, (WRITE, 0xBF, 5, 0x3000, bytes(8)), True),  # a sensor register
+        (10, (WRITE, 0xBF, 0, 0, bytes(8)), True),  # a module of other boards
+        (10, (WRITE, 0xB1, 2, 0, None), False),
+        (10, (WRITE, 0xC6, 0, 0, None), False),
+        (10, (WRITE, STORE_TO_FLASH, 0, 0, None), False),
+        (10, (WRITE, 0x77, 0, 0, None), True),
+        (9, (WRITE, 0xB1, 2, 0, None), True),
+        (9, (WRITE, 0xC6, 0, 0, None), True),
+        (9, (WRITE, 0xBF, 5, 0x3000, bytes(4)), False),
+        (9, (WRITE, 0xBF, 1, 14, bytes(4)), True),  # a parameter of firmware 10
+    ],
+)
+def test_requests(firmware: int, request_: tuple[Any, ...], refused: bool) -> None:
+    """Assert which requests each generation knows, and that those obeyed are logged."""
+    camera = VirtualDvxplorer(PreparedWords(words_of(0.1)), firmware=firmware)
+    device = plugged(camera)
+    if refused:
+        with pytest.raises(usb.core.USBError) as error:
+            device.ctrl_transfer(*request_, 100)
+        assert error.value.errno == errno.EPIPE
+    else:
+        device.ctrl_transfer(*request_, 100)
+    assert len(camera.log) == (not refused)
+    assert STORE_TO_FLASH not in {each[0] for each in camera.log} or request_[1] == STORE_TO_FLASH
+
+
+def test_system_information_of_firmware_9() -> None:
+    """Assert the logic version 18 and patch 2 that the maker's older driver asks for."""
+    device = plugged(VirtualDvxplorer(PreparedWords(words_of(0.1)), firmware=9))
+    assert [read(device, 6, parameter, 4) for parameter in (0, 1, 7)] == [18, 20, 2]
+
+
+@pytest.mark.parametrize("firmware", SIZE)
+def test_the_stream_runs_only_while_told_to(firmware: int) -> None:
+    """Assert that nothing comes before RUN nor after its end, and everything between, padded with zeros only."""
+    words = words_of(0.1)
+    device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False), firmware=firmware))
+    assert list(transfers(device, timeout_ms=1)) == []
+    run(device, firmware)
+    data = b"".join(transfers(device))
+    assert [word for word in np.frombuffer(data, "<u4") if word] == words.tolist()
+    assert len(data) % 16 == 0
+    other = VirtualDvxplorer(PreparedWords(words), firmware=firmware)
+    device = plugged(other)
+    run(device, firmware)
+    write(device, *((1, 3, 0) if firmware >= 10 else (5, 0x3000, 0)), SIZE[firmware])
+    assert len(b"".join(transfers(device, timeout_ms=5))) < 1000
+
+
+@given(st.lists(st.sampled_from([4, 16, 512, 1024, 4096, 65536]), min_size=1, max_size=10))
+@settings(max_examples=20, deadline=None)
+def test_no_word_is_lost_whatever_the_reads(sizes: list[int]) -> None:
+    """Assert that reads of any size give all words, in order."""
+    words = words_of(0.02)
+    device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False)))
+    write(device, 1, 12, 1)
+    run(device)
+    data = b""
+    turn = 0
+    while True:
+        try:
+            data += bytes(device.read(0x82, sizes[turn % len(sizes)], 5))
+        except usb.core.USBTimeoutError:
+            break
+        turn += 1
+    assert [word for word in np.frombuffer(data, "<u4") if word] == words.tolist()
+
+
+def test_flush_time() -> None:
+    """Assert that a shorter flush time makes more and shorter transfers of the same words."""
+    counts = []
+    for flush_us in (1000, 20_000):
+        device = plugged(VirtualDvxplorer(PreparedWords(words_of(0.2))))
+        write(device, 1, 12, flush_us)
+        run(device)
+        counts.append(len(list(transfers(device, timeout_ms=50))))
+    assert counts[1] <= 11
+    assert counts[0] > 2 * counts[1]
+
+
+def test_overflow_loses_the_oldest() -> None:
+    """Assert that words nobody fetched are counted, and that the latest are still there."""
+    words = words_of(0.1, 500_000)
+    camera = VirtualDvxplorer(PreparedWords(words), fifo_bytes=4000)
+    device = plugged(camera)
+    run(device)
+    time.sleep(0.15)
+    data = b"".join(transfers(device))
+    left = [word for word in np.frombuffer(data, "<u4") if word]
+    assert left == words[-len(left) :].tolist()
+    assert 0 < len(left) <= 1000
+    assert camera.overflowed + len(left) == len(words)
+
+
+ALTERED = {
+    "crop": ({19: 100, 20: 50, 21: 300, 22: 200}, lambda e: (e.x >= 100) & (e.x < 400) & (e.y >= 50) & (e.y < 250)),
+    "all brighter": ({4: 1}, lambda e: e.p <= 1),
+    "brighter only": ({4: 2}, lambda e: e.p == 1),
+    "darker only": ({4: 3}, lambda e: e.p == 0),
+    "flip x": ({24: 1}, lambda e: e.p <= 1),
+    "flip y": ({25: 1}, lambda e: e.p <= 1),
+}
+
+
+@pytest.mark.parametrize("name", ALTERED)
+def test_crop_flip_and_flatten(name: str) -> None:
+    """Assert that a camera told to alter what it sees sends just that, in words that obey the rules."""
+    parameters, kept = ALTERED[name]
+    words = words_of(0.05, 200_000)
+    device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False)))
+    for parameter, value in parameters.items():
+        write(device, 1, parameter, value)
+    run(device)
+    events, missing = decoded(b"".join(transfers(device)))
+    assert missing == {}
+    seen, _ = decoded(words.tobytes())
+    seen = seen.part(0, int(np.searchsorted(seen.t, seen.t[-1])))  # the camera waits for the end of the last frame
+    chosen = kept(seen)
+    x = 639 - seen.x if 24 in parameters else seen.x
+    y = 479 - seen.y if 25 in parameters else seen.y
+    p = np.ones_like(seen.p) if 4 in parameters else seen.p
+    expected = {tuple(row) for row in np.stack([seen.t, x, y, p])[:, chosen].T.tolist()}
+    assert {tuple(row) for row in np.stack(events).T.tolist()} == expected
+    assert 0 < events.size == chosen.sum()
+
+
+def test_unplugged() -> None:
+    """Assert that nothing answers, that the bus is empty, and that a waiting read ends."""
+    camera = VirtualDvxplorer(PreparedWords(words_of(0.01)), faults=("unplug@0.05",))
+    device = plugged(camera)
+    run(device)
+    with pytest.raises(usb.core.USBError) as error:
+        while True:
+            list(transfers(device, timeout_ms=5000))
+    assert error.value.errno == errno.ENODEV
+    assert usb.core.find(idVendor=0x152A, backend=camera) is None
+    with pytest.raises(usb.core.USBError, match="No such device"):
+        read(device, 1, 0)
+
+
+def test_stall_ends_by_clearing() -> None:
+    """Assert that a halted endpoint refuses until it is cleared, once."""
+    words = words_of(0.1)
+    device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False), faults=("stall@0",)))
+    run(device)
+    for _ in range(2):
+        with pytest.raises(usb.core.USBError) as error:
+            device.read(0x82, 64, 10)
+        assert error.value.errno == errno.EPIPE
+    device.clear_halt(0x82)
+    data = b"".join(transfers(device))
+    assert [word for word in np.frombuffer(data, "<u4") if word] == words.tolist()
+
+
+def test_odd_transfers_cut_words_but_lose_none() -> None:
+    """Assert odd lengths, and the same bytes in all."""
+    words = words_of(0.1)
+    device = plugged(VirtualDvxplorer(PreparedWords(words), faults=("odd@0:0.2",)))
+    run(device)
+    parts = list(transfers(device))
+    assert sum(len(part) % 2 for part in parts) > 0.5 * len(parts)
+    assert same(decoded(b"".join(parts))[0], decoded(words.tobytes())[0])
+
+
+def test_log_packet_and_silence() -> None:
+    """Assert the document's log packet on the debug endpoint, once, and a stream with a hole."""
+    words = words_of(0.2)
+    device = plugged(VirtualDvxplorer(PreparedWords(words), faults=("log@0", "silence@0.05:0.05")))
+    run(device)
+    packet = bytes(device.read(0x81, 64, 10))
+    assert packet.startswith(bytes.fromhex("000740e20100")) and packet.endswith(b"sensor fault\0")
+    with pytest.raises(usb.core.USBTimeoutError):
+        device.read(0x81, 64, 1)
+    events, _ = decoded(b"".join(transfers(device, timeout_ms=150)))
+    assert 0 < events.size < decoded(words.tobytes())[0].size
+
+
+def test_faults_by_name() -> None:
+    """Assert how faults are written, and an InputError that lists them."""
+    assert fault("unplug@2.5") == ("unplug", 2.5, 0.0)
+    assert fault("silence@1:0.5") == ("silence", 1.0, 0.5)
+    assert fault("damage") == ("damage", 0.0, 0.1)
+    assert [fault("damage@1:0.5").at(now) for now in (0.9, 1.0, 1.4, 1.5)] == [False, True, True, False]
+    assert fault("unplug@1").at(1e9)
+    assert fault("busy").before_run
+    for wrong in ("fire", "unplug@", "unplug@x", "unplug@-1", "unplug@nan", "busy@2", "silence@1:-1", "@1", ""):
+        if wrong == "unplug@":
+            continue
+        with pytest.raises(InputError, match="no such fault"):
+            fault(wrong)
+    with pytest.raises(
+        InputError, match="NAME@SECONDS.* of unplug, .*; or NAME alone, .* of no-permission, busy, usb2, "
+    ):
+        fault("busy@0")
+    assert all(fault(name).name == name for name in FAULTS)
+
+
+# The sources of words.
+
+
+def test_due_times() -> None:
+    """Assert the time of every word after the first TIMESTAMP, over a wrap."""
+    t = np.array([0, 0, 250, 1000, 3999], np.int64)
+    zeros = np.zeros(5, np.uint16)
+    x = np.array([1, 2, 3, 4, 5], np.uint16)
+    words = event_words.encode(Events(t, x, zeros, zeros.astype(np.uint8)), first_ms=2**22 - 1)
+    kinds = [int(word >> 26) if word < 2**31 else "g" for word in words]
+    assert kinds == [2, 1, "g", 1, "g", 1, "g", 2, 1, "g", 2, 1, "g"]
+    assert due_us(words).tolist() == [0, 0, 0, 0, 0, 250, 250, 1000, 1000, 1000, 3000, 3999, 3999]
+    assert due_us(words[:0]).size == 0
+
+
+def test_paced_words_come_in_time() -> None:
+    """Assert that no word comes before its time, that a stop stops time, and that silence ends a wait."""
+    words = words_of(0.3)
+    due = due_us(words)
+    source = PreparedWords(words)
+    assert source.take(100, 0.01) == b""
+    began = time.monotonic()
+    source.run(True)
+    taken = 0
+    while taken < len(words) // 2:
+        taken += len(source.take(4096, 1.0)) // 4
+        assert due[taken - 1] <= 1e6 * (time.monotonic() - began)
+    source.run(False)
+    assert source.take(4096, 0.05) == b""
+    assert source.left == len(words) - taken
+    source.run(True)
+    while source.left:
+        assert source.take(4096, 1.0)
+    assert source.take(4096, 0.01) == b""
+
+
+@given(st.floats(5e3, 2e6), st.integers(5, 100))
+@settings(max_examples=20, deadline=None)
+def test_rain_has_as_many_events_as_asked(events_per_s: float, frames: int) -> None:
+    """Assert the same number in every frame, no pixel twice in one, and nothing that the decoder drops."""
+    words = rain(events_per_s, frames / 5000, np.random.default_rng(1))
+    events, missing = decoded(words.tobytes())
+    each = round(events_per_s * 200e-6)
+    assert events.size == each * frames
+    assert missing == {}
+    assert set(np.unique(events.t, return_counts=True)[1].tolist()) <= {each}
+    keys = (events.t << 20) | (events.x.astype(np.int64) << 10) | events.y
+    assert len(np.unique(keys)) == events.size
+
+
+def test_rain_beyond_the_frame() -> None:
+    """Assert a ValueError for more events than pixels, and for none."""
+    for rate in (1e9, 10.0):
+        with pytest.raises(ValueError, match="expected 5000"):
+            rain(rate, 0.01, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="seconds"):
+        rain(1e5, 0.0, np.random.default_rng(0))

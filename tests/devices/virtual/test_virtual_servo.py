@@ -1,0 +1,327 @@
+"""The virtual servo, step by step: what it answers, what it refuses, when its watchdog trips."""
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evetac_cli.devices.rh_p12_rn import control_table as table
+from evetac_cli.devices.virtual.dynamixel_frames import (
+    BROADCAST_ID,
+    Fault,
+    Frame,
+    FrameReader,
+    Instruction,
+    frame,
+    status,
+)
+from evetac_cli.devices.virtual.servo_plant import Goals, Motion
+from evetac_cli.devices.virtual.virtual_servo import VirtualServo
+
+REGISTERS = table.REGISTERS
+
+
+class Still:
+    """A plant that stands where it is put and remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.motion = Motion(0.0, 300, 0.0)
+        self.goals = Goals()
+
+    def advance(self, goals: Goals, now_s: float) -> Motion:
+        self.goals = goals
+        return self.motion
+
+
+class Asked:
+    """A servo and its clock; instructions by name, answers as (error byte, data)."""
+
+    def __init__(self, **registers: int) -> None:
+        self.plant = Still()
+        named = {name.replace("_", " "): value for name, value in registers.items()}
+        self.servo = VirtualServo(self.plant, {"Baud Rate": 4, **named}, 0.0)
+        self.now_s = 0.0
+
+    def raw(self, instruction: int, parameters: bytes = b"", id_: int = 1) -> list[bytes]:
+        (one,) = FrameReader().push(frame(id_, instruction, parameters))
+        return [answer.data for answer in self.servo.handle(one, self.now_s)]
+
+    def ask(self, instruction: int, parameters: bytes = b"", id_: int = 1) -> tuple[int, bytes] | None:
+        answers = self.raw(instruction, parameters, id_)
+        if not answers:
+            return None
+        (answer,) = FrameReader().push(answers[0])
+        assert answer.sound
+        assert answer.instruction == Instruction.STATUS
+        return answer.parameters[0], answer.parameters[1:]
+
+    def read(self, name: str) -> int:
+        register = REGISTERS[name]
+        answer = self.ask(Instruction.READ, struct.pack("<HH", register.address, register.size))
+        assert answer is not None
+        assert answer[0] & 0x7F == Fault.NONE
+        return register.decode(answer[1])
+
+    def write(self, name: str, value: int, instruction: int = Instruction.WRITE) -> int | None:
+        register = REGISTERS[name]
+        answer = self.ask(instruction, struct.pack("<H", register.address) + register.encode(value))
+        return None if answer is None else answer[0]
+
+
+def test_ping_alone_and_among_all() -> None:
+    """Assert model and firmware in the answer to a ping, to a broadcast too, and silence to another's."""
+    asked = Asked()
+    assert asked.ask(Instruction.PING) == (0, struct.pack("<HB", 35074, 14))
+    assert asked.raw(Instruction.PING, id_=BROADCAST_ID) == [status(1, 0, struct.pack("<HB", 35074, 14))]
+    assert asked.raw(Instruction.PING, id_=2) == []
+    assert Asked(Model_Number=35073, ID=7).ask(Instruction.PING, id_=7) == (0, struct.pack("<HB", 35073, 14))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "fault"),
+    [
+        ("Position P Gain", 50, Fault.NONE),
+        ("Operating Mode", 0, Fault.NONE),
+        ("Operating Mode", 3, Fault.DATA_RANGE),
+        ("Position P Gain", 40000, Fault.DATA_RANGE),
+        ("Goal Current", -661, Fault.NONE),
+        ("Goal Current", 662, Fault.DATA_LIMIT),
+        ("Goal Current", -30000, Fault.DATA_RANGE),
+        ("Goal Position", 1100, Fault.DATA_LIMIT),
+        ("Goal Position", 20, Fault.DATA_LIMIT),
+        ("Goal Position", -5, Fault.DATA_RANGE),
+        ("Goal Velocity", 2900, Fault.DATA_LIMIT),
+        ("Present Current", 1, Fault.ACCESS),
+        ("Model Number", 1, Fault.ACCESS),
+    ],
+)
+def test_writes_are_judged(name: str, value: int, fault: Fault) -> None:
+    """Assert that a write is carried out, or refused with its reason and without effect."""
+    asked = Asked(Max_Position_Limit=1000, Min_Position_Limit=30, Velocity_Limit=2800)
+    before = asked.read(name)
+    assert asked.write(name, value) == fault
+    assert asked.read(name) == (before if fault else value)
+
+
+def test_wrong_places_and_lengths_are_refused() -> None:
+    """Assert the errors for a place between registers, half a register, a write of nothing, and the table's end."""
+    asked = Asked()
+    assert asked.ask(Instruction.READ, struct.pack("<HH", 519, 2)) == (Fault.ACCESS, b"")
+    assert asked.ask(Instruction.READ, struct.pack("<HH", 761, 2)) == (Fault.ACCESS, b"")
+    assert asked.ask(Instruction.READ, b"\x44\x02\x04") == (Fault.DATA_LENGTH, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<HB", 564, 1)) == (Fault.DATA_LENGTH, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<HB", 565, 1)) == (Fault.ACCESS, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<H", 564)) == (Fault.DATA_LENGTH, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<HH", 761, 1)) == (Fault.ACCESS, b"")
+    assert asked.ask(Instruction.WRITE, b"\1") == (Fault.DATA_LENGTH, b"")
+    assert asked.ask(0x77) == (Fault.INSTRUCTION, b"")
+
+
+def test_consecutive_registers_are_written_together_or_not_at_all() -> None:
+    """Assert that one write may cover several registers, and does nothing if one of its values is refused."""
+    asked = Asked()
+    assert asked.ask(Instruction.WRITE, struct.pack("<Hhi", 550, 100, 500)) == (0, b"")
+    assert (asked.read("Goal Current"), asked.read("Goal Velocity")) == (100, 500)
+    assert asked.ask(Instruction.WRITE, struct.pack("<Hhi", 550, 200, 9999)) == (Fault.DATA_RANGE, b"")
+    assert (asked.read("Goal Current"), asked.read("Goal Velocity")) == (100, 500)
+
+
+def test_eeprom_is_locked_while_torque_is_on() -> None:
+    """Assert that an EEPROM register cannot be written with torque on, that RAM can, and that it can be afterwards."""
+    asked = Asked()
+    assert asked.write("Torque Enable", 1) == 0
+    assert asked.write("Return Delay Time", 0) == Fault.ACCESS
+    assert asked.write("Position P Gain", 60) == 0
+    assert asked.write("Torque Enable", 0) == 0
+    assert asked.write("Return Delay Time", 0) == 0
+
+
+def test_watchdog_trips_and_refuses_goals() -> None:
+    """Assert that silence trips the watchdog, that this takes the current away, and that only 0 allows goals again."""
+    asked = Asked(Operating_Mode=0)
+    asked.write("Torque Enable", 1)
+    asked.write("Bus Watchdog", 5)
+    asked.write("Goal Current", 40)
+    asked.now_s = 0.1
+    asked.servo.tick(asked.now_s)
+    assert asked.plant.goals.command() == ("current", 40.0)
+    asked.now_s = 0.101
+    asked.servo.tick(asked.now_s)
+    assert asked.plant.goals.command() == ("current", 0.0)
+    assert asked.read("Bus Watchdog") == -1
+    assert asked.write("Goal Current", 10) == Fault.DATA_RANGE
+    assert asked.write("Goal Position", 300) == Fault.DATA_RANGE
+    assert asked.read("Goal Current") == 40
+    assert asked.write("Bus Watchdog", 0) == 0
+    assert asked.write("Goal Current", 10) == 0
+    asked.now_s = 9.0
+    asked.servo.tick(asked.now_s)
+    assert asked.read("Bus Watchdog") == 0
+
+
+def test_anything_heard_feeds_the_watchdog() -> None:
+    """Assert that a read every 90 ms keeps a watchdog of 100 ms quiet, but not one meant for another servo."""
+    asked = Asked()
+    asked.write("Bus Watchdog", 5)
+    for _ in range(5):
+        asked.now_s += 0.09
+        assert asked.read("Bus Watchdog") == 5
+    asked.now_s += 0.09
+    asked.raw(Instruction.PING, id_=3)
+    asked.now_s += 0.02
+    assert asked.read("Bus Watchdog") == -1
+
+
+def test_reg_write_waits_for_action() -> None:
+    """Assert that a registered write shows, takes effect at the action, once, and is judged when it is registered."""
+    asked = Asked()
+    assert asked.ask(Instruction.ACTION) == (Fault.INSTRUCTION, b"")
+    assert asked.write("Goal Current", 20, Instruction.REG_WRITE) == 0
+    assert (asked.read("Goal Current"), asked.read("Registered Instruction")) == (0, 1)
+    assert asked.ask(Instruction.ACTION) == (0, b"")
+    assert (asked.read("Goal Current"), asked.read("Registered Instruction")) == (20, 0)
+    assert asked.ask(Instruction.ACTION) == (Fault.INSTRUCTION, b"")
+    assert asked.write("Present Current", 1, Instruction.REG_WRITE) == Fault.ACCESS
+
+
+@pytest.mark.parametrize(("level", "answered"), [(0, (True, False, False)), (1, (True, True, False)), (2, (True,) * 3)])
+def test_status_return_level(level: int, answered: tuple[bool, ...]) -> None:
+    """Assert that a ping is always answered, a read from level 1 and a write at level 2 only, though it is done."""
+    asked = Asked(Status_Return_Level=level)
+    done = (
+        asked.ask(Instruction.PING),
+        asked.ask(Instruction.READ, struct.pack("<HH", 580, 4)),
+        asked.ask(Instruction.WRITE, struct.pack("<Hh", 550, 33)),
+    )
+    assert tuple(one is not None for one in done) == answered
+    assert asked.servo.value("Goal Current") == 33
+
+
+def test_answers_take_the_time_of_the_wire() -> None:
+    """Assert that an answer ends after request, return delay (2 us a unit) and answer: bytes * 10 / baud."""
+    asked = Asked(Return_Delay_Time=250)
+    ping = FrameReader().push(frame(1, Instruction.PING))[0]
+    (answer,) = asked.servo.handle(ping, 0.0)
+    assert answer.after_s == pytest.approx((10 + 14) * 10 / 2e6 + 500e-6)
+    asked.write("Return Delay Time", 0)
+    (answer,) = asked.servo.handle(ping, 0.0)
+    assert answer.after_s == pytest.approx((10 + 14) * 10 / 2e6)
+
+
+def test_baud_rate_changes_after_the_answer() -> None:
+    """Assert that the answer to a write of the rate is timed at the old rate, and the next at the new one."""
+    asked = Asked(Baud_Rate=1, Return_Delay_Time=0)
+    write = FrameReader().push(frame(1, Instruction.WRITE, struct.pack("<HB", 8, 3)))[0]
+    (answer,) = asked.servo.handle(write, 0.0)
+    assert answer.after_s == pytest.approx((13 + 11) * 10 / 57600)
+    assert asked.servo.baud == 1_000_000
+    (answer,) = asked.servo.handle(write, 0.0)
+    assert answer.after_s == pytest.approx((13 + 11) * 10 / 1e6)
+
+
+def test_a_wrong_checksum_is_answered_with_its_error() -> None:
+    """Assert that a damaged frame changes nothing, is answered with error 3, and not at all if it was for everybody."""
+    asked = Asked()
+    for id_, expected in ((1, [status(1, Fault.CRC)]), (BROADCAST_ID, []), (4, [])):
+        damaged = Frame(id_, Instruction.WRITE, struct.pack("<Hh", 550, 9), False, 14)
+        assert [answer.data for answer in asked.servo.handle(damaged, 0.0)] == expected
+    assert asked.read("Goal Current") == 0
+
+
+def test_overload_drops_torque_until_reboot() -> None:
+    """Assert alert in every answer, torque off and refused, and that a reboot clears it and keeps the EEPROM."""
+    asked = Asked(Operating_Mode=0)
+    asked.write("Torque Enable", 1)
+    asked.write("Goal Current", 30)
+    asked.servo.overload()
+    assert asked.ask(Instruction.PING) == (0x80, struct.pack("<HB", 35074, 14))
+    assert asked.read("Torque Enable") == 0
+    assert asked.read("Hardware Error Status") == 0b100000
+    assert asked.write("Torque Enable", 1) == 0x80 | Fault.RESULT
+    assert asked.ask(Instruction.REBOOT) == (0, b"")
+    assert (asked.read("Hardware Error Status"), asked.read("Goal Current")) == (0, 0)
+    assert asked.read("Operating Mode") == 0
+    assert asked.read("Goal Position") == 300
+    assert asked.write("Torque Enable", 1) == 0
+
+
+def test_factory_reset_is_refused() -> None:
+    """Assert that no kind of factory reset is carried out, for one or for all."""
+    asked = Asked(Return_Delay_Time=3)
+    for option in (0xFF, 1, 2):
+        assert asked.ask(Instruction.FACTORY_RESET, bytes([option])) == (Fault.RESULT, b"")
+    assert asked.raw(Instruction.FACTORY_RESET, b"\xff", BROADCAST_ID) == []
+    assert asked.read("Return Delay Time") == 3
+
+
+def test_clear_wants_its_key() -> None:
+    """Assert that clear is answered if its five bytes are right, and refused otherwise."""
+    asked = Asked()
+    assert asked.ask(Instruction.CLEAR, bytes.fromhex("01 44 58 4c 22")) == (0, b"")
+    assert asked.ask(Instruction.CLEAR, b"\1") == (Fault.DATA_RANGE, b"")
+
+
+def test_lists_of_devices() -> None:
+    """Assert sync and bulk writes for its own id only and without answer, and reads where it is the first of a list."""
+    asked = Asked()
+    listed = struct.pack("<HHBhBh", 550, 2, 7, 70, 1, 11)
+    assert asked.raw(Instruction.SYNC_WRITE, listed, BROADCAST_ID) == []
+    assert asked.read("Goal Current") == 11
+    listed = struct.pack("<BHHhBHHi", 7, 550, 2, 70, 1, 564, 4, 222)
+    assert asked.raw(Instruction.BULK_WRITE, listed, BROADCAST_ID) == []
+    assert (asked.read("Goal Current"), asked.read("Goal Position")) == (11, 222)
+    position = status(1, 0, struct.pack("<i", 300))
+    assert asked.raw(Instruction.SYNC_READ, struct.pack("<HHBB", 580, 4, 1, 2), BROADCAST_ID) == [position]
+    assert asked.raw(Instruction.SYNC_READ, struct.pack("<HHBB", 580, 4, 2, 1), BROADCAST_ID) == []
+    assert asked.raw(Instruction.BULK_READ, struct.pack("<BHH", 1, 580, 4), BROADCAST_ID) == [position]
+    assert asked.raw(Instruction.FAST_SYNC_READ, struct.pack("<HHBB", 580, 4, 1, 2), BROADCAST_ID) == []
+    for instruction, asking in (
+        (Instruction.FAST_SYNC_READ, struct.pack("<HHB", 580, 4, 1)),
+        (Instruction.FAST_BULK_READ, struct.pack("<BHH", 1, 580, 4)),
+    ):
+        (answer,) = asked.raw(instruction, asking, BROADCAST_ID)
+        assert answer[8:14] == b"\0\1" + struct.pack("<i", 300)
+
+
+def test_secondary_id_obeys_in_silence() -> None:
+    """Assert that an instruction to the secondary id is carried out and not answered, and that 255 is nobody."""
+    asked = Asked(Secondary_ID=9)
+    assert asked.raw(Instruction.WRITE, struct.pack("<Hh", 550, 44), 9) == []
+    assert asked.read("Goal Current") == 44
+    assert asked.write("Secondary ID", 255) == 0
+    assert asked.raw(Instruction.WRITE, struct.pack("<Hh", 550, 55), 9) == []
+    assert asked.read("Goal Current") == 44
+
+
+def test_indirect_data_are_other_registers() -> None:
+    """Assert that indirect data read and write the bytes that their addresses name, with the same checks."""
+    asked = Asked()
+    for place, address in enumerate((580, 581, 550, 551)):
+        assert asked.write(f"Indirect Address {place + 1}", address) == 0
+    answer = asked.ask(Instruction.READ, struct.pack("<HH", 634, 2))
+    assert answer == (0, struct.pack("<h", 300))
+    assert asked.ask(Instruction.WRITE, struct.pack("<Hh", 636, -77)) == (0, b"")
+    assert asked.read("Goal Current") == -77
+    assert asked.ask(Instruction.WRITE, struct.pack("<Hh", 636, 700)) == (Fault.DATA_LIMIT, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<Hh", 634, 1)) == (Fault.ACCESS, b"")
+
+
+def test_realtime_tick_wraps() -> None:
+    """Assert that the tick counts milliseconds up to 32767 and begins anew."""
+    asked = Asked()
+    for now_s, tick in ((0.0015, 1), (32.7675, 32767), (32.7685, 0)):
+        asked.now_s = now_s
+        assert asked.read("Realtime Tick") == tick
+
+
+@given(st.integers(0, 254), st.integers(0, 255), st.binary(max_size=30))
+def test_no_frame_breaks_the_servo(id_: int, instruction: int, parameters: bytes) -> None:
+    """Assert that whatever is asked, the servo answers at most once, soundly, and goes on."""
+    asked = Asked()
+    answers = asked.raw(instruction, parameters, id_)
+    assert len(answers) <= 1
+    for answer in answers:
+        assert FrameReader().push(answer)[0].sound
+    if asked.servo.value("ID") == 1 and asked.servo.value("Status Return Level") == 2:
+        assert asked.ask(Instruction.PING) is not None

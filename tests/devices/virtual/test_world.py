@@ -1,0 +1,163 @@
+"""The virtual world: what its camera sends is what the simulation sees, its gripper follows the servo's registers."""
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from evetac_cli.devices.dvxplorer import event_words
+from evetac_cli.devices.simulated import rig
+from evetac_cli.devices.virtual import world as virtual
+from evetac_cli.devices.virtual.servo_plant import Goals, Motion
+from evetac_cli.devices.virtual.world import FIRST_MS, VirtualWorld
+from evetac_cli.errors import DeviceError, SceneError
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.sim import scene
+from tests.conftest import Made
+
+SLICES = 250
+LONGEST_S = 20.0
+SHORT_MS = 3000
+
+
+def plan_of(made: Made) -> dict[str, object]:
+    """One trial of the short slip scene."""
+    return scene.for_trial(scene.plan(str(made.scene), "8", "evetac", ("ramp",))[0], (5, 8, 0))
+
+
+def seeds() -> np.random.SeedSequence:
+    return np.random.SeedSequence([5, 8, 0])
+
+
+@pytest.fixture
+def world(made: Made) -> Iterator[VirtualWorld]:
+    """A world that stands still."""
+    world = VirtualWorld(plan_of(made), seeds())
+    yield world
+    world.close()
+
+
+def watch(world: VirtualWorld, slices: int) -> Events:
+    """Let it run, and decode what it sends until so many slices are surely over."""
+    decoder = event_words.start()
+    parts: list[Events] = []
+    world.run(True)
+    quiet = 0
+    while quiet < 20 and (decoder.now_us or 0) < (slices + FIRST_MS + 1) * SLICE_US:
+        data = world.take(65536, 0.01)
+        quiet = 0 if data else quiet + 1
+        parts.append(event_words.step(decoder, data))
+    world.run(False)
+    assert not any(decoder.counted.values())
+    parts.append(event_words.flush(decoder))
+    joined = Events(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    joined = joined._replace(t=joined.t - FIRST_MS * SLICE_US)
+    return joined.part(0, int(np.searchsorted(joined.t, slices * SLICE_US)))
+
+
+def by_slice(events: Events) -> list[tuple[int, int, int, int]]:
+    """Events with their slice instead of their time, in an order of their own."""
+    return sorted(zip((events.t // SLICE_US).tolist(), *(column.tolist() for column in events[1:]), strict=True))
+
+
+def test_camera_sends_what_the_simulation_sees(world: VirtualWorld, made: Made) -> None:
+    """Assert that slice for slice the words hold the events of the same trial in lockstep, none lost, none moved."""
+    simulated = rig(plan_of(made), seeds())
+    expected = [simulated.camera.read() for _ in range(SLICES)]
+    joined = Events(*(np.concatenate(column) for column in zip(*expected, strict=True)))
+    sent = watch(world, SLICES)
+    assert joined.size > 1000
+    assert by_slice(sent) == by_slice(joined)
+    assert (np.diff(sent.t) >= 0).all()
+    assert world.counted["slices_dropped"] == 0
+    assert world.holding_ma == simulated.holding_ma
+    assert world.drawn == simulated.drawn
+    np.testing.assert_array_equal(world.sensor["sensor/dot_xy_px"], simulated.camera.sensor["sensor/dot_xy_px"])
+
+
+def test_time_stands_still_until_it_runs(world: VirtualWorld) -> None:
+    """Assert that nothing comes before RUN, and that it goes on where it was after a stop."""
+    assert world.take(4096, 0.05) == b""
+    first = watch(world, 20)
+    assert first.size
+    while world.take(65536, 0.05):
+        pass
+    assert world.take(65536, 0.1) == b""
+
+
+def test_looking_comes_to_an_end(world: VirtualWorld) -> None:
+    """Assert that who looks for words until there are none is not kept by those that a late world still makes."""
+    world.run(True)
+    time.sleep(0.3)
+    made = 0
+    while world.take(65536, 0.0):
+        made = max(made, world._counters[virtual._MADE])
+    assert made >= 250  # all that was due when it was first looked
+    assert made < SHORT_MS
+
+
+def goals(**registers: int) -> Goals:
+    """Registers of a servo with torque."""
+    usual = {"mode": 0, "goal_current_ma": 0, "current_limit_ma": 661, "goal_ticks": 0, "p_gain": 50}
+    return Goals(True, **(usual | registers))
+
+
+def until(world: VirtualWorld, wanted: Goals, holds: Callable[[Motion], bool]) -> Motion:
+    """Pass these registers to the world until what the servo measures is as expected, or the world has had its time."""
+    began = time.monotonic()
+    while not holds(motion := world.plant.advance(wanted, 0.0)) and time.monotonic() < began + LONGEST_S:
+        world.take(65536, 0.01)
+    return motion
+
+
+def test_finger_follows_the_servo(world: VirtualWorld) -> None:
+    """Assert that the finger starts where the scene has it, closes under current, and opens towards a goal position."""
+    started = world.plant.advance(Goals(), 0.0).position_ticks
+    assert started > 0
+    world.run(True)
+    pressed = until(world, goals(goal_current_ma=200), lambda motion: motion.position_ticks > started)
+    assert pressed.position_ticks > started
+    opening = goals(mode=5, goal_current_ma=661, goal_ticks=started - 30)
+    opened = until(world, opening, lambda motion: motion.position_ticks < started)
+    assert opened.position_ticks < started
+
+
+def test_servo_without_torque_has_no_force(world: VirtualWorld) -> None:
+    """Assert that once there was torque, its end is the end of the current."""
+    world.run(True)
+    assert until(world, goals(goal_current_ma=60), lambda motion: motion.current_ma == 60).current_ma == 60
+    assert until(world, Goals(False), lambda motion: motion.current_ma == 0).current_ma == 0
+
+
+def test_scenes_that_cannot_be_built(made: Made) -> None:
+    """Assert that what the world's process refuses is raised here in its own words."""
+    with pytest.raises(DeviceError, match="needs a scene with a gripper"):
+        VirtualWorld(scene.for_trial(scene.plan("press", "8", "evetac", ("press",))[0], (0, 8, 0)), seeds())
+    broken = plan_of(made) | {"individual_row": {}}
+    with pytest.raises((DeviceError, SceneError)):
+        VirtualWorld(broken, seeds())
+
+
+def test_close_ends_the_process(made: Made) -> None:
+    """Assert that close ends the process and removes the shared memory, running or not, and a second does nothing."""
+    world = VirtualWorld(plan_of(made), seeds())
+    world.run(True)
+    world.close()
+    world.close()
+    assert not world._process.is_alive()
+    assert not world.plant.path.exists()
+
+
+def test_death_of_the_world_is_an_error(made: Made) -> None:
+    """Assert that a world that died is told, not waited for."""
+    world = VirtualWorld(plan_of(made), seeds())
+    world._process.kill()
+    world._process.join()
+    with pytest.raises(DeviceError, match="died"):
+        world.take(4096, 0.1)
+    with pytest.raises(DeviceError, match="died"):
+        for _ in range(2):
+            world.run(True)
+            time.sleep(0.05)
+    world.close()

@@ -1,0 +1,196 @@
+"""Prophesee's RAW and DAT files: as faery writes them, as cameras write them, and damaged."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.formats.imports import read_events
+from tests.importing import refusal, rows_of
+
+faery = pytest.importorskip("faery")
+from faery.file_encoder import events_to_file  # noqa: E402
+
+FRAME = (640, 480)
+KINDS = (("evt2", "raw"), ("evt3", "raw"), ("dat2", "dat"))
+
+
+def drawn(count: int = 5000) -> Events:
+    """Random events in order of time, from 1 ms on."""
+    rng = np.random.default_rng(4)
+    t = 1000 + np.cumsum(rng.integers(0, 3000, count))
+    x, y, p = (rng.integers(0, most, count) for most in (640, 480, 2))
+    return Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+def write(path: Path, events: Events, kind: str) -> Path:
+    array = np.zeros(events.size, faery.EVENTS_DTYPE)
+    for column, name in zip(events, ("t", "x", "y", "on"), strict=True):
+        array[name] = column
+    events_to_file([array[:2000], array[2000:]], path, FRAME, version=kind, zero_t0=False)
+    return path
+
+
+@pytest.mark.parametrize(("kind", "suffix"), KINDS)
+def test_files_of_faery_are_read(tmp_path: Path, kind: str, suffix: str) -> None:
+    """Assert that every event, its time and the frame come out, whatever the file is called."""
+    events = drawn()
+    path = write(tmp_path / f"a.{suffix}", events, kind)
+    imported = read_events(path)
+    assert rows_of(imported) == list(
+        zip((events.t - events.t[0]).tolist(), *(c.tolist() for c in events[1:]), strict=True)
+    )
+    assert (imported.format, imported.frame_px, imported.notes) == ("prophesee", FRAME, [])
+    assert imported.t_offset_us == events.t[0]
+    assert rows_of(read_events(path.rename(tmp_path / "events"))) == rows_of(imported)
+
+
+def evt3(t_us: Any, row: int = 5) -> list[int]:
+    """Words as a sensor sends them: the high bits of time whenever they change, and one event each."""
+    words, high = [], -1
+    for t in t_us:
+        if t >> 12 != high:
+            high = t >> 12
+            words.append(8 << 12 | high & 0xFFF)
+        words += [6 << 12 | t & 0xFFF, row, 2 << 12 | 1 << 11 | 7]
+    return words
+
+
+def raw(path: Path, words: Any, head: bytes = b"% evt 3.0\n% geometry 640x480\n% end\n", rest: bytes = b"") -> Path:
+    path.write_bytes(head + np.array(words, "<u2").tobytes() + rest)
+    return path
+
+
+def test_the_clock_may_wrap(tmp_path: Path) -> None:
+    """Assert that 24 bits of microseconds wrap twice in 40 s without a gap."""
+    t = np.arange(0, 40_000_000, 2000)
+    assert np.array_equal(read_events(raw(tmp_path / "a.raw", evt3(t))).events.t, t)
+
+
+def test_words_before_the_first_time_are_left_out(tmp_path: Path) -> None:
+    """Assert that a file that begins in the middle of a stream begins with its first complete time."""
+    t = np.arange(8_000_000, 8_100_000, 500)
+    words = evt3(t)
+    begins = words.index(8 << 12 | (8_000_000 >> 12) + 1)
+    imported = read_events(raw(tmp_path / "a.raw", words[2:]))
+    assert imported.t_offset_us == ((8_000_000 >> 12) + 1) * 4096 + t[np.searchsorted(t, 8_003_584)] - 8_003_584
+    assert imported.events.size == len(t) - (begins - 1) // 3
+    assert imported.notes == [f"left out {2 * (begins - 2)} bytes before the first time stamp"]
+
+
+def test_words_without_time_of_the_older_encoding(tmp_path: Path) -> None:
+    """Assert the same of EVT2: without its first time stamp, a file begins with the second."""
+    events = drawn(400)
+    whole = write(tmp_path / "a.raw", events, "evt2").read_bytes()
+    begins = whole.index(b"% geometry 640x480\n") + 19
+    words = np.frombuffer(whole[begins:], "<u4")
+    high = np.flatnonzero(words >> 28 == 8)
+    assert high[0] == 0
+    path = tmp_path / "b.raw"
+    path.write_bytes(whole[:begins] + words[1:].tobytes())
+    left = events.t[events.t >= (int(words[high[1]]) & 0xFFFFFFF) << 6]
+    imported = read_events(path)
+    assert imported.notes == [f"left out {4 * (high[1] - 1)} bytes before the first time stamp"]
+    assert np.array_equal(imported.events.t + imported.t_offset_us, left)
+
+
+def test_words_that_look_like_a_header(tmp_path: Path) -> None:
+    """Assert that the header ends at its end, though the words go on with `% `."""
+    words = [int.from_bytes(b"% ", "little"), 0x0A, *evt3([0, 7])]
+    imported = read_events(raw(tmp_path / "a.raw", words))
+    assert imported.events.size == 2
+    assert imported.notes == ["left out 4 bytes before the first time stamp"]
+
+
+def test_vectors_are_read(tmp_path: Path) -> None:
+    """Assert that words of twelve and of eight columns give an event for every bit."""
+    words = [
+        8 << 12 | 1,
+        6 << 12 | 10,
+        5,
+        3 << 12 | 1 << 11 | 16,
+        4 << 12 | 0b101,
+        5 << 12 | 0b11,
+        6 << 12 | 11,
+        4 << 12 | 1,
+    ]
+    assert rows_of(read_events(raw(tmp_path / "a.raw", words))) == [
+        (0, 16, 5, 1),
+        (0, 18, 5, 1),
+        (0, 28, 5, 1),
+        (0, 29, 5, 1),
+        (1, 36, 5, 1),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("head", "frame"),
+    [
+        (b"% evt 3.0\n% geometry 640x480\n", None),
+        (b"% Date 2026-01-01\n% evt 3.0\n% format EVT3;height=480;width=640\n% end\n", None),
+        (b"% date 2026-01-01\n% format EVT3;height=480;width=640\n% end\n", None),
+        (b"% evt 3.0\n% end\n", FRAME),
+    ],
+)
+def test_the_frame_is_found_or_asked_for(tmp_path: Path, head: bytes, frame: tuple[int, int] | None) -> None:
+    """Assert that the header tells the frame in any of its ways, and no frame is made up where it does not."""
+    path = raw(tmp_path / "a.raw", evt3(range(0, 9000, 500)), head)
+    if frame is not None:
+        assert "--frame-size" in refusal(path)
+    assert read_events(path, frame_px=frame).frame_px == FRAME
+    assert read_events(path, frame_px=frame).events.size == 18
+
+
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        (b"% evt 2.1\n% geometry 640x480\n% end\n", "expected: EVT2 or EVT3"),
+        (b"% evt 4.0\n% end\n", "expected: EVT2 or EVT3"),
+        (b"% format EVT21;height=480;width=640\n% end\n", "found:    evt21"),
+        (b"% Data file\n% Version 7\n% Width 640\n% Height 480\n", "DAT file of another version"),
+        (b"% evt 3.0\n% geometry 640x480", "ends inside its header"),
+        (b"% evt 3.0\n% geometry 640x4\n% end\n", "y overflow"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, head: bytes, words: str) -> None:
+    """Assert that encodings that are not read here, and frames that the events leave, are refused by name."""
+    assert words in refusal(raw(tmp_path / "a.raw", evt3(range(0, 9000, 500)), head))
+
+
+def test_files_without_events(tmp_path: Path) -> None:
+    """Assert that a header alone is no recording, and half a word at the end is noted."""
+    assert "holds no events" in refusal(raw(tmp_path / "a.raw", []))
+    imported = read_events(raw(tmp_path / "a.raw", evt3([0, 7]), rest=b"\1"))
+    assert (imported.events.size, imported.notes) == (2, ["cut short: the last 1 bytes are no whole word"])
+
+
+@pytest.mark.parametrize(("kind", "suffix"), KINDS)
+def test_damaged_files_are_refused_or_read(tmp_path: Path, kind: str, suffix: str) -> None:
+    """Assert that a file that is cut or damaged anywhere gives events or words, and never anything else."""
+    whole = write(tmp_path / f"a.{suffix}", drawn(2500), kind).read_bytes()
+    rng = np.random.default_rng(2)
+    broken = tmp_path / f"b.{suffix}"
+    refused = 0
+    for trial in range(60):
+        data = bytearray(whole)
+        if trial % 2:
+            del data[rng.integers(3, len(data)) :]
+        else:
+            for at in rng.integers(3, len(data) if trial % 4 else 120, 8):
+                data[at] = rng.integers(256)
+        broken.write_bytes(data)
+        try:
+            assert read_events(broken, sort=True).events.size < 30_000
+        except InputError:
+            refused += 1
+    assert refused > 15
+
+
+def test_prophesee_needs_the_convert_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing library is named with the command that installs it."""
+    path = raw(tmp_path / "a.raw", evt3([0, 7]))
+    monkeypatch.setitem(__import__("sys").modules, "faery", None)
+    assert 'pip install "evetac[convert]"' in refusal(path)

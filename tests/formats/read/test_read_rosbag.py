@@ -1,0 +1,466 @@
+"""ROS bags: every layout of messages with events, in bags of ROS 1 and ROS 2, whole, odd and damaged."""
+
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read import read_rosbag
+from evetac_cli.formats.read.ros_messages import Fields, LibcaerCompressed, Packet, event_array
+from tests.importing import refusal, rows_of
+
+rosbags = pytest.importorskip("rosbags.rosbag1")
+from rosbags import rosbag1, rosbag2  # noqa: E402
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+
+FRAME = (640, 480)
+START_S = 1_700_000_000
+DEFINITIONS = {
+    "dvs_msgs/msg/Event": "uint16 x\nuint16 y\n{time} ts\nbool polarity\n",
+    "dvs_msgs/msg/EventArray": "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n",
+    "event_camera_msgs/msg/EventPacket": (
+        "std_msgs/Header header\nuint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\n"
+        "bool is_bigendian\nuint8[] events\n"
+    ),
+    "evetac_software/msg/EvetacMsg": (
+        "std_msgs/Header header\nsensor_msgs/Image image\nint8 local_counter\nfloat64[] centers\n"
+    ),
+    "other_msgs/msg/Number": "uint32 value\n",
+}
+BAGS = ("ros1", "db3", "mcap")
+
+
+class Types:
+    """rosbags' own types and serialisers, with the definitions of the packages that publish events."""
+
+    def __init__(self, bag: str, **others: str) -> None:
+        self.ros2 = bag != "ros1"
+        self.store = get_typestore(Stores.ROS2_HUMBLE if self.ros2 else Stores.ROS1_NOETIC)
+        types: Any = {}
+        for name, text in {**DEFINITIONS, **others}.items():
+            text = text.replace("{time}", "builtin_interfaces/Time" if self.ros2 else "time")  # noqa: PLW2901
+            types |= get_types_from_msg(text, name)
+        self.store.register(types)
+
+    def make(self, name: str, *values: Any) -> Any:
+        return self.store.types[name](*values)
+
+    def time(self, us: int) -> Any:
+        return self.make("builtin_interfaces/msg/Time", us // 10**6, us % 10**6 * 1000)
+
+    def header(self, us: int, frame: str = "camera") -> Any:
+        sequence = [] if self.ros2 else [7]
+        return self.make("std_msgs/msg/Header", *sequence, self.time(us), frame)
+
+    def array(self, rows: Sequence[tuple[int, ...]], frame: str = "camera") -> Any:
+        events = [self.make("dvs_msgs/msg/Event", x, y, self.time(t), bool(p)) for t, x, y, p in rows]
+        header = self.header(START_S * 10**6, frame)
+        return self.make("dvs_msgs/msg/EventArray", header, FRAME[1], FRAME[0], events)
+
+    def packet(self, content: bytes, encoding: str, seq: int = 0, base_ns: int = 0, big: bool = False) -> Any:
+        words = np.frombuffer(content, np.uint8)
+        header = self.header(START_S * 10**6)
+        name = "event_camera_msgs/msg/EventPacket"
+        return self.make(name, header, FRAME[1], FRAME[0], seq, base_ns, encoding, big, words)
+
+    def image(self, us: int, image: Any) -> Any:
+        """As the official software fills it: rows are columns of the camera."""
+        rows, columns = image.shape
+        header = self.header(us)
+        inner = self.make(
+            "sensor_msgs/msg/Image", self.header(0, ""), rows, columns, "mono8", 0, columns, image.reshape(-1)
+        )
+        return self.make("evetac_software/msg/EvetacMsg", header, inner, 3, np.arange(126.0))
+
+    def raw(self, message: Any) -> bytes:
+        name = message.__msgtype__
+        return bytes(self.store.serialize_cdr(message, name) if self.ros2 else self.store.serialize_ros1(message, name))
+
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Write a bag of a kind: topics, each with its messages."""
+
+    def make(bag: str, types: Types, topics: dict[str, Sequence[Any]], name: str = "bag", **options: Any) -> Path:
+        path = tmp_path / (f"{name}.bag" if bag == "ros1" else name)
+        if bag == "ros1":
+            writer: Any = rosbag1.Writer(path)
+            if options.get("compress"):
+                writer.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
+        else:
+            plugin = rosbag2.StoragePlugin.MCAP if bag == "mcap" else rosbag2.StoragePlugin.SQLITE3
+            writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+            if options.get("compress"):
+                writer.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+        with writer:
+            for topic, messages in topics.items():
+                kind = messages[0].__msgtype__ if messages else "dvs_msgs/msg/EventArray"
+                connection = writer.add_connection(topic, kind, typestore=types.store)
+                for number, message in enumerate(messages):
+                    writer.write(connection, (START_S + number) * 10**9, types.raw(message))
+        return path
+
+    return make
+
+
+def drawn(count: int, seed: int = 3, gap_us: int = 40) -> Events:
+    """Random events in order of time."""
+    rng = np.random.default_rng(seed)
+    t = START_S * 10**6 + np.cumsum(rng.integers(0, gap_us, count))
+    x, y, p = (rng.integers(0, most, count) for most in (640, 480, 2))
+    return Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+def listed(events: Events) -> list[tuple[int, ...]]:
+    return list(zip(*(column.tolist() for column in events), strict=True))
+
+
+def shifted(events: Events) -> list[tuple[int, ...]]:
+    return listed(events._replace(t=events.t - events.t[0]))
+
+
+@pytest.mark.parametrize("compress", [False, True])
+@pytest.mark.parametrize("bag", BAGS)
+def test_event_arrays_are_read(write: Write, bag: str, compress: bool) -> None:
+    """Assert that dvs_msgs/EventArray gives every event, with empty messages and messages of one event between."""
+    types = Types(bag)
+    events = drawn(300)
+    rows = listed(events)
+    parts = [rows[:100], [], rows[100:101], rows[101:300]]
+    messages = [types.array(part, frame="x" * length) for length, part in enumerate(parts)]
+    topics = {"/dvs/events": messages, "/n": [types.make("other_msgs/msg/Number", 5)]}
+    imported = read_events(write(bag, types, topics, compress=compress))
+    assert rows_of(imported) == shifted(events)
+    assert (imported.format, imported.frame_px, imported.notes) == ("rosbag", FRAME, [])
+    assert imported.t_offset_us == events.t[0]
+
+
+@settings(max_examples=60)
+@given(
+    rows=st.lists(
+        st.tuples(st.integers(0, 2**31 - 1), st.integers(0, 65535), st.integers(0, 65535), st.integers(0, 1)),
+        max_size=9,
+    ),
+    frame=st.text("ab/", max_size=9),
+    ros2=st.booleans(),
+)
+def test_event_arrays_decode_as_the_libraries_serialise_them(
+    rows: list[tuple[int, ...]], frame: str, ros2: bool
+) -> None:
+    """Assert that any events, behind a header of any length, come out of the bytes of ROS 1 and of CDR."""
+    types = TYPES[ros2]
+    found_frame, part = event_array(Fields(types.raw(types.array(rows, frame)), ros2=ros2))
+    assert found_frame == FRAME
+    assert [tuple(int(value) for value in row) for row in zip(*part, strict=True)] == rows
+
+
+TYPES = {False: Types("ros1"), True: Types("db3")}
+
+
+@pytest.mark.parametrize("bag", BAGS)
+def test_topics_are_chosen_by_name(write: Write, bag: str) -> None:
+    """Assert that of several topics the first by name is read, the others are noted, and each can be had."""
+    types = Types(bag)
+    left, right = drawn(5, 1), drawn(7, 2)
+    path = write(bag, types, {"/b": [types.array(listed(left))], "/a": [types.array(listed(right))]})
+    first = read_events(path)
+    assert rows_of(first) == shifted(right)
+    assert first.notes == ["took the topic /a; also there: /b (choose with --stream)"]
+    assert rows_of(read_events(path, stream="/b")) == shifted(left)
+    assert "expected: /a or /b" in refusal(path, stream="/c")
+
+
+def mono(events: Events, base_ns: int) -> bytes:
+    words = (
+        (events.p.astype(np.uint64) << np.uint64(63))
+        | (events.y.astype(np.uint64) << np.uint64(48))
+        | (events.x.astype(np.uint64) << np.uint64(32))
+        | (events.t * 1000 - base_ns).astype(np.uint64)
+    )
+    return words.astype("<u8").tobytes()
+
+
+def libcaer(events: Events, base_ns: int) -> bytes:
+    data = 1 | events.p.astype(np.uint32) << 1 | events.y.astype(np.uint32) << 2 | events.x.astype(np.uint32) << 17
+    us = (events.t - base_ns // 1000) % 2**31
+    return np.stack([data, us.astype(np.uint32)], axis=1).astype("<u4").tobytes()
+
+
+def compressed(events: Events, base_ns: int) -> bytes:
+    """As libcaer_driver packs one packet: masks of eight rows where a column has several of one polarity."""
+    words: list[int] = []
+    high = low = 0
+    column = polarity = eight = None
+    mask = last = 0
+
+    def flush() -> None:
+        nonlocal mask
+        if mask.bit_count() == 1:
+            words.append(3 << 12 | polarity << 11 | last)
+        elif mask:
+            words.extend([4 << 12 | polarity << 11 | eight, 5 << 12 | mask])
+        mask = 0
+
+    for t, x, y, p in listed(events._replace(t=events.t - base_ns // 1000)):
+        if (t >> 12, t & 0xFFF, x, p, y & ~7) != (high, low, column, polarity, eight) or mask >> (y & 7) & 1:
+            flush()
+        if t >> 12 != high:
+            high = t >> 12
+            words.append(0 << 12 | high)
+        if t & 0xFFF != low:
+            low = t & 0xFFF
+            words.append(1 << 12 | low)
+        if x != column:
+            column = x
+            words.append(2 << 12 | x)
+        polarity, eight, last = p, y & ~7, y
+        mask |= 1 << (y & 7)
+    flush()
+    return np.array(words, "<u2").tobytes()
+
+
+ENCODERS = {"mono": mono, "libcaer": libcaer, "libcaer_cmp": compressed}
+
+
+def crowded() -> Events:
+    """Many events of a column at one time, as a scanned sensor gives them, each pixel once."""
+    rng = np.random.default_rng(5)
+    rows = sorted(
+        {
+            (START_S * 10**6 + 200 * int(k), int(x), int(y), int(p))
+            for k, x, y, p in zip(
+                rng.integers(0, 60, 4000),
+                rng.integers(0, 3, 4000),
+                rng.integers(0, 90, 4000),
+                rng.integers(0, 2, 4000),
+                strict=True,
+            )
+        },
+        key=lambda row: (row[0], row[1], row[3], row[2]),
+    )
+    t, x, y, p = (np.array(column) for column in zip(*rows, strict=True))
+    return Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+@pytest.mark.parametrize("bag", ["ros1", "mcap"])
+@pytest.mark.parametrize("encoding", ENCODERS)
+def test_event_packets_are_read(write: Write, bag: str, encoding: str) -> None:
+    """Assert that event_camera_msgs/EventPacket gives every event, in packets of any size, the empty one included."""
+    types = Types(bag)
+    events = crowded()
+    assert events.size > 2000
+    cuts = [0, 1, 900, 900, events.size]
+    messages = []
+    for number, (first, last) in enumerate(zip(cuts, cuts[1:], strict=False)):
+        part = events.part(first, last)
+        base_ns = 1000 * int(part.t[0] if part.size else START_S * 10**6)
+        content = ENCODERS[encoding](part, base_ns) if part.size else b""
+        messages.append(types.packet(content, encoding, number + 1, base_ns))
+    imported = read_events(write(bag, types, {"/events": messages}))
+    assert sorted(rows_of(imported)) == sorted(shifted(events))
+    assert imported.t_offset_us == events.t[0]
+    assert imported.notes == []
+
+
+def test_lost_packets_are_noted(write: Write) -> None:
+    """Assert that gaps in the sequence numbers are counted."""
+    types = Types("db3")
+    part = drawn(3)
+    base_ns = 1000 * int(part.t[0])
+    messages = [types.packet(mono(part, base_ns), "mono", seq, base_ns + 10**6 * seq) for seq in (4, 5, 9, 11)]
+    assert read_events(write("db3", types, {"/events": messages})).notes == [
+        "4 messages were lost before they were recorded"
+    ]
+
+
+def test_the_clock_of_libcaer_may_wrap(write: Write) -> None:
+    """Assert that 31 bits of microseconds wrap within a packet."""
+    types = Types("db3")
+    events = drawn(20)
+    base_ns = 1000 * (int(events.t[10]) - 2**31)  # the eleventh event is at 2^31 us
+    imported = read_events(write("db3", types, {"/e": [types.packet(libcaer(events, base_ns), "libcaer", 0, base_ns)]}))
+    assert rows_of(imported) == shifted(events)
+
+
+def test_several_eights_share_a_base() -> None:
+    """Assert that masks that follow each other climb by eight rows, also from one packet to the next."""
+    decode = LibcaerCompressed()
+    words = np.array([2 << 12 | 9, 4 << 12 | 1 << 11 | 16, 5 << 12 | 0b101, 1 << 12 | 7, 5 << 12 | 0b10], "<u2")
+    part = decode(Packet(FRAME, 0, 10**6, "libcaer_cmp", memoryview(words.tobytes())))
+    assert list(zip(*(column.tolist() for column in part), strict=True)) == [
+        (1000, 9, 16, 1),
+        (1000, 9, 18, 1),
+        (1007, 9, 25, 1),
+    ]
+    later = decode(Packet(FRAME, 1, 0, "libcaer_cmp", memoryview(np.array([3 << 12 | 5], "<u2").tobytes())))
+    assert (later.x.tolist(), later.y.tolist(), later.p.tolist()) == ([9], [5], [0])
+
+
+@pytest.mark.parametrize("encoding", ["evt2", "evt3"])
+def test_packets_of_prophesee_are_read(write: Write, tmp_path: Path, encoding: str) -> None:
+    """Assert that packets in the words of Prophesee are decoded as one stream, as faery wrote it."""
+    faery = pytest.importorskip("faery")
+    from faery.file_encoder import events_to_file
+
+    events = drawn(3000, gap_us=200)
+    array = np.zeros(events.size, faery.EVENTS_DTYPE)
+    for ours, theirs in zip(events, ("t", "x", "y", "on"), strict=True):
+        array[theirs] = ours - (events.t[0] if theirs == "t" else 0)
+    raw = tmp_path / "a.raw"
+    events_to_file([array], raw, FRAME, version=encoding, zero_t0=False)
+    words = raw.read_bytes().partition(b"% geometry 640x480\n")[2]
+    types = Types("mcap")
+    cuts = [0, 1000, 1004, len(words)]
+    messages = [
+        types.packet(words[a:b], encoding, number) for number, (a, b) in enumerate(zip(cuts, cuts[1:], strict=False))
+    ]
+    imported = read_events(write("mcap", types, {"/events": messages}))
+    assert rows_of(imported) == shifted(events)
+
+
+@pytest.mark.parametrize("bag", ["ros1", "db3"])
+def test_official_messages_are_read(write: Write, bag: str) -> None:
+    """Assert that the images of EvetacMsg give one event for every step of grey, at the time of the message."""
+    types = Types(bag)
+    first = np.full((640, 480), 127, np.uint8)
+    second = first.copy()
+    first[5, 7] += 15
+    first[639, 479] -= 30
+    second[100, 200] += 60
+    at = START_S * 10**6
+    messages = [types.image(at + 500, first), types.image(at + 20_500, second)]
+    imported = read_events(write(bag, types, {"/evetac_msg0": messages}))
+    assert rows_of(imported) == [(0, 5, 7, 1), *[(0, 639, 479, 0)] * 2, *[(20_000, 100, 200, 1)] * 4]
+    assert (imported.frame_px, imported.t_offset_us) == (FRAME, at + 500)
+    assert "every 20 ms" in imported.notes[0] and "images, not events" in imported.notes[0]
+    second[0, 0] = 130
+    assert "greys other than 127 + 15 n" in refusal(
+        write(bag, types, {"/e": [types.image(at, first), types.image(at, second)]}, "other")
+    )
+
+
+@pytest.mark.parametrize(
+    ("packets", "words"),
+    [
+        ([(bytes(8), "trigger")], "in an encoding that is not read here"),
+        ([(bytes(8), "evt4")], "expected: mono, libcaer, libcaer_cmp, evt2, evt3"),
+        ([(bytes(8), "mono"), (bytes(8), "libcaer")], "message 1 on /e: the encoding changes"),
+        ([(bytes(9), "mono")], "message 0 on /e: a message is damaged\n  found:    9 bytes in words of 8"),
+        ([(bytes(8), "libcaer"), (bytes(12), "libcaer")], "message 1 on /e: a message is damaged"),
+        ([(bytes(3), "libcaer_cmp")], "3 bytes in words of 2"),
+        ([(b"\0\xf0", "libcaer_cmp")], "a word of code 15"),
+    ],
+)
+def test_odd_packets_are_refused(write: Write, packets: list[tuple[bytes, str]], words: str) -> None:
+    """Assert that a packet that is not what it says is refused by its number."""
+    types = Types("db3")
+    messages = [types.packet(content, encoding, number) for number, (content, encoding) in enumerate(packets)]
+    assert words in refusal(write("db3", types, {"/e": messages}))
+
+
+def test_odd_bags_are_refused(write: Write) -> None:
+    """Assert that other layouts under a known name, bags without events, and silent topics are told apart."""
+    types = Types("ros1")
+    array = types.array([(START_S * 10**6, 1, 2, 1)])
+    number = types.make("other_msgs/msg/Number", 5)
+    assert "found:    other_msgs/msg/Number" in refusal(write("ros1", types, {"/n": [number]}, "none"))
+    assert "found:    nothing" in refusal(write("ros1", types, {}, "empty"))
+    assert "no message on the topic /e" in refusal(write("ros1", types, {"/e": [], "/n": [number]}, "silent"))
+    assert "leave out --frame-size" in refusal(write("ros1", types, {"/e": [array]}, "framed"), frame_px=(10, 10))
+    big = types.packet(bytes(8), "mono", big=True)
+    assert "big-endian" in refusal(write("ros1", types, {"/e": [big]}, "big"))
+    old = Types("ros1", **{"dvs_msgs/msg/Event": "uint16 x\nuint16 y\nuint64 time\nbool polarity\n"})
+    event = old.make("dvs_msgs/msg/Event", 1, 2, 3, True)
+    past = old.make("dvs_msgs/msg/EventArray", old.header(0), 480, 640, [event])
+    assert "is defined in another way" in refusal(write("ros1", old, {"/e": [past]}, "old"))
+
+
+def test_time_that_goes_backwards_is_placed(write: Write) -> None:
+    """Assert that a refusal names message and event, and that --sort helps."""
+    types = Types("db3")
+    at = START_S * 10**6
+    path = write(
+        "db3", types, {"/e": [types.array([(at, 1, 2, 1)]), types.array([(at + 5, 1, 2, 1), (at + 4, 3, 2, 1)])]}
+    )
+    assert "first in message 1, event 1" in refusal(path)
+    assert [row[0] for row in rows_of(read_events(path, sort=True))] == [0, 4, 5]
+
+
+def test_files_of_a_folder_are_bags_too(write: Write) -> None:
+    """Assert that the file in a ROS 2 bag is read without its metadata, whatever it is called; the folder is not."""
+    types = Types("db3")
+    events = drawn(50)
+    for bag in ("db3", "mcap"):
+        folder = write(bag, types, {"/e": [types.array(listed(events))]}, bag)
+        (file,) = folder.glob("*." + bag)
+        (folder / "metadata.yaml").unlink()
+        assert rows_of(read_events(file)) == shifted(events)
+        assert rows_of(read_events(file.rename(folder / "renamed"))) == shifted(events)
+        assert "name the .db3 or .mcap file in it" in refusal(folder)
+    folder = write("db3", types, {"/e": [types.array(listed(events))]}, "compressed", compress=True)
+    assert "name the folder of the bag" in refusal(next(folder.glob("*.db3")))
+
+
+@pytest.mark.parametrize("bag", BAGS)
+def test_damaged_bags_are_refused_or_read(write: Write, bag: str, tmp_path: Path) -> None:
+    """Assert that a bag that is cut or damaged anywhere gives events or words, and never anything else."""
+    types = Types(bag)
+    events = listed(drawn(400))
+    messages = [types.array(events[k : k + 50]) for k in range(0, 400, 50)]
+    path = write(bag, types, {"/e": messages})
+    (file,) = [path] if bag == "ros1" else path.glob("*." + bag)
+    whole = file.read_bytes()
+    broken = tmp_path / f"broken.{'bag' if bag == 'ros1' else bag}"
+    rng = np.random.default_rng(1)
+    refused = 0
+    for trial in range(80):
+        data = bytearray(whole)
+        if trial % 2:
+            del data[rng.integers(16, len(data)) :]
+        else:
+            for at in rng.integers(16, len(data) if trial % 4 else 400, 12):
+                data[at] = rng.integers(256)
+        broken.write_bytes(data)
+        try:
+            found = read_events(broken, sort=True)
+            assert found.events.size <= 4000
+        except InputError as error:
+            assert "Traceback" not in str(error)
+            refused += 1
+    assert refused > 25
+
+
+def test_bags_need_the_convert_extra(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing library is named with the command that installs it."""
+    types = Types("ros1")
+    path = write("ros1", types, {"/e": [types.array([(START_S * 10**6, 1, 2, 1)])]})
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag1", None)
+    assert 'pip install "evetac[convert]"' in refusal(path)
+
+
+def test_checksums_are_those_of_the_definitions() -> None:
+    """Assert that the checksums in the table are what ROS computes from the published definitions."""
+    store = Types("ros1").store
+    for name in DEFINITIONS:
+        if name in read_rosbag.TYPES:
+            assert store.generate_msgdef(name)[1] == read_rosbag.TYPES[name][1]
+
+
+def test_short_messages_are_refused() -> None:
+    """Assert that a message cut at any byte is refused."""
+    for ros2, types in TYPES.items():
+        raw = types.raw(types.array([(10**6, 1, 2, 1), (2 * 10**6, 3, 4, 0)]))
+        for length in range(len(raw) - (4 if ros2 else 0)):
+            with pytest.raises((ValueError, struct.error)):
+                event_array(Fields(raw[:length], ros2=ros2))

@@ -1,0 +1,397 @@
+"""Exports: what other programs read of them, and that a recording comes back from them as it was."""
+
+import json
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events, slice_starts
+from evetac_cli.formats.exports import FORMATS, export, target_of
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.note import Note, read_note
+from evetac_cli.formats.read.calibration_pickle import read_pickle
+from evetac_cli.formats.write import pieces, write_dsec, write_text
+from evetac_cli.store import disk
+from evetac_cli.store.calibration import read_calibration
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe, content_digest
+
+FRAME = (640, 480)
+ROUND_TRIPS = ("aedat4", "dsec", "text")
+DOTS = np.stack(np.meshgrid(100.0 + 62.5 * np.arange(8), 50.0 + 62.5 * np.arange(7)), axis=2)
+
+
+def drawn(count: int, first_us: int = 0, seed: int = 1, gap_us: int = 400) -> Events:
+    """Random events in order of time, the corners of the frame among them."""
+    rng = np.random.default_rng(seed)
+    t = first_us + np.cumsum(rng.integers(0, gap_us, count))
+    x, y, p = (rng.integers(0, most, count) for most in (640, 480, 2))
+    if count > 1:
+        x[:2], y[:2] = (0, 639), (0, 479)
+    return Events(t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+def write(
+    path: Path, events: Events, slices: int, t_offset: int = 0, *, simulated: bool = False, more: Any = None
+) -> Path:
+    arrays: dict[str, Any] = {
+        **{f"events/{name}": getattr(events, name) for name in Events._fields},
+        "ms_to_idx": slice_starts(events.t, slices),
+        "t_offset": np.int64(t_offset),
+        "sensor/frame_px": np.array(FRAME, np.int32),
+        "sensor/individual": "unknown",
+        **(more or {}),
+    }
+    recipe = Recipe("recording", 1, {}, content=content_digest(arrays), simulated_source=simulated)
+    write_stage(path, recipe, arrays)
+    return path
+
+
+def same(a: Events, b: Events) -> bool:
+    return all(np.array_equal(x, y) and x.dtype == y.dtype for x, y in zip(a, b, strict=True))
+
+
+def needs(format_: str) -> None:
+    if format_ == "aedat4":
+        pytest.importorskip("dv_processing")
+
+
+def refusal(call: Callable[[], Any]) -> str:
+    with pytest.raises(InputError) as caught:
+        call()
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("format_", ROUND_TRIPS)
+@pytest.mark.parametrize(
+    ("events", "slices", "t_offset", "simulated"),
+    [
+        (drawn(20_000), 4100, 1_700_000_000_000_000, False),
+        (drawn(300, first_us=5_500), 400, 0, True),  # silence before and after
+        (drawn(1, first_us=2_000), 3, -7, False),
+        (drawn(0), 12, 99, True),
+        (drawn(0), 0, 0, False),
+    ],
+    ids=["many", "silence", "one", "none", "nothing"],
+)
+def test_a_recording_comes_back_as_it_was(
+    tmp_path: Path, format_: str, events: Events, slices: int, t_offset: int, simulated: bool
+) -> None:
+    """Assert that events, slices, clock, frame and the word simulated survive the way out and in again."""
+    needs(format_)
+    source = write(tmp_path / "a.recording.h5", events, slices, t_offset, simulated=simulated)
+    target = target_of(source, format_, None)
+    row = export(source, format_, target)
+    assert (row["events"], row["slices"], row["left_out"]) == (events.size, slices, None)
+    imported = read_events(target)
+    assert same(imported.events, events)
+    assert (imported.slices, imported.t_offset_us, imported.frame_px) == (slices, t_offset, FRAME)
+    assert (imported.simulated, imported.notes, sum(imported.counts.values())) == (simulated, [], 0)
+    assert [path.name for path in tmp_path.iterdir() if path != target] == ["a.recording.h5"]
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    t=st.lists(st.integers(0, 30_000), max_size=40).map(sorted),
+    silence=st.integers(0, 20),
+    piece=st.integers(1, 50),
+    format_=st.sampled_from(["dsec", "text"]),
+)
+def test_any_cut_into_pieces_gives_the_same_file(
+    tmp_path_factory: pytest.TempPathFactory, t: list[int], silence: int, piece: int, format_: str
+) -> None:
+    """Assert that whatever is read at once, the whole recording comes back."""
+    folder = tmp_path_factory.mktemp("pieces")
+    events = drawn(len(t))._replace(t=np.array(t, np.int64))
+    slices = (t[-1] // 1000 + 1 if t else 0) + silence
+    source = write(folder / "a.recording.h5", events, slices)
+    target = target_of(source, format_, folder / "out")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pieces, "PIECE_EVENTS", piece)
+        patch.setattr(write_text, "LINES", 7)
+        export(source, format_, target)
+    imported = read_events(target)
+    assert same(imported.events, events) and imported.slices == slices
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A simulated recording with a dot grid, of which one dot is missing, and with all that exports leave out."""
+    dots = DOTS.copy()
+    dots[2, 3] = np.nan
+    commands = 3
+    more = {
+        "sensor/dot_xy_px": dots,
+        "sensor/dot_radius_px": np.float64(20.5),
+        "sensor/window_px": np.array([560, 0, 640, 480], np.int32),
+        "gripper/t_us": np.arange(commands, dtype=np.int64),
+        "gripper/current_target_ma": np.zeros(commands),
+        "gripper/current_written_ma": np.zeros(commands, np.int32),
+        "gripper/current_ma": np.zeros(commands, np.float32),
+        "gripper/position_ticks": np.zeros(commands, np.int32),
+    }
+    return write(tmp_path / "b.recording.h5", drawn(5000), 1100, 5_000_000, simulated=True, more=more)
+
+
+def test_dv_processing_reads_ours(source: Path) -> None:
+    """Assert that the maker's library finds camera, frame and every event, with times of the source's clock."""
+    dv = pytest.importorskip("dv_processing")
+    target = target_of(source, "aedat4", None)
+    row = export(source, "aedat4", target)
+    assert row["left_out"] == "gripper sensor/dot_xy_px sensor/window_px"
+    recording = dv.io.MonoCameraRecording(str(target))
+    assert recording.getEventResolution() == FRAME
+    assert recording.getCameraName() == "evetac"
+    parts = []
+    while (packet := recording.getNextEventBatch()) is not None:
+        parts.append(packet.numpy())
+    found = np.concatenate(parts)
+    events = drawn(5000)
+    for ours, theirs in zip(events, ("timestamp", "x", "y", "polarity"), strict=True):
+        assert np.array_equal(found[theirs], ours.astype(np.int64) + (5_000_000 if theirs == "timestamp" else 0))
+
+
+def test_dsec_is_as_in_the_data_set(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert names, types and the rule of ms_to_idx: event ms_to_idx[k] is the first at k ms or later."""
+    target = target_of(source, "dsec", None)
+    export(source, "dsec", target)
+    with h5py.File(target) as file:
+        assert sorted(file) == ["events", "ms_to_idx", "t_offset"]
+        types = {name: file["events"][name].dtype for name in file["events"]}
+        assert types == {"t": np.uint32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
+        assert {file["events/t"].compression, file["ms_to_idx"].dtype} == {"gzip", np.dtype(np.uint64)}
+        assert int(file["t_offset"][()]) == 5_000_000
+        t, index = file["events/t"][:].astype(np.int64), file["ms_to_idx"][:].astype(np.int64)
+    assert np.array_equal(t, drawn(5000).t)
+    for ms in range(len(index)):
+        assert (t[index[ms] :] >= 1000 * ms).all() and (t[: index[ms]] < 1000 * ms).all()
+    monkeypatch.setattr(write_dsec, "SHORT_MS", 1000)
+    export(source, "dsec", target, force=True)
+    with h5py.File(target) as file:
+        assert file["events/t"].dtype == np.int64
+    assert same(read_events(target).events, drawn(5000))
+
+
+def test_numpy_reads_our_text(source: Path) -> None:
+    """Assert that the plainest of readers gets four columns of numbers."""
+    target = target_of(source, "text", None)
+    export(source, "text", target)
+    table = np.loadtxt(target, dtype=np.int64)
+    events = drawn(5000)
+    assert np.array_equal(table.T, np.stack([events.t + 5_000_000, events.x, events.y, events.p]))
+
+
+def test_the_grid_comes_back_from_json(source: Path, tmp_path: Path) -> None:
+    """Assert that --calibration takes what was written: dots, the missing one, radius, frame and window."""
+    target = target_of(source, "calibration", None)
+    assert target.name == "b.calibration.json"
+    export(source, "calibration", target)
+    calibration = read_calibration(target, FRAME)
+    expected = DOTS.copy()
+    expected[2, 3] = np.nan
+    np.testing.assert_array_equal(calibration.dot_xy_px, expected)
+    assert (calibration.dot_radius_px, calibration.window_px) == (20.5, (560, 0, 640, 480))
+    assert json.loads(target.read_text())["provenance"]["simulated"] is True
+
+
+def test_the_official_software_reads_our_pickle(source: Path, tmp_path: Path) -> None:
+    """Assert that it is a tuple of centres and radii, under names that numpy 1 and 2 know, and comes back."""
+    target = tmp_path / "grid.pkl"
+    export(source, "calibration", target)
+    content = target.read_bytes()
+    assert b"numpy._core" not in content and b"numpy.core.multiarray" in content
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # numpy 2 knows the old names, and would like new ones
+        centres, radii = pickle.loads(content)
+    expected = np.delete(DOTS.reshape(-1, 2), 19, axis=0)
+    np.testing.assert_array_equal(centres, expected)
+    np.testing.assert_array_equal(radii, np.full((55, 1), 20.5))
+    ours, radius = read_pickle(target)
+    np.testing.assert_array_equal(ours, expected)
+    assert radius == 20.5
+
+
+def test_a_recording_without_dots_has_no_grid(tmp_path: Path) -> None:
+    """Assert that there is no calibration where there is no grid."""
+    bare = write(tmp_path / "a.recording.h5", drawn(3), 9)
+    assert "no dot grid" in refusal(lambda: export(bare, "calibration", tmp_path / "a.json"))
+    assert not (tmp_path / "a.json").exists()
+
+
+@pytest.mark.parametrize("format_", FORMATS)
+def test_what_exists_stays(source: Path, tmp_path: Path, format_: str) -> None:
+    """Assert that a file that exists is refused, and replaced only on demand; a folder and the input never."""
+    needs(format_)
+    target = target_of(source, format_, tmp_path)
+    target.write_text("mine")
+    assert "--force" in refusal(lambda: export(source, format_, target))
+    assert target.read_text() == "mine"
+    export(source, format_, target, force=True)
+    assert target.stat().st_size > 4
+    assert "is a folder" in refusal(lambda: export(source, format_, tmp_path, force=True))
+    assert "replace the recording" in refusal(lambda: export(source, format_, source, force=True))
+    assert "output folder is a file" in refusal(lambda: export(source, format_, target / target.name))
+
+
+def test_names_of_outputs(tmp_path: Path) -> None:
+    """Assert that an output is named after the recording, and one with the ending of another format is refused."""
+    source = tmp_path / "a.recording.h5"
+    assert target_of(source, "dsec", None) == tmp_path / "a.dsec.h5"
+    assert target_of(source, "text", tmp_path) == tmp_path / "a.txt"
+    assert target_of(source, "aedat4", tmp_path / "new") == tmp_path / "new" / "a.aedat4"
+    assert target_of(source, "text", tmp_path / "b.txt") == tmp_path / "b.txt"
+    assert target_of(source, "dsec", tmp_path / "b.h5") == tmp_path / "b.h5"
+    assert "ends in .aedat4" in refusal(lambda: target_of(source, "aedat4", tmp_path / "b.txt"))
+
+
+FULL = """
+import sys
+from pathlib import Path
+from evetac_cli.errors import InputError
+from evetac_cli.store.exports import export
+try:
+    export(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))
+except InputError as error:
+    print(error)
+"""
+
+
+def _little_room() -> None:
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+
+@pytest.mark.parametrize("format_", ROUND_TRIPS)
+def test_a_full_disk_is_said_and_leaves_nothing(source: Path, tmp_path: Path, format_: str) -> None:
+    """Assert that a disk without room gives words, and no part of a file."""
+    needs(format_)
+    target = tmp_path / "out" / target_of(source, format_, None).name
+    call = [sys.executable, "-c", FULL, str(source), format_, str(target)]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=60, preexec_fn=_little_room, check=False)
+    assert "File too large" in done.stdout, done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+    assert list(target.parent.iterdir()) == []
+
+
+def test_aedat4_needs_the_camera_extra(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing library is named with the command that installs it, and a crash is contained."""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    stand_in = tmp_path / "dv_processing.py"
+    stand_in.write_text("raise ImportError('libdv.so: no such file')")
+    words = refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
+    assert 'pip install "evetac[camera]"' in words and "libdv.so" in words
+    stand_in.write_text("import os; os.abort()")
+    assert "AEDAT4 cannot be written" in refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
+    assert not (tmp_path / "x.aedat4").exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nonsense",
+        "[]",
+        "{}",
+        Note(0, 5, FRAME, simulated=False).text().replace("5", "-1"),
+        Note(0, 5, FRAME, simulated=False).text().replace("5", "5.5"),
+        Note(0, 5, FRAME, simulated=False).text().replace("5", str(10**12)),
+        Note(0, 5, FRAME, simulated=False).text().replace("false", "1"),
+        Note(0, 5, FRAME, simulated=False).text().replace("[640, 480]", "640"),
+        Note(0, 5, FRAME, simulated=False).text().replace("start_us", "begin_us"),
+    ],
+)
+def test_edited_notes_are_refused(tmp_path: Path, text: str) -> None:
+    """Assert that a note that says anything else is not believed, and an honest one is read back."""
+    note = Note(-3, 5, FRAME, simulated=True)
+    assert read_note(note.text(), "x") == note
+    path = tmp_path / "a.txt"
+    path.write_text(f"# evetac {text}\n0 1 2 1\n")
+    assert "note that evetac left in it is damaged" in refusal(lambda: read_events(path))
+
+
+def test_notes_that_do_not_fit_the_events_are_refused(tmp_path: Path) -> None:
+    """Assert that events before the start are refused, and later ones reach past the slices of the note."""
+    path = tmp_path / "a.txt"
+    path.write_text(f"# evetac {Note(1000, 2, FRAME, simulated=False).text()}\n999 1 2 1\n")
+    assert "before the start" in refusal(lambda: read_events(path))
+    path.write_text(f"# evetac {Note(1000, 2, FRAME, simulated=False).text()}\n9000 1 2 1\n")
+    imported = read_events(path)
+    assert (imported.slices, imported.events.t.tolist(), imported.t_offset_us) == (9, [8000], 1000)
+
+
+def test_what_a_killed_export_left_goes_with_the_next(source: Path, tmp_path: Path) -> None:
+    """Assert that an unfinished file, whose name ends as its format wants, does not stay for ever."""
+    for format_, name in (("text", "b.txt"), ("dsec", "b.dsec.h5")):
+        target = tmp_path / name
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(os, "getpid", lambda: 4_194_305)  # one more than Linux gives
+            unfinished = disk._temporary(target, target.suffix)
+        assert unfinished.suffix == target.suffix
+        unfinished.write_bytes(b"half")
+        export(source, format_, target)
+        assert target.exists() and not unfinished.exists()
+
+
+@pytest.mark.parametrize("format_", ["aedat4", "text"])
+def test_an_export_that_was_cut_ends_with_its_last_event(
+    tmp_path: Path, format_: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that what was cut off is not made up as silence, whatever the note in the file's head says."""
+    needs(format_)
+    events = drawn(40_000)  # in 5 packets
+    source = write(tmp_path / "a.recording.h5", events, 9000, 1_000)
+    target = target_of(source, format_, None)
+    export(source, format_, target)
+    whole = target.read_bytes()
+    for share in (0.3, 0.6, 0.9):
+        length = round(share * len(whole))
+        target.write_bytes(whole[: whole.rindex(b"\n", 0, length) + 1] if format_ == "text" else whole[:length])
+        imported = read_events(target)
+        kept = imported.events.size
+        assert 0 < kept < 40_000 and same(imported.events, events.part(0, kept))
+        assert imported.slices == int(events.t[kept - 1]) // 1000 + 1
+        assert any(f"{kept} events" in note for note in imported.notes)
+    target.write_bytes(b"".join(whole.splitlines(True)[:2]) if format_ == "text" else whole[: len(whole) // 50])
+    words = {"text": "holds no events", "aedat4": "the file is broken"}[format_]
+    assert words in refusal(lambda: read_events(target))
+
+
+def test_exports_whose_note_does_not_count_events_are_read(tmp_path: Path) -> None:
+    """Assert that the slices of such a note are believed."""
+    path = tmp_path / "a.txt"
+    path.write_text(f"# evetac {Note(0, 5, FRAME, simulated=False).text()}\n100 1 2 1\n")
+    assert read_events(path).slices == 5
+
+
+def test_from_the_command_line(source: Path, tmp_path: Path) -> None:
+    """Assert that export and record --from make the same recording of it, which still says that it was simulated."""
+    run = CliRunner().invoke(app, ["export", str(source), "--format", "dsec", "-o", str(tmp_path / "out"), "--json"])
+    assert run.exit_code == 0, run.output
+    result = json.loads(run.stdout)
+    assert (result["simulated"], result["rows"][0]["events"]) == (True, 5000)
+    back = tmp_path / "back.recording.h5"
+    run = CliRunner().invoke(app, ["record", "--from", result["rows"][0]["output"], "-o", str(back), "--json"])
+    assert run.exit_code == 0, run.output
+    assert json.loads(run.stdout)["simulated"] is True
+    with StageFile(back, "recording") as file:
+        assert file.header["simulated"] is True
+    with h5py.File(source) as one, h5py.File(back) as other:
+        for name in ("events/t", "events/x", "events/y", "events/p", "ms_to_idx", "t_offset", "sensor/frame_px"):
+            assert np.array_equal(one[name][()], other[name][()]), name
+    twice = CliRunner().invoke(app, ["export", str(source), str(source), "--format", "text"])
+    assert twice.exit_code == 2

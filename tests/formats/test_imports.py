@@ -1,0 +1,853 @@
+"""Foreign event files: what comes in is right, or it is refused in words."""
+
+import os
+import pickle
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events, slice_starts
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read import read_aedat4, read_text
+from evetac_cli.formats.read.event_validation import Columns, normalise
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Recipe, content_digest
+from tests.importing import refusal, rows_of
+
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
+FRAME = (640, 480)
+
+
+def columns(t: Any, x: Any = None, y: Any = None, p: Any = None, first: int = 0) -> Columns:
+    """A batch as readers make it; what a test does not care about is 0."""
+    t = np.asarray(t)
+    x, y, p = (np.zeros(len(t), np.int64) if column is None else np.asarray(column) for column in (x, y, p))
+    return Columns(t, x, y, p, lambda row: f"at index {first + row}")
+
+
+def real(name: str) -> Path:
+    """A recording made by others; the test is skipped where the folder is absent."""
+    path = REAL / name
+    if not path.is_file():
+        pytest.skip(f"{name} is not there")
+    return path
+
+
+def same(a: Events, b: Events) -> bool:
+    pairs: list[tuple[Any, Any]] = list(zip(a, b, strict=True))
+    return all(np.array_equal(left, right) and left.dtype == right.dtype for left, right in pairs)
+
+
+# --- the door -----------------------------------------------------------------------------------------------------
+
+INTEGERS = st.sampled_from(["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"]).map(np.dtype)
+
+
+@st.composite
+def integer_batches(draw: st.DrawFn) -> Columns:
+    """Any integer columns, near what is allowed often enough to get through."""
+    size = draw(st.integers(0, 12))
+
+    def column(low: int, high: int) -> Any:
+        dtype = draw(INTEGERS)
+        info = np.iinfo(dtype)
+        near = st.integers(max(low, int(info.min)), min(high, int(info.max)))
+        values = near if draw(st.integers(0, 5)) else st.integers(int(info.min), int(info.max))
+        return draw(hnp.arrays(dtype, size, elements=values))
+
+    return columns(column(-3000, 3000), column(-2, 12), column(-2, 9), column(0, 1))
+
+
+@settings(max_examples=300)
+@given(integer_batches(), st.booleans())
+def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: bool) -> None:
+    """Assert that the door gives what a plain loop over Python integers gives, or refuses."""
+    width, height = 10, 7
+    rows = [tuple(int(value) for value in row) for row in zip(*batch[:4], strict=True)]
+    inside = [row for row in rows if 0 <= row[1] < width and 0 <= row[2] < height]
+    late = [i for i in range(1, len(inside)) if inside[i][0] < max(row[0] for row in inside[:i])]
+    polarities = {row[3] for row in rows}
+    must_refuse = (
+        not (polarities <= {0, 1} or polarities <= {-1, 1})
+        or any(abs(row[0]) >= 2**53 for row in rows)
+        or not inside
+        or (late and not sort)
+        or (inside and max(row[0] for row in inside) - min(row[0] for row in inside) > 24 * 3600 * 10**6)
+    )
+    if must_refuse:
+        with pytest.raises(InputError):
+            normalise([batch], (width, height), sort=sort)
+        return
+    normal = normalise([batch], (width, height), sort=sort)
+    expected = sorted(inside, key=lambda row: row[0])  # stable, as the door must be
+    first_us = expected[0][0] if expected else 0
+    assert [column.dtype for column in normal.events] == [np.int64, np.uint16, np.uint16, np.uint8]
+    assert [tuple(int(value) for value in row) for row in zip(*normal.events, strict=True)] == [
+        (t - first_us, x, y, int(p > 0)) for t, x, y, p in expected
+    ]
+    assert normal.first_us == first_us
+    assert normal.dropped == {"not_a_number": 0, "out_of_frame": len(rows) - len(inside)}
+    assert normal.sorted == len(late)
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=30), st.data())
+def test_cuts_between_batches_do_not_matter(times: list[int], data: st.DataObject) -> None:
+    """Assert that events and counts are the same however a reader cuts its batches."""
+    t = np.array(times, np.uint32)
+    x = np.arange(len(t)) % 5
+    p = np.where(np.arange(len(t)) % 2, 1, -1)
+    cuts = [0, *sorted(data.draw(st.lists(st.integers(0, len(t)), max_size=4))), len(t)]
+    parts = [columns(t[a:b], x[a:b], None, p[a:b]) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    whole = normalise([columns(t, x, None, p)], (4, 4), sort=True)
+    cut = normalise(parts, (4, 4), sort=True)
+    assert same(whole.events, cut.events)
+    assert whole[1:] == cut[1:]
+
+
+def test_time_that_goes_backwards_is_counted_and_placed() -> None:
+    """Assert that the refusal counts the events behind the clock, and places the first of them in the file."""
+    batches = [columns([10, 20, 30]), columns([1, 30, 5, 29, 31], x=[99, 0, 0, 0, 0], first=3)]
+    with pytest.raises(InputError, match="2 of 8 events come after a later one, first at index 5"):
+        normalise(batches, (9, 9))
+    normal = normalise(batches, (9, 9), sort=True)
+    assert normal.events.t.tolist() == [0, 5, 15, 24, 25, 25, 26]
+    assert (normal.first_us, normal.sorted, normal.dropped["out_of_frame"]) == (5, 2, 1)
+
+
+def test_sorting_keeps_the_order_of_equal_times() -> None:
+    """Assert that events of one microsecond stay in the order of the file."""
+    normal = normalise([columns([7, 7, 3, 7], x=[1, 2, 3, 4])], (9, 9), sort=True)
+    assert normal.events.x.tolist() == [3, 1, 2, 4]
+
+
+def test_what_is_no_number_is_dropped_and_counted() -> None:
+    """Assert that NaN and infinity in any column cost that event only."""
+    t = [0.0, np.nan, 2.0, -np.inf, 4.6]
+    normal = normalise([columns(t, x=[1.0, 1, np.inf, 1, 2], p=[1, 1, 1, 1, -1.0])], (9, 9))
+    assert normal.dropped == {"not_a_number": 3, "out_of_frame": 0}
+    assert (normal.events.t.tolist(), normal.events.x.tolist(), normal.events.p.tolist()) == ([0, 5], [1, 2], [1, 0])
+
+
+@pytest.mark.parametrize(
+    ("batch", "words"),
+    [
+        (columns([0, 1], p=[1, 2]), "unknown polarity.*\n.*\n.*2 at index 1"),
+        (columns([0, 1], p=np.array([1, 255], np.uint8)), "unknown polarity"),
+        (columns([0, 1], p=[0.5, 1.0]), "unknown polarity"),
+        (columns([0, 1, 2], p=[-1, 0, 1]), "polarity mixes two codes"),
+        (columns([0, 1], x=[3.0, 3.5]), "x lies between pixels.*\n.*\n.*3.5 at index 1"),
+        (columns([0, 1], y=[-0.5, 3]), "y lies between pixels"),
+        (columns(np.array([0, 2**63], np.uint64)), "time out of range.*\n.*\n.*9223372036854775808 at index 1"),
+        (columns([-(2**63), 0]), "time out of range"),
+        (columns([0.0, 1e30]), "time out of range"),
+        (columns([0, 24 * 3600 * 10**6 + 1]), "span too long"),
+        (columns([0, 1], x=[10, -1]), "none of the events can be used"),
+        (columns([np.nan]), "none of the events can be used"),
+        (columns([0, 1], x=[0]), "columns differ in length.*\n.*\n.*t 2, x 1, y 2, p 2"),
+    ],
+)
+def test_columns_that_mean_something_else_are_refused(batch: Columns, words: str) -> None:
+    """Assert that the door says what is wrong and where, instead of making something up."""
+    with pytest.raises(InputError, match=words):
+        normalise([batch], (10, 10))
+
+
+def test_the_longest_span_still_passes() -> None:
+    """Assert that 24 h are allowed, to the microsecond."""
+    assert normalise([columns([-5, 24 * 3600 * 10**6 - 5])], (1, 1)).events.t[-1] == 24 * 3600 * 10**6
+
+
+# --- text ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def text(tmp_path: Path) -> Callable[..., Path]:
+    """Write a text file."""
+
+    def write(content: str | bytes, name: str = "a.txt") -> Path:
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+ROWS = [(0, 1, 2, 1), (1500, 3, 4, 0), (2000, 5, 6, 1)]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "1000 1 2 1\n2500 3 4 0\n3000 5 6 1\n",
+        "1000 1 2 1\n2500 3 4 -1\n3000 5 6 1",
+        "0.001 1 2 1\n0.0025 3 4 0\n3e-3 5 6 1\n",
+        "1000,1,2,1\n2500, 3 ,4,0\n3000,5,6,1\n",
+        "# t x y p\n\n1000\t1\t2\t1\n  2500 3 4 0 # here\n#\n3000 5 6 1\n",
+        "1000 1 2 1\r\n2500 3 4 0\r\n3000 5 6 1\r\n",
+        "\ufeff1000 1 2 1\n2500 3 4 0\n3000 5 6 1\n",
+        "1000.0 1.0 2.000e+00 1.0\n2500 3 4 0\n3e3 5 6 1\n".replace("1000.0", "1000"),
+        "x,y,p,t\n1,2,1,1000\n3,4,0,2500\n5,6,1,3000\n",
+        "t_us p y x\n1.0e3 1 2 1\n2.5e3 0 4 3\n3.0e3 1 6 5\n",
+        "# made by me\nt_s x y p\n1 1 2 1\n1.0015 3 4 0\n1.002 5 6 1\n",
+    ],
+)
+def test_every_way_to_write_text_reads_the_same(text: Callable[..., Path], content: str) -> None:
+    """Assert that separators, comments, line ends, units, polarity codes and column orders do not change the events."""
+    imported = read_events(text(content), frame_px=FRAME)
+    assert rows_of(imported) == ROWS
+    assert (imported.format, imported.slices, imported.frame_px, imported.notes) == ("text", 3, FRAME, [])
+    assert imported.t_offset_us in (1000, 1_000_000)
+
+
+def test_dialect_names_columns_and_unit(text: Callable[..., Path]) -> None:
+    """Assert that the caller can say what the file does not."""
+    path = text("1,2,1,0\n3,4,0,0.0015\n5,6,1,0.002\n")
+    assert rows_of(read_events(path, frame_px=FRAME, dialect="x y p t_s")) == ROWS
+    assert "unknown dialect" in refusal(path, frame_px=FRAME, dialect="t x y")
+    assert "unknown dialect" in refusal(path, frame_px=FRAME, dialect="t_ms x y p")
+    named = text("t x y p\n0 1 2 1\n1.5e3 3 4 0\n2000 5 6 1\n")
+    assert rows_of(read_events(named, frame_px=FRAME, dialect="t_us x y p")) == ROWS
+    assert "dialect and file differ" in refusal(named, frame_px=FRAME, dialect="x y p t_us")
+
+
+@settings(max_examples=50)
+@given(
+    start=st.integers(-(10**15), 10**15),
+    steps=st.lists(st.integers(0, 10**6), min_size=1, max_size=20),
+    seconds=st.booleans(),
+    block=st.integers(1, 200),
+)
+def test_text_holds_microseconds_exactly(
+    tmp_path_factory: pytest.TempPathFactory, start: int, steps: list[int], seconds: bool, block: int
+) -> None:
+    """Assert that times on a clock of 30 years survive text in either unit, however the file is cut into blocks."""
+    t = start + np.cumsum([0, *steps])
+    path = tmp_path_factory.mktemp("text") / "a.csv"
+    spoken = [f"{'-' if us < 0 else ''}{abs(us) // 10**6}.{abs(us) % 10**6:06d}" if seconds else f"{us}" for us in t]
+    path.write_text("".join(f"{time},{i % 7},{i % 5},{i % 2}\n" for i, time in enumerate(spoken)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(read_text, "BLOCK_CHARS", block)
+        imported = read_events(path, frame_px=(7, 5))
+    assert imported.t_offset_us == start
+    assert imported.events.t.tolist() == (t - start).tolist()
+    assert imported.events.x.tolist() == [i % 7 for i in range(len(t))]
+
+
+@pytest.mark.parametrize("block", [8, 1 << 22])
+@pytest.mark.parametrize(
+    ("content", "line", "words"),
+    [
+        ("0 1 2 1\n5 1 2\n", 2, "4 numbers separated by blanks"),
+        ("0 1 2 1\n# c\n\n5 1 2", 4, "remove that line"),
+        ("0 1 2 1 9\n1 1 2 1 9\n", 1, "4 numbers"),
+        ("0,1,2,1\n5 1 2 1\n", 2, "separated by commas"),
+        ("0 1 2 1\n5 1 ?? 1\n", 2, "4 numbers"),
+        ("0 1 2 1\n1_0 1 2 1\n", 2, "4 numbers"),
+        (b"0 1 2 1\n5 1 2 1\n\x07\x00\xff\xfe garbled\n", 3, "4 numbers"),
+        ("zeit x y p\n0 1 2 1\n", 1, "4 numbers"),
+        ("0 1 2 1\n0.5 1 2 1\n", 2, "time changes its unit"),
+        ("# c\n0 1 2 1\n5 1 2 7\n", 3, "unknown polarity"),
+        ("0 1 2 1\n\n5 1.5 2 1\n", 3, "between pixels"),
+        (f"0 1 2 1\n{2**63} 1 2 1\n", 2, "time out of range"),
+        (f"0 1 2 1\n{10**400} 1 2 1\n5 5.5 1 1\n", 3, "between pixels"),
+        ("0 1 2 1\n10 1 2 1\n4 1 2 1\n", 3, "first in line 3"),
+    ],
+)
+def test_bad_lines_are_refused_by_number(
+    text: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, content: str | bytes, line: int, words: str, block: int
+) -> None:
+    """Assert that the user is told which line is wrong, as an editor counts them, and in what way."""
+    monkeypatch.setattr(read_text, "BLOCK_CHARS", block)
+    found = refusal(text(content), frame_px=FRAME)
+    assert words in found
+    assert f"line {line}" in found
+
+
+def test_text_outside_frame_and_not_a_number_is_counted(text: Callable[..., Path]) -> None:
+    """Assert that single events that cannot be used are dropped, each by its reason."""
+    path = text(f"0 1 2 1\nnan 1 2 1\n3 -1 2 1\n4 640 2 0\n5 {2**70} 2 1\ninf 1 2 1\n-INF 2 2 0\n6 639 479 1\n")
+    imported = read_events(path, frame_px=FRAME)
+    assert imported.counts == {"not_a_number": 3, "out_of_frame": 3}
+    assert rows_of(imported) == [(0, 1, 2, 1), (6, 639, 479, 1)]
+
+
+def test_text_needs_a_frame_size(text: Callable[..., Path]) -> None:
+    """Assert that the frame is asked for, and must be possible."""
+    path = text("0 1 2 1\n")
+    assert "--frame-size" in refusal(path)
+    for frame in ((0, 480), (640, -1), (70000, 1)):
+        assert "impossible frame size" in refusal(path, frame_px=frame)
+
+
+def test_text_without_events(text: Callable[..., Path]) -> None:
+    """Assert that neither a line of names nor comments alone are a recording, with a frame or without."""
+    for content in ("t,x,y,p\n", "# nothing\n\n"):
+        for frame in (FRAME, None):
+            assert "holds no events" in refusal(text(content), frame_px=frame)
+
+
+@pytest.mark.parametrize("content", ["root:x:0:0:root:/root:/bin/bash\n", '{"a": 1}\n', "1 2 3\n"])
+def test_what_is_no_text_of_events_is_not_asked_for_a_frame(text: Callable[..., Path], content: str) -> None:
+    """Assert that a line that cannot be read is said first: its frame size would help nobody."""
+    words = refusal(text(content))
+    assert "a line cannot be read" in words and "cut short" not in words
+
+
+def test_hints_fit_what_was_dropped(text: Callable[..., Path]) -> None:
+    """Assert that many events outside the frame put it in question, and values that are no numbers do not."""
+    good = "".join(f"{t} 1 1 1\n" for t in range(4))
+    (outside,) = read_events(text(good + "9 9999 1 1\n"), frame_px=FRAME).notes
+    assert outside == "20% of the events lie outside 640x480 and were dropped; is it the frame?"
+    (odd,) = read_events(text(good + "nan 1 1 1\n"), frame_px=FRAME).notes
+    assert odd == "20% of the events were dropped: not all of t, x, y, p are numbers"
+    assert "frame size" not in refusal(text("nan 1 1 1\n"), frame_px=FRAME).split("try:")[-1]
+    assert "frame size" in refusal(text("1 9999 1 1\n"), frame_px=FRAME).split("try:")[-1]
+
+
+def test_a_line_without_end_is_refused(text: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a file without line breaks does not fill the memory."""
+    monkeypatch.setattr(read_text, "BLOCK_CHARS", 1 << 16)
+    assert "line 2 has more than" in refusal(text("0 1 2 1\n" + "1 " * 70000), frame_px=FRAME)
+
+
+def test_slices_reach_to_the_last_event(text: Callable[..., Path]) -> None:
+    """Assert that an event at exactly 2 ms lies in the third slice, and one just before it in the second."""
+    assert read_events(text("0 1 1 1\n2000 1 1 1\n"), frame_px=FRAME).slices == 3
+    assert read_events(text("0 1 1 1\n1999 1 1 1\n"), frame_px=FRAME).slices == 2
+    assert read_events(text("7000 1 1 1\n"), frame_px=FRAME).slices == 1
+
+
+def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
+    """Assert that time that goes backwards is refused with a way out, which then says what it did."""
+    path = text("10 1 2 1\n4 3 4 0\n")
+    assert "--sort" in refusal(path, frame_px=FRAME)
+    imported = read_events(path, frame_px=FRAME, sort=True)
+    assert (rows_of(imported), imported.sorted) == ([(0, 3, 4, 0), (6, 1, 2, 1)], 1)
+    assert imported.notes == ["time went backwards: 1 events were put back in order"]
+
+
+# --- files that are something else --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.txt", b"", "the file is empty"),
+        ("a.aedat4", b"", "the file is empty"),
+        ("a.h5", pickle.dumps({"t": [1]}), "pickles are never loaded"),
+        ("a.h5", b"0 1 2 1\n", "begins with b'0 1 2 1"),
+        ("a.aedat4", b"0 1 2 1\n", "begins with b'0 1 2 1"),
+        ("a.txt", b"0 1 \x00\x00 2 1\n", "begins with b'0 1 "),
+        ("a.txt", "0 1 2 1\n".encode("utf-16"), "begins with"),
+        ("a.aedat", b"#!AER-DAT2.0\r\n# x\r\n", "AEDAT2"),
+        ("a.aedat", b"#!AER-DAT3.1\r\n", "AEDAT3"),
+        ("a.raw", b"% evt 2.1\n% end\n\x00\x01", "with the maker's tools"),
+        ("a.raw", b"0 1 2 1\n", "begins with b'0 1 2 1"),
+        ("a.db3", b"0 1 2 1\n", "begins with b'0 1 2 1"),
+        ("a.npz", b"PK\x03\x04rest", "archive"),
+        ("a.txt.gz", b"\x1f\x8b\x08rest", "gunzip"),
+        ("a.npy", b"\x93NUMPY\x01\x00", "numpy"),
+        ("a.bag", b"#ROSBAG V1.2\n", "rosbag migrate"),
+    ],
+)
+def test_strangers_are_named(text: Callable[..., Path], name: str, content: bytes, words: str) -> None:
+    """Assert that a file of another kind is refused by its content, with a way on where there is one."""
+    assert words in refusal(text(content, name), frame_px=FRAME)
+
+
+def test_what_is_no_plain_file_is_refused(tmp_path: Path) -> None:
+    """Assert that a folder, a missing file and a pipe are refused, and none of them is waited for."""
+    os.mkfifo(tmp_path / "pipe")
+    assert "this is a folder" in refusal(tmp_path)
+    assert "no such file" in refusal(tmp_path / "missing.aedat4")
+    assert "a device or pipe" in refusal(tmp_path / "pipe", frame_px=FRAME)
+
+
+def test_options_that_would_do_nothing_are_refused(text: Callable[..., Path], dsec: Callable[..., Path]) -> None:
+    """Assert that an option of another format is an error."""
+    assert "stream only applies to AEDAT4 files and ROS bags" in refusal(
+        text("0 1 2 1\n"), frame_px=FRAME, stream="events"
+    )
+    assert "dialect only applies to text" in refusal(dsec(), frame_px=FRAME, dialect="t x y p")
+
+
+# --- HDF5 ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def dsec(tmp_path: Path) -> Callable[..., Path]:
+    """Write an HDF5 file in the layout of DSEC; keywords replace single columns, None leaves one out."""
+
+    def write(edit: Callable[[h5py.File], None] | None = None, options: Any = None, **given: Any) -> Path:
+        path = tmp_path / "a.h5"
+        arrays = {
+            "t": np.array([1000, 2500, 3000], np.uint32),
+            "x": np.array([1, 3, 5], np.uint16),
+            "y": np.array([2, 4, 6], np.uint16),
+            "p": np.array([1, 0, 1], np.uint8),
+        } | given
+        with h5py.File(path, "w") as file:
+            file.create_group("events")
+            for name, array in arrays.items():
+                if array is not None:
+                    file.create_dataset(f"events/{name}", data=array, **(options or {}))
+            if edit:
+                edit(file)
+        return path
+
+    return write
+
+
+def test_dsec_layout_is_read(dsec: Callable[..., Path]) -> None:
+    """Assert that events, clock and slices come out of the layout of DSEC."""
+
+    def complete(file: h5py.File) -> None:
+        file["t_offset"] = np.int64(49_599_000_000)
+        file["ms_to_idx"] = np.array([0, 0, 1, 2], np.uint64)
+
+    imported = read_events(dsec(complete), frame_px=FRAME)
+    assert rows_of(imported) == ROWS
+    assert (imported.format, imported.t_offset_us, imported.slices) == ("hdf5", 49_599_001_000, 3)
+    assert "--frame-size" in refusal(dsec())
+
+
+@pytest.mark.parametrize("p", [np.array([True, False, True]), np.array([1, -1, 1], np.int8)])
+def test_polarity_of_other_types_is_read(dsec: Callable[..., Path], p: Any) -> None:
+    """Assert that logical and signed polarities mean the same as 0 and 1."""
+    assert rows_of(read_events(dsec(p=p, options={"compression": "gzip"}), frame_px=FRAME)) == ROWS
+
+
+def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that batches join without loss, and places are counted through them."""
+    monkeypatch.setattr("evetac_cli.formats.read.read_dsec.BATCH_ROWS", 2)
+    assert rows_of(read_events(dsec(), frame_px=FRAME)) == ROWS
+    assert "first at index 2" in refusal(dsec(t=np.array([5, 6, 4])), frame_px=FRAME)
+
+
+def test_hdf5_without_events_in_it_is_refused(dsec: Callable[..., Path]) -> None:
+    """Assert that empty columns are no recording."""
+    none = {name: np.empty(0, np.uint16) for name in "txyp"}
+    assert "holds no events" in refusal(dsec(**none), frame_px=FRAME)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"x": np.array([1, 2], np.uint16)}, "columns differ in length"),
+        ({"p": None}, "holds no columns of events"),
+        ({"t": np.array([0.1, 0.2, 0.3])}, "expected: a list of integers in microseconds"),
+        ({"x": np.array([1.5, 2, 3])}, "events/x is not a column"),
+        ({"y": np.zeros((3, 1), np.uint16)}, "events/y is not a column"),
+        ({"p": np.array([b"+", b"-", b"+"])}, "events/p is not a column"),
+        ({"t": np.array([1, 2, 2**63], np.uint64)}, "time out of range"),
+        ({"p": np.array([0, 1, 3], np.uint8)}, "3 at index 2"),
+    ],
+)
+def test_columns_that_do_not_fit_are_refused(dsec: Callable[..., Path], given: dict[str, Any], words: str) -> None:
+    """Assert that odd columns are refused by name."""
+    assert words in refusal(dsec(**given), frame_px=FRAME)
+
+
+def test_other_layouts_are_refused_with_what_they_hold(tmp_path: Path) -> None:
+    """Assert that HDF5 in the layout of other tools is told apart."""
+    path = tmp_path / "a.h5"
+    for name, words in (
+        ("images", "found:    images"),
+        ("events", "one table of shape (3, 4)"),
+        ("CD/events", "Prophesee"),
+    ):
+        with h5py.File(path, "w") as file:
+            file[name] = np.zeros((3, 4), np.uint32)
+        assert words in refusal(path, frame_px=FRAME)
+    with h5py.File(path, "w") as file:
+        file.create_group(b"\xff")
+        file.create_group("images")
+    assert "found:    b'\\xff', images" in refusal(path, frame_px=FRAME)
+    with h5py.File(path, "w"):
+        pass
+    assert "found:    nothing" in refusal(path, frame_px=FRAME)
+
+
+def test_odd_t_offsets_are_refused(dsec: Callable[..., Path]) -> None:
+    """Assert that the clock of the file must be one integer within range."""
+    for value in (1.5, np.array([1, 2]), "noon", np.uint64(2**63)):
+        assert "t_offset" in refusal(
+            dsec(lambda file, v=value: file.create_dataset("t_offset", data=v)), frame_px=FRAME
+        )
+
+
+def test_links_to_elsewhere_are_not_followed(dsec: Callable[..., Path], tmp_path: Path) -> None:
+    """Assert that a file cannot make us read another one."""
+
+    def link(file: h5py.File) -> None:
+        file["events/p"] = h5py.ExternalLink("/etc/other.h5", "/p")
+
+    def external(file: h5py.File) -> None:
+        (tmp_path / "raw").write_bytes(b"\0\1\0")
+        file.create_dataset("events/p", (3,), "u1", external=[(str(tmp_path / "raw"), 0, 3)])
+
+    assert "`p` is a link" in refusal(dsec(link, p=None), frame_px=FRAME)
+    assert "lies in another file" in refusal(dsec(external, p=None), frame_px=FRAME)
+
+
+def test_rows_that_were_never_written_are_refused(dsec: Callable[..., Path]) -> None:
+    """Assert that announced rows without data are neither read as zeros nor for ever."""
+
+    def sparse(file: h5py.File) -> None:
+        for name in "txyp":
+            del file[f"events/{name}"]
+            file.create_dataset(f"events/{name}", (2**50,), "u2", chunks=(1024,))
+            file[f"events/{name}"][:10] = 1
+
+    def contiguous(file: h5py.File) -> None:
+        file.create_dataset("events/p", (3,), "u1")
+
+    assert "parts that were never written" in refusal(dsec(sparse), frame_px=FRAME)
+    assert "events/p is incomplete" in refusal(dsec(contiguous, p=None), frame_px=FRAME)
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(32001, "pip install hdf5plugin"), (0x8ECF, "Prophesee"), (511, "HDF5 filter 511")]
+)
+def test_a_missing_filter_is_named(
+    dsec: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, number: int, words: str
+) -> None:
+    """Assert that a compressed file says which plugin it needs (511 and ECF: filters that no plugin here has)."""
+    if h5py.h5z.filter_avail(number):
+        pytest.skip("the filter is installed here")
+
+    def compressed(file: h5py.File) -> None:
+        recipe = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        recipe.set_chunk((3,))
+        recipe.set_filter(number, h5py.h5z.FLAG_OPTIONAL)
+        h5py.h5d.create(file["events"].id, b"p", h5py.h5t.NATIVE_UINT8, h5py.h5s.create_simple((3,)), dcpl=recipe)
+        file["events/p"].id.write_direct_chunk((0,), b"squeezed", 0)
+
+    path = dsec(compressed, p=None)
+    monkeypatch.setitem(sys.modules, "hdf5plugin", None)
+    assert words in refusal(path, frame_px=FRAME)
+
+
+def test_compressed_with_a_plugin(tmp_path: Path) -> None:
+    """Assert that Blosc, as in the DSEC data set, is read where hdf5plugin is installed, without being asked to."""
+    if find_spec("hdf5plugin") is None:
+        pytest.skip("hdf5plugin is not installed")
+    path = tmp_path / "a.h5"
+    writing = (
+        f"import h5py, hdf5plugin, numpy as np; f = h5py.File({str(path)!r}, 'w'); rows = np.arange(5000)\n"
+        "for n in 'txyp': f.create_dataset('events/' + n, data=rows if n == 't' else rows % 2, **hdf5plugin.Blosc())"
+    )
+    reading = f"from evetac_cli.formats.imports import read_events; e = read_events({str(path)!r}, frame_px=(640, 480))"
+    for code in (writing, f"{reading}.events; assert e.size == 5000 and e.x.sum() == 2500"):
+        # in processes of their own: a plugin that was loaded once stays, and another test needs it not to be there
+        subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[2], timeout=60)
+
+
+def test_broken_hdf5_is_refused(dsec: Callable[..., Path], tmp_path: Path) -> None:
+    """Assert that an HDF5 file cut anywhere, or with a damaged chunk, is refused and never half read."""
+    noise = np.random.default_rng(5).integers(0, 400, 4000).astype(np.uint16)
+    options = {"chunks": (500,), "compression": "gzip"}
+    columns = {"t": np.arange(4000), "x": noise, "y": noise, "p": noise % 2}
+    path = dsec(options=options, **columns)
+    whole = path.read_bytes()
+    assert read_events(path, frame_px=FRAME).events.size == 4000
+    cut = tmp_path / "cut.h5"
+    for length in range(8, len(whole), len(whole) // 25):
+        cut.write_bytes(whole[:length])
+        refusal(cut, frame_px=FRAME)
+    with h5py.File(path) as file:
+        chunk = file["events/x"].id.get_chunk_info(3)
+    broken = bytearray(whole)
+    broken[chunk.byte_offset + 20 : chunk.byte_offset + 60] = bytes(40)
+    cut.write_bytes(broken)
+    assert "cannot be read as HDF5" in refusal(cut, frame_px=FRAME)
+
+
+def test_our_own_files_need_no_import(tmp_path: Path) -> None:
+    """Assert that a recording is not imported a second time."""
+    t = np.array([0, 1], np.int64)
+    arrays: dict[str, Any] = {
+        "events/t": t,
+        "events/x": np.zeros(2, np.uint16),
+        "events/y": np.zeros(2, np.uint16),
+        "events/p": np.zeros(2, np.uint8),
+        "ms_to_idx": slice_starts(t, 1),
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array(FRAME, np.int32),
+        "sensor/individual": "unknown",
+    }
+    path = tmp_path / "a.recording.h5"
+    write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)
+    assert "a recording needs no import" in refusal(path, frame_px=FRAME)
+
+
+# --- AEDAT4 -------------------------------------------------------------------------------------------------------
+
+
+def store(dv: Any, t: Any, x: Any, y: Any, p: Any) -> Any:
+    events = dv.EventStore()
+    for row in zip(t, x, y, p, strict=True):
+        events.push_back(*(int(value) for value in row[:3]), bool(row[3]))
+    return events
+
+
+@pytest.fixture(scope="module")
+def aedat4(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Events]:
+    """An AEDAT4 file in several packets, and the events in it."""
+    dv = pytest.importorskip("dv_processing")
+    rng = np.random.default_rng(8)
+    t = np.sort(rng.integers(0, 50_000, 5000)) + 1_600_000_000_000_000
+    t[0] = 1_600_000_000_000_000
+    x, y, p = rng.integers(0, 346, 5000), rng.integers(0, 260, 5000), rng.integers(0, 2, 5000)
+    path = tmp_path_factory.mktemp("aedat4") / "a.aedat4"
+    config = dv.io.MonoCameraWriter.Config("DAVIS346_1")
+    config.addEventStream((346, 260))
+    writer = dv.io.MonoCameraWriter(str(path), config)
+    for part in (slice(k, k + 1000) for k in range(0, 5000, 1000)):
+        writer.writeEventPacket(store(dv, t[part], x[part], y[part], p[part]).toPacket())
+    del writer
+    return path, Events(t - t[0], x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+@pytest.fixture
+def spans(aedat4: tuple[Path, Events]) -> list[tuple[int, int]]:
+    """Where its packets lie, found by the rule of the format: stream and size before each."""
+    data = aedat4[0].read_bytes()
+    at = 18 + struct.unpack_from("<I", data, 14)[0]
+    found = []
+    for _ in range(5):
+        size = struct.unpack_from("<i", data, at + 4)[0]
+        found.append((at, at + 8 + size))
+        at += 8 + size
+    return found
+
+
+def test_aedat4_is_read(aedat4: tuple[Path, Events]) -> None:
+    """Assert that events, frame and clock are those that were written."""
+    imported = read_events(aedat4[0])
+    assert same(imported.events, aedat4[1])
+    assert (imported.format, imported.frame_px, imported.notes) == ("aedat4", (346, 260), [])
+    assert imported.t_offset_us == 1_600_000_000_000_000
+    assert "leave out --frame-size" in refusal(aedat4[0], frame_px=FRAME)
+
+
+def test_cut_aedat4_keeps_what_arrived(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
+    """Assert that a cut file gives the events of its complete packets, says so, and is refused where there are none."""
+    path, written = aedat4
+    whole = path.read_bytes()
+    cut = tmp_path / "cut.aedat4"
+    for length, packets in ((spans[0][1], 1), (spans[3][1] - 1, 3), (spans[4][0] + 3, 4), (spans[4][1], 5)):
+        cut.write_bytes(whole[:length])
+        imported = read_events(cut)
+        assert same(imported.events, written.part(0, 1000 * packets))
+        assert len(imported.notes) == 1
+        if packets < 5:
+            lost = length - spans[packets - 1][1]
+            assert f"kept {1000 * packets} events of {packets} complete packets; {lost} bytes" in imported.notes[0]
+    for length in (1, 11, 14, 17, 18, spans[0][0] // 2, spans[0][0] - 1, spans[0][0], spans[0][0] + 8, spans[0][1] - 1):
+        cut.write_bytes(whole[:length])
+        refusal(cut)
+
+
+def test_aedat4_that_was_never_closed_is_read(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
+    """Assert that the file of a recorder that was killed gives all complete packets, with a note."""
+    path, written = aedat4
+    data = bytearray(path.read_bytes()[: spans[3][1]])
+    position = struct.pack("<q", spans[4][1])  # of the packet table, written into the header when a file is closed
+    assert data.count(position) == 1
+    data[data.index(position) : data.index(position) + 8] = struct.pack("<q", -1)
+    killed = tmp_path / "killed.aedat4"
+    killed.write_bytes(data)
+    imported = read_events(killed)
+    assert same(imported.events, written.part(0, 4000))
+    assert imported.notes == ["the recorder never closed the file: kept 4000 events of 4 packets"]
+
+
+def test_a_damaged_packet_neither_hangs_nor_passes_unseen(
+    aedat4: tuple[Path, Events], spans: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that decoding ends at a damaged packet, in bounded time, and keeps what came before it."""
+    monkeypatch.setattr(read_aedat4, "PACKET_CPU_S", 0)  # dv-processing 2.0.4 would spin on this packet for ever
+    path, written = aedat4
+    data = bytearray(path.read_bytes())
+    data[spans[2][0] + 100 : spans[2][0] + 300] = bytes(range(200))
+    broken = tmp_path / "broken.aedat4"
+    broken.write_bytes(data)
+    imported = read_events(broken)
+    assert same(imported.events, written.part(0, 2000))
+    assert "broken file: kept 2000 events of 2 of 5 packets" in imported.notes[0]
+
+
+def test_damage_beside_the_packets_loses_nothing(
+    aedat4: tuple[Path, Events], spans: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a damaged packet table or packet header is got round, and said."""
+    monkeypatch.setattr(read_aedat4, "PACKET_CPU_S", 0)
+    path, written = aedat4
+    whole = path.read_bytes()
+    for at, words in ((spans[4][1] + 10, "packet table is damaged"), (spans[1][0], "a packet at byte")):
+        data = bytearray(whole)
+        data[at : at + 8] = b"\xff" * 8
+        broken = tmp_path / "broken.aedat4"
+        broken.write_bytes(data)
+        imported = read_events(broken)
+        assert same(imported.events, written)
+        assert words in imported.notes[0]
+
+
+def test_damaged_aedat4_headers_are_refused(aedat4: tuple[Path, Events], tmp_path: Path) -> None:
+    """Assert that no damage in the header leads to anything but words, or to the events after all."""
+    whole = aedat4[0].read_bytes()
+    broken = tmp_path / "broken.aedat4"
+    rng = np.random.default_rng(1)
+    refused = 0
+    for _ in range(60):
+        data = bytearray(whole)
+        # the fields before the tree of settings, and the start of the tree
+        for at in rng.integers(14, 120, 3):
+            data[at] = rng.integers(256)
+        broken.write_bytes(data)
+        try:
+            with pytest.MonkeyPatch.context() as patch:  # only the header is of interest: decoding would take time
+                patch.setattr(read_aedat4, "_decode", lambda *_: iter(()))
+                patch.setattr(read_aedat4, "_columns", lambda packets: packets)
+                read_events(broken)
+        except InputError:
+            refused += 1
+    assert refused > 30
+
+
+def test_streams_are_chosen_by_name(tmp_path: Path) -> None:
+    """Assert that of several event streams the first by name is read, the others are noted, and each can be had."""
+    dv = pytest.importorskip("dv_processing")
+    path = tmp_path / "stereo.aedat4"
+    left, right = dv.io.MonoCameraWriter.Config("cam_10"), dv.io.MonoCameraWriter.Config("cam_1")
+    left.addEventStream((100, 80))
+    right.addEventStream((60, 50))
+    writer = dv.io.StereoCameraWriter(str(path), left, right)
+    writer.left.writeEvents(store(dv, range(3), range(3), range(3), [1] * 3))
+    writer.right.writeEvents(store(dv, range(5), range(5), range(5), [0] * 5))
+    del writer
+    first = read_events(path)
+    assert (first.events.size, first.frame_px) == (5, (60, 50))
+    assert first.notes == ["took the event stream cam_1/events; also there: cam_10/events (choose with --stream)"]
+    other = read_events(path, stream="cam_10/events")
+    assert (other.events.size, other.frame_px) == (3, (100, 80))
+    assert "expected: cam_1/events or cam_10/events" in refusal(path, stream="events")
+
+
+@pytest.fixture
+def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Put a module in the place of dv-processing, for processes that start from now on."""
+
+    def write(code: str) -> None:
+        (tmp_path / "dv_processing.py").write_text(code)
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+    return write
+
+
+def test_aedat4_needs_the_camera_extra(aedat4: tuple[Path, Events], stand_in: Callable[[str], None]) -> None:
+    """Assert that a library that is missing or does not load is named with the command that installs it."""
+    stand_in("raise ImportError('libdv.so: no such file')")
+    words = refusal(aedat4[0])
+    assert 'pip install "evetac[camera]"' in words
+    assert "libdv.so" in words
+
+
+def test_a_crash_of_the_library_is_contained(aedat4: tuple[Path, Events], stand_in: Callable[[str], None]) -> None:
+    """Assert that a library that takes its process down does not do it to ours."""
+    stand_in("import os; os.abort()")
+    assert "the decoder crashed (exit code -6)" in refusal(aedat4[0])
+
+
+def test_packets_are_counted(aedat4: tuple[Path, Events], stand_in: Callable[[str], None]) -> None:
+    """Assert that a library that stops too early is noticed, and that what it prints does no harm."""
+    stand_in("""
+import numpy as np
+print("a library that likes to talk", flush=True)
+class Packet:
+    def numpy(self):
+        return np.zeros(3, [("timestamp", "i8"), ("x", "i2"), ("y", "i2"), ("polarity", "i1")])
+class io:
+    class MonoCameraRecording:
+        def __init__(self, path):
+            self.left = 2
+        def getNextEventBatch(self, stream):
+            self.left -= 1
+            return Packet() if self.left >= 0 else None
+""")
+    imported = read_events(aedat4[0])
+    assert imported.events.size == 6
+    assert imported.notes == ["broken file: kept 6 events of 2 of 5 packets; there the decoder stopped"]
+
+
+# --- recordings made by others ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "events", "frame", "slices"),
+    [
+        ("dvxplorer_static_noise.aedat4", 255_283, (640, 480), 2700),
+        ("davis346.aedat4", 78_830, (346, 260), 2360),
+        ("multistream.aedat4", 9_193, (346, 260), 3814),
+    ],
+)
+def test_real_aedat4(name: str, events: int, frame: tuple[int, int], slices: int) -> None:
+    """Assert that the makers' test files give their known numbers of events."""
+    pytest.importorskip("dv_processing")
+    imported = read_events(real(name))
+    assert (imported.events.size, imported.frame_px, imported.slices) == (events, frame, slices)
+    assert sum(imported.counts.values()) == imported.sorted == 0
+    assert imported.notes == []
+    assert imported.events.t[0] == 0
+
+
+def test_real_aedat4_without_events() -> None:
+    """Assert that a file of two streams without a packet is refused."""
+    assert "holds no events" in refusal(real("empty_stereo.aedat4"))
+
+
+def test_real_noise_is_the_noise_described() -> None:
+    """Assert that columns are not mixed up: 385 pixels above 20 events a second make 66.5 % of all."""
+    pytest.importorskip("dv_processing")
+    imported = read_events(real("dvxplorer_static_noise.aedat4"))
+    image = np.zeros((480, 640), np.int64)
+    np.add.at(image, (imported.events.y, imported.events.x), 1)
+    hot = image > 20 * imported.events.t[-1] / 1e6
+    assert image[336, 331] == image.max() == 4035
+    assert np.count_nonzero(hot) == 385
+    assert image[hot].sum() / image.sum() == pytest.approx(0.665, abs=5e-4)
+
+
+def test_real_frames_are_no_events() -> None:
+    """Assert that a file of frames is refused in words."""
+    assert "holds frames but no event stream" in refusal(real("frames_only.aedat4"))
+
+
+def test_real_text() -> None:
+    """Assert that a text file of a data set is read: 50,000 events in 0.17 s on a frame of 240 x 180."""
+    path = real("slider_depth_50k.txt")
+    imported = read_events(path, frame_px=(240, 180))
+    assert (imported.events.size, imported.slices, imported.t_offset_us) == (50_000, 171, 3811)
+    assert sum(imported.counts.values()) == 0
+    assert read_events(path, frame_px=(120, 180)).counts["out_of_frame"] > 0
+
+
+def test_real_pickle_is_not_loaded(tmp_path: Path) -> None:
+    """Assert that a pickle is refused whatever its name is."""
+    path = tmp_path / "calibration.h5"
+    path.write_bytes(real("evetac_base_calibration.pkl").read_bytes())
+    assert "pickles are never loaded" in refusal(path)

@@ -1,0 +1,350 @@
+"""doctor, on machines made up of folders, the virtual camera's bus and the virtual gripper's port."""
+
+import dataclasses
+import errno
+import json
+import os
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.devices.probe import Machine
+from evetac_cli.devices.rh_p12_rn.control_table import baud_code
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
+from evetac_cli.devices.virtual.virtual_dvxplorer import PreparedWords, VirtualDvxplorer
+from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.inspect import doctor
+from evetac_cli.jobs import Outcome
+from evetac_cli.params import Doctor
+
+RATES = (2_000_000,)  # each at which nobody answers takes its time
+PATIENCE_MS = 300.0  # the virtual servo's process may have to wait for a core
+
+
+class NoBus:
+    """A USB bus with nothing on it."""
+
+    def enumerate_devices(self) -> Any:
+        return iter(())
+
+
+class Made(Machine):
+    """A machine with known software and disk."""
+
+    def has_libusb(self) -> bool:
+        return self.usb_backend is not None
+
+    def free_bytes(self, folder: Path) -> int:
+        return 10 << 30
+
+    def has_package(self, name: str) -> bool:
+        return True
+
+    def distributions(self, names: Any) -> list[str]:
+        return ["opencv-contrib-python-headless 5.0"]
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Made:
+    """A machine without devices."""
+    for name in ("sys/class/tty", "proc", "dev"):
+        (tmp_path / name).mkdir(parents=True)
+    return Made(tmp_path / "sys", tmp_path / "proc", tmp_path / "dev", NoBus(), answer_ms=PATIENCE_MS, rates=RATES)
+
+
+def with_camera(machine: Made, *faults: str, **options: Any) -> tuple[Made, VirtualDvxplorer]:
+    camera = VirtualDvxplorer(PreparedWords(np.empty(0, np.uint32)), faults=faults, **options)
+    return dataclasses.replace(machine, usb_backend=camera), camera
+
+
+def wrong(result: Outcome) -> dict[str, dict[str, Any]]:
+    """What is wrong, by check; each with something to do about it."""
+    found = {row["check"]: row for row in result.rows if row["ok"] is False}
+    assert result.summary["wrong"] == len(found)
+    assert all(row["fix"] for row in found.values())
+    return found
+
+
+def of(result: Outcome, device: str) -> dict[str, dict[str, Any]]:
+    return {row["check"]: row for row in result.rows if row["device"].startswith(device)}
+
+
+def test_nothing_plugged_in_is_no_fault(machine: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that a machine without devices is well, and the user is told what to look at."""
+    result = doctor.run(Doctor(), machine)
+    assert wrong(result) == {}
+    assert (result.summary["cameras"], result.summary["grippers"], result.simulated) == (0, 0, False)
+    doctor.show(result)
+    said = capsys.readouterr().out
+    assert "no camera found" in said and "no gripper found" in said and "all that was found is fine" in said
+
+
+@pytest.mark.parametrize("firmware", [8, 9, 10])
+def test_a_good_camera_is_well(machine: Made, monkeypatch: pytest.MonkeyPatch, firmware: int) -> None:
+    """Assert that both generations of the camera are found, asked and let go, with nothing written to them."""
+    there, camera = with_camera(machine, firmware=firmware)
+    handles: list[str] = []
+    monkeypatch.setattr(camera, "open_device", lambda dev: handles.append("opened") or camera)
+    monkeypatch.setattr(camera, "close_device", lambda handle: handles.append("closed"))
+    for _ in range(2):
+        result = doctor.run(Doctor(), there)
+        assert wrong(result) == {}
+        rows = of(result, "camera DXM00042")
+        assert [row["found"] for row in rows.values()] == [
+            "board 4",
+            str(firmware),
+            "USB 3, 5 Gbit/s",
+            "opens and answers",
+            "640 x 480 px",
+        ]
+    assert handles[-2:] == ["opened", "closed"]
+    assert handles.count("opened") == handles.count("closed")
+    assert camera.log == []
+
+
+@pytest.mark.parametrize(
+    ("faults", "options", "check", "fix"),
+    [
+        (["usb2"], {}, "link", "USB 3 port"),
+        (["no-permission"], {}, "permission", "doctor --print-udev | sudo tee"),
+        (["busy"], {}, "busy", "fuser"),
+        ([], {"board": 2}, "model", "record it with DV"),
+        ([], {"firmware": 5}, "firmware", "update it"),
+        ([], {"firmware": 11}, "firmware", "newer evetac"),
+    ],
+)
+def test_faults_of_a_camera(machine: Made, faults: list[str], options: dict[str, Any], check: str, fix: str) -> None:
+    """Assert that each fault is named, with what mends it, and nothing is written."""
+    there, camera = with_camera(machine, *faults, **options)
+    found = wrong(doctor.run(Doctor(), there))
+    assert fix in found.pop(check)["fix"]
+    assert found == {}
+    assert camera.log == []
+
+
+def test_who_uses_the_camera_is_named(machine: Made) -> None:
+    """Assert that the program that has the camera open is found by its open files."""
+    there, _ = with_camera(machine, "busy")
+    process = machine.proc / "4321"
+    (process / "fd").mkdir(parents=True)
+    (process / "comm").write_text("dv-gui\n")
+    (process / "fd" / "7").symlink_to(machine.dev / "bus" / "usb" / "009" / "002")
+    row = wrong(doctor.run(Doctor(), there))["busy"]
+    assert row["found"] == "used by dv-gui (4321)"
+    assert "kill 4321" in row["fix"]
+
+
+FAILING = {
+    errno.ENODEV: "access",
+    errno.ETIMEDOUT: "answers",
+    errno.EPIPE: "answers",
+    errno.EIO: "answers",
+    99: "access",
+}
+
+
+@pytest.mark.parametrize(("number", "check"), FAILING.items())
+def test_a_camera_that_fails_while_asked(
+    machine: Made, monkeypatch: pytest.MonkeyPatch, number: int, check: str
+) -> None:
+    """Assert that a camera that goes away or does not answer is a row, not a crash."""
+    import usb.core
+
+    there, camera = with_camera(machine)
+
+    def fail(*_: Any) -> None:
+        raise usb.core.USBError("it failed", -1, number)
+
+    monkeypatch.setattr(camera, "claim_interface", fail)
+    assert list(wrong(doctor.run(Doctor(), there))) == [check]
+
+
+def test_software_and_disk(machine: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing libusb, two builds of OpenCV and a full disk are wrong, and missing extras are told."""
+    monkeypatch.setattr(Made, "has_package", lambda self, name: name != "faery")
+    monkeypatch.setattr(Made, "free_bytes", lambda self, folder: 5_000_000)
+    monkeypatch.setattr(Made, "distributions", lambda self, names: ["opencv-python 4.1", f"{names[-1]} 5.0"])
+    result = doctor.run(Doctor(), dataclasses.replace(machine, usb_backend=None))
+    found = wrong(result)
+    assert list(found) == ["libusb", "opencv", "free space"]
+    assert "pip uninstall opencv-python opencv-contrib-python-headless" in found["opencv"]["fix"]
+    extra = of(result, "software")["extra convert"]
+    assert (extra["ok"], extra["fix"]) == (None, 'pip install "evetac[convert]"')
+
+
+def test_extras_are_those_that_can_be_installed() -> None:
+    """Assert that every extra a user may lack is asked for, each of its packages by the name it is imported under."""
+    project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())["project"]
+    offered = {name: packages for name, packages in project["optional-dependencies"].items() if name != "dev"}
+    assert {name: len(packages) for name, packages in offered.items()} == {
+        name: len(modules) for name, modules in doctor.EXTRAS.items()
+    }
+
+
+def adapter(
+    machine: Made, latency_ms: int = 1, timer: str = "ttyUSB0", vendor: str = "0403", name: str = "ttyUSB0"
+) -> Path:
+    """A serial adapter on USB, in sysfs as the kernel shows it; returns its port, which nothing stands behind yet.
+
+    Where a terminal will stand in for the port, its latency timer has to bear the terminal's name.
+    """
+    usb_device = machine.sysfs / "devices" / "usb1" / "1-1"
+    tty = usb_device / "1-1:1.0" / name
+    tty.mkdir(parents=True)
+    (usb_device / "idVendor").write_text(f"{vendor}\n")
+    (usb_device / "idProduct").write_text("6014\n")
+    (machine.sysfs / "class" / "tty" / name).mkdir()
+    (machine.sysfs / "class" / "tty" / name / "device").symlink_to(tty)
+    timers = machine.sysfs / "bus" / "usb-serial" / "devices" / timer
+    timers.mkdir(parents=True)
+    (timers / "latency_timer").write_text(f"{latency_ms}\n")
+    return machine.dev / name
+
+
+Gripper = Callable[..., VirtualGripper]
+
+
+@pytest.fixture
+def plugged(machine: Made) -> Any:
+    """Plug a virtual gripper into an adapter."""
+    open_ones: list[VirtualGripper] = []
+
+    def plug(latency_ms: int = 1, **options: Any) -> tuple[Path, VirtualGripper]:
+        gripper = VirtualGripper(**options)
+        open_ones.append(gripper)
+        port = adapter(machine, latency_ms, os.path.basename(gripper.port))
+        port.symlink_to(gripper.port)
+        return port, gripper
+
+    yield plug
+    for gripper in open_ones:
+        gripper.close()
+
+
+GOOD = {"Return Delay Time": 0}
+
+
+def test_a_good_gripper_is_well(machine: Made, plugged: Any) -> None:
+    """Assert that a gripper is found by itself at the adapter, and well."""
+    plugged(registers=GOOD)
+    result = doctor.run(Doctor(), machine)
+    assert wrong(result) == {}
+    assert result.summary["grippers"] == 1
+    found = {check: row["found"] for check, row in of(result, f"gripper 1 at {machine.dev}").items()}
+    assert found["model"] == "35074" and found["baud"] == "2000000" and found["torque"] == "off"
+
+
+def test_a_gripper_as_it_comes_from_the_factory(machine: Made, plugged: Any) -> None:
+    """Assert that slow rate, return delay and latency timer are named, and nothing is changed by asking."""
+    port, gripper = plugged(latency_ms=16, baud=57_600)
+    result = doctor.run(Doctor(), dataclasses.replace(machine, rates=(2_000_000, 57_600)))
+    found = wrong(result)
+    assert list(found) == ["latency timer", "baud", "return delay"]
+    assert f"change_baud('{port}', 57600, 2000000, id_=1)" in found["baud"]["fix"]
+    assert "latency_timer" in found["latency timer"]["fix"] and "16 ms" in found["latency timer"]["found"]
+    assert found["return delay"]["found"] == "500 us"
+    with Bus(gripper.port, 57_600, answer_ms=PATIENCE_MS) as bus:
+        assert [bus.read(name) for name in ("Return Delay Time", "Baud Rate", "Torque Enable")] == [
+            250,
+            baud_code(57_600),
+            0,
+        ]
+
+
+@pytest.mark.parametrize(
+    ("registers", "check", "words"),
+    [
+        ({"Hardware Error Status": 0b100100}, "hardware error", "overheating, overload"),
+        ({"Present Input Voltage": 110}, "supply", "11.0 V"),
+        ({"Present Temperature": 90}, "temperature", "90 C"),
+        ({"Model Number": 35073}, "model", "RH-P12-RN without A"),
+        ({"Model Number": 1020}, "model", "1020"),
+    ],
+)
+def test_faults_of_a_gripper(machine: Made, plugged: Any, registers: dict[str, int], check: str, words: str) -> None:
+    """Assert that each fault is named."""
+    plugged(registers=GOOD | registers)
+    found = wrong(doctor.run(Doctor(), machine))
+    assert list(found) == [check]
+    assert words in found[check]["found"]
+
+
+def test_an_adapter_without_a_gripper(machine: Made, plugged: Any) -> None:
+    """Assert that silence is a fault only on a port that the user named."""
+    port, gripper = plugged(registers=GOOD, faults=["lost-answer%100"])
+    fast = dataclasses.replace(machine, rates=(2_000_000,), answer_ms=20.0)
+    result = doctor.run(Doctor(), fast)
+    assert wrong(result) == {}
+    assert of(result, f"port {port}")["gripper"]["found"] == "none answers"
+    named = wrong(doctor.run(Doctor(gripper=f"{port}@2000000"), fast))
+    assert list(named) == ["gripper"] and "24 V" in named["gripper"]["fix"]
+
+
+def test_other_adapters_are_left_alone(machine: Made) -> None:
+    """Assert that doctor sends nothing to what is no FTDI adapter, unless it is named."""
+    port = adapter(machine, vendor="2341", name="ttyACM0")
+    assert of(doctor.run(Doctor(), machine), "port") == {}
+    assert list(wrong(doctor.run(Doctor(gripper=str(port)), machine))) == ["there"]
+
+
+def test_ports_that_cannot_be_used(machine: Made, plugged: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a port without permission, one in use, and one that is locked are told apart."""
+    port, gripper = plugged(registers=GOOD)
+    process = machine.proc / "77"
+    (process / "fd").mkdir(parents=True)
+    (process / "comm").write_text("minicom\n")
+    (process / "fd" / "3").symlink_to(Path(gripper.port).resolve())
+    assert wrong(doctor.run(Doctor(), machine))["busy"]["found"] == "used by minicom (77)"
+    (process / "fd" / "3").unlink()
+    with Bus(gripper.port, 2_000_000):
+        assert "in use" in wrong(doctor.run(Doctor(), machine))["opens"]["found"]
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert "dialout" in wrong(doctor.run(Doctor(), machine))["permission"]["fix"]
+
+
+@pytest.mark.parametrize("name", ["/dev/null", "/dev/zero", ".", "file", "/dev/null@57600"])
+def test_what_is_no_serial_port(machine: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Assert that it is called that, and neither asked nor are those who have it open (nobody is to be ended)."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("text")
+    monkeypatch.setattr(Made, "users_of", lambda *_: pytest.fail("asked who uses it"))
+    monkeypatch.setattr(Made, "scan", lambda *_: pytest.fail("talked to it"))
+    (row,) = wrong(doctor.run(Doctor(gripper=name), machine)).values()
+    assert row["found"] == "not a serial port"
+    assert "/dev/ttyUSB*" in row["fix"] and "kill" not in row["fix"]
+
+
+@pytest.mark.parametrize("name", ["virtual", "virtual:lost-answer", "sim"])
+def test_a_virtual_gripper_needs_no_doctor(machine: Made, name: str) -> None:
+    """Assert that it is said, and nothing is wrong."""
+    result = doctor.run(Doctor(gripper=name), machine)
+    assert wrong(result) == {}
+    (row,) = of(result, "gripper").values()
+    assert row["found"] == f"not: a {name.partition(':')[0]} gripper needs no doctor"
+
+
+def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -> None:
+    """Assert exit codes 0 and 3, flat rows as JSON, and that --print-udev prints rules and nothing else."""
+    monkeypatch.setattr(doctor, "Machine", lambda: machine)
+    fine = CliRunner().invoke(app, ["doctor", "--json"])
+    assert fine.exit_code == 0, fine.output
+    result = json.loads(fine.stdout)
+    assert all(set(row) == {"device", "check", "ok", "found", "expected", "fix"} for row in result["rows"])
+    there, _ = with_camera(machine, "usb2")
+    monkeypatch.setattr(doctor, "Machine", lambda: there)
+    ill = CliRunner().invoke(app, ["doctor"])
+    assert ill.exit_code == 3
+    assert "WRONG" in ill.stdout and "1 wrong" in ill.stdout and "try: use a USB 3 port" in ill.stdout
+    rules = CliRunner().invoke(app, ["doctor", "--print-udev"])
+    assert rules.exit_code == 0
+    told = json.loads(CliRunner().invoke(app, ["doctor", "--print-udev", "--json"]).stdout)
+    assert told["summary"]["udev"] == rules.stdout.removesuffix("\n")
+    lines = [line for line in rules.stdout.splitlines() if not line.startswith("#")]
+    assert len(lines) == 2 and '"152a"' in lines[0] and 'latency_timer}="1"' in lines[1]
+    assert all(part.count('"') == 2 for line in lines for part in line.split(", "))

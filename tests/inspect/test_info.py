@@ -1,0 +1,107 @@
+"""info: how a recording ended and what was lost, where an import comes from, and the nearest of its history."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli import params
+from evetac_cli.inspect import info
+from evetac_cli.stages import record
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Recipe
+from tests.conftest import Made
+
+
+def shown(path: Path, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """The lines that people see, without runs of blanks."""
+    info.show(info.run([path]))
+    return [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+
+
+def captured(path: Path, **more: Any) -> Path:
+    """A recording of two silent slices from devices."""
+    arrays: dict[str, Any] = {
+        **{f"events/{name}": np.empty(0, dtype) for name, dtype in zip("txyp", ("i8", "u2", "u2", "u1"), strict=True)},
+        "ms_to_idx": np.zeros(3, np.int64),
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array((640, 480), np.int32),
+        "sensor/individual": "unknown",
+        **{f"capture/{name.replace('__', '/')}": value for name, value in more.items()},
+    }
+    write_stage(path, Recipe("recording", 1, {}, content="0"), arrays)
+    return path
+
+
+def test_how_a_recording_from_devices_went(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that end, losses that are not zero, achieved rates and misses are shown."""
+    path = captured(
+        tmp_path / "a.recording.h5",
+        ended="camera DXM00042: is no longer on the bus",
+        lost__usb_errors=np.int64(2),
+        lost__dropped=np.int64(0),
+        lost_slices=np.array([[0, 1], [1, 2]], np.int64),
+        slices_per_s=np.float64(998.5),
+        slice_late_us=np.array([1.0, 667_300.0, 9e5]),
+        commands_per_s=np.float64(499.5),
+        command_misses=np.int64(7),
+    )
+    lines = shown(path, capsys)
+    for line in (
+        "ended camera DXM00042: is no longer on the bus",
+        "lost usb_errors 2",
+        "slices_lost 2",
+        "slices_per_s 998.5",
+        "slice_late_us_p99 667,300",
+        "commands_per_s 499.5",
+        "command_misses 7",
+    ):
+        assert line in lines
+    assert not any("latency" in line for line in lines)
+    bare = shown(captured(tmp_path / "b.recording.h5", ended="as asked"), capsys)
+    assert "lost nothing" in bare and "slices_lost 0" in bare
+    assert not any(line.startswith("command") for line in bare)
+
+
+def test_notes_of_an_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that what the reader noted, what was dropped and the source are shown."""
+    source = tmp_path / "a.txt"
+    source.write_text("0 1 1 1\n1 9999 1 1\n")
+    chosen = params.Record(source=source, frame_size="640x480")
+    (job,) = record.jobs([], chosen, tmp_path / "a.recording.h5")
+    record.run(job, chosen)
+    lines = shown(job.output, capsys)
+    assert "source a.txt (text)" in lines and "events_dropped 1" in lines
+    assert any(line.startswith("notes 50% of the events lie outside 640x480") for line in lines)
+
+
+def test_a_simulated_recording_has_neither(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that nothing is said of devices or sources where there were none."""
+    lines = shown(made.recordings[0], capsys)
+    assert not any(line.startswith(("ended", "lost", "source", "notes", "from")) for line in lines)
+
+
+def test_history_is_the_parents_and_a_count_of_the_rest(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that a grasp names its model, counts what lies behind it, and JSON keeps all."""
+    (row,) = info.run([made.grasp]).rows
+    lines = shown(made.grasp, capsys)
+    froms = [line for line in lines if line.startswith("from")]
+    (model,) = row["parents"]
+    assert froms == [f"from model {model[:12]} method 3"]
+    (behind,) = [line for line in lines if line.startswith("behind these")]
+    kinds = {kind: sum(other["kind"] == kind for other in row["history"]) for kind in ("features", "recording")}
+    assert f"{kinds['features']} features" in behind and f"{kinds['recording']} recording" in behind
+    assert len(row["history"]) > 4
+
+
+def test_many_parents_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that of hundreds of parents a few are named and the others counted."""
+    parents = tuple(Recipe("report", 1, {"number": number}).header() for number in range(30))
+    path = tmp_path / "a.slip.report.h5"
+    rows = {"command": "evaluate slip", "rows": "[]", "summary": "{}"}
+    write_stage(path, Recipe("report", 1, {}, parents=parents), rows)
+    lines = shown(path, capsys)
+    assert sum(line.startswith("from report") for line in lines) == info.MOST_PARENTS
+    assert "and from 20 report (all: --json)" in lines
+    assert not any(line.startswith("behind") for line in lines)

@@ -1,0 +1,188 @@
+"""repair: a valid recording of what broke off, nothing lost by trying, and figures that add up."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import repair, validate
+from evetac_cli.resources import PACKAGE
+from evetac_cli.store import segments
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.read import open_recording
+from evetac_cli.store.segments import RecordingWriter
+from tests.conftest import Made
+from tests.store.test_recovery import RECIPE, STATIC, broken_off, events_of
+
+
+@pytest.fixture(autouse=True)
+def no_timer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Segments are closed by the tests, not by the time that passes."""
+    monkeypatch.setattr(segments, "SEGMENT_S", 1e9)
+
+
+def gripper(k: int) -> dict[str, float]:
+    """A row of every second slice."""
+    names = ("current_target_ma", "current_written_ma", "current_ma", "position_ticks")
+    return {"gripper/t_us": 1000 * k, **{f"gripper/{name}": k for name in names}} if k % 2 == 0 else {}
+
+
+def test_repaired_is_what_was_recorded(tmp_path: Path) -> None:
+    """Assert that all closed segments are in a valid file, whose header says whence and that it broke off."""
+    folder = broken_off(tmp_path, [2, 3, 1], gripper)
+    result = repair.run([folder])
+    (row,) = result.rows
+    assert (row["status"], row["slices_kept"], row["slices_lost"], row["events_kept"]) == ("repaired", 6, 0, 18)
+    assert row["gripper_rows_kept"] == 3
+    assert not folder.exists()
+    path = tmp_path / "a.recording.h5"
+    assert validate.run([path]).rows[0]["faults"] is None
+    with open_recording(path) as recording:
+        for k, found in enumerate(recording):
+            assert all((one == other).all() for one, other in zip(found, events_of(k), strict=True))
+        assert recording.read("gripper/t_us").tolist() == [0, 2000, 4000]
+        assert recording.read("capture/ended") == repair.ENDED
+        assert not recording.has("capture/lost_slices")
+        header = recording.header
+    assert header["parameters"] == RECIPE.parameters
+    assert header["simulated"]  # as the recording that was replayed
+    assert header["content"] is not None
+    assert [header["parents"]] == [[parent["id"] for parent in RECIPE.parents]]
+
+
+def test_gap_stays_in_time(tmp_path: Path) -> None:
+    """Assert that the slices of a lost segment are there, empty and named, and later events keep their time."""
+    folder = broken_off(tmp_path, [2, 3, 4], lambda k: {"control/probability": k / 10} | control(k))
+    (folder / "000001.h5").write_bytes(b"")
+    (row,) = repair.run([tmp_path]).rows
+    assert (row["slices_kept"], row["slices_lost"], row["segments_unreadable"]) == (6, 3, 1)
+    with open_recording(tmp_path / "a.recording.h5") as recording:
+        assert [events.size for events in recording] == [3, 3, 0, 0, 0, 3, 3, 3, 3]
+        assert (recording[5].t == events_of(5).t).all()
+        assert recording.read("capture/lost_slices").tolist() == [[2, 5]]
+        probability = recording.read("control/probability")
+    assert np.isnan(probability[2:5]).all()
+    np.testing.assert_allclose(probability[5:], [0.5, 0.6, 0.7, 0.8], rtol=1e-6)
+    assert validate.run([tmp_path / "a.recording.h5"]).rows[0]["faults"] is None
+
+
+def control(k: int) -> dict[str, float]:
+    """What a controller did; every second slice."""
+    from evetac_cli.store import schema
+
+    named = (row for row in schema.load("recording").datasets if row.path.startswith("control/") and row.dims)
+    return {row.path: 1 for row in named if row.dims == ("control_steps",) and not row.optional} if k % 2 == 0 else {}
+
+
+def test_invalid_result_costs_nothing(tmp_path: Path) -> None:
+    """Assert that rows that do not make a recording are told, and leave the folder as it was and no file."""
+    folder = broken_off(tmp_path, [2], lambda k: {"gripper/t_us": 1000 * k})
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    result = repair.run([folder])
+    assert result.summary["invalid"] == 1
+    assert "gripper/current_ma is missing" in str(result.rows[0]["fault"])
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.recording.part"]
+
+
+def test_existing_recording_is_not_replaced(tmp_path: Path) -> None:
+    """Assert that what was left beside a recording that exists is kept, and the recording too."""
+    folder = broken_off(tmp_path, [2])
+    repair.run([folder])
+    before = (tmp_path / "a.recording.h5").read_bytes()
+    again = broken_off(tmp_path, [3])
+    (row,) = repair.run([again]).rows
+    assert row["status"] == "not repaired"
+    assert "exists" in str(row["fault"])
+    assert again.is_dir()
+    assert (tmp_path / "a.recording.h5").read_bytes() == before
+
+
+def test_folder_of_a_complete_recording_is_removed(tmp_path: Path) -> None:
+    """Assert that a folder that was only not removed goes, once the recording is found valid; else it stays."""
+    folder = broken_off(tmp_path, [2])
+    repair.run([folder])
+    folder = broken_off(tmp_path, [2])
+    (folder / segments.JOINED).touch()
+    assert repair.run([folder]).rows[0]["status"] == "was complete"
+    assert not folder.exists()
+    folder = broken_off(tmp_path, [2])
+    (folder / segments.JOINED).touch()
+    (tmp_path / "a.recording.h5").write_bytes(b"")
+    assert repair.run([folder]).rows[0]["status"] == "not repaired"
+    assert folder.is_dir()
+
+
+def test_kill_while_joining(tmp_path: Path) -> None:
+    """Assert that what a join that was killed left goes too, and nothing else of that folder."""
+    broken_off(tmp_path, [2])
+    (tmp_path / ".a.recording.h5.4711.tmp").write_bytes(b"half")
+    (tmp_path / ".b.recording.h5.4711.tmp").write_bytes(b"of another")
+    assert repair.run([tmp_path]).rows[0]["status"] == "repaired"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".b.recording.h5.4711.tmp", "a.recording.h5"]
+
+
+def test_nothing_to_repair(tmp_path: Path) -> None:
+    """Assert that a folder without a segment, and what is no folder, are refused in words; an empty search is none."""
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False, recipe=RECIPE)
+    writer.leave()
+    assert "no slice of it can be read" in str(repair.run([writer.folder]).rows[0]["fault"])
+    with pytest.raises(InputError, match="no such file"):
+        repair.run([tmp_path / "nothing"])
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="not what a recording left"):
+        repair.run([tmp_path / "file"])
+    (tmp_path / "file.part").write_text("")
+    none, file, empty = repair.run([tmp_path / f"{name}.part" for name in ("no", "file", "a.recording")]).rows
+    assert "no such file" in none["fault"]
+    assert "not what a recording left" in file["fault"]
+    assert "no slice of it can be read" in empty["fault"]
+    (tmp_path / "sub").mkdir()
+    assert repair.run([tmp_path / "sub"]).rows == []
+
+
+def test_command(tmp_path: Path) -> None:
+    """Assert that the command prints a row for each folder, and ends with 2 if one of them could not be repaired."""
+    broken_off(tmp_path, [2])
+    (tmp_path / "b.recording.part").mkdir()
+    done = CliRunner().invoke(app, ["repair", str(tmp_path), "--json"])
+    assert done.exit_code == 2
+    rows = json.loads(done.stdout)["rows"]
+    assert [row["status"] for row in rows] == ["repaired", "not repaired"]
+    done = CliRunner().invoke(app, ["repair", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "not repaired" in done.stdout
+
+
+@pytest.mark.parametrize("after_s", [0.05, 0.35])
+def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path) -> None:
+    """Assert that a device-like recording that was killed is repaired, and holds the first slices of what was played.
+
+    scripts/kill_recordings.py does this many times and measures the loss.
+    """
+    output = tmp_path / "k.recording.h5"
+    arguments = ["record", "--camera", f"replay:{made.recordings[0]}", "--expect", "1e5", "-o", str(output)]
+    run = subprocess.Popen([sys.executable, "-m", "evetac_cli", *arguments], cwd=PACKAGE.parent)
+    while not (output.with_suffix(".part") / "000000.h5").exists():
+        assert run.poll() is None
+        time.sleep(0.01)
+    time.sleep(after_s)
+    os.kill(run.pid, signal.SIGKILL)
+    run.wait()
+    (row,) = repair.run([tmp_path]).rows
+    assert row["status"] == "repaired"
+    with open_recording(output) as kept, open_recording(made.recordings[0]) as played:
+        assert 0 < len(kept) <= len(played)
+        whole, part = played.between(0, len(kept)), kept.between(0, len(kept))
+        assert all((one == other).all() for one, other in zip(whole, part, strict=True))
+    with StageFile(output) as file, StageFile(made.recordings[0]) as parent:
+        assert file.header["parents"] == [parent.header["id"]]

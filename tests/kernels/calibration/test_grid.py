@@ -1,0 +1,227 @@
+"""The dot grid: any order in, rows, columns and neighbours out; what is no grid is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.calibration.grid import arrange, lattice, neighbours, pitch
+from tests.conftest import DATA
+
+Grid = NDArray[np.float64]
+CALIBRATION = DATA / "evetac_base_calibration.json"
+
+
+def regular(rows: int, columns: int, pitch_px: float = 60.0) -> Grid:
+    """(rows, columns, 2) centres on a square grid."""
+    return np.stack(np.meshgrid(50 + pitch_px * np.arange(columns), 40 + pitch_px * np.arange(rows)), axis=-1)
+
+
+def tilted(grid: Grid, angle: float) -> Grid:
+    """The grid turned about its first dot by an angle in radians."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return (grid - grid[0, 0]) @ turn.T + grid[0, 0]
+
+
+shapes = st.tuples(st.integers(1, 7), st.integers(1, 9))
+
+
+@given(shapes, st.randoms(use_true_random=False), st.floats(5.0, 100.0))
+@settings(deadline=None)
+def test_any_order_gives_the_grid(shape: tuple[int, int], random: object, pitch_px: float) -> None:
+    """Assert that shuffled dots come back in their rows and columns, bit for bit."""
+    grid = regular(*shape, pitch_px)
+    flat = list(grid.reshape(-1, 2))
+    random.shuffle(flat)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(arrange(np.array(flat)), grid)
+
+
+@given(shapes, st.integers(0, 2**32 - 1), st.floats(-0.45, 0.45))
+@settings(deadline=None)
+def test_tilt_and_jitter(shape: tuple[int, int], seed: int, rise: float) -> None:
+    """Assert that a grid that rises by less than half a pitch over its width, with unsteady dots, is still found."""
+    rng = np.random.default_rng(seed)
+    rows, columns = shape
+    angle = np.arctan(rise / max(columns - 1, 1))
+    sine, cosine = abs(np.sin(angle)), np.cos(angle)
+    # What is left, in pitches, of the gap between rows, and of the way to the next column, beyond half a pitch.
+    spare = min(cosine - (columns - 1) * sine, 1 - sine) - 0.5
+    assume(spare > 0.02)
+    grid = tilted(regular(rows, columns), angle)
+    grid += rng.uniform(-1, 1, grid.shape) * 60.0 * spare / 8
+    np.testing.assert_array_equal(arrange(rng.permutation(grid.reshape(-1, 2))), grid)
+
+
+@pytest.mark.parametrize("rise", [0.6, 0.9, -0.75])
+def test_more_tilt_is_refused(rise: float) -> None:
+    """Assert that beyond half a pitch, where rows run into each other, a grid is refused and not mixed up."""
+    grid = tilted(regular(7, 9), np.arctan(rise / 8))
+    with pytest.raises(ValueError, match="expected"):
+        arrange(grid.reshape(-1, 2))
+
+
+def test_sorted_grids_are_taken_as_they_are() -> None:
+    """Assert that (rows, columns, 2) is returned unchanged, with NaN where dots are missing, also a whole row."""
+    grid = regular(4, 5)
+    np.testing.assert_array_equal(arrange(grid), grid)
+    grid[1, 2] = np.nan
+    grid[3] = np.nan
+    np.testing.assert_array_equal(arrange(grid), grid)
+
+
+def test_input_is_not_changed() -> None:
+    """Assert that the dots that are passed in keep their order."""
+    dots = regular(3, 3).reshape(-1, 2)[::-1].copy()
+    before = dots.copy()
+    arrange(dots)
+    np.testing.assert_array_equal(dots, before)
+
+
+@pytest.mark.parametrize("shape", [(0,), (4,), (0, 2), (4, 3), (2, 0, 2), (0, 3, 2), (2, 2, 3), (1, 2, 2, 2)])
+def test_wrong_shapes_are_refused(shape: tuple[int, ...]) -> None:
+    """Assert that anything but (dots, 2) and (rows, columns, 2), and a grid of nothing, is refused with its shape."""
+    with pytest.raises(ValueError, match=r"expected \(dots, 2\), found shape"):
+        arrange(np.zeros(shape))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_dots_nowhere_are_refused(value: float) -> None:
+    """Assert that a list with a dot that is not finite is refused, and a sorted grid with an infinite one."""
+    grid = regular(3, 4)
+    grid[1, 1, 0] = value
+    with pytest.raises(ValueError, match="finite"):
+        arrange(grid.reshape(-1, 2))
+    if not np.isnan(value):
+        with pytest.raises(ValueError, match="finite"):
+            arrange(grid)
+
+
+@pytest.mark.parametrize("turn", [lambda g: g[::-1], lambda g: g[:, ::-1], lambda g: g.transpose(1, 0, 2)])
+def test_unsorted_grids_are_refused(turn: object) -> None:
+    """Assert that rows from below, columns from the right, or columns for rows are refused."""
+    with pytest.raises(ValueError, match="from top to bottom"):
+        arrange(turn(regular(3, 4)))  # type: ignore[operator]
+
+
+def test_uneven_rows_are_refused() -> None:
+    """Assert that a dot too few or too many is refused with the dots of every row."""
+    flat = regular(3, 4).reshape(-1, 2)
+    with pytest.raises(ValueError, match="dots come twice"):
+        arrange(np.repeat(flat, 2, axis=0))
+    with pytest.raises(ValueError, match="dots come twice"):
+        arrange(np.concatenate([flat, flat[::4] + 1.0]))
+    with pytest.raises(ValueError, match=r"found \[3, 4, 4\] dots a row"):
+        arrange(flat[1:])
+    with pytest.raises(ValueError, match=r"found \[4, 4, 5\] dots a row"):
+        arrange(np.concatenate([flat, flat[-1:] + 3.0]))
+
+
+def test_rows_that_lack_different_dots_are_refused() -> None:
+    """Assert that rows of equal length are not enough: their dots must stand below each other."""
+    grid = regular(3, 5)
+    kept = np.concatenate([np.delete(row, lacking, axis=0) for row, lacking in zip(grid, (0, 2, 4), strict=True)])
+    with pytest.raises(ValueError, match="in another place"):
+        arrange(kept)
+
+
+def test_pitch() -> None:
+    """Assert that the pitch is the distance to the nearest dot, whatever the order, missing dots and outliers."""
+    grid = regular(5, 6, 31.5)
+    assert pitch(grid) == 31.5
+    assert pitch(grid.reshape(-1, 2)[::-1]) == 31.5
+    assert pitch(tilted(grid, 0.3)) == pytest.approx(31.5, rel=1e-12)
+    grid[0, 0] = np.nan
+    grid[2, 2] += 4.0
+    assert pitch(grid) == pytest.approx(31.5, rel=1e-12)
+    assert pitch(grid[1:2, 1:2]) == np.inf
+
+
+@given(shapes, st.integers(0, 2**32 - 1), st.floats(-0.25, 0.25))
+@settings(deadline=None)
+def test_lattice_of_a_tilted_grid(shape: tuple[int, int], seed: int, angle: float) -> None:
+    """Assert that unsteady dots in any order, tilted by up to 14 degrees, come back in rows and columns."""
+    assume(min(shape) > 1)
+    rng = np.random.default_rng(seed)
+    grid = tilted(regular(*shape), angle) + rng.uniform(-4, 4, (*shape, 2))
+    np.testing.assert_array_equal(lattice(rng.permutation(grid.reshape(-1, 2))), grid)
+
+
+def test_lattice_with_holes_and_strangers() -> None:
+    """Assert that missing dots become NaN in their places, and that places off the lattice are left out."""
+    grid = tilted(regular(7, 9), 0.05)
+    holes = [(0, 0), (2, 3), (2, 4), (6, 8), (3, 0)]
+    for hole in holes:
+        grid[hole] = np.nan
+    dots = grid.reshape(-1, 2)
+    strangers = np.array([[83.0, 70.0], [900.0, 20.0], [300.0, -55.0]])
+    found = lattice(np.random.default_rng(0).permutation(np.concatenate([dots[np.isfinite(dots[:, 0])], strangers])))
+    np.testing.assert_array_equal(found, grid)
+
+
+def test_lattice_takes_the_better_of_two() -> None:
+    """Assert that of two places for one dot the one that fits the lattice stays."""
+    grid = regular(5, 5)
+    found = lattice(np.concatenate([grid.reshape(-1, 2), [grid[2, 2] + (12.0, 9.0)]]))
+    np.testing.assert_array_equal(found, grid)
+
+
+def test_lattice_without_weak_borders() -> None:
+    """Assert that a row of few dots at the border is no row."""
+    grid = regular(5, 6)
+    weak = grid[0, 1:3] - (0, 60)
+    np.testing.assert_array_equal(lattice(np.concatenate([grid.reshape(-1, 2), weak])), grid)
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        np.empty((0, 2)),
+        regular(1, 3)[0],
+        regular(1, 9)[0],
+        regular(9, 1)[:, 0],
+        np.tile([[5.0, 5.0]], (9, 1)),
+        np.array([[0.0, 0.0], [1.0, 0.0], [500.0, 3.0], [3.0, 700.0]]),
+    ],
+    ids=["none", "three", "a row", "a column", "one place", "scattered"],
+)
+def test_no_lattice(places: Grid) -> None:
+    """Assert that too few dots, one row, one column, and places anywhere are refused."""
+    with pytest.raises(ValueError, match="at least two rows and two columns"):
+        lattice(places)
+
+
+@pytest.mark.parametrize("places", [np.zeros((3, 3)), np.zeros(4), np.full((5, 2), np.nan)])
+def test_lattice_wants_finite_places(places: Grid) -> None:
+    """Assert that other shapes and places that are nowhere are refused."""
+    with pytest.raises(ValueError, match="expected finite places"):
+        lattice(places)
+
+
+def neighbour_counts(dots_px: Grid) -> list[int]:
+    """How many dots have 3, 5 and 8 neighbours; fails if the neighbours are not mutual or of another number."""
+    found = neighbours(dots_px)
+    pairs = {(i, int(j)) for i, row in enumerate(found) for j in row if j >= 0}
+    assert all((j, i) in pairs for i, j in pairs)
+    counts = (found >= 0).sum(axis=1)
+    assert set(counts.tolist()) <= {3, 5, 8}
+    return [int((counts == wanted).sum()) for wanted in (3, 5, 8)]
+
+
+@pytest.mark.skipif(not CALIBRATION.exists(), reason="the real calibration is not here")
+def test_neighbours_of_the_real_grid() -> None:
+    """Assert that on the real 9 x 7 grid, dots in no order, corners have 3 neighbours, edges 5 and all others 8."""
+    dots = np.array(json.loads(CALIBRATION.read_text())["dot_xy_px"])
+    assert neighbour_counts(dots) == [4, 24, 35]
+    corner = int(np.argmin(dots.sum(axis=1)))
+    assert (neighbours(dots)[corner] >= 0).sum() == 3
+
+
+def test_neighbours_of_made_grids() -> None:
+    """Assert that a shuffled, tilted 8 x 7 grid has the right neighbours, and that one dot has none."""
+    rng = np.random.default_rng(8)
+    dots = tilted(regular(7, 8), np.deg2rad(3)).reshape(-1, 2) + rng.uniform(-3, 3, (56, 2))
+    assert neighbour_counts(rng.permutation(dots)) == [4, 22, 30]
+    assert (neighbours(dots[:1]) == -1).all()

@@ -1,0 +1,78 @@
+"""Training of the force network on a made-up gel whose force is known."""
+
+import numpy as np
+import pytest
+import torch
+
+from evetac_cli.kernels.force import models, training
+
+DOTS = 63
+
+
+def gel(samples: int, seed: int) -> tuple[models.Floats, models.Floats]:
+    """Displacements and forces: dots move together, less at the rim, more the softer the trajectory's contact is."""
+    rng = np.random.default_rng(seed)
+    force_n = rng.uniform(-10, 10, (samples, 2))
+    share = np.linspace(1.0, 0.4, DOTS)[:, None]
+    return force_n[:, None] * share * 2.5 + rng.normal(0, 0.05, (samples, DOTS, 2)), force_n
+
+
+def train(seed: int = 0, epochs: int = 8) -> training.Training:
+    """A short run."""
+    return training.train(*gel(300, 1), *gel(100, 2), np.random.default_rng(seed), epochs)
+
+
+def test_force_is_learned() -> None:
+    """Assert that a gel which is linear dot by dot is learned to a tenth of its forces, on samples never seen."""
+    moved_px, force_n = gel(100, 3)
+    told = models.apply_network(train().network, moved_px)
+    assert models.errors(told, force_n).mean_n.max() < 0.1 * np.abs(force_n).mean()
+
+
+def test_the_best_epoch_is_stored() -> None:
+    """Assert that the arrays, applied by numpy without dropout, have the least of the held-out errors."""
+    made = train()
+    moved_px, force_n = gel(100, 2)
+    error = np.sqrt(np.mean((models.apply_network(made.network, moved_px) - force_n) ** 2))
+    assert error == pytest.approx(made.held_out_n[made.chosen], rel=1e-4)
+    assert made.held_out_n[made.chosen] == made.held_out_n.min()
+    assert len(made.held_out_n) == len(made.learned_n) == 8
+
+
+def test_layers_are_those_of_the_paper() -> None:
+    """Assert 126 -> 128 -> 128 -> 2."""
+    shapes = [layer.weight.shape for layer in train(epochs=1).network.layers]
+    assert shapes == [(128, 126), (128, 128), (2, 128)]
+
+
+def test_generator_decides_alone() -> None:
+    """Assert that the same generator gives the same weights, another other ones, and torch's own is left as it was."""
+    state = torch.random.get_rng_state()
+    one, same, other = train(epochs=2), train(epochs=2), train(1, epochs=2)
+    assert torch.equal(state, torch.random.get_rng_state())
+    for layer, again, differs in zip(one.network.layers, same.network.layers, other.network.layers, strict=True):
+        assert np.array_equal(layer.weight, again.weight)
+        assert not np.array_equal(layer.weight, differs.weight)
+
+
+def test_progress_is_told() -> None:
+    """Assert that each epoch is reported once, in order."""
+    seen: list[tuple[int, int]] = []
+    training.train(
+        *gel(30, 1), *gel(30, 2), np.random.default_rng(0), 3, lambda done, total: seen.append((done, total))
+    )
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_nonsense_is_refused() -> None:
+    """Assert that dots that never move, missing forces, non-finite samples and no epochs are refused."""
+    rng = np.random.default_rng(0)
+    good, still = gel(10, 1), (np.zeros((10, DOTS, 2)), np.ones((10, 2)))
+    with pytest.raises(ValueError, match="dots that move"):
+        training.train(*still, *good, rng)
+    with pytest.raises(ValueError, match="shapes"):
+        training.train(good[0], good[1][:5], *good, rng)
+    with pytest.raises(ValueError, match="finite"):
+        training.train(*good, good[0] * np.nan, good[1], rng)
+    with pytest.raises(ValueError, match="epochs"):
+        training.train(*good, *good, rng, epochs=0)

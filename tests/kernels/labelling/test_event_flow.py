@@ -1,0 +1,196 @@
+"""Slip labels by counting: motion of dots and window from events of known motion, and the onset of known slides."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from evetac_cli.events import Events, empty
+from evetac_cli.kernels.labelling import event_flow, flow
+
+WINDOW, GEL = (565, 0, 640, 480), (0, 0, 530, 480)
+DOTS = np.stack(np.meshgrid([120.0, 260.0, 400.0], [100.0, 240.0, 380.0]), axis=-1).reshape(-1, 2)
+RADIUS_PX = 15.0
+CONSTANTS = event_flow.EventFlowConstants()
+RATE = 500  # events of the window a pixel, as long as it has not moved
+LOAD_MS = 300  # the object takes the gel along until then
+
+
+def rims(rng: np.random.Generator, centres: np.ndarray, moved: np.ndarray) -> list[np.ndarray]:
+    """x, y, p of the events that dark dots' rims make on a small way: crossings a pixel along the normal."""
+    if not moved.any():
+        return [np.empty(0)] * 3
+    angle = rng.uniform(0, 2 * np.pi, (len(centres), round(2 * np.pi * RADIUS_PX * CONSTANTS.crossings)))
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    along = (normal * moved[:, None]).sum(axis=-1)
+    seen = rng.random(along.shape) < np.abs(along)
+    at = (centres[:, None] + RADIUS_PX * normal)[seen]
+    return [np.round(at[:, 0]), np.round(at[:, 1]), (along[seen] < 0).astype(float)]
+
+
+def scene(dot_px: np.ndarray, object_px: Sequence[float], rate: float = RATE, seed: int = 0) -> flow.Between:
+    """Events of dots displaced by dot_px (slices + 1, dots, 2), and of a window that shows an object moving along x."""
+    rng = np.random.default_rng(seed)
+    slices = []
+    gone = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(object_px)))])
+    for k, travelled in enumerate(CONSTANTS.fading_px * np.diff(np.log1p(gone / CONSTANTS.fading_px))):
+        parts = [rims(rng, DOTS + dot_px[k], dot_px[k + 1] - dot_px[k])]
+        many = rng.poisson(rate * travelled)
+        parts.append([rng.integers(565, 640, many), rng.integers(0, 480, many), rng.integers(0, 2, many)])
+        x, y, p = (np.concatenate(column) for column in zip(*parts, strict=True))
+        slices.append(Events(np.full(len(x), 1000 * k), x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)))
+
+    def between(first: int, last: int) -> Events:
+        chosen = slices[first:last]
+        return Events(*(np.concatenate(c) for c in zip(*chosen, strict=True))) if chosen else empty()
+
+    return between
+
+
+def slide(creep_px_ms: float, slide_px_ms: float, onset: int, slices: int, angle: float = 0.0) -> tuple:
+    """Load by 6 px, rest, creep in stick, then the object goes on at another speed and the dots stay."""
+    speed = np.zeros(slices)
+    speed[100:LOAD_MS] = 6.0 / (LOAD_MS - 100)
+    speed[LOAD_MS + 100 : onset] = creep_px_ms
+    dots = speed.copy()
+    speed[onset:] = slide_px_ms
+    object_px, along = (np.concatenate([[0.0], np.cumsum(part)]) for part in (speed, dots))
+    direction = np.array([np.cos(angle), np.sin(angle)])
+    return np.repeat(along[:, None, None] * direction, len(DOTS), axis=1), object_px
+
+
+def labels(dot_px: np.ndarray, object_px: Sequence[float], start: int = LOAD_MS, **how: float) -> flow.Labels:
+    between = scene(dot_px, object_px, **how)
+    return event_flow.label(between, len(object_px) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS, start)
+
+
+@pytest.mark.parametrize("way", [(4.0, 0.0), (0.0, -7.0), (-5.0, 3.0)])
+def test_dots_are_followed_both_ways(way: tuple[float, float]) -> None:
+    """Assert that dots that go and come back are followed to 5 % and twice the noise of counting, at both ends."""
+    out = np.linspace(0, 1, 101)[:, None] * np.array(way)
+    path = np.concatenate([out, out[-2::-1]])
+    dot_px = np.repeat(path[:, None], len(DOTS), axis=1)
+    between = scene(dot_px, np.zeros(len(path)))
+    motion = event_flow.follow(between, len(path) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS.crossings)
+    error = np.hypot(*(motion.dot_px - dot_px).transpose(2, 0, 1))
+    per_px = np.pi * RADIUS_PX * CONSTANTS.crossings
+    assert error[100].mean() < 0.05 * np.hypot(*way) + 2 * np.sqrt(np.hypot(*way) / per_px)
+    assert error[-1].mean() < 2 * np.sqrt(2 * np.hypot(*way) / per_px)
+    assert motion.window_events.max() == 0
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize("angle", [0.0, np.pi / 2])
+def test_onset_is_when_half_a_pixel_is_slid(speed: float, angle: float) -> None:
+    """Assert that the onset is where 0.5 px is slid, to 2 ms and a fifth of the way, however slow, along x or y."""
+    begin = 600
+    found = labels(*slide(0.02, speed, begin, 700, angle))
+    wanted = begin + CONSTANTS.slide_px / speed
+    assert abs(found.onset - wanted) <= 2 + 0.2 * CONSTANTS.slide_px / speed
+    assert (found.label[:LOAD_MS] == -1).all()
+    assert (found.label[LOAD_MS : found.onset] == 0).all()
+    assert found.label[found.onset] == 1
+    assert (found.label[found.onset + CONSTANTS.after_ms :] == -1).all()
+    assert found.confidence > 0.9
+    assert found.pairs == 0
+
+
+def test_a_turning_object_takes_dots_along_each_its_own_way() -> None:
+    """Assert that there is no slip while the dots turn with the object, and that there is when they stop."""
+    dot_px, object_px = slide(0.02, 0.2, 600, 660)
+    centre = DOTS.mean(axis=0)
+    across = (DOTS - centre)[:, ::-1] * [-1.0, 1.0] / np.hypot(*(DOTS - centre).T).clip(1.0)[:, None]
+    turned = np.linalg.norm(dot_px, axis=-1)[..., None] * across
+    found = labels(turned, object_px)
+    assert abs(found.onset - 602.5) <= 3
+    assert (found.label[LOAD_MS : found.onset] == 0).all()
+
+
+@pytest.mark.parametrize("way", [0.5, 5.0, 50.0, 400.0])
+def test_travel_is_told_from_events_that_fade(way: float) -> None:
+    """Assert that events fading as the module says give back the way, to the step of the sum, short or long."""
+    object_px = np.linspace(0, way, 4001)
+    moved = RATE * CONSTANTS.fading_px * np.log1p(object_px / CONSTANTS.fading_px)
+    told = event_flow.travel(moved, np.full(4000, float(RATE)), CONSTANTS.fading_px)
+    np.testing.assert_allclose(told, object_px, rtol=0.01, atol=0.01)
+
+
+@pytest.mark.parametrize("creep", [0.0, 0.02, 0.1])
+def test_creep_together_is_no_slip(creep: float) -> None:
+    """Assert that an object which takes the gel along never slips, at any speed."""
+    found = labels(*slide(creep, 0.0, 520, 520))
+    assert found.onset == -1
+    assert set(found.label[LOAD_MS:]) == {0}
+    assert np.isnan(found.confidence)
+
+
+def test_one_dot_that_follows_is_no_slip() -> None:
+    """Assert that the object does not slip while a single dot still goes with it."""
+    dot_px, object_px = slide(0.02, 0.1, 600, 680)
+    assert labels(dot_px, object_px).onset > 0
+    dot_px[600:, 4] += 0.1 * np.arange(len(object_px) - 600)[:, None] * [1.0, 0.0]
+    assert labels(dot_px, object_px).onset == -1
+
+
+def test_a_short_slide_is_no_onset() -> None:
+    """Assert that slides of 0.3 px, with rests in stick between them, do not add up."""
+    dot_px, object_px = slide(0.0, 0.0, 600, 900)
+    for begin in (600, 700, 800):
+        object_px[begin:] += np.minimum(0.1 * np.arange(len(object_px) - begin), 0.3)
+    assert labels(dot_px, object_px).onset == -1
+
+
+def test_an_object_without_texture_is_refused() -> None:
+    """Assert that a window without events while the gel is dragged along is an error that says so."""
+    with pytest.raises(ValueError, match="texture: expected at least 20 events a pixel"):
+        labels(*slide(0.02, 0.1, 600, 650), rate=0.0)
+
+
+def test_hot_pixels_change_nothing() -> None:
+    """Assert that pixels which never stop, beside a dot and in the window, are left out of motion and count."""
+    dot_px, object_px = slide(0.02, 0.1, 600, 650)
+    quiet = scene(dot_px, object_px)
+
+    def hot(first: int, last: int) -> Events:
+        more = np.repeat(np.arange(first, last), 2) * 1000
+        x, y = np.tile([275, 600], last - first), np.tile([240, 100], last - first)
+        columns = zip(quiet(first, last), (more, x, y, np.ones(len(more))), strict=True)
+        joined = [np.concatenate(pair) for pair in columns]
+        order = np.argsort(joined[0], kind="stable")
+        return Events(*(c[order].astype(d) for c, d in zip(joined, (np.int64, "u2", "u2", "u1"), strict=True)))
+
+    given = (len(object_px) - 1, WINDOW, GEL, DOTS, RADIUS_PX)
+    plain = event_flow.follow(quiet, *given, CONSTANTS.crossings)
+    noisy = event_flow.follow(hot, *given, CONSTANTS.crossings)
+    assert abs(int(noisy.window_events[-1]) - int(plain.window_events[-1])) < 5
+    assert np.abs(noisy.dot_px - plain.dot_px).max() < 0.2
+
+
+def test_missing_dots_are_left_out() -> None:
+    """Assert that dots without a place are no dots, and that at least one is wanted."""
+    dot_px, object_px = slide(0.02, 0.1, 600, 650)
+    between, slices = scene(dot_px, object_px), len(object_px) - 1
+    with_gap = np.concatenate([DOTS, [[np.nan, np.nan]]])
+    whole = event_flow.label(between, slices, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS, LOAD_MS)
+    gap = event_flow.label(between, slices, WINDOW, GEL, with_gap, RADIUS_PX, CONSTANTS, LOAD_MS)
+    np.testing.assert_array_equal(whole.label, gap.label)
+    with pytest.raises(ValueError, match="dots: expected some with a radius > 0, found 0"):
+        event_flow.label(between, slices, WINDOW, GEL, with_gap[-1:], RADIUS_PX, CONSTANTS)
+
+
+@pytest.mark.parametrize("slices", [0, 1, 2, 60])
+def test_nothing_happens(slices: int) -> None:
+    """Assert that recordings without events, however short, have no slip and no onset."""
+    found = event_flow.label(lambda first, last: empty(), slices, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS)
+    assert found.onset == -1
+    assert found.label.tolist() == [0] * slices
+    assert np.isfinite(found.relative_flow_px).all()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"slide_px": 0.0}, {"crossings": float("nan")}, {"hidden_px": -1.0}, {"follow_share": 1.0}]
+)
+def test_impossible_constants(wrong: dict[str, float]) -> None:
+    """Assert that constants out of range are refused by name."""
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        event_flow.EventFlowConstants(**wrong)  # type: ignore[arg-type]

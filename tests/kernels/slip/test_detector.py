@@ -1,0 +1,144 @@
+"""The detector without torch: what it says of a trajectory is what it says slice by slice."""
+
+import subprocess
+import sys
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from onnx import TensorProto, helper
+
+from evetac_cli.kernels.slip import detector, features, inputs, networks
+from evetac_cli.kernels.slip.detector import Detector, Live
+from evetac_cli.kernels.slip.features import EventImages
+from evetac_cli.kernels.slip.slip import ARCHITECTURES, ImageArchitecture
+
+ROWS = {name: row for name, row in ARCHITECTURES.items() if not name.endswith("-img")}
+REST = np.stack(np.meshgrid(61 + 62.3 * np.arange(8), 41 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
+WINDOW = (540, 0, 640, 480)
+
+
+def trained(name: str) -> Detector:
+    """A detector with seeded weights."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(5)
+        network = networks.build(ARCHITECTURES[name])
+    return Detector(networks.onnx_graph(network), ARCHITECTURES[name])
+
+
+def trial(slices: int, seed: int = 0) -> tuple[NDArray[np.float64], NDArray[np.int32], list[list[NDArray]]]:
+    """Tracks (slices, 56, 2), events per dot, and the events themselves, slice by slice."""
+    rng = np.random.default_rng(seed)
+    tracks = REST + np.cumsum(rng.normal(0, 0.1, (slices, 56, 2)), axis=0)
+    columns = []
+    for count in rng.integers(0, 200, slices):
+        x, y = rng.integers(0, 640, count, np.uint16), rng.integers(0, 480, count, np.uint16)
+        columns.append([x, y, rng.integers(0, 2, count, np.uint8)])
+    return tracks, rng.poisson(3, (slices, 56)).astype(np.int32), columns
+
+
+def series_of(name: str, slices: int) -> inputs.Series:
+    """The trial as `featurize` would store it."""
+    tracks, events, columns = trial(slices)
+    if isinstance(ARCHITECTURES[name], ImageArchitecture):
+        blank = np.zeros((480, 540), np.int8)
+        pixels, signs = zip(*(features.gel_image(*one, WINDOW, blank) for one in columns), strict=True)
+        start = np.cumsum([0, *(len(pixel) for pixel in pixels)])
+        return EventImages(start, np.concatenate(pixels), np.concatenate(signs))
+    stored = tracks.astype(np.float32)
+    return features.series(features.displacement(stored, REST), events, features.displacement_xy(stored, REST))
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_live_is_over(name: str) -> None:
+    """Assert that slice by slice and over the whole trajectory a detector says the same, NaN before its history."""
+    found = trained(name)
+    history = found.architecture.history
+    slices = history + 23
+    offline = found.over(series_of(name, slices))
+    live = Live(found, REST, WINDOW)
+    online = [live.step(*dots, *events) for *dots, events in zip(*trial(slices), strict=True)]
+    np.testing.assert_allclose(online, offline, atol=1e-6)
+    np.testing.assert_array_equal(np.isnan(offline), np.arange(slices) < history - 1)
+    assert np.ptp(offline[history:]) > 1e-5
+
+
+def test_down5_predicts_every_fifth_slice_and_holds() -> None:
+    """Assert that down5 says something new at slices 49, 54, ... alone, which is what hist would say there."""
+    found = trained("down5")
+    series = series_of("down5", 80)
+    said = found.over(series)
+    assert np.flatnonzero(np.diff(said[49:])).tolist() == [4, 9, 14, 19, 24, 29]
+    for t in (49, 54, 79):
+        alone = found.probability(inputs.at(found.architecture, series, np.array([t])))
+        assert said[t] == pytest.approx(alone[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["hist10", "down5", "creep"])
+@pytest.mark.parametrize("first", [1, 4, 17])
+def test_a_part_is_judged_as_in_the_whole(name: str, first: int) -> None:
+    """Assert that a part of a trajectory, told where it begins, has the whole's probabilities once history is full."""
+    found = trained(name)
+    series = series_of(name, 160)
+    full = found.architecture.history + found.architecture.every - 2
+    part = found.over(inputs.part(series, first, 160), first)
+    np.testing.assert_allclose(part[full:], found.over(series)[first + full :], atol=1e-6)
+
+
+def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that few inputs at a time give what many give."""
+    found = trained("fast-slow")
+    series = series_of("fast-slow", 90)
+    whole = found.over(series)
+    monkeypatch.setattr(detector, "BATCH_VALUES", 5000)
+    np.testing.assert_allclose(found.over(series), whole, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["hist10", "no-hist-img-6x6"])
+def test_short_trajectories_have_no_probability(name: str) -> None:
+    """Assert that less than a history of slices gives NaN alone, and none gives nothing."""
+    found = trained(name)
+    short = found.architecture.history - 1
+    assert np.isnan(found.over(inputs.part(series_of(name, 12), 0, short))).all()
+    assert len(found.over(inputs.part(series_of(name, 12), 0, 0))) == 0
+
+
+def test_events_in_the_window_reach_no_model() -> None:
+    """Assert that an image model says the same whether or not the window strip is full of events."""
+    found = trained("hist10-img-6x6")
+    tracks, counts, columns = trial(20)
+    with_window, without = Live(found, REST, WINDOW), Live(found, REST, WINDOW)
+    for dots, count, (x, y, p) in zip(tracks, counts, columns, strict=True):
+        gel = x < 540
+        more = np.concatenate([x[gel], np.full(500, 560, np.uint16)])
+        rows = np.concatenate([y[gel], np.arange(500, dtype=np.uint16) % 480])
+        said = with_window.step(dots, count, more, rows, np.concatenate([p[gel], np.ones(500, np.uint8)]))
+        assert said == pytest.approx(without.step(dots, count, x[gel], y[gel], p[gel]), abs=0, nan_ok=True)
+
+
+def test_no_probability_is_above_one() -> None:
+    """Assert so for every logit from 17.5 to 18.5, of which onnxruntime gives some a sigmoid of 1.0000001."""
+    logits = np.arange(*np.array([17.5, 18.5], np.float32).view(np.int32), dtype=np.int32).view(np.float32)
+    value = partial(helper.make_tensor_value_info, elem_type=TensorProto.FLOAT, shape=[None])
+    node = helper.make_node("Sigmoid", ["features"], ["probability"])
+    graph = helper.make_graph([node], "sigmoid", [value("features")], [value("probability")])
+    model = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", networks.ONNX_OPSET)], ir_version=networks.ONNX_IR
+    )
+    said = Detector(model.SerializeToString(), ARCHITECTURES["hist10"]).probability(logits)
+    assert said.dtype == np.float32
+    assert 0.999 < said.min() <= said.max() <= 1
+
+
+def test_damaged_graphs_are_refused() -> None:
+    """Assert that bytes which are no ONNX graph are refused in words."""
+    with pytest.raises(ValueError, match="expected an ONNX graph"):
+        Detector(b"nonsense", ARCHITECTURES["hist10"])
+
+
+def test_needs_no_torch() -> None:
+    """Assert that a detector runs where torch cannot be imported."""
+    code = "import sys; sys.modules['torch'] = None; import evetac_cli.kernels.slip.detector, evetac_cli.stages.grasp"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,251 @@
+"""Touch features: hand-made values, live equals whole recording bit for bit, and what a rotation keeps."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.slip import features
+
+REST = np.array([[100.0, 50.0], [200.0, 50.0], [np.nan, np.nan]])
+
+
+def recording(seed: int, slices: int, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
+    """Random rest places (n, 2) with one missing dot, tracks (slices, n, 2) and events per dot (slices, n)."""
+    rng = np.random.default_rng(seed)
+    rest = rng.uniform(0, 480, (n, 2))
+    rest[n // 2] = np.nan
+    tracks = rest + np.cumsum(rng.normal(0, 1, (slices, n, 2)), axis=0)
+    return rest, tracks, rng.poisson(3, (slices, n)).astype(np.int32)
+
+
+def test_displacement_by_hand() -> None:
+    """Assert that (3, 4) px away is 5 px, that a missing dot is at 0, and that slices are taken one by one."""
+    now = REST + (3, 4)
+    assert features.displacement(now, REST).tolist() == [5, 5, 0]
+    track = np.stack([REST, now, REST - (0, 1)])
+    displacement_px = features.displacement(track, REST)
+    assert displacement_px.dtype == np.float32
+    assert displacement_px.tolist() == [[0, 0, 0], [5, 5, 0], [1, 1, 0]]
+
+
+def test_displacement_of_a_dot_that_went_missing() -> None:
+    """Assert that a dot missing now but not at rest, or the other way round, has displacement 0."""
+    rest, now = REST.copy(), REST + 1
+    now[0] = np.nan
+    now[2] = 7.0
+    assert features.displacement(now, rest).tolist() == [0, np.float32(np.sqrt(2)), 0]
+
+
+def test_displacement_agrees_with_the_norm() -> None:
+    """Assert that displacements are the Euclidean norm, within the rounding of places to float32."""
+    rest, tracks, _ = recording(0, 50, 56)
+    expected = np.nan_to_num(np.linalg.norm(tracks - rest, axis=2))
+    assert features.displacement(tracks, rest) == pytest.approx(expected, abs=5e-5)
+
+
+def test_stored_and_live_tracks_have_the_same_features() -> None:
+    """Assert that tracks stored as float32 give the same bits as the float64 ones they were made from."""
+    rest, tracks, _ = recording(1, 50, 56)
+    live, stored = features.displacement(tracks, rest), features.displacement(tracks.astype(np.float32), rest)
+    assert live.tobytes() == stored.tobytes()
+
+
+def test_directions_by_hand() -> None:
+    """Assert that right and down are positive, that a missing dot is at 0, and that their norm is the displacement."""
+    now = REST + (3, -4)
+    assert features.displacement_xy(now, REST).tolist() == [[3, -4], [3, -4], [0, 0]]
+    rest, tracks, _ = recording(4, 20, 56)
+    length = np.linalg.norm(features.displacement_xy(tracks, rest), axis=2)
+    assert length == pytest.approx(features.displacement(tracks, rest), abs=1e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 1000), history=st.sampled_from([1, 2, 3, 10, 20]), n=st.sampled_from([1, 2, 56, 63]))
+def test_live_equals_recording(seed: int, history: int, n: int) -> None:
+    """Assert that the last slices taken one by one are the same bits as those of the recording."""
+    slices = 2 * history + 3
+    rest, tracks, events = recording(seed, slices, n)
+    stored = tracks.astype(np.float32)
+    expected = features.series(features.displacement(stored, rest), events, features.displacement_xy(stored, rest))
+    assert expected.shape == (slices, n, 4)
+    state = features.start(rest, history)
+    for k in range(slices):
+        features.step(state, tracks[k], events[k])
+        assert state.full == (k >= history - 1)
+        if state.full:
+            found = features.latest(state)
+            assert found.dtype == np.float32
+            assert found.tobytes() == expected[k - history + 1 : k + 1].tobytes()
+
+
+def test_channels_by_hand() -> None:
+    """Assert the order of slices (oldest first) and of channels: distance, events, right, down."""
+    rest = np.array([[10.0, 10.0], [20.0, 20.0]])
+    state = features.start(rest, 2)
+    for k in range(5):
+        features.step(state, rest + np.array([[k, 0], [0, -10 * k]]), np.array([100 + k, 200 + k], np.int32))
+    assert features.latest(state).tolist() == [
+        [[3, 103, 3, 0], [30, 203, 0, -30]],
+        [[4, 104, 4, 0], [40, 204, 0, -40]],
+    ]
+
+
+def test_series_without_directions() -> None:
+    """Assert that a recording whose features have no directions has zeros for them."""
+    found = features.series(np.ones((3, 2), np.float32), np.full((3, 2), 5, np.int32))
+    assert found.tolist() == [[[1, 5, 0, 0]] * 2] * 3
+
+
+def test_not_enough_history() -> None:
+    """Assert that nothing is given before `history` slices."""
+    state = features.start(REST, 2)
+    features.step(state, REST, np.zeros(3, np.int32))
+    with pytest.raises(ValueError, match="expected at least 2 slices, found 1"):
+        features.latest(state)
+
+
+def test_wrong_shapes_are_refused() -> None:
+    """Assert that arrays that do not belong together, infinite places and no history are refused."""
+    state = features.start(REST, 2)
+    table, events = np.zeros((6, 3), np.float32), np.zeros((6, 3), np.int32)
+    columns = np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(2, np.uint8)
+    for call in (
+        lambda: features.start(np.zeros((3, 3)), 1),
+        lambda: features.start(np.full((3, 2), np.inf), 1),
+        lambda: features.start(REST, 0),
+        lambda: features.step(state, REST[:2], np.zeros(3, np.int32)),
+        lambda: features.step(state, REST, np.zeros(2, np.int32)),
+        lambda: features.displacement(REST[:2], REST),
+        lambda: features.displacement(np.full((3, 2), -np.inf), REST),
+        lambda: features.displacement_xy(REST[:2], REST),
+        lambda: features.series(table, events[:5]),
+        lambda: features.series(table, events, np.zeros((6, 3, 1), np.float32)),
+        lambda: features.gel_image(*columns, None, np.zeros((4, 5), np.int8)),
+        lambda: features.gel_image(*columns[:2], np.zeros(3, np.uint8), None, np.zeros((480, 540), np.int8)),
+        lambda: features.rotate(np.zeros((7, 8, 2), np.float32), 1),
+        lambda: features.rotate(np.zeros((1, 8, 7, 2), np.float32), 1),
+        lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(3, np.uint16), None),
+        lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.int32)),
+        lambda: features.event_image(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.uint8)),
+    ):
+        with pytest.raises(ValueError, match="expected .* found"):
+            call()
+
+
+def numbered(rows: int = 7, columns: int = 8) -> NDArray[np.float32]:
+    """Two windows (2, rows, columns, 3) with all values different and none 0."""
+    return np.arange(1, 2 * rows * columns * 3 + 1, dtype=np.float32).reshape(2, rows, columns, 3)
+
+
+def test_half_turn_is_exact() -> None:
+    """Assert that a half turn reverses rows and columns, loses nothing, and that two are nothing."""
+    windows = numbered()
+    assert (features.rotate(windows, 2) == windows[:, ::-1, ::-1]).all()
+    assert (features.rotate(features.rotate(windows, 2), 2) == windows).all()
+
+
+def test_no_turn_is_a_copy() -> None:
+    """Assert that 0 and 4 quarter turns give equal, but not the same, windows."""
+    windows = numbered()
+    for turns in (0, 4, -4):
+        turned = features.rotate(windows, turns)
+        assert (turned == windows).all()
+        assert not np.shares_memory(turned, windows)
+
+
+def test_quarter_turn_by_hand() -> None:
+    """Assert that a quarter turn counter-clockwise brings the last column to the top and the leftmost column out."""
+    windows = numbered()
+    turned = features.rotate(windows, 1)
+    assert turned.shape == windows.shape
+    assert (turned[:, 0, 1:] == windows[:, :, 7]).all()
+    assert (turned[:, 6, 1:] == windows[:, :, 1]).all()
+    assert (turned[:, :, 0] == 0).all()
+    back = features.rotate(windows, 3)
+    assert (back[:, 6, 1:] == windows[:, ::-1, 7]).all()
+    assert (back[:, 0, 1:] == windows[:, ::-1, 1]).all()
+    assert (back[:, :, 0] == 0).all()
+    assert (features.rotate(windows, -1) == back).all()
+
+
+def test_quarter_turns_add_up_to_the_crop() -> None:
+    """Assert that 1 + 3, 3 + 1 and 1 + 1 + 1 + 1 quarter turns give back all but the leftmost column, in its place."""
+    windows = numbered()
+    kept = windows.copy()
+    kept[:, :, 0] = 0
+    for turns in ((1, 3), (3, 1), (1, 1, 1, 1), (3, 3, 3, 3)):
+        turned = windows
+        for turn in turns:
+            turned = features.rotate(turned, turn)
+        assert (turned == kept).all()
+
+
+@pytest.mark.parametrize(("rows", "columns", "first"), [(7, 9, 1), (3, 3, 0), (2, 5, 2), (1, 4, 2)])
+def test_quarter_turns_of_other_grids(rows: int, columns: int, first: int) -> None:
+    """Assert that the middle square of any grid turns about itself and that nothing is left beside it."""
+    windows = numbered(rows, columns)
+    for turn in (1, 3):
+        turned = features.rotate(windows, turn)
+        square = turned[:, :, first : first + rows]
+        for r in range(rows):
+            for c in range(rows):
+                row, column = (c, rows - 1 - r) if turn == 1 else (rows - 1 - c, r)
+                assert (square[:, r, c] == windows[:, row, first + column]).all()
+        assert np.count_nonzero(turned) == square.size
+
+
+def test_events_outside_the_window() -> None:
+    """Assert that the window's first column and row are inside, its ends outside, and that a gel may have no window."""
+    x = np.array([539, 540, 639, 540, 540, 10], np.uint16)
+    y = np.array([0, 0, 479, 100, 480, 50], np.uint16)
+    assert features.events_outside(x, y, (540, 0, 640, 480)) == 3
+    assert features.events_outside(x, y, np.array([540, 100, 640, 480], np.int32)) == 4
+    assert features.events_outside(x, y, (500, 0, 540, 480)) == 5
+    assert features.events_outside(x, y, (540, 0, 640, 100)) == 5
+    assert features.events_outside(x, y, None) == 6
+    assert features.events_outside(x[:0], y[:0], (540, 0, 640, 480)) == 0
+
+
+def test_event_image_shows_the_last_event() -> None:
+    """Assert that a pixel shows the sign of its last event, others 0, and that events beyond the frame are left out."""
+    x = np.array([3, 3, 5, 5, 640, 0], np.uint16)
+    y = np.array([4, 4, 6, 6, 0, 480], np.uint16)
+    p = np.array([1, 0, 0, 1, 1, 1], np.uint8)
+    image = features.event_image(x, y, p)
+    assert image.shape == (480, 640)
+    assert image.dtype == np.int8
+    assert (image[4, 3], image[6, 5]) == (-1, 1)
+    assert np.count_nonzero(image) == 2
+    assert features.event_image(x, y, p, (4, 5)).tolist() == [[0] * 4] * 4 + [[0, 0, 0, -1]]
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), count=st.sampled_from([0, 1, 50, 3000]), window=st.booleans())
+def test_gel_image_is_the_event_image_without_the_window(seed: int, count: int, window: bool) -> None:
+    """Assert that its pixels put back give the event image of 540 x 480 px, 0 in the window, and none twice."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(0, 640, count, np.uint16), rng.integers(0, 480, count, np.uint16)
+    x[: count // 3], y[: count // 3] = x[: count // 3] % 4 + 530, y[: count // 3] % 3  # some pixels often
+    p = rng.integers(0, 2, count, np.uint8)
+    blank = np.zeros((480, 540), np.int8)
+    pixel, sign = features.gel_image(x, y, p, (532, 1, 640, 470) if window else None, blank)
+    expected = features.event_image(x, y, p, (540, 480))
+    if window:
+        expected[1:470, 532:] = 0
+    assert not blank.any()
+    assert len(np.unique(pixel)) == len(pixel)
+    blank.reshape(-1)[pixel] = sign
+    np.testing.assert_array_equal(blank, expected)
+
+
+def test_images_are_cut_and_joined() -> None:
+    """Assert that parts of images put end to end are the whole."""
+    rng = np.random.default_rng(3)
+    start = np.cumsum([0, *rng.integers(0, 5, 9)])
+    whole = features.EventImages(start, rng.integers(0, 9, start[-1]).astype(np.uint32), np.ones(start[-1], np.int8))
+    joined = features.join_images([whole.part(0, 4), whole.part(4, 4), whole.part(4, 9)])
+    for found, expected in zip(joined, whole, strict=True):
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected)

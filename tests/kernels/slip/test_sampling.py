@@ -1,0 +1,219 @@
+"""Sampling: which slices are drawn, how often, and how they are varied."""
+
+from collections import Counter
+from itertools import islice
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.slip import features, inputs, sampling, slip
+from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.sampling import Batch, Samples
+from evetac_cli.kernels.slip.slip import ARCHITECTURES, DotArchitecture, View
+
+HIST10 = ARCHITECTURES["hist10"]
+
+
+def trajectory(slices: int, onset: int, busy: NDArray[np.bool_] | None = None, mark: float = 0) -> Trajectory:
+    """Give labels that slip from `onset` on, busy slices as wished, and `mark` as displacement everywhere."""
+    label = np.zeros(slices, np.int8)
+    if onset >= 0:
+        label[onset:] = 1
+    outside = np.where(np.ones(slices, bool) if busy is None else busy, 26, 25).astype(np.int32)
+    return Trajectory(np.full((slices, 56, 4), mark, np.float32), outside, label, onset)
+
+
+def pools(slip: int, busy: int, quiet: int) -> Samples:
+    """Give samples of which only the pools matter, with a different slice for each."""
+    ends = np.arange(slip + busy + quiet)
+    series = np.zeros((0, 56, 4), np.float32)
+    return Samples(HIST10, 7, 8, series, ends[:slip], ends[slip : slip + busy], ends[slip + busy :])
+
+
+def test_pools_of_a_small_trajectory() -> None:
+    """Assert that slip, busy and quiet slices are those counted by hand, cut 15 slices from the onset on."""
+    busy = np.arange(100) % 2 == 0
+    samples = sampling.gather([trajectory(100, 30, busy)], HIST10)
+    np.testing.assert_array_equal(samples.slip, np.arange(30, 45))
+    np.testing.assert_array_equal(samples.busy, np.arange(10, 30, 2))
+    np.testing.assert_array_equal(samples.quiet, np.arange(9, 30, 2))
+    assert inputs.length(samples.series) == 45
+
+
+@pytest.mark.parametrize(("history", "first", "slipping"), [(1, 0, 15), (10, 9, 15), (20, 19, 20), (50, 49, 50)])
+def test_history_sets_the_first_sample_and_the_cut(history: int, first: int, slipping: int) -> None:
+    """Assert that no sample lies before a full history, and that longer histories keep more slices of slip."""
+    architecture = DotArchitecture("", (View("events", history),), 1, 1)
+    samples = sampling.gather([trajectory(200, 60)], architecture)
+    assert samples.busy[0] == first
+    np.testing.assert_array_equal(samples.slip, np.arange(60, 60 + slipping))
+
+
+def test_busy_means_more_than_25_events_outside_the_window() -> None:
+    """Assert that 25 events are quiet and 26 busy, and that events beside dots do not decide."""
+    one = trajectory(40, 30, np.arange(40) == 20)
+    samples = sampling.gather([one._replace(series=np.full((40, 56, 4), 100, np.float32))], HIST10)
+    np.testing.assert_array_equal(samples.busy, [20])
+    assert 20 not in samples.quiet
+
+
+def test_unexamined_slices_are_no_samples() -> None:
+    """Assert that a label of -1 is in no pool."""
+    one = trajectory(60, 40, np.arange(60) % 2 == 0)
+    one.label[20:45] = -1
+    samples = sampling.gather([one], HIST10)
+    drawn = np.concatenate([samples.slip, samples.busy, samples.quiet])
+    assert not set(drawn) & set(range(20, 45))
+    assert len(drawn) == 11 + 10
+
+
+def test_samples_keep_to_their_trajectory() -> None:
+    """Assert that no window reaches over the border to the trajectory before it."""
+    samples = sampling.gather([trajectory(50, 30, mark=index) for index in range(4)], HIST10)
+    ends = np.concatenate([samples.slip, samples.busy])
+    displacement = samples.inputs(ends)[..., :10]
+    assert np.ptp(displacement, axis=(1, 2)).max() == 0
+    assert Counter(displacement[:, 0, 0].tolist()) == {index: 15 + 21 for index in range(4)}
+
+
+def test_inputs_are_those_of_the_trajectory() -> None:
+    """Assert that a sample holds what its slice has in the trajectory itself, and that unseen slices are not kept."""
+    rng = np.random.default_rng(0)
+    one = trajectory(90, 60)._replace(series=rng.random((90, 56, 4), np.float32))
+    one.label[:40] = -1
+    samples = sampling.gather([trajectory(50, 30), one], HIST10)
+    kept = 60 + 15 - (40 - 9)
+    assert inputs.length(samples.series) == 45 + kept
+    expected = inputs.at(HIST10, one.series, np.arange(40, 75))
+    found = samples.inputs(np.concatenate([samples.busy[samples.busy >= 45], samples.slip[samples.slip >= 45]]))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_ahead_relabels_the_same_slices() -> None:
+    """Assert that predicting 10 ms ahead trains on the same slices, of which 10 more are slip."""
+    now = sampling.gather([trajectory(100, 50)], HIST10)
+    ahead = sampling.gather([trajectory(100, 50)], HIST10, ahead_ms=10)
+    np.testing.assert_array_equal(ahead.slip, np.arange(40, 65))
+    np.testing.assert_array_equal(np.sort([*now.slip, *now.busy]), np.sort([*ahead.slip, *ahead.busy]))
+
+
+def test_empty_pools_are_named() -> None:
+    """Assert that a missing slip or busy pool is an error that names it, and a missing quiet pool is none."""
+    with pytest.raises(ValueError, match="slip pool is empty"):
+        sampling.gather([trajectory(50, -1)], HIST10)
+    with pytest.raises(ValueError, match="busy pool is empty"):
+        sampling.gather([trajectory(50, 30, np.zeros(50, bool))], HIST10)
+    with pytest.raises(ValueError, match="slip pool is empty"):
+        sampling.gather([], HIST10)
+    with pytest.raises(ValueError, match="slip pool is empty"):
+        sampling.gather([trajectory(9, 5)], HIST10)
+    assert len(sampling.gather([trajectory(50, 30)], HIST10).quiet) == 0
+
+
+def test_trajectories_that_do_not_fit_are_refused() -> None:
+    """Assert that wrong shapes, labels, onsets and numbers are refused with the trajectory's place and the field."""
+    good = trajectory(50, 30)
+    series = np.zeros((50, 56, 4), np.float32)
+    bad = {
+        "series: expected 56 dots": good._replace(series=np.zeros((50, 63, 4), np.float32)),
+        "series: expected 50 slices": good._replace(series=series[:49]),
+        "events_outside: expected shape": good._replace(events_outside=np.zeros(49, np.int32)),
+        "labels": good._replace(label=np.full(50, 3, np.int8)),
+        "onset": good._replace(onset=50),
+        "series: expected finite": good._replace(series=series + np.nan),
+        "events_outside: expected whole numbers": good._replace(events_outside=np.full(50, -1, np.int32)),
+    }
+    for message, one in bad.items():
+        with pytest.raises(ValueError, match=f"trajectory 1: .*{message}"):
+            sampling.gather([good, one], HIST10)
+
+
+def drawn(samples: Samples, count: int, seed: int = 0) -> list[Batch]:
+    """Draw some batches."""
+    return list(islice(sampling.batches(samples, np.random.default_rng(seed)), count))
+
+
+def test_full_batches_hold_32_32_and_8() -> None:
+    """Assert that batches have the paper's proportions exactly, each sample from its own pool."""
+    samples = pools(50, 320, 21)
+    for batch in drawn(samples, 30):
+        assert (len(batch.slip), len(batch.busy), len(batch.quiet)) == (32, 32, 8)
+        assert set(batch.slip) <= set(samples.slip)
+        assert set(batch.busy) <= set(samples.busy)
+        assert set(batch.quiet) <= set(samples.quiet)
+
+
+def test_last_batch_of_an_epoch_keeps_the_proportions() -> None:
+    """Assert that the rest of the busy pool is joined by as much slip and a quarter as much quiet, rounded up."""
+    samples = pools(50, 2 * 32 + 6, 21)
+    assert sampling.steps_per_epoch(samples) == 3
+    assert [tuple(len(part) for part in batch) for batch in drawn(samples, 4)] == [
+        (32, 32, 8),
+        (32, 32, 8),
+        (6, 6, 2),
+        (32, 32, 8),
+    ]
+
+
+@pytest.mark.parametrize("busy", [5, 32, 33, 100])
+def test_an_epoch_sees_every_busy_sample_once(busy: int) -> None:
+    """Assert that each epoch is one pass over the busy pool, in another order than the epoch before."""
+    samples = pools(7, busy, 3)
+    steps = sampling.steps_per_epoch(samples)
+    passes = []
+    batches = drawn(samples, 3 * steps)
+    for epoch in range(3):
+        seen = np.concatenate([batch.busy for batch in batches[epoch * steps : (epoch + 1) * steps]])
+        np.testing.assert_array_equal(np.sort(seen), samples.busy)
+        passes.append(seen.tolist())
+    assert passes[0] != passes[1] != passes[2]
+
+
+def test_other_pools_are_dealt_evenly() -> None:
+    """Assert that slip and quiet samples are all drawn before any is drawn again, over the borders of epochs too."""
+    samples = pools(50, 40, 21)
+    batches = drawn(samples, 11)
+    for part, pool in (("slip", samples.slip), ("quiet", samples.quiet)):
+        dealt = np.concatenate([getattr(batch, part) for batch in batches])
+        for start in range(0, len(dealt) - len(pool) + 1, len(pool)):
+            np.testing.assert_array_equal(np.sort(dealt[start : start + len(pool)]), pool)
+        often = Counter(dealt.tolist()).values()
+        assert max(often) - min(often) <= 1
+
+
+def test_empty_quiet_pool_leaves_its_share_to_busy() -> None:
+    """Assert that without quiet slices a batch of 72 is 32 slip and 40 busy, and an epoch still one pass."""
+    samples = pools(50, 90, 0)
+    assert sampling.steps_per_epoch(samples) == 3
+    batches = drawn(samples, 3)
+    assert [tuple(len(part) for part in batch) for batch in batches] == [(32, 40, 0), (32, 40, 0), (8, 10, 0)]
+    np.testing.assert_array_equal(np.sort(np.concatenate([batch.busy for batch in batches])), samples.busy)
+
+
+def test_half_of_the_samples_are_rotated() -> None:
+    """Assert that a sample is left alone half the time, and turned once, twice or three times a sixth each."""
+    turns = sampling.quarter_turns(3000, np.random.default_rng(2))
+    shares = np.bincount(turns, minlength=4) / len(turns)
+    # five standard deviations of 3000 draws: 0.046 and 0.034
+    assert abs(shares[0] - 0.5) < 0.046
+    assert np.all(np.abs(shares[1:] - 1 / 6) < 0.034)
+
+
+def test_each_sample_is_turned_as_drawn() -> None:
+    """Assert that the inputs of a batch are turned one by one, in their place, and the batch is left as it was."""
+    batch = np.random.default_rng(1).random((5, 56, 20), np.float32)
+    before = batch.copy()
+    out = sampling.augment(pools(1, 1, 1), batch, np.array([0, 1, 2, 3, 0]))
+    np.testing.assert_array_equal(batch, before)
+    grid = batch.reshape(5, 7, 8, 20)
+    for sample, turns in enumerate((0, 1, 2, 3, 0)):
+        expected = features.rotate(grid[sample : sample + 1], turns).reshape(56, 20)
+        np.testing.assert_array_equal(out[sample], expected)
+
+
+def test_shifted_trajectories_are_checked() -> None:
+    """Assert that a shift into the past is refused with the trajectory's place."""
+    with pytest.raises(ValueError, match="trajectory 0: ahead_ms: expected at least 0"):
+        sampling.gather([trajectory(50, 30)], HIST10, ahead_ms=-1)
+    assert slip.shift(trajectory(50, 30).label, 5).sum() == 25

@@ -1,0 +1,345 @@
+"""Training: that something is learned, as the recipe says, the same for the same seed."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from evetac_cli.kernels.slip import features, sampling, training
+from evetac_cli.kernels.slip.features import EventImages
+from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.networks import from_weights
+from evetac_cli.kernels.slip.sampling import Samples
+from evetac_cli.kernels.slip.slip import ARCHITECTURES
+from evetac_cli.kernels.slip.training import RECIPES, Training
+
+HIST10 = ARCHITECTURES["hist10"]
+PAPER = RECIPES["paper"]
+ADAM = RECIPES["adam"]
+STEADY = RECIPES["steady"]
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Train on one thread, as the stage does, and leave torch as it was."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def separable(rng: np.random.Generator) -> Samples:
+    """Give three trajectories, half busy and half quiet, in which slip moves all dots and makes them blink."""
+    trajectories = []
+    for _ in range(3):
+        label = (np.arange(200) >= 150).astype(np.int8)
+        displacement = rng.uniform(0, 0.5, (200, 56)) + 10 * label[:, None]
+        events = rng.poisson(np.where(label, 200, 0.45)[:, None], (200, 56)).astype(np.int32)
+        series = features.series(displacement.astype(np.float32), events)
+        trajectories.append(Trajectory(series, events.sum(axis=1), label, 150))
+    return sampling.gather(trajectories, HIST10)
+
+
+def loss_falls(result: Training) -> float:
+    """First loss of the curve over the last."""
+    return float(result.curve_loss[0] / result.curve_loss[-1])
+
+
+@pytest.fixture(scope="module")
+def problem() -> Samples:
+    """Give the separable samples once."""
+    return separable(np.random.default_rng(3))
+
+
+def same(first: Training, second: Training) -> bool:
+    """Whether two runs ended with the same weights, bit for bit."""
+    one, other = first.checkpoints[-1].weights, second.checkpoints[-1].weights
+    return all(np.array_equal(one[name], other[name]) for name in one)
+
+
+@pytest.mark.parametrize("recipe", RECIPES.values(), ids=RECIPES)
+def test_same_seed_same_network(problem: Samples, recipe: training.Recipe) -> None:
+    """Assert that the generator's seed fixes all weights and losses, whatever torch's own generator did before."""
+    first = training.train(problem, recipe, np.random.default_rng(4), max_steps=20)
+    torch.rand(3)
+    second = training.train(problem, recipe, np.random.default_rng(4), max_steps=20)
+    other = training.train(problem, recipe, np.random.default_rng(5), max_steps=20)
+    assert same(first, second)
+    np.testing.assert_array_equal(first.curve_loss, second.curve_loss)
+    assert not same(first, other)
+
+
+def test_seed_sets_the_first_weights_too(problem: Samples) -> None:
+    """Assert that runs that learn nothing still end with other weights for another seed."""
+    idle = replace(PAPER, learning_rate=0.0)
+    first, second = (training.train(problem, idle, np.random.default_rng(seed), max_steps=1) for seed in (4, 5))
+    assert not same(first, second)
+
+
+def test_global_generators_are_left_alone(problem: Samples) -> None:
+    """Assert that training neither uses nor moves torch's global generator."""
+    before = torch.random.get_rng_state()
+    training.train(problem, PAPER, np.random.default_rng(4), max_steps=2)
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+@pytest.mark.parametrize(("recipe", "factor"), [(PAPER, 1.5), (ADAM, 100)], ids=["paper", "adam"])
+def test_separable_problem_is_learned(problem: Samples, recipe: training.Recipe, factor: float) -> None:
+    """Assert that 500 steps bring the loss down by a factor of 1.5 with the paper's recipe, of 100 with Adam."""
+    result = training.train(problem, recipe, np.random.default_rng(6), max_steps=500)
+    assert loss_falls(result) > factor
+    network = from_weights(HIST10, result.checkpoints[-1].weights)
+    with torch.no_grad():
+        slipping = network(torch.from_numpy(problem.inputs(problem.slip)))
+        holding = network(torch.from_numpy(problem.inputs(problem.busy)))
+    assert slipping.min() > holding.max()
+
+
+def test_checkpoints_follow_the_epochs(problem: Samples) -> None:
+    """Assert that a whole run keeps a checkpoint every so many epochs and at its end, and is not called cut."""
+    every_two = replace(ADAM, checkpoint_every=2)
+    steps = sampling.steps_per_epoch(problem)
+    result = training.train(problem, every_two, np.random.default_rng(7), epochs=5)
+    assert [checkpoint.step for checkpoint in result.checkpoints] == [2 * steps, 4 * steps, 5 * steps]
+    assert (result.steps, result.steps_planned, result.cut) == (5 * steps, 5 * steps, False)
+    assert result.recipe == every_two
+
+
+def test_cut_run_spreads_its_checkpoints_and_says_so(problem: Samples) -> None:
+    """Assert that max_steps leaves the paper's seven checkpoints, evenly, the last at the end, and sets `cut`."""
+    result = training.train(problem, PAPER, np.random.default_rng(8), max_steps=35)
+    assert [checkpoint.step for checkpoint in result.checkpoints] == [5, 10, 15, 20, 25, 30, 35]
+    assert (result.steps, result.steps_planned) == (35, 70 * sampling.steps_per_epoch(problem))
+    assert result.cut
+    short = training.train(problem, PAPER, np.random.default_rng(8), max_steps=3)
+    assert [checkpoint.step for checkpoint in short.checkpoints] == [1, 2, 3]
+
+
+def test_max_steps_beyond_the_epochs_changes_nothing(problem: Samples) -> None:
+    """Assert that a limit that is not reached gives the uncut run."""
+    free = training.train(problem, PAPER, np.random.default_rng(9), epochs=1)
+    limited = training.train(problem, PAPER, np.random.default_rng(9), epochs=1, max_steps=10**6)
+    assert same(free, limited)
+    assert not limited.cut
+
+
+def test_checkpoints_are_stages_of_one_run(problem: Samples) -> None:
+    """Assert that a checkpoint holds the weights of its step, not of the end."""
+    long = training.train(problem, ADAM, np.random.default_rng(10), max_steps=14)
+    short = training.train(problem, ADAM, np.random.default_rng(10), max_steps=4)
+    middle = next(checkpoint for checkpoint in long.checkpoints if checkpoint.step == 4)
+    last = short.checkpoints[-1]
+    assert last.step == 4
+    assert all(np.array_equal(middle.weights[name], last.weights[name]) for name in last.weights)
+    assert not np.array_equal(middle.weights["fc5.weight"], long.checkpoints[-1].weights["fc5.weight"])
+
+
+def test_loss_curve_covers_the_run(problem: Samples) -> None:
+    """Assert that at most 100 points rise to the last step, the first near ln 2, and progress reports each of them."""
+    heard: list[tuple[int, int, float]] = []
+    result = training.train(
+        problem, ADAM, np.random.default_rng(11), max_steps=130, on_progress=lambda *point: heard.append(point)
+    )
+    assert len(result.curve_step) == len(result.curve_loss) == 100
+    assert result.curve_step[-1] == 130
+    assert np.all(np.diff(result.curve_step) > 0)
+    assert heard == [
+        (step, 130, loss) for step, loss in zip(result.curve_step.tolist(), result.curve_loss.tolist(), strict=True)
+    ]
+    assert result.curve_loss[0] == pytest.approx(np.log(2), abs=0.1)
+
+
+def test_paper_leaves_the_inputs_alone(problem: Samples) -> None:
+    """Assert that the paper's recipe is plain SGD at 0.001 for 70 epochs on inputs as they are."""
+    assert (PAPER.optimiser, PAPER.learning_rate, PAPER.epochs, PAPER.checkpoint_every) == ("sgd", 0.001, 70, 10)
+    arrays = training.train(problem, PAPER, np.random.default_rng(12), max_steps=1).checkpoints[0].weights
+    assert np.all(arrays["input_scale"] == 1)
+    assert np.all(arrays["input_offset"] == 0)
+
+
+def test_paper_step_is_plain_gradient_descent(problem: Samples) -> None:
+    """Assert that the second step too moves the weights by 0.001 times the gradient of binary cross entropy alone."""
+    steps = training.train(problem, PAPER, np.random.default_rng(13), max_steps=2)
+    network = from_weights(HIST10, steps.checkpoints[0].weights)
+    # the draws and turns of step 2, from the same streams
+    _, draws, turns = np.random.default_rng(13).spawn(3)
+    for batch in islice(sampling.batches(problem, draws), 2):
+        ends = np.concatenate(batch)
+        turned = sampling.augment(problem, problem.inputs(ends), sampling.quarter_turns(len(ends), turns))
+    target = torch.from_numpy((np.arange(len(turned)) < len(batch.slip)).astype(np.float32))
+    probability = torch.sigmoid(network(torch.from_numpy(turned)))
+    loss = -(target * torch.log(probability) + (1 - target) * torch.log(1 - probability)).mean()
+    loss.backward()  # type: ignore[no-untyped-call]
+    for name, parameter in network.named_parameters():
+        assert parameter.grad is not None
+        expected = (parameter - 0.001 * parameter.grad).detach().numpy()
+        np.testing.assert_allclose(steps.checkpoints[1].weights[name], expected, atol=1e-7)
+
+
+def test_adam_normalises_from_the_training_samples() -> None:
+    """Assert that normalised inputs have mean 0 and spread 1 over a batch's mixture, and flat channels stay finite."""
+    rng = np.random.default_rng(14)
+    busy = np.arange(400) % 2 == 0
+    series = np.full((400, 56, 4), 7.3, np.float32)
+    series[..., 1] = rng.poisson(20, (400, 56))
+    label = (np.arange(400) >= 380).astype(np.int8)
+    one = Trajectory(series, np.where(busy, 26, 25).astype(np.int32), label, 380)
+    samples = sampling.gather([one], HIST10)
+    arrays = training.train(samples, ADAM, np.random.default_rng(15), max_steps=1).checkpoints[0].weights
+    mixture = [(samples.slip, 32), (samples.busy, 32), (samples.quiet, 8)]
+    moved = [((samples.inputs(at) - arrays["input_offset"]) * arrays["input_scale"], share) for at, share in mixture]
+    mean = sum(share / 72 * values.mean(axis=(0, 1)) for values, share in moved)
+    square = sum(share / 72 * (values**2).mean(axis=(0, 1)) for values, share in moved)
+    np.testing.assert_allclose(mean, 0, atol=1e-5)
+    np.testing.assert_allclose(square[10:], 1, atol=1e-4)
+    # the dots never move: nothing to scale, and no rounding is blown up
+    np.testing.assert_array_equal(arrays["input_scale"][:10], 1)
+
+
+def test_diverging_training_stops(problem: Samples) -> None:
+    """Assert that a loss that is not finite ends the run with the recipe's name instead of weights of NaN."""
+    wild = replace(PAPER, name="wild", learning_rate=1e30)
+    with pytest.raises(ValueError, match="recipe wild: expected a finite loss"):
+        training.train(problem, wild, np.random.default_rng(16), max_steps=50)
+
+
+@pytest.mark.parametrize("limits", [{"epochs": 0}, {"max_steps": 0}, {"epochs": -3}])
+def test_no_training_is_refused(problem: Samples, limits: dict[str, Any]) -> None:
+    """Assert that a run of no step is refused."""
+    with pytest.raises(ValueError, match="at least one epoch"):
+        training.train(problem, PAPER, np.random.default_rng(0), **limits)
+
+
+def test_training_without_quiet_slices(problem: Samples) -> None:
+    """Assert that both recipes train where the quiet pool is empty."""
+    assert len(problem.quiet) > 0
+    noisy = replace(problem, quiet=np.empty(0, np.int64))
+    for recipe in RECIPES.values():
+        result = training.train(noisy, recipe, np.random.default_rng(17), max_steps=5)
+        assert np.all(np.isfinite(result.curve_loss))
+
+
+class Interruption(Exception):
+    """Ctrl-C, or a machine that is switched off."""
+
+
+def run_and_stop(samples: Samples, recipe: training.Recipe, after: int, steps: int) -> training.Kept:
+    """Train, and stop when a run of `after` steps is kept."""
+    states: list[training.Kept] = []
+
+    def keep(state: Any) -> None:
+        found = state()
+        if int(found["step"]) == after:
+            states.append({name: array.copy() for name, array in found.items()})
+            raise Interruption
+
+    with pytest.raises(Interruption):
+        training.train(samples, recipe, np.random.default_rng(20), max_steps=steps, on_keep=keep)
+    return states[0]
+
+
+@pytest.mark.parametrize("recipe", RECIPES.values(), ids=RECIPES)
+@pytest.mark.parametrize("after", [50, 100])
+def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, recipe: training.Recipe, after: int) -> None:
+    """Assert that a run broken off and taken up again ends with the same checkpoints and curve, bit for bit."""
+    whole = training.train(problem, recipe, np.random.default_rng(20), max_steps=140)
+    kept = run_and_stop(problem, recipe, after, 140)
+    assert all(array.dtype != object for array in kept.values())
+    resumed = training.train(problem, recipe, np.random.default_rng(20), max_steps=140, kept=kept)
+    assert [one.step for one in resumed.checkpoints] == [one.step for one in whole.checkpoints]
+    for one, other in zip(resumed.checkpoints, whole.checkpoints, strict=True):
+        assert one.weights.keys() == other.weights.keys()
+        assert all(np.array_equal(one.weights[name], other.weights[name]) for name in one.weights)
+    np.testing.assert_array_equal(resumed.curve_step, whole.curve_step)
+    np.testing.assert_array_equal(resumed.curve_loss, whole.curve_loss)
+
+
+def test_a_kept_run_of_another_network_is_refused(problem: Samples) -> None:
+    """Assert that what was kept of one architecture or recipe does not slip into another."""
+    kept = run_and_stop(problem, PAPER, 50, 60)
+    other = replace(problem, architecture=ARCHITECTURES["no-hist"])
+    for samples, recipe in ((other, PAPER), (problem, STEADY)):
+        with pytest.raises(ValueError, match="expected a kept run of this network"):
+            training.train(samples, recipe, np.random.default_rng(20), max_steps=60, kept=kept)
+
+
+def test_steady_keeps_the_running_mean(problem: Samples) -> None:
+    """Assert that its checkpoints are the mean of the weights on the way, in which early weights are soon forgotten."""
+    plain = replace(STEADY, average=0.0)
+    idle = replace(plain, learning_rate=0.0)
+    start, way, found = (
+        training.train(problem, recipe, np.random.default_rng(1), max_steps=7) for recipe in (idle, plain, STEADY)
+    )
+    mean = start.checkpoints[0].weights["fc3.weight"].astype(np.float64)
+    for step in range(1, 8):
+        share = (1 + step) / (10 + step)
+        mean = share * mean + (1 - share) * way.checkpoints[step - 1].weights["fc3.weight"]
+        np.testing.assert_allclose(found.checkpoints[step - 1].weights["fc3.weight"], mean, atol=1e-6)
+
+
+def test_steady_slows_down(problem: Samples) -> None:
+    """Assert that the learning rate is 0.002 in the first step, half of it in the middle and nearly 0 in the last."""
+    flat = replace(STEADY, average=0.0, cosine=False, weight_decay=0.0)
+    falling = replace(flat, cosine=True)
+    start, *runs = (
+        training.train(problem, recipe, np.random.default_rng(2), max_steps=7)
+        for recipe in (replace(flat, learning_rate=0.0), flat, falling)
+    )
+    first, other = (run.checkpoints[0].weights["fc3.weight"] for run in runs)
+    np.testing.assert_array_equal(first, other)
+    # the first step of Adam goes as far as the learning rate, whatever the gradient
+    assert np.abs(first - start.checkpoints[0].weights["fc3.weight"]).max() == pytest.approx(0.002, rel=1e-3)
+    steady, slower = (
+        np.abs(run.checkpoints[6].weights["fc3.weight"] - run.checkpoints[5].weights["fc3.weight"]).mean()
+        for run in runs
+    )
+    assert slower < 0.15 * steady  # (1 + cos(6 / 7 pi)) / 2 is 0.05
+
+
+def test_factors_are_drawn_log_uniformly() -> None:
+    """Assert that steady makes samples 0.3 to 2 times as strong, and the other recipes leave them as they are."""
+    for recipe in (PAPER, ADAM):
+        np.testing.assert_array_equal(training.factors(recipe, 72, np.random.default_rng(0)), 1)
+    logarithm = np.log(training.factors(STEADY, 3000, np.random.default_rng(0)))
+    shares, _ = np.histogram(logarithm, bins=4, range=(np.log(0.3), np.log(2)))
+    assert shares.sum() == 3000
+    assert np.all(np.abs(shares / 3000 - 0.25) < 0.04)  # five standard deviations
+
+
+def test_the_first_step_sees_the_varied_samples(problem: Samples) -> None:
+    """Assert that a batch is turned, then multiplied sample by sample: the loss of step 1 is that of such a batch."""
+    idle = replace(STEADY, learning_rate=0.0, weight_decay=0.0, average=0.0)
+    result = training.train(problem, idle, np.random.default_rng(13), max_steps=1)
+    _, draws, turns, gains = np.random.default_rng(13).spawn(4)
+    batch = next(sampling.batches(problem, draws))
+    ends = np.concatenate(batch)
+    varied = sampling.augment(problem, problem.inputs(ends), sampling.quarter_turns(len(ends), turns))
+    varied = varied * training.factors(idle, len(ends), gains)[:, None, None]
+    target = torch.from_numpy((np.arange(len(ends)) < len(batch.slip)).astype(np.float32))
+    with torch.no_grad():
+        logits = from_weights(HIST10, result.checkpoints[0].weights)(torch.from_numpy(varied))
+        loss = torch.nn.functional.binary_cross_entropy_with_logits(logits, target)
+    assert result.curve_loss[0] == pytest.approx(float(loss), rel=1e-5)
+
+
+def test_images_are_trained_on() -> None:
+    """Assert that an image network tells full images from empty ones, and is the same again for the same seed."""
+    label = (np.arange(60) >= 40).astype(np.int8)
+    rng = np.random.default_rng(0)
+    counts = np.where(label, 3000, 30)
+    start = np.cumsum([0, *counts])
+    images = EventImages(start, rng.integers(0, 540 * 480, start[-1]).astype(np.uint32), np.ones(start[-1], np.int8))
+    one = Trajectory(images, counts.astype(np.int32), label, 40)
+    samples = sampling.gather([one, one], ARCHITECTURES["no-hist-img-6x6"])
+    assert (len(samples.slip), len(samples.busy), len(samples.quiet)) == (30, 80, 0)
+    short, again = (training.train(samples, ADAM, np.random.default_rng(1), max_steps=2) for _ in range(2))
+    assert same(short, again)
+    result = training.train(samples, ADAM, np.random.default_rng(1), max_steps=25)
+    network = from_weights(samples.architecture, result.checkpoints[-1].weights)
+    with torch.no_grad():
+        slipping, holding = (network(torch.from_numpy(samples.inputs(at))) for at in (samples.slip, samples.busy))
+    assert slipping.min() > holding.max()

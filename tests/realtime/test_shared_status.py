@@ -1,0 +1,61 @@
+"""The numbers that detector and controller share."""
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evetac_cli.kernels.grip.control import Felt
+from evetac_cli.realtime.shared_status import REMEMBERED, Board, Sign
+
+NUMBER = st.floats(-1e12, 1e12)
+
+
+@given(
+    slips=st.integers(0, 2**40),
+    felt=st.tuples(NUMBER, NUMBER, NUMBER),
+    times=st.tuples(NUMBER, NUMBER, NUMBER),
+    slices=st.integers(0, 2**40),
+    slip_us=st.lists(NUMBER, max_size=REMEMBERED + 5),
+)
+def test_what_is_told_is_what_is_seen(
+    slips: int, felt: tuple[float, ...], times: tuple[float, ...], slices: int, slip_us: list[float]
+) -> None:
+    """Assert that a sign comes out as it went in, but for times of slip longer ago than are remembered."""
+    board = Board()
+    assert board.look() is None
+    slips = max(slips, len(slip_us)) if len(slip_us) >= REMEMBERED else len(slip_us)
+    sign = Sign(Felt(slips, *felt), slices, *times, tuple(slip_us))
+    board.tell(sign)
+    assert board.look() == sign._replace(slip_us=tuple(slip_us[-REMEMBERED:]))
+
+
+@given(slices=st.lists(st.booleans(), max_size=60), looks=st.lists(st.integers(0, 60), max_size=8))
+def test_earliest_news_of_slip(slices: list[bool], looks: list[int]) -> None:
+    """Assert that whoever looks learns when the first slice with slip began that he has not seen, if it is remembered.
+
+    Slices last 1000 us.
+    """
+    board = Board()
+    known: list[float] = []
+    seen = last = 0
+    for index, slipping in enumerate(slices):
+        if slipping:
+            known.append(1000.0 * index)
+        board.tell(Sign(Felt(len(known)), index + 1, 0.0, 0.0, 0.0, tuple(known)))
+        if index in looks:
+            sign = board.look()
+            assert sign is not None
+            news = [1000.0 * k for k in range(last, index + 1) if slices[k]][-REMEMBERED:]
+            began = sign.slip_began_us(seen)
+            assert began == news[0] if news else math.isnan(began)
+            seen, last = sign.felt.slips, index + 1
+
+
+def test_stop() -> None:
+    """Assert that the order to stop stays."""
+    board = Board()
+    assert not board.stopping
+    board.stop()
+    assert board.stopping
+    assert board.look() is None

@@ -1,0 +1,49 @@
+"""Processes that Ctrl-C does not reach, from their first moment on."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from evetac_cli.realtime import starting
+
+
+def child(pipe: Connection) -> None:
+    """Tell whether Ctrl-C was held back until now, and go on though it came."""
+    held_back = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    os.kill(os.getpid(), signal.SIGINT)
+    starting.ignore_interrupts()
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    os.kill(os.getpid(), signal.SIGINT)
+    pipe.send(held_back)
+
+
+def parent() -> None:
+    """Start the first process of a program; Ctrl-C goes on to come up here."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    starting.start(context.Process(target=child, args=(theirs,)))
+    theirs.close()
+    assert ours.recv() is True
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:
+        print("interrupted")
+
+
+def test_ctrl_c_is_held_back_from_the_first_moment() -> None:
+    """Assert that a child never sees Ctrl-C, not even the first process that a program starts, and the parent does."""
+    program = "import test_devices_starting as test; test.parent()"
+    folder = Path(__file__).parent
+    path = os.pathsep.join([str(folder), str(folder.parent)])
+    run = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (run.stdout, run.stderr) == ("interrupted\n", "")

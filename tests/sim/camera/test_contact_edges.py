@@ -1,0 +1,385 @@
+"""Lines that are not dots: their shape, and both cameras against every pixel compared at every moment."""
+
+import copy
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events, concatenate
+from evetac_cli.numerics.simulator.camera_cost import FineEvents, fine, match
+from evetac_cli.sim.camera import contact_edges, optics
+from evetac_cli.sim.camera.contact_edges import Place, Rims
+from evetac_cli.sim.camera.ideal import ideal
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
+
+FRAME = (120, 90)
+QUIET = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0)
+STRIP = (80, 10, 120, 80)
+TEXTURE = optics.texture(np.random.default_rng(3), (128, 128), 10.0, 0.3)
+NO_CUT = np.zeros(0)
+FINGER = contact_edges.ellipse((50.0, 36.0), 0.5, 4.0)
+CUT = (0.3, 3.0)
+DOTS = np.array([[40.3, 40.6], [62.2, 47.7]])
+STILL = (0.0, 0.0)
+
+Motion = Callable[[float], tuple[NDArray[np.float64], NDArray[np.float64], Place]]
+
+
+def place(x: float, y: float, strength: float = 1.0, cut: Any = NO_CUT) -> Place:
+    """An outline's middle at (x, y)."""
+    rows, columns = FINGER.picture.shape
+    return Place(np.array([x - (columns - 1) / 2, y - (rows - 1) / 2]), strength, np.asarray(cut, np.float64))
+
+
+def slide(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    """Dots, texture, and a finger that crosses both the dots and the window, while the cut edge swings."""
+    cut = 80.0 + 3.0 * math.sin(0.4 * t_ms) * np.linspace(-1, 1, FRAME[1])
+    return DOTS + [0.4 * t_ms, 0.1 * t_ms], np.array([1.1 * t_ms, -0.4 * t_ms]), place(20 + 2.5 * t_ms, 45.0, 1.0, cut)
+
+
+def touch(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    """A finger that comes, stays and goes, over a dot that moves and one that does not."""
+    strength = float(np.clip(min(t_ms, 26.0 - t_ms) / 8.0, 0.0, 1.0))
+    return DOTS + [[0.1 * t_ms, 0.0], [0.0, 0.0]], np.zeros(2), place(48.0 + 0.2 * t_ms, 42.0, strength)
+
+
+MOTIONS: dict[str, tuple[Motion, int]] = {"slide": (slide, 24), "touch": (touch, 26)}
+
+
+def lines_for(motion: Motion) -> Rims:
+    return contact_edges.start(FRAME, motion(0)[2], FINGER, *CUT)
+
+
+def start(motion: Motion, model: CameraModel = QUIET, *, window: bool = True) -> CameraState:
+    strip = (STRIP, TEXTURE) if window else (None, None)
+    rng = np.random.default_rng(0)
+    return camera.start(model, motion(0)[0], None, *strip, rng, None, lines_for(motion))
+
+
+def play(step: Any, state: Any, motion: Motion, slices: int) -> Events:
+    """Events of a camera's `step`, slice after slice."""
+    rng = np.random.default_rng(1)
+    parts = []
+    for k in range(slices):
+        (dots, thing, begin), (dots_end, thing_end, end) = motion(k), motion(k + 1)
+        given = (state, dots, dots_end, thing, thing_end, 1.0, 1000 * k, rng, None, begin, end)
+        parts.append(step(*given))
+    return concatenate(parts)
+
+
+def between(motion: Motion, k: int, part: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    """What a camera is told within a slice: all moves evenly."""
+    (dots, thing, begin), (dots_end, thing_end, end) = motion(k), motion(k + 1)
+    mixed = [a + part * (b - a) for a, b in zip((dots, thing, *begin), (dots_end, thing_end, *end), strict=True)]
+    return mixed[0], mixed[1], Place(*mixed[2:])
+
+
+def lines_level(where: Place) -> NDArray[np.float64]:
+    """What the lines add to every pixel, from the tables' closed meaning."""
+    y, x = np.mgrid[: FRAME[1], : FRAME[0]]
+    picture = FINGER.picture.astype(float)
+    at_x, at_y = x - where.corner_px[0], y - where.corner_px[1]
+    column, row = np.floor(at_x).astype(int), np.floor(at_y).astype(int)
+    inside = (column >= 0) & (row >= 0) & (column < picture.shape[1] - 1) & (row < picture.shape[0] - 1)
+    c, r = np.where(inside, column, 0), np.where(inside, row, 0)
+    u, v = at_x - column, at_y - row
+    upper = (1 - u) * picture[r, c] + u * picture[r, c + 1]
+    lower = (1 - u) * picture[r + 1, c] + u * picture[r + 1, c + 1]
+    level = np.where(inside, where.strength * ((1 - v) * upper + v * lower), 0.0)
+    if len(where.cut_x_px):
+        half = 0.5 * CUT[1] / math.sqrt(1 - math.sqrt(0.5))
+        away = (x - where.cut_x_px[:, None]) / half
+        level = level - CUT[0] * np.clip(1 - away**2, 0, None) ** 2
+    return level
+
+
+def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[np.float64]:
+    """Dots or texture, and lines, of the whole frame."""
+    dots, thing, where = between(motion, k, part)
+    level = optics.gel_level(FRAME, dots, state.profile).astype(float)
+    if state.strip_level.size:
+        x0, y0, x1, y1 = STRIP
+        strip = np.empty((y1 - y0, x1 - x0), np.float32)
+        optics.sample_texture(TEXTURE, x0, y0, thing[0], thing[1], 1.0, strip)
+        level[y0:y1, x0:x1] = strip
+    return level + lines_level(where)
+
+
+def references(state: CameraState, motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Absolute references and thresholds of all pixels when the camera is switched on."""
+    reference, threshold = state.reference.astype(float), state.threshold.astype(float)
+    if state.strip_level.size:
+        x0, y0, x1, y1 = STRIP
+        strip = np.empty((y1 - y0, x1 - x0), np.float32)
+        optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, strip)
+        reference[y0:y1, x0:x1] = state.strip_reference + strip
+        threshold[y0:y1, x0:x1] = state.strip_threshold
+    return reference + lines_level(motion(0)[2]), threshold
+
+
+def every_pixel(state: CameraState, motion: Motion, slices: int) -> FineEvents:
+    """Events of a camera that compares the whole frame in every scan."""
+    reference, threshold = references(state, motion)
+    scans, width = state.model.scans_per_ms, FRAME[0]
+    rows = []
+    for k in range(slices):
+        for scan in range(scans):
+            level = picture(state, motion, k, scan / scans)
+            change = level - reference
+            fired = np.abs(change) >= threshold
+            reference[fired] = level[fired]
+            for y, x in np.argwhere(fired).tolist():
+                rows.append((1000 * k + (scan + x / width) * 1000 / scans, x, y, int(change[y, x] > 0)))
+    return FineEvents(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def finely(state: CameraState, motion: Motion, slices: int, steps: int) -> FineEvents:
+    """Events of a camera that follows every pixel in fine steps, linear in each."""
+    reference, threshold = references(state, motion)
+    before = picture(state, motion, 0, 0.0)
+    rows = []
+    for k in range(slices):
+        for step in range(1, steps + 1):
+            level = picture(state, motion, k, step / steps)
+            for y, x in np.argwhere(np.abs(level - reference) >= threshold).tolist():
+                while abs(level[y, x] - reference[y, x]) >= threshold[y, x]:
+                    sign = 1 if level[y, x] > reference[y, x] else -1
+                    reference[y, x] += sign * threshold[y, x]
+                    part = (reference[y, x] - before[y, x]) / (level[y, x] - before[y, x])
+                    rows.append(((k * steps + step - 1 + part) / steps * 1000.0, x, y, int(sign > 0)))
+            before = level
+    return FineEvents(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+@pytest.mark.parametrize("window", [True, False])
+@pytest.mark.parametrize("name", MOTIONS)
+def test_scans_see_dots_lines_and_texture_together(name: str, window: bool) -> None:
+    """Assert the events of every pixel in every scan, but for levels that move less than is looked at: within 1 %."""
+    motion, slices = MOTIONS[name]
+    state = start(motion, window=window)
+    expected = every_pixel(copy.deepcopy(state), motion, slices)
+    found = fine(play(camera.step, state, motion, slices))
+    agreement = match(found, expected, 1.0)
+    assert expected.t.size > 1000
+    assert agreement.count_share == pytest.approx(0.0, abs=0.01)
+    # A level looked at 0.005 late is one scan late: more often so where lines fade slowly than where they move.
+    assert agreement.f1 >= (0.97 if name == "slide" else 0.85)
+    assert match(found, expected, 1000.0).f1 >= 0.985
+
+
+def test_one_event_a_pixel_and_scan() -> None:
+    """Assert that dots, texture, rim and cut edge in one pixel still make at most one event a scan."""
+    found = play(camera.step, start(slide), slide, 24)
+    columns = np.stack([found.t, found.x, found.y], axis=1)
+    assert len(np.unique(columns, axis=0)) == found.size > 2000
+
+
+@pytest.mark.parametrize("window", [True, False])
+@pytest.mark.parametrize("name", MOTIONS)
+def test_ideal_against_fine_steps(name: str, window: bool) -> None:
+    """Assert the events of all pixels followed in steps of 4 us, within 5 us, for gel and window."""
+    motion, slices = MOTIONS[name]
+    state = start(motion, window=window)
+    expected = finely(copy.deepcopy(state), motion, slices, 250)
+    found = fine(play(ideal.step, ideal.from_references(state), motion, slices))
+    agreement = match(found, expected, 5.0)
+    assert agreement.count_share == pytest.approx(0.0, abs=2e-3)
+    assert agreement.f1 >= 0.98
+
+
+def test_time_error_falls_with_the_square_of_substeps() -> None:
+    """Assert a slope of 2 of log time error over log sub-step for rims that move evenly."""
+
+    def fast(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+        return DOTS, np.zeros(2), place(20 + 6.0 * t_ms, 45.0 + 1.0 * t_ms)
+
+    state = start(fast, window=False)
+    truth = finely(copy.deepcopy(state), fast, 12, 400)
+    steps_px = np.array([6.1, 3.05, 1.525])
+    errors = []
+    for step_px in steps_px.tolist():
+        found = fine(play(ideal.step, ideal.from_references(copy.deepcopy(state), step_px), fast, 12))
+        errors.append(np.sqrt(np.mean(match(found, truth).error_us ** 2)))
+    slope = np.polyfit(np.log(steps_px), np.log(errors), 1)[0]
+    assert 1.7 <= slope <= 2.3
+    assert errors[0] > 10.0
+
+
+@pytest.mark.parametrize("step", [camera.step, ideal.step])
+def test_still_lines_are_silent(step: Any) -> None:
+    """Assert that lines that rest make no event, not even when a dot moves far from them or the camera is new."""
+
+    def motion(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+        return DOTS[:1], np.zeros(2), place(60.0, 45.0, 1.0, np.full(FRAME[1], 80.0))
+
+    state = start(motion)
+    used = state if step is camera.step else ideal.from_references(state)
+    assert play(step, used, motion, 5).size == 0
+    assert state.rims is not None
+    assert state.rims.events == 0
+
+
+@pytest.mark.parametrize("step", [camera.step, ideal.step])
+def test_dots_under_a_still_line(step: Any) -> None:
+    """Assert that dots under a line that rests make the very events they make without it."""
+
+    def under(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+        return DOTS + [0.6 * t_ms, 0.2 * t_ms], np.zeros(2), place(50.0, 45.0)
+
+    with_lines, without = start(under, window=False), start(under, window=False)
+    without.rims = None
+    events = []
+    for state in (with_lines, without):
+        used = state if step is camera.step else ideal.from_references(state)
+        rng, where = np.random.default_rng(1), under(0)[2]
+        places = () if state.rims is None else (None, where, where)
+        parts = [step(used, under(k)[0], under(k + 1)[0], STILL, STILL, 0.0, 1000 * k, rng, *places) for k in range(10)]
+        events.append(concatenate(parts))
+    assert events[0].size > 1000
+    for a, b in zip(*events, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("step", [camera.step, ideal.step])
+def test_cut_edge_shows_on_both_sides(step: Any) -> None:
+    """Assert that an edge that swings over the window's border makes events in gel and window, and all are its own."""
+
+    def swing(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+        cut = np.full(FRAME[1], 80.0 + 6.0 * math.sin(0.3 * t_ms))
+        return DOTS[:1], np.zeros(2), place(0.0, 0.0, 0.0, cut)
+
+    state = start(swing)
+    used = state if step is camera.step else ideal.from_references(state)
+    rng = np.random.default_rng(1)
+    in_gel = in_window = 0
+    for k in range(25):
+        (dots, thing, begin), end = swing(k), swing(k + 1)[2]
+        found = step(used, dots, dots, thing, thing, 1.0, 1000 * k, rng, None, begin, end)
+        in_window += int((found.x >= STRIP[0]).sum())
+        in_gel += int((found.x < STRIP[0]).sum())
+        assert state.rims is not None
+        assert step is ideal.step or state.rims.events == found.size
+    assert min(in_gel, in_window) > 500
+
+
+def test_count_of_a_passing_rim() -> None:
+    """Assert the closed form: a full rise by n thresholds gives sum_k clip((n - k) / 2, 0, 1) events a pixel."""
+    model = dataclasses.replace(QUIET, mismatch=0.0)
+    rows, columns = FINGER.picture.shape
+    top = float(FINGER.height)
+
+    def rise(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+        return np.empty((0, 2)), np.zeros(2), place(60.0, 45.0, min(t_ms / 40.0, 1.0))
+
+    found = play(camera.step, start(rise, model, window=False), rise, 41)
+    steps = FINGER.picture.astype(float).ravel() / model.threshold
+    expected = sum(np.clip((steps - k) / 2, 0, 1).sum() for k in range(4))
+    assert top == pytest.approx(0.5, abs=0.01)
+    assert (rows, columns) <= (FRAME[1], FRAME[0])
+    assert found.size == pytest.approx(expected, rel=0.06)
+
+
+def test_ellipse_is_phi_of_the_depth() -> None:
+    """Assert L = s Phi(d / w) on the axes of a finger, and for every pixel of a circle; a ring has two rims."""
+    level, width = 0.5, 8.0
+    for size in ((250.0, 180.0), (180.0, 250.0)):
+        finger = contact_edges.ellipse(size, level, width)
+        rows, columns = finger.picture.shape
+        for axis, line in ((0, finger.picture[rows // 2]), (1, finger.picture[:, columns // 2])):
+            place_px = np.abs(np.arange(len(line)) - len(line) // 2)
+            # Near the middle of the long axis the nearest rim lies aside.
+            outer = place_px > 0.45 * size[axis]
+            depth = size[axis] / 2 - place_px[outer]
+            phi = np.array([0.5 * math.erfc(-d / width / math.sqrt(2)) for d in depth])
+            np.testing.assert_allclose(line[outer], level * phi, atol=3e-4)
+    circle = contact_edges.ellipse((120.0, 120.0), level, width).picture
+    y, x = np.mgrid[: circle.shape[0], : circle.shape[1]] - circle.shape[0] // 2
+    phi = np.vectorize(lambda d: 0.5 * math.erfc(-d / width / math.sqrt(2)))(60.0 - np.hypot(x, y))
+    np.testing.assert_allclose(circle, level * phi, atol=3e-4)
+    ring = contact_edges.ellipse((260.0, 150.0), level, 8.0, 40.0).picture
+    across = ring[ring.shape[0] // 2]
+    assert np.count_nonzero(np.diff(across > 0.49 * level)) == 4
+
+
+def test_outline_moves_with_its_place() -> None:
+    """Assert that rows of an outline shifted by whole pixels are its picture times the strength, and 0 beyond it."""
+    rows, columns = FINGER.picture.shape
+    line = np.full(200, 7.0, np.float32)
+    contact_edges.sample_row(FINGER.picture, 30.0, 20.0, 0.5, 20 + rows // 2, 10, 210, line)
+    np.testing.assert_array_equal(line[20 : 20 + columns - 1], 0.5 * FINGER.picture[rows // 2, :-1])
+    assert not line[:20].any()
+    assert not line[20 + columns :].any()
+
+
+@pytest.mark.parametrize("change", [(0.0, 0.0), (0.7, 0.3), (-2.6, 1.9), (9.0, -14.0)])
+@pytest.mark.parametrize("thick", [None, 9.0])
+def test_every_pixel_that_changes_is_visited(change: tuple[float, float], thick: float | None) -> None:
+    """Assert that pixels outside the runs have the same level before and after a move, of ellipse and ring."""
+    outline = contact_edges.ellipse((90.0, 70.0), 0.5, 2.0, thick)
+    before, after = (31.3, 12.8), (31.3 + change[0], 12.8 + change[1])
+    lines = np.empty((2, 200), np.float32)
+    visited = 0
+    for y in range(120):
+        for line, corner in zip(lines, (before, after), strict=True):
+            contact_edges.sample_row(outline.picture, *corner, 1.0, y, 0, 200, line)
+        inside = np.zeros(200, bool)
+        left, left_end, right, right_end = contact_edges.outline_runs(
+            outline.runs, outline.picture.shape[1], 200, y, *after, *before, False
+        )
+        inside[left:left_end] = inside[right:right_end] = True
+        visited += int(inside.sum())
+        assert np.abs(lines[1] - lines[0])[~inside].max(initial=0.0) < 1e-6
+    if thick is None and abs(change[0]) < 3:
+        assert visited < 0.7 * outline.picture.size
+
+
+@pytest.mark.parametrize(
+    ("size", "level", "width", "thick", "named"),
+    [
+        ((0.0, 10.0), 0.5, 8.0, None, "size_px"),
+        ((math.nan, 10.0), 0.5, 8.0, None, "size_px"),
+        ((10.0, 10.0), -0.5, 8.0, None, "level"),
+        ((10.0, 10.0), 0.5, math.inf, None, "width_px"),
+        ((100.0, 60.0), 0.5, 8.0, 30.0, "thick_px"),
+    ],
+)
+def test_ellipse_refuses(size: Any, level: float, width: float, thick: float | None, named: str) -> None:
+    """Assert that an outline that cannot be drawn is refused."""
+    with pytest.raises(ValueError, match=named):
+        contact_edges.ellipse(size, level, width, thick)
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        place(math.nan, 1.0),
+        place(1.0, 2e6),
+        place(1.0, 1.0, 1.5),
+        place(1.0, 1.0, math.nan),
+        place(1.0, 1.0, 1.0, [1.0, 2.0]),
+        None,
+    ],
+)
+@pytest.mark.parametrize("step", [camera.step, ideal.step])
+def test_step_refuses(step: Any, where: Place | None) -> None:
+    """Assert that a place that is not finite, out of range or missing is refused, and the camera is as it was."""
+    state = start(touch)
+    used = state if step is camera.step else ideal.from_references(state)
+    before = state.reference.copy()
+    dots = touch(0)[0]
+    with pytest.raises(ValueError, match="rims_end"):
+        step(used, dots, dots + 1.0, STILL, STILL, 1.0, 0, np.random.default_rng(0), None, touch(0)[2], where)
+    np.testing.assert_array_equal(state.reference, before)
+
+
+def test_camera_without_rims_refuses_places() -> None:
+    """Assert that places are refused where there is nothing at them."""
+    state = camera.start(QUIET, DOTS, None, None, None, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="rims"):
+        camera.step(state, DOTS, DOTS, STILL, STILL, 0.0, 0, np.random.default_rng(0), None, place(1, 1), place(1, 1))

@@ -1,0 +1,175 @@
+"""Bandwidth as a low pass of motion: its closed form, and its error against a low pass of every pixel's level."""
+
+import math
+from collections import defaultdict
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from evetac_cli.events import concatenate
+from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.camera.ideal import ideal
+from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.scene import individual_row
+
+Floats = NDArray[np.float64]
+Motion = Callable[[Floats], Floats]
+Fired = defaultdict[tuple[int, int, int], list[float]]
+PIECES = 20
+FINE_US = 5
+MODEL = camera.CameraModel(frame_px=(48, 40), mismatch=0.0, noise_rate_hz=0.0, hot_pixels=0, dot_radius_px=10.0)
+STILL = np.zeros(2)
+
+
+def tau_us(bandwidth_hz: float) -> float:
+    return 1e6 / (2 * math.pi * bandwidth_hz)
+
+
+@pytest.mark.parametrize("bandwidth_hz", [100.0, 1000.0, 20000.0])
+def test_lag_behind_a_ramp_and_after_a_jump(bandwidth_hz: float) -> None:
+    """Assert that a ramp is followed by v tau (1 - exp(-t/tau)) behind, and that a jump dies away as exp(-t/tau)."""
+    low_pass = LowPass(bandwidth_hz, np.zeros((2, 2)))
+    end = np.array([[2.0, 0.0], [0.0, 0.0]])
+    begin = np.array([[0.0, 0.0], [1.0, -1.0]])
+    seen = low_pass.follow(np.stack([np.where(begin, 0.0, begin), end]))
+    part = np.linspace(0.0, 1.0, len(seen))
+    tau = tau_us(bandwidth_hz) / 1000
+    assert seen[:, 0, 0] == pytest.approx(2.0 * (part - tau * (1 - np.exp(-part / tau))), abs=1e-12)
+    low_pass = LowPass(bandwidth_hz, begin)
+    seen = low_pass.follow(np.zeros((2, 2, 2)))
+    expected = np.where(np.exp(-part / tau) < SETTLED_PX, 0.0, np.exp(-part / tau))
+    assert seen[:, 1, 0] == pytest.approx(expected, abs=1.01 * SETTLED_PX)
+    assert (seen[:, 1, 0] == -seen[:, 1, 1]).all()
+
+
+def test_however_cut_and_in_the_end_at_rest() -> None:
+    """Assert that more vertices change nothing at common times, slices join, and a point comes to rest exactly."""
+    path = np.cumsum(np.random.default_rng(0).normal(size=(6, 3, 2)), axis=0)
+    finer = np.stack([np.interp(np.arange(21) / 4, np.arange(6), line) for line in path.reshape(6, -1).T], axis=1)
+    coarse, fine = (LowPass(700.0, path[0]) for _ in range(2))
+    one, other = coarse.follow(path), fine.follow(finer.reshape(21, 3, 2))
+    common = np.linspace(0, len(one) - 1, 6).round().astype(int), np.linspace(0, len(other) - 1, 6).round().astype(int)
+    assert one[common[0]] == pytest.approx(other[common[1]], abs=1e-12)
+    after = coarse.follow(path[[-1, -1]])
+    assert (after[0] == one[-1]).all()
+    for _ in range(20):
+        after = coarse.follow(path[[-1, -1]])
+    assert (after == path[-1]).all()
+
+
+@pytest.mark.parametrize("bandwidth_hz", [0.0, -1.0, math.nan, math.inf])
+def test_no_bandwidth_is_refused(bandwidth_hz: float) -> None:
+    """Assert that a bandwidth that is not positive and finite is refused."""
+    with pytest.raises(ValueError, match="bandwidth_hz"):
+        LowPass(bandwidth_hz, np.zeros((1, 2)))
+
+
+def straight(time_us: Floats) -> Floats:
+    """1 px/ms from 2 ms on, on a slant."""
+    way = np.maximum(time_us - 2000.0, 0.0) / 1000.0
+    return np.array([20.0, 19.5]) + way[:, None] * np.array([0.8, 0.6])
+
+
+def shaken(time_us: Floats) -> Floats:
+    """0.35 px at 200 Hz, from 2 ms on."""
+    way = 0.35 * np.sin(2 * np.pi * 200e-6 * np.maximum(time_us - 2000.0, 0.0))
+    return np.array([23.3, 19.5]) + way[:, None] * np.array([0.8, 0.6])
+
+
+def by_motion(motion: Motion, bandwidth_hz: float | None, slices: int) -> tuple[Fired, Floats]:
+    """Event times of each pixel and polarity, from an ideal camera that sees filtered motion; first references."""
+    begin = motion(np.zeros(1))
+    state = ideal.start(MODEL, begin, None, None, None, np.random.default_rng(4))
+    reference = state.shared.reference.astype(np.float64)
+    low_pass = LowPass(bandwidth_hz, begin) if bandwidth_hz else None
+    rng = np.random.default_rng(0)
+    fired: Fired = defaultdict(list)
+    for k in range(slices):
+        path = motion((k * PIECES + np.arange(PIECES + 1)) * 1000.0 / PIECES)[:, None]
+        path = low_pass.follow(path) if low_pass else path
+        events = ideal.step(state, path[0], path[-1], STILL, STILL, 0.0, k * 1000, rng, path)
+        for t, x, y, p in zip(*(column.tolist() for column in events), strict=True):
+            fired[x, y, p].append(t)
+    return fired, reference
+
+
+def by_level(motion: Motion, bandwidth_hz: float, slices: int, reference: Floats) -> Fired:
+    """The same from the definition: every pixel's level is low-passed, in steps so short that it runs straight."""
+    tau = tau_us(bandwidth_hz)
+    inner, _, steps_per_px, profile = optics.dot_profile(MODEL.dot_radius_px)
+    y, x = np.mgrid[: MODEL.frame_px[1], : MODEL.frame_px[0]]
+    time_us = np.arange(0.0, slices * 1000.0 + FINE_US, FINE_US)
+    place = motion(time_us)
+    kept = math.exp(-FINE_US / tau)
+    fired: Fired = defaultdict(list)
+    for k in range(len(time_us)):
+        radius = np.hypot(x - place[k, 0], y - place[k, 1])
+        level = np.interp((radius - inner) * steps_per_px, np.arange(len(profile)), profile)
+        if k == 0:
+            before, seen = level, level
+            continue
+        lag = (level - before) / FINE_US * tau
+        was, seen, before = seen, level - lag + (seen - before + lag) * kept, level
+        while (far := np.abs(seen - reference) >= MODEL.threshold).any():
+            towards = np.sign(seen - reference)
+            target = reference + towards * MODEL.threshold
+            for row, column in zip(*far.nonzero(), strict=True):
+                part = (target[row, column] - was[row, column]) / (seen[row, column] - was[row, column])
+                key = (int(column), int(row), int(towards[row, column] > 0))
+                fired[key].append(float(time_us[k - 1] + part * FINE_US))
+            reference = np.where(far, target, reference)
+    return fired
+
+
+def compare(one: Fired, other: Fired) -> tuple[float, float]:
+    """Relative difference of the event count, and median time error in us over pixels with equally many events."""
+    counts = [sum(map(len, fired.values())) for fired in (one, other)]
+    errors = [np.subtract(times, other[key]) for key, times in one.items() if len(times) == len(other[key])]
+    return abs(counts[0] / counts[1] - 1), float(np.median(np.abs(np.concatenate(errors))))
+
+
+@pytest.mark.parametrize(
+    ("motion", "slices", "bandwidth_hz", "count_within", "median_us"),
+    [
+        (straight, 12, 300.0, 0.005, 55.0),  # the edge moves by half its own width within tau, 531 us
+        (straight, 12, 1000.0, 0.001, 6.0),
+        (shaken, 22, 300.0, 0.01, 12.0),
+        (shaken, 22, 1000.0, 0.005, 2.0),
+    ],
+)
+def test_motion_stands_for_levels(
+    motion: Motion, slices: int, bandwidth_hz: float, count_within: float, median_us: float
+) -> None:
+    """Assert that filtered motion makes the events of filtered levels, where unfiltered motion is early by tau."""
+    filtered, reference = by_motion(motion, bandwidth_hz, slices)
+    plain, _ = by_motion(motion, None, slices)
+    wanted = by_level(motion, bandwidth_hz, slices, reference)
+    count, late_us = compare(filtered, wanted)
+    assert count <= count_within
+    assert late_us <= median_us
+    assert compare(plain, wanted)[1] > 0.9 * tau_us(bandwidth_hz)
+
+
+def test_an_individual_with_a_bandwidth_sees_less_and_later() -> None:
+    """Assert that a row's bandwidth_hz delays what the eye sees, leaves the truth alone, and that 0 is none."""
+    row = individual_row("evetac") | {"noise_hz": 0.0, "hot_pixels": 0}
+    made = {}
+    for bandwidth_hz in (None, 0.0, 100.0):
+        named = row if bandwidth_hz is None else row | {"bandwidth_hz": bandwidth_hz}
+        eye = Eye(named, cut=False, texture=None, rng=np.random.default_rng(0))
+        shift_m = np.zeros_like(eye.rest_m)
+        slices = []
+        for k in range(30):
+            shift_m = shift_m + [2e-5, 0.0] if k < 3 else shift_m
+            slices.append(eye.see(shift_m, np.zeros(2), 0.0, k * 1000))
+        assert eye.dot_xy_px == pytest.approx(eye.grid_xy_px.reshape(-1, 2) + [6e-2 / eye.mm_per_px, 0.0])
+        made[bandwidth_hz] = slices
+    times = {key: concatenate(slices) for key, slices in made.items()}
+    assert all((one == other).all() for one, other in zip(times[None], times[0.0], strict=True))
+    assert times[100.0].size == pytest.approx(times[None].size, rel=0.1)
+    assert np.median(times[100.0].t) - np.median(times[None].t) == pytest.approx(tau_us(100.0), rel=0.3)
+    assert made[100.0][-1].size == 0

@@ -1,0 +1,59 @@
+"""Frames of the gel: brightness, noise, and where the dots are drawn."""
+
+import numpy as np
+import pytest
+
+from evetac_cli.sim.camera.rgb import RgbCamera, frame
+
+RADIUS_PX = 7.5
+SILENT = RgbCamera(noise_grey=0.0)
+
+
+def one_dot(x: float, y: float, camera: RgbCamera = SILENT) -> np.ndarray:
+    """A frame of a single dot."""
+    return frame(camera, [[x, y]], RADIUS_PX, np.random.default_rng(0))
+
+
+def test_dark_on_bright() -> None:
+    """Assert the grey of gel and dot, and their ratio, the exponential of the contrast, to the rounding of a grey."""
+    drawn = one_dot(100, 60)
+    assert drawn.shape == (240, 320)
+    assert drawn[0, 0] == SILENT.gel_grey
+    assert drawn[60, 100] == pytest.approx(SILENT.gel_grey / np.exp(SILENT.log_contrast), abs=0.6)
+
+
+@pytest.mark.parametrize("place", [(100.0, 60.0), (100.37, 60.81), (57.5, 111.25)])
+def test_a_dot_is_where_it_was_put(place: tuple[float, float]) -> None:
+    """Assert that the centroid of what is dark is the dot's place, to a hundredth of a pixel."""
+    dark = SILENT.gel_grey - one_dot(*place).astype(float)
+    y, x = np.indices(dark.shape)
+    found = (dark * x).sum() / dark.sum(), (dark * y).sum() / dark.sum()
+    assert found == pytest.approx(place, abs=0.01)
+
+
+def test_noise() -> None:
+    """Assert that a frame differs from the one without noise by the noise's deviation (and rounding), and no mean."""
+    camera = RgbCamera(noise_grey=3.0)
+    off = one_dot(100, 60, camera).astype(float) - one_dot(100, 60)
+    assert off.std() == pytest.approx(np.hypot(3.0, np.sqrt(1 / 12)), rel=0.01)
+    assert abs(off.mean()) < 0.05
+
+
+def test_generator_decides() -> None:
+    """Assert that the same generator gives the same frame and goes on to another."""
+    rng, again = np.random.default_rng(4), np.random.default_rng(4)
+    first = frame(RgbCamera(), [[9, 9]], RADIUS_PX, rng)
+    assert np.array_equal(first, frame(RgbCamera(), [[9, 9]], RADIUS_PX, again))
+    assert not np.array_equal(first, frame(RgbCamera(), [[9, 9]], RADIUS_PX, rng))
+
+
+def test_nonsense_is_refused() -> None:
+    """Assert that dots nowhere, a radius of nothing and a camera without time or light are refused."""
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match="finite places"):
+        frame(SILENT, [[np.nan, 0]], RADIUS_PX, rng)
+    with pytest.raises(ValueError, match="radius"):
+        frame(SILENT, [[0, 0]], 0.0, rng)
+    for bad in ({"noise_grey": -1.0}, {"gel_grey": 0.0}, {"frame_ms": 0}):
+        with pytest.raises(ValueError, match="expected noise"):
+            RgbCamera(**bad)  # type: ignore[arg-type]

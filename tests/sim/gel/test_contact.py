@@ -1,0 +1,189 @@
+"""Contact: gaps, force curves against closed forms of the Winkler foundation, pressure."""
+
+import numpy as np
+import pytest
+
+from evetac_cli.sim.gel.contact import cell_area, closing_at, force_curve, gap_profile, lookup, pad_nodes, pressure
+
+MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M = 1.0e6, 4e-3, 1.8e3, 0.165e-3
+LENGTH_M, WIDTH_M = 20e-3, 15e-3
+
+
+def pad(columns=24, rows=18):
+    return pad_nodes(columns, rows, (-LENGTH_M / 2, LENGTH_M / 2), (-WIDTH_M / 2, WIDTH_M / 2))
+
+
+def curve_of(gap, area, **changes):
+    return force_curve(gap, area, MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M, **changes)
+
+
+def test_pad_nodes_are_cell_centres():
+    """Assert that nodes are the centres of even cells, x along columns and y along rows, which cover the pad."""
+    nodes = pad_nodes(4, 2, (0.0, 8.0), (-1.0, 1.0))
+    assert nodes.shape == (2, 4, 2)
+    np.testing.assert_allclose(nodes[0, :, 0], [1, 3, 5, 7])
+    np.testing.assert_allclose(nodes[:, 0, 1], [-0.5, 0.5])
+    assert cell_area(nodes) * 8 == pytest.approx(16.0, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [(0, 2, (0, 1), (0, 1)), (2, 2, (1, 0), (0, 1)), (2, 2, (0, np.nan), (0, 1)), (2, 2, (0, np.inf), (0, 1))],
+)
+def test_pad_nodes_refuse_nonsense(arguments):
+    """Assert that empty grids and ranges that are not finite and increasing are refused."""
+    with pytest.raises(ValueError, match="found"):
+        pad_nodes(*arguments)
+
+
+def test_cell_area_needs_two_rows():
+    """Assert that the area of a cell is not guessed from a single row."""
+    with pytest.raises(ValueError, match="rows >= 2"):
+        cell_area(pad(4, 1))
+
+
+def test_gap_shapes():
+    """Assert that a cylinder curves in y only, a sphere in both, a tilt opens along x, and the least gap is 0."""
+    nodes = pad(5, 5)
+    x, y = nodes[..., 0], nodes[..., 1]
+    np.testing.assert_allclose(gap_profile(nodes, "cylinder", 0.03), y**2 / 0.06, atol=1e-18)
+    np.testing.assert_allclose(gap_profile(nodes, "sphere", 0.03), (x**2 + y**2) / 0.06, atol=1e-18)
+    np.testing.assert_allclose(gap_profile(nodes, "flat", tilt_rad=-0.01), 0.01 * (x.max() - x), atol=1e-18)
+    for shape in ("flat", "cylinder", "sphere"):
+        assert gap_profile(nodes, shape, 0.01, 0.02).min() == 0.0
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"shape": "cone"},
+        {"radius_m": 0.0},
+        {"radius_m": np.nan},
+        {"tilt_rad": np.inf},
+        {"node_xy_m": np.zeros((3, 2))},
+        {"node_xy_m": np.full((2, 2, 2), np.nan)},
+    ],
+)
+def test_gap_refuses_nonsense(changes):
+    """Assert that unknown shapes and values that are not finite are refused."""
+    with pytest.raises(ValueError, match="found"):
+        gap_profile(**({"node_xy_m": pad(), "shape": "sphere", "radius_m": 0.01} | changes))
+
+
+def test_flat_punch_is_exact():
+    """Assert that a flat punch follows N = E/H A d, and its closing 2 d + N / stiffness, at every entry."""
+    nodes = pad()
+    curve = curve_of(gap_profile(nodes, "flat"), cell_area(nodes))
+    np.testing.assert_allclose(
+        curve.force_n, MODULUS_PA / HEIGHT_M * LENGTH_M * WIDTH_M * curve.indentation_m, rtol=1e-12
+    )
+    closing_m = 2 * curve.indentation_m + curve.force_n / FINGER_N_M
+    np.testing.assert_allclose(closing_m, TICK_M * curve.step_ticks * np.arange(len(closing_m)), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("shape", "closed_form"),
+    [
+        ("cylinder", lambda d, r: LENGTH_M * 4 / 3 * d * np.sqrt(2 * r * d)),
+        ("sphere", lambda d, r: np.pi * r * d**2),
+    ],
+)
+def test_round_shapes_converge_to_closed_form(shape, closed_form):
+    """Assert that the force of round shapes converges to the integral of the Winkler pressure over the patch."""
+    radius_m, depth_m, errors = 0.02, 200e-6, []
+    for nodes_each in (15, 45, 135):
+        nodes = pad(nodes_each, nodes_each)
+        curve = curve_of(gap_profile(nodes, shape, radius_m), cell_area(nodes), step_ticks=0.002)
+        force_n = np.interp(depth_m, curve.indentation_m, curve.force_n)
+        errors.append(abs(force_n / (MODULUS_PA / HEIGHT_M * closed_form(depth_m, radius_m)) - 1))
+    assert errors[-1] < 5e-4
+    assert errors[-1] < errors[0] / 10
+
+
+def test_table_entries_are_the_sum_over_nodes():
+    """Assert that every entry is what a sum over the nodes gives, for a tilted sphere that loads them one by one."""
+    nodes = pad(7, 6)
+    gap = gap_profile(nodes, "sphere", 0.01, 0.05)
+    curve = curve_of(gap, cell_area(nodes), reach_ticks=60.0, step_ticks=0.5)
+    depth = curve.indentation_m[:, None, None] - gap
+    force = MODULUS_PA / HEIGHT_M * cell_area(nodes) * np.maximum(depth, 0).sum(axis=(1, 2))
+    np.testing.assert_allclose(curve.force_n, force, rtol=1e-12, atol=1e-15)
+    closing = (2 * curve.indentation_m + force / FINGER_N_M) / TICK_M
+    np.testing.assert_allclose(closing, 0.5 * np.arange(len(closing)), rtol=1e-12, atol=1e-12)
+
+
+def test_curve_ends_where_asked_or_with_the_gel():
+    """Assert that a curve reaches as far as asked, or to the closing at which the gel is pressed flat."""
+    nodes = pad()
+    gap, area = gap_profile(nodes, "flat"), cell_area(nodes)
+    assert curve_of(gap, area, reach_ticks=25.0, step_ticks=0.1).reach_ticks == pytest.approx(25.0)
+    flat = curve_of(gap, area, reach_ticks=1e5, step_ticks=1.0)
+    assert 0.99 * HEIGHT_M < flat.indentation_m[-1] <= HEIGHT_M
+    assert (np.diff(flat.force_n) > 0).all()
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("place", range(5))
+def test_force_curve_refuses_nonsense(place, value):
+    """Assert that every constant has to be finite and positive."""
+    constants = [1e-6, MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M]
+    constants[place] = value
+    with pytest.raises(ValueError, match="finite and > 0"):
+        force_curve(np.zeros((2, 2)), *constants)
+
+
+@pytest.mark.parametrize("gap", [np.zeros(3), np.full((2, 2), np.nan), np.full((2, 2), 1e-3), np.zeros((0, 2))])
+def test_force_curve_refuses_gaps(gap):
+    """Assert that a gap has to be a finite grid of least value 0."""
+    with pytest.raises(ValueError, match="gap_m"):
+        curve_of(gap, 1e-6)
+
+
+def test_force_curve_needs_room_for_one_step():
+    """Assert that a table of a single entry is refused."""
+    with pytest.raises(ValueError, match="step_ticks"):
+        curve_of(np.zeros((2, 2)), 1e-6, step_ticks=1e4, reach_ticks=1e5)
+
+
+def test_lookup_is_linear_and_clamped():
+    """Assert that lookup is 0 up to touch, exact at entries, linear between them, and the last entry beyond."""
+    table = np.array([0.0, 1.0, 4.0])
+    expected = {-1e9: 0.0, 0.0: 0.0, 0.25: 0.5, 0.5: 1.0, 0.75: 2.5, 1.0: 4.0, 1e9: 4.0, np.inf: 4.0}
+    for closing, value in expected.items():
+        assert lookup(table, 0.5, closing) == value
+
+
+def test_closing_at_is_the_inverse_of_lookup():
+    """Assert that the closing found for a force gives that force, and that forces outside the curve are refused."""
+    nodes = pad()
+    curve = curve_of(gap_profile(nodes, "cylinder", 0.024, 0.003), cell_area(nodes))
+    for force_n in (0.0, 1e-3, 0.3, 5.0, curve.force_n[-1]):
+        assert lookup(curve.force_n, curve.step_ticks, closing_at(curve, force_n)) == pytest.approx(force_n, abs=1e-12)
+    for force_n in (-1e-3, 1.01 * curve.force_n[-1], np.nan):
+        with pytest.raises(ValueError, match="force_n"):
+            closing_at(curve, force_n)
+
+
+def test_pressure_sums_to_the_force():
+    """Assert that nodal forces add up to the total, in proportion to indentation, and only where the gel is pressed."""
+    gap = gap_profile(pad(), "sphere", 0.02, 0.004)
+    force = pressure(150e-6, gap, 2.5)
+    assert force.sum() == pytest.approx(2.5, rel=1e-13)
+    assert ((force > 0) == (gap < 150e-6)).all()
+    pressed = force > 0
+    np.testing.assert_allclose(force[pressed] / (150e-6 - gap[pressed]), force.max() / 150e-6, rtol=1e-9)
+
+
+def test_pressure_without_indentation_is_zero():
+    """Assert that without indentation nothing is loaded, whatever the total."""
+    gap = gap_profile(pad(), "flat")
+    assert not pressure(0.0, gap, 1.0).any()
+    assert not pressure(-1e-3, gap, 1.0).any()
+    assert not pressure(1e-4, gap, 0.0).any()
+
+
+@pytest.mark.parametrize("values", [(np.nan, 1.0), (1e-4, np.nan), (1e-4, -1.0), (np.inf, 1.0), (1e-4, np.inf)])
+def test_pressure_refuses_nonsense(values):
+    """Assert that values that are not finite, and negative totals, are refused."""
+    with pytest.raises(ValueError, match="finite"):
+        pressure(values[0], np.zeros((2, 2)), values[1])

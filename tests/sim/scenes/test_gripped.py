@@ -1,0 +1,278 @@
+"""A simulated trial, from gripper current to events: that the scene does what scenes.md says of it."""
+
+import dataclasses
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from evetac_cli import params
+from evetac_cli.errors import SceneError
+from evetac_cli.resources import SCENES
+from evetac_cli.sim import gripper, scene
+from evetac_cli.sim.camera.gel_camera import dot_grid
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.scene import plan
+from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, World, material
+from evetac_cli.stages import record
+from evetac_cli.store.read import open_recording
+from tests.conftest import Made, as_toml
+
+
+def world(object_number: int, seed: int = 0, name: str = "slip", individual: str = "evetac") -> World:
+    """A trial of an object touched in its middle: off it, a hanging object swings for seconds, as a pendulum does."""
+    kind = "lift" if name == "lift" else "ramp"
+    rngs = [np.random.default_rng([seed, part]) for part in range(2)]
+    built = plan(name, str(object_number), individual, (kind,))[0]
+    for key in ("touch_mm", "lever_mm"):
+        built["scene"]["randomise"].pop(key, None)
+    built["object_row"].pop("lever_mm", None)
+    return World(built, *rngs, lift_s=1.5, balance_s=0.0)
+
+
+def run(one: World, slices: int) -> list[dict[str, object]]:
+    rows = []
+    for _ in range(slices):
+        if one.finished:
+            break
+        one.step()
+        rows.append(one.truth())
+    return rows
+
+
+@pytest.mark.parametrize("number", [1, 6, 12, 14, 18, 19, 20])
+def test_object_hangs_still(number: int) -> None:
+    """Assert that a held object comes to rest: no slip, friction carries the weight, no dot moves any more."""
+    held = world(number)
+    rows = run(held, 1100)
+    assert not any(row["truth/slip"] for row in rows)
+    assert held.finger.force_n > held.drawn.mass_kg * GRAVITY_M_S2 / (2 * held.drawn.static_friction)
+    dots = np.array([rows[at]["truth/dot_xy_px"] for at in (1000, 1099)])
+    assert np.abs(dots[1] - dots[0]).max() < 0.01
+    assert dots[1][:, 0].max() - held.eye.grid_xy_px[..., 0].max() >= 0  # hangs along +x
+    assert (dots[1] - held.eye.grid_xy_px.reshape(-1, 2))[:, 0].max() > 0.5
+
+
+def test_quasi_static_onset(made: Made) -> None:
+    """Assert that slip begins within 40 ms of the moment when twice the friction limit no longer carries the weight."""
+    for path in made.recordings:
+        with open_recording(path) as recording:
+            drawn = json.loads(recording.read("truth/drawn"))
+            force = recording.read("truth/normal_force_n")
+            slip = np.flatnonzero(recording.read("truth/slip"))
+        limit_n = drawn["mass_kg"] * GRAVITY_M_S2 / (2 * drawn["static_friction"])
+        lost = np.flatnonzero(force < limit_n)[0]
+        assert len(slip)
+        assert abs(int(slip[0]) - int(lost)) <= 40
+
+
+def test_object_falls_when_released() -> None:
+    """Assert that after the grip is opened the object falls freely: half g t^2, within 2 %."""
+    fallen = world(8)
+    run(fallen, 600)
+    fallen.command = ("current", -60)
+    rows = run(fallen, 400)
+    free = [index for index, row in enumerate(rows) if row["truth/normal_force_n"] == 0.0]
+    assert len(free) > 60
+    x_mm = np.array([row["truth/object_xy_px"][0] for row in rows])[free[5] : free[5] + 50] * 0.0329  # type: ignore[index]
+    t = np.arange(50) * 1e-3
+    acceleration = 2 * np.polyfit(t, x_mm * 1e-3, 2)[0]
+    assert acceleration == pytest.approx(GRAVITY_M_S2, rel=0.02)
+
+
+def test_table_carries_the_object() -> None:
+    """Assert that before the hand rises an object on the table stays on it, and that it is never below it."""
+    grasp = world(11, name="lift")
+    rows = run(grasp, 3000)
+    gaps = np.array([row["truth/table_gap_mm"] for row in rows])
+    assert gaps.min() >= -1e-9
+    assert np.abs(gaps[:1999]).max() < 1e-9
+    assert max(abs(row["truth/object_xy_px"][0]) for row in rows[:1999]) == 0  # type: ignore[index]
+
+
+def test_hand_rises_by_the_height_of_the_scene() -> None:
+    """Assert that the table sinks by 100 mm in the gripper's frame, at 20 mm/s at most."""
+    grasp = world(11, name="lift")
+    speeds = [grasp._hand_speed(ms * 1e-3) for ms in range(12000)]
+    assert max(speeds) == pytest.approx(0.02)
+    assert sum(speeds) * 1e-3 == pytest.approx(0.1, rel=1e-3)
+
+
+def test_seeds_are_enough() -> None:
+    """Assert that the same seed gives the same events and truth, and another seed others."""
+    same = [world(8, seed=3).step() for _ in range(2)]
+    assert same[0].t.tolist() == same[1].t.tolist()
+    assert same[0].x.tolist() == same[1].x.tolist()
+    assert world(8, seed=3).drawn != world(8, seed=4).drawn
+
+
+def test_window_dots_do_not_exist() -> None:
+    """Assert that the cut gel keeps 7 rows of 8 dots, all outside the window."""
+    row = scene.individual_row("evetac")
+    grid = dot_grid(row, cut=True)
+    assert grid.shape == (7, 8, 2)
+    assert grid[..., 0].max() < row["window_px"][0]
+
+
+def test_scene_of_the_wrong_kind_is_refused() -> None:
+    """Assert that a lift scene cannot be recorded as a ramp."""
+    with pytest.raises(SceneError, match="another command"):
+        plan("lift", "8", "evetac", ("ramp",))
+
+
+@pytest.mark.parametrize("tangent", [0.08, 0.12, 0.2])
+def test_loss_tangent(tangent: float) -> None:
+    """Assert that a gel's complex stiffness at 100 Hz has the named loss tangent, and that none named is the usual."""
+    row = scene.individual_row("evetac")
+    assert material(row) == gel.GelMaterial(shear_modulus_pa=row["shear_modulus_pa"])
+    made = material({**row, "loss_tangent": tangent})
+    turn = 2j * np.pi * 100
+    arm = made.maxwell_share * turn * made.maxwell_time_s / (1 + turn * made.maxwell_time_s)
+    stiffness = 1 + turn * made.viscous_time_s + arm
+    assert stiffness.imag / stiffness.real == pytest.approx(tangent, rel=1e-12)
+
+
+def test_gripper_of_an_individual() -> None:
+    """Assert that a drawn gripper pushes with its servo's stiffness, at two ticks as hard as named."""
+    assert gripper.drive_of(scene.individual_row("evetac")) == gripper.Drive()
+    for number in range(20):
+        row = scene.individual_row(f"drawn:{number}")
+        drive = gripper.drive_of(row)
+        servo_n_tick = drive.gain_ma_tick * drive.force_per_current_n_ma
+        assert servo_n_tick == pytest.approx(row["gripper"]["servo_n_tick"])
+        assert 0.08 <= 2 * servo_n_tick - drive.friction_n <= 0.18
+        assert gripper.drive_of(row, 0.5).friction_n == pytest.approx(0.5 * drive.friction_n)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_drawn_individuals_hold(number: int) -> None:
+    """Assert that a drawn sensor and gripper hold an object, whose weight moves a softer gel farther."""
+    held = world(8, individual=f"drawn:{number}")
+    rows = run(held, 900)
+    assert not any(row["truth/slip"] for row in rows)
+    assert rows[-1]["truth/shear_force_n"][0] == pytest.approx(held.drawn.mass_kg * GRAVITY_M_S2 / 2, rel=1e-3)  # type: ignore[index]
+    row = scene.individual_row(f"drawn:{number}")
+    sinks_px = rows[-1]["truth/object_xy_px"][0] * row["mm_per_px"] * row["shear_modulus_pa"]  # type: ignore[index]
+    assert 100 < sinks_px / held.drawn.mass_kg / 1e3 < 1e4
+    assert held.eye.grid_xy_px.shape == (7, 8, 2)
+
+
+def test_every_drawn_grid_is_whole() -> None:
+    """Assert that the cut gel of 50 drawn individuals keeps 7 rows of 8 dots, in the frame and off the window."""
+    for number in range(50):
+        row = scene.individual_row(f"drawn:{number}")
+        grid = dot_grid(row, cut=True)
+        assert grid.shape == (7, 8, 2)
+        assert grid[..., 0].max() + row["dot_radius_px"] < 540
+        assert grid.min() - row["dot_radius_px"] > 0
+        assert grid[..., 1].max() + row["dot_radius_px"] < 480
+
+
+def off_middle(monkeypatch: pytest.MonkeyPatch, number: int, **changes: Any) -> World:
+    """A held object with one draw replaced."""
+    drawing = scene.draw
+    with monkeypatch.context() as patch:
+        patch.setattr(scene, "draw", lambda *given: dataclasses.replace(drawing(*given), tilt_rad=0.0, **changes))
+        return world(number)
+
+
+def test_lever_turns_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a flat object held off its centre of mass turns that side down, both ways alike, then hangs still."""
+    turned = {}
+    for lever_m in (-2e-3, 0.0, 2e-3):
+        held = off_middle(monkeypatch, 16, lever_m=lever_m)
+        rows = run(held, 1100)
+        assert not any(row["truth/slip"] for row in rows)
+        turned[lever_m] = held._gel.pose[2]
+        assert rows[-1]["truth/object_xy_px"] == pytest.approx(rows[-2]["truth/object_xy_px"], abs=1e-3)
+    assert abs(turned[0.0]) < 1e-9
+    assert turned[2e-3] < -1e-4  # from x (down) to y (aside): the centre of mass, at +y, goes down
+    assert turned[-2e-3] == pytest.approx(-turned[2e-3], rel=1e-6)
+
+
+def test_touched_beside_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that an object touched 3 mm aside presses there, and moves the dots there most."""
+    held = off_middle(monkeypatch, 8, touch_m=(0.0, 3e-3))
+    nearest = held._gel.node_xy_m[np.unravel_index(held._gap.argmin(), held._gap.shape)]
+    assert nearest[1] == pytest.approx(3e-3, abs=0.5e-3)
+    rows = run(held, 900)
+    sunk_px = rows[-1]["truth/dot_xy_px"][:, 0] - held.eye.grid_xy_px[..., 0].ravel()  # type: ignore[index, call-overload]
+    weighted_m = (sunk_px * held.eye.rest_m[:, 1]).sum() / sunk_px.sum()
+    assert weighted_m == pytest.approx(3e-3, abs=1e-3)
+
+
+def test_pushes_and_grip_of_the_data_rate_scene() -> None:
+    """Assert that a push is a half sine of its force, and that the grip holds by the named force beyond the limit."""
+    (planned,) = plan("data-rate", "18", "evetac", ("hold",))
+    pushed = World(planned, *[np.random.default_rng(part) for part in range(2)])
+    push, drive = planned["scene"]["push"], pushed.drive
+    for after_s, share in ((-1e-3, 0.0), (0.02, np.sqrt(0.5)), (0.04, 1.0), (0.081, 0.0)):
+        for at_s, force_n in zip(push["at_s"], push["force_n"], strict=True):
+            pushed.slices = round((at_s + after_s) * 1000)
+            assert pushed._push() == pytest.approx(share * force_n, abs=1e-9)
+    limit_n = pushed.drawn.mass_kg * GRAVITY_M_S2 / (2 * pushed.drawn.static_friction)
+    force_n = (drive.force_per_current_n_ma * pushed.holding_ma() - drive.friction_n) / (1 + drive.friction_share)
+    assert 0.0 <= force_n - pushed.drawn.start_factor * limit_n - 1.0 <= drive.force_per_current_n_ma  # whole mA
+
+
+RGB_BYTES_S = 540 * 480 * 3 * 25  # of the frame that is compared with, 25 times a second
+EVENT_BYTES = 5
+
+
+def ratios(path: Path) -> tuple[float, float, float, float]:
+    """Bytes a second against an RGB sensor's: the whole recording, from touch until slip or the end of contact,
+    and 0.5 s about slip; the largest slice in kB.
+    """
+    with open_recording(path) as recording:
+        events = np.diff(recording.read("ms_to_idx"))
+        force = recording.read("truth/normal_force_n")
+        ramp_ms = round(1000 * recording.header["parameters"]["scene"]["gripper"]["ramp_s"])
+        slip = ramp_ms + int(np.flatnonzero(recording.read("truth/slip")[ramp_ms:])[0])
+
+    def ratio(part: NDArray[np.int64]) -> float:
+        return float(part.mean()) * 1000 * EVENT_BYTES / RGB_BYTES_S
+
+    touch, lost = np.flatnonzero(force >= 0.03)[0], np.flatnonzero(force > 0)[-1]
+    most_kb = float(events.max()) * EVENT_BYTES / 1000
+    return ratio(events), ratio(events[touch : lost + 1]), ratio(events[slip - 250 : slip + 250]), most_kb
+
+
+def test_data_rate_about_slip(tmp_path: Path) -> None:
+    """Assert that the data-rate scene, hurried, has the paper's rate about slip, and the fall ends on the floor."""
+    hurried = tomllib.loads((SCENES / "data-rate.toml").read_text())
+    hurried["time"] |= {"rest_s": 0.4, "load_s": 0.2, "longest_s": 1.8}
+    hurried["gripper"] |= {"open_ticks": 2.0, "close_s": 0.0, "grip_s": 0.15, "ramp_s": 0.9}
+    hurried["gripper"] |= {"friction_factor": [0.1, 0.12], "start_factor": [1.3, 1.35], "start_more_n": 0.3}
+    del hurried["push"]
+    path = tmp_path / "hurried.toml"
+    path.write_text(as_toml(hurried))
+    recipe = params.Record(scene=str(path))
+    (job,) = record.jobs([], recipe, tmp_path)
+    record.run(job, recipe)
+    _, _, about_slip, most_kb = ratios(job.output)
+    assert about_slip == pytest.approx(0.119, abs=0.03)
+    assert most_kb < 25
+    with open_recording(job.output) as recording:
+        x_mm = recording.read("truth/object_xy_px")[:, 0] * 0.0329
+        floor_mm = json.loads(recording.read("truth/drawn"))["floor_m"] * 1e3
+    assert floor_mm <= x_mm[-1] < floor_mm + 1.1  # a step of 1 ms at 1 m/s
+    assert x_mm[-1] == x_mm[-50]
+
+
+@pytest.mark.slow
+def test_data_rates_are_the_papers(tmp_path: Path) -> None:
+    """Assert that five trajectories of the data-rate scene have the paper's mean data rates, and its peaks."""
+    recipe = params.Record(scene="data-rate", count=5)
+    found = []
+    for job in record.jobs([], recipe, tmp_path):
+        record.run(job, recipe)
+        found.append(ratios(job.output))
+    whole, contact, about_slip, most_kb = np.mean(found, axis=0)
+    assert whole == pytest.approx(0.017, abs=0.008)
+    assert contact == pytest.approx(0.028, abs=0.016)
+    assert about_slip == pytest.approx(0.119, abs=0.03)
+    assert 10 < most_kb < 25

@@ -1,0 +1,124 @@
+"""Scenes in which a face is driven over the gel: shear forces, strokes, dilation, and the noise of individuals."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evetac_cli.events import concatenate
+from evetac_cli.formats.imports import read_events
+from evetac_cli.resources import SCENES
+from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scene import individual_row, plan
+from evetac_cli.sim.scenes.pressing import Pressing
+from tests.conftest import DATA, as_toml
+
+
+def pressing(name: str, tmp_path: Path, **changes: dict[str, object]) -> Pressing:
+    scene = tomllib.loads((SCENES / f"{name}.toml").read_text())
+    for group, values in changes.items():
+        scene[group] |= values
+    path = tmp_path / f"{name}.toml"
+    path.write_text(as_toml(scene))
+    rngs = [np.random.default_rng(part) for part in range(2)]
+    return Pressing(plan(str(path), "8", "evetac", ("press",))[0], *rngs)
+
+
+def run(trial: Pressing) -> list[dict[str, object]]:
+    rows = []
+    while not trial.finished:
+        trial.step()
+        rows.append(trial.truth())
+    return rows
+
+
+def column(rows: list[dict[str, object]], name: str) -> np.ndarray:
+    return np.array([row[f"truth/{name}"] for row in rows])
+
+
+def test_shear_sticks_and_stays_in_its_disc(tmp_path: Path) -> None:
+    """Assert that a sheared face never slips, that the force stays within 11 N, and returns with the displacement."""
+    trial = pressing("shear", tmp_path, motion={"count": 6, "move_s": [0.1, 0.2], "pause_s": 0.3, "offset_mm": 0.0})
+    rows = run(trial)
+    force = column(rows, "shear_force_n")
+    assert not column(rows, "slip").any()
+    assert 3 < np.linalg.norm(force, axis=1).max() < 11
+    assert column(rows, "normal_force_n").max() == pytest.approx(20)
+    still = np.linalg.norm(np.diff(column(rows, "object_xy_px"), axis=0), axis=1) < 1e-9
+    settled = np.flatnonzero(np.convolve(still, np.ones(150), "valid") == 150)
+    place = column(rows, "object_xy_px")[settled + 150] * trial.eye.mm_per_px
+    stiffness = -(force[settled + 150] * place).sum() / (place**2).sum()
+    assert abs(stiffness) > 10  # N/mm: that of the layer alone is 10.9 for 20 x 15 mm
+    assert force[settled + 150] == pytest.approx(-stiffness * place, abs=0.5)
+
+
+def test_strokes_move_every_dot(tmp_path: Path) -> None:
+    """Assert that strokes over the gel move every dot by 3 px at least twice, and leave all of them at rest."""
+    trial = pressing("press", tmp_path, motion={"speed_mm_s": 80.0, "lines": 5}, gel={"nodes": [20, 15]})
+    rows = run(trial)
+    moved = np.linalg.norm(column(rows, "dot_xy_px") - trial.eye.grid_xy_px.reshape(-1, 2), axis=2)
+    times = ((moved[1:] >= 3) & (moved[:-1] < 3)).sum(axis=0)
+    assert times.min() >= 2
+    assert moved[-1].max() < 0.2
+    assert moved.max() < 60
+
+
+@pytest.mark.parametrize(("half", "share"), [((7e-3, 7e-3), (0.5, 0.5)), ((9e-3, 1e-3), (1 / 82, 81 / 82))])
+def test_squeeze_follows_the_closed_form(half: tuple[float, float], share: tuple[float, float]) -> None:
+    """Assert that a pressed patch pushes gel out by 0.3 * 0.75 s / H times the place, by the shorter way."""
+    line = [np.linspace(-10e-3, 10e-3, 201)[1:] - 0.5e-4, np.linspace(-10e-3, 10e-3, 201)[1:] - 0.5e-4]
+    nodes = np.stack(np.meshgrid(*line), axis=-1)
+    depth = np.where((np.abs(nodes) < half).all(axis=2), 1e-4, 0.0)
+    points = np.array([[0.5e-3, 0.0], [0.0, 0.5e-3], [0.5e-3, 0.5e-3]])
+    shift = dilation(points, nodes, depth, np.zeros(3), 4e-3)
+    assert shift == pytest.approx(0.3 * 0.75 * 1e-4 / 4e-3 * points * share, rel=0.02, abs=1e-12)
+
+
+def test_lens_and_nothing() -> None:
+    """Assert that a dot that comes nearer by s moves out by r s / 25 mm, and that nothing pressed moves nothing."""
+    nodes = np.stack(np.meshgrid([0.0, 1e-3], [0.0, 1e-3]), axis=-1)
+    points = np.array([[3e-3, -4e-3]])
+    assert dilation(points, nodes, np.zeros((2, 2)), np.array([1e-4]), 4e-3).tolist() == [[0.0, 0.0]]
+    depth = np.full((2, 2), 1e-12)
+    assert dilation(points, nodes, depth, np.array([1e-4]), 4e-3) == pytest.approx(points * 1e-4 / 25e-3, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["evetac", "second", "bare-dvxplorer"])
+def test_individual_is_the_same_in_every_trial(name: str) -> None:
+    """Assert that dots, thresholds and hot pixels belong to the individual, and phases to the trial."""
+    row = individual_row(name)
+    one, other = (Eye(row, cut=True, texture=None, rng=np.random.default_rng(seed)) for seed in (1, 2))
+    assert (one.grid_xy_px == other.grid_xy_px).all()
+    assert (one._camera.threshold == other._camera.threshold).all()
+    assert (one._camera.hot_pixel == other._camera.hot_pixel).all()
+    assert (one._camera.reference != other._camera.reference).any()
+    assert one.grid_xy_px.shape == (7, 8, 2)
+    assert Eye(row, cut=False, texture=None, rng=np.random.default_rng(1)).grid_xy_px.shape == (7, 9, 2)
+
+
+def test_bare_camera_is_as_noisy_as_the_real_one() -> None:
+    """Assert that a static scene has the real recording's rate (5 %), share of hot pixels (4 %) and flat spectrum."""
+    real = DATA / "dvxplorer_static_noise.aedat4"
+    pytest.importorskip("dv_processing")
+    if not real.exists():
+        pytest.skip("the real recording is not here")
+    eye = Eye(individual_row("bare-dvxplorer"), cut=True, texture=None, rng=np.random.default_rng(0))
+    still = np.zeros_like(eye.rest_m)
+    made = concatenate([eye.see(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])
+    measured = read_events(real).events
+    rate, share, peak = zip(*(figures(events.t, events.x, events.y) for events in (made, measured)), strict=True)
+    assert rate[0] == pytest.approx(rate[1], rel=0.05)
+    assert share[0] == pytest.approx(share[1], abs=0.04)
+    assert max(peak) < 4.5
+
+
+def figures(t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+    """Events a slice, share of pixels above 20 Hz, strongest spectral line above 25 Hz over the median line."""
+    seconds = 2.7
+    counts = np.bincount(y.astype(int) * 640 + x, minlength=480 * 640)
+    per_slice = np.bincount(t // 1000, minlength=2700)
+    spectrum = np.abs(np.fft.rfft(per_slice - per_slice.mean()))[round(25 * seconds) :]
+    hot = counts > 20 * seconds
+    return len(t) / 2700, float(counts[hot].sum() / counts.sum()), float(spectrum.max() / np.median(spectrum))

@@ -1,0 +1,79 @@
+"""What became of a grasp, from rows made by hand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.sim import gripper
+from evetac_cli.sim.grasp_outcome import NEEDED, opening_mm, outcome
+
+MM_PER_PX = 0.03
+TOUCH_MS, LIFT_MS, END_MS = 100, 300, 500
+
+
+def rows(**changes: Any) -> dict[str, Any]:
+    """A grasp that holds: touched at tick 200, lifted at 210, balanced at 206, moved by 10 px, then by 5 more."""
+    at_ms = np.arange(0, END_MS, 2)
+    phase = np.select([at_ms < TOUCH_MS, at_ms < LIFT_MS], [Phase.CONTACT, Phase.LIFT], Phase.BALANCE)
+    object_px = np.zeros((END_MS, 2))
+    object_px[TOUCH_MS:, 0] = 10.0
+    object_px[LIFT_MS + 50 :, 1] = 5.0
+    whole = {
+        "truth/table_gap_mm": np.where(np.arange(END_MS) < TOUCH_MS + 10, 0.0, 60.0),
+        "truth/normal_force_n": np.full(END_MS, 1.5),
+        "truth/object_xy_px": object_px,
+        "gripper/position_ticks": np.select([at_ms < TOUCH_MS, at_ms < LIFT_MS], [200, 210], 206),
+        "control/t_us": (at_ms + 1) * 1000,
+        "control/phase": phase,
+        "control/slip": np.isin(at_ms, (50, 120, 122, 140, 400)).astype(np.uint8),
+    }
+    assert set(whole) == set(NEEDED)
+    return {**whole, **changes}
+
+
+def test_a_grasp_that_holds() -> None:
+    """Assert success of both phases, and every figure by hand."""
+    found = outcome(rows(), MM_PER_PX, END_MS)
+    assert found["lifted"]
+    assert found["balanced"]
+    assert found["opening_lift_ticks"] == -10
+    assert found["opening_end_ticks"] == -6
+    assert found["reduction"] == pytest.approx(0.4)
+    assert found["moved_lift_mm"] == pytest.approx(0.3)
+    assert found["moved_mm"] == pytest.approx(MM_PER_PX * np.hypot(10, 5))
+    assert found["force_end_n"] == 1.5
+    assert found["slip_events"] == 3  # that of the contact phase is none; two slices on end are one
+
+
+def test_how_a_grasp_fails() -> None:
+    """Assert that a lift fails below 50 mm or without force, and that only a lift that lasts to its end is balanced."""
+    low = np.full(END_MS, 49.0)
+    fell = np.where(np.arange(END_MS) < LIFT_MS + 100, 60.0, 10.0)
+    let_go = np.where(np.arange(END_MS) < LIFT_MS + 100, 1.5, 0.0)
+    late = np.where(np.arange(END_MS) < LIFT_MS + 100, 10.0, 60.0)
+    for change, lifted in (
+        ({"truth/table_gap_mm": low}, False),
+        ({"truth/normal_force_n": np.zeros(END_MS)}, False),
+        ({"truth/table_gap_mm": fell}, True),
+        ({"truth/normal_force_n": let_go}, True),
+        ({"truth/table_gap_mm": late}, False),
+    ):
+        found = outcome(rows(**change), MM_PER_PX, END_MS)
+        assert found["lifted"] == lifted
+        assert not found["balanced"]
+    assert not outcome(rows(), MM_PER_PX, END_MS + 1)["balanced"]  # it ended before its time
+
+
+def test_a_grasp_that_never_closed_has_no_reduction() -> None:
+    """Assert that nothing is divided by no closing."""
+    still = np.full(END_MS // 2, 200)
+    assert outcome(rows(**{"gripper/position_ticks": still}), MM_PER_PX, END_MS)["reduction"] is None
+
+
+def test_opening_in_mm_is_that_of_the_linkage() -> None:
+    """Assert that ticks become millimetres by the four-bar linkage: closing is negative, and about 0.16 mm a tick."""
+    assert opening_mm(300, 313) == pytest.approx(-13 * 1e3 * gripper.metres_per_tick(gripper.gap_m(306.5)), rel=1e-3)
+    assert opening_mm(300, 300) == 0.0
+    assert opening_mm(313, 300) == -opening_mm(300, 313)

@@ -1,0 +1,264 @@
+"""The drive of a finger: friction band, rest, hysteresis, limits, quantisation, stiff cases."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from evetac_cli.sim.gel.contact import cell_area, closing_at, force_curve, gap_profile, lookup, pad_nodes
+from evetac_cli.sim.gripper import (
+    Drive,
+    closed_with,
+    gap_m,
+    metres_per_tick,
+    start,
+    step,
+    ticks_at_gap,
+)
+
+TOUCH_TICKS = 437.0
+
+
+def make_curve(shape="cylinder", width_m=0.048, finger_n_m=1.8e3, modulus_pa=1e6):
+    nodes = pad_nodes(10, 14, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3))
+    gap = gap_profile(nodes, shape, width_m / 2, 3e-3)
+    return force_curve(gap, cell_area(nodes), modulus_pa, 4e-3, finger_n_m, metres_per_tick(width_m))
+
+
+CURVE = make_curve()
+DRIVE = Drive()
+
+
+def settle(state, mode, command, seconds, dt_s=1e-3, drive=DRIVE, curve=CURVE):
+    """Step under a command, or a function of the state; returns all forces and speeds on the way."""
+    trace = []
+    for _ in range(round(seconds / dt_s)):
+        wanted = command(state) if callable(command) else command
+        trace.append((step(state, drive, curve, mode, wanted, dt_s), state.speed_m_s))
+    return np.array(trace)
+
+
+def rest_n(current_ma, drive=DRIVE):
+    """N at rest after closing with a current."""
+    return (drive.force_per_current_n_ma * current_ma - drive.friction_n) / (1 + drive.friction_share)
+
+
+@pytest.mark.parametrize("force_n", [0.2, 1.0, 3.0])
+def test_stays_at_rest_inside_the_friction_band(force_n):
+    """Assert that a finger at rest does not move by a hair while |kF I - N| <= Fc + fl N, and does just outside."""
+    band_n = DRIVE.friction_n + DRIVE.friction_share * force_n
+    for current_ma in range(-20, 40):
+        state = start(DRIVE, CURVE, TOUCH_TICKS, closing_at(CURVE, force_n))
+        before = state.closing_ticks
+        settle(state, "current", current_ma, 0.02)
+        surplus_n = DRIVE.force_per_current_n_ma * current_ma - force_n
+        assert (state.closing_ticks == before) == (abs(surplus_n) <= band_n), current_ma
+
+
+@pytest.mark.parametrize("current_ma", [10, 12, 14, 20, 40])
+def test_rests_at_the_force_of_the_current(current_ma):
+    """Assert that a finger closed with I rests at N = (kF I - Fc) / (1 + fl), within 0.1 % of overshoot."""
+    state = start(DRIVE, CURVE, TOUCH_TICKS, -3.0)
+    settle(state, "current", current_ma, 6.0)
+    assert state.force_n == pytest.approx(rest_n(current_ma), rel=1e-3)
+    assert abs(state.speed_m_s) < 1e-12
+    assert state.force_n == lookup(CURVE.force_n, CURVE.step_ticks, state.closing_ticks)
+    assert state.indentation_m == lookup(CURVE.indentation_m, CURVE.step_ticks, state.closing_ticks)
+
+
+def test_closed_with_is_the_rest_of_closing():
+    """Assert that closed_with starts where closing ends, that it stays there, and at touch with too little current."""
+    for current_ma in (10, 14, 23):
+        state = closed_with(DRIVE, CURVE, TOUCH_TICKS, current_ma)
+        assert state.force_n == pytest.approx(rest_n(current_ma), rel=1e-9)
+        assert state.current_ma == current_ma
+        before = state.closing_ticks
+        settle(state, "current", current_ma, 0.5)
+        assert state.closing_ticks == pytest.approx(before, abs=1e-9)
+    weak = closed_with(DRIVE, CURVE, TOUCH_TICKS, 5)
+    assert (weak.force_n, weak.closing_ticks) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("current_ma", [15, 17, 30])
+def test_force_stays_until_the_current_fell_by_twice_the_band(current_ma):
+    """Assert that N is constant on a falling ramp until the current has lost 2 (Fc + fl N) / kF, about 2 Fc / kF."""
+    state = closed_with(DRIVE, CURVE, TOUCH_TICKS, current_ma)
+    held_n = state.force_n
+    expected_ma = 2 * (DRIVE.friction_n + DRIVE.friction_share * held_n) / DRIVE.force_per_current_n_ma
+    assert expected_ma == pytest.approx(2 * DRIVE.friction_n / DRIVE.force_per_current_n_ma, rel=0.1)
+    for lost_ma in range(60):
+        settle(state, "current", current_ma - lost_ma, 0.1)
+        if state.force_n < held_n - 1e-9:
+            break
+    assert lost_ma == np.ceil(expected_ma)
+    settle(state, "current", current_ma - lost_ma - 1, 1.0)
+    following_n = state.force_n
+    settle(state, "current", current_ma - lost_ma - 2, 1.0)
+    share = DRIVE.force_per_current_n_ma / (1 - DRIVE.friction_share)
+    assert following_n - state.force_n == pytest.approx(share, rel=0.02)
+
+
+@pytest.mark.parametrize(("ahead_ticks", "about_n"), [(1, 0.0), (2, 0.13), (3, 2.1), (4, 4.1), (5, 6.1)])
+def test_push_of_a_goal_ahead(ahead_ticks, about_n):
+    """Assert that a goal c ticks ahead of the finger pushes with (c a - Fc) / (1 + fl), 0.13 N at 2 ticks."""
+    state = start(DRIVE, CURVE, TOUCH_TICKS, -2.0)
+    settle(state, "position", lambda finger: finger.position_ticks + ahead_ticks, 6.0)
+    push_n = ahead_ticks * DRIVE.gain_ma_tick * DRIVE.force_per_current_n_ma - DRIVE.friction_n
+    assert state.force_n == pytest.approx(max(push_n, 0.0) / (1 + DRIVE.friction_share), rel=1e-3)
+    assert state.force_n == pytest.approx(about_n, rel=0.05, abs=0.01)
+
+
+def test_goal_on_the_encoder_does_not_let_go():
+    """Assert that with the goal on the encoder's tick the finger keeps a force below Fc by friction, and drops more."""
+    light = start(DRIVE, CURVE, TOUCH_TICKS, closing_at(CURVE, 3.0))
+    settle(light, "position", lambda finger: finger.position_ticks, 1.0)
+    assert light.force_n == pytest.approx(3.0, rel=1e-12)
+    heavy = start(DRIVE, CURVE, TOUCH_TICKS, closing_at(CURVE, 6.0))
+    settle(heavy, "current", 0.0, 3.0)
+    assert heavy.force_n == pytest.approx(DRIVE.friction_n / (1 - DRIVE.friction_share), rel=1e-3)
+
+
+def test_speed_limit_holds():
+    """Assert that the finger never exceeds the limit in either direction, reaches it, and keeps it until it touches."""
+    state = start(DRIVE, CURVE, TOUCH_TICKS, -100.0)
+    closing = settle(state, "current", 300.0, 1.0)[:, 1]
+    opening = settle(state, "current", -300.0, 0.15)[:, 1]
+    for speeds, sign in ((closing, 1.0), (opening, -1.0)):
+        assert np.abs(speeds).max() <= DRIVE.speed_limit_m_s
+        assert (sign * speeds).max() == DRIVE.speed_limit_m_s
+    ticks_s = 2 * DRIVE.speed_limit_m_s / CURVE.metres_per_tick  # both fingers close the gap
+    there = start(DRIVE, CURVE, TOUCH_TICKS, -100.0)
+    settle(there, "current", 300.0, 0.02)
+    before = there.closing_ticks
+    settle(there, "current", 300.0, 0.1)
+    assert there.closing_ticks - before == pytest.approx(0.1 * ticks_s, rel=1e-9)
+
+
+def test_current_limit_and_rounding():
+    """Assert that currents are whole mA and goals whole ticks, and that no current exceeds the limit."""
+    state = start(DRIVE, CURVE, TOUCH_TICKS, -2.25)
+    assert state.position_ticks == 434
+    step(state, DRIVE, CURVE, "current", 3.4, 1e-3)
+    assert state.current_ma == 3.0
+    step(state, DRIVE, CURVE, "position", 436.4, 1e-3)
+    assert state.current_ma == 10.0
+    step(state, DRIVE, CURVE, "position", 1e6, 1e-3)
+    assert state.current_ma == DRIVE.current_limit_ma
+    step(state, DRIVE, CURVE, "current", -1e6, 1e-3)
+    assert state.current_ma == -DRIVE.current_limit_ma
+
+
+def test_stops_of_the_gripper_and_of_the_curve():
+    """Assert that the finger stops fully open, and where the curve of the object ends."""
+    state = start(DRIVE, CURVE, TOUCH_TICKS, -10.0)
+    settle(state, "current", -100.0, 3.0)
+    assert state.touch_ticks + state.closing_ticks == pytest.approx(DRIVE.open_ticks, abs=1e-9)
+    settle(state, "current", 600.0, 3.0)
+    assert state.closing_ticks == pytest.approx(CURVE.reach_ticks, abs=1e-9)
+    assert state.force_n == pytest.approx(CURVE.force_n[-1], rel=1e-9)
+
+
+def test_trajectory_converges_with_the_time_step():
+    """Assert that the error of the force while closing falls in proportion to the time step."""
+    forces = {}
+    for dt_s in (1e-3, 5e-4, 2.5e-4, 2e-5):
+        state = start(DRIVE, CURVE, TOUCH_TICKS, -0.5)
+        forces[dt_s] = settle(state, "current", 20.0, 0.06, dt_s)[-1, 0]
+    errors = [abs(forces[dt_s] - forces[2e-5]) for dt_s in (1e-3, 5e-4, 2.5e-4)]
+    assert forces[2e-5] > 0.5
+    assert errors[0] < 0.03 * forces[2e-5]
+    assert errors[0] / errors[2] > 3.2
+
+
+@pytest.mark.parametrize("dt_s", [1e-6, 1e-3, 0.1, 10.0])
+@pytest.mark.parametrize(
+    "drive",
+    [
+        Drive(damping_n_s_m=0.0),
+        Drive(mass_kg=0.0),
+        Drive(damping_n_s_m=0.0, mass_kg=0.0),
+        Drive(friction_n=0.0, friction_share=0.0, damping_n_s_m=0.0),
+        Drive(damping_n_s_m=1e9),
+        Drive(mass_kg=1e6),
+    ],
+)
+def test_stiff_and_undamped_drives_stay_finite(drive, dt_s):
+    """Assert that no damping, no mass, no friction, and stiff contacts end in finite numbers within all limits."""
+    for curve in (CURVE, make_curve("flat", finger_n_m=1e9, modulus_pa=1e10)):
+        state = start(drive, curve, TOUCH_TICKS, -2.0)
+        for current_ma in (20.0, -5.0, 40.0, 0.0, 15.0):
+            trace = settle(state, "current", current_ma, 20 * dt_s, dt_s, drive, curve)
+            assert np.isfinite(trace).all()
+            assert (trace[:, 0] >= 0).all()
+            assert np.abs(trace[:, 1]).max() <= drive.speed_limit_m_s
+            assert np.isfinite(state.closing_ticks)
+
+
+@pytest.mark.parametrize("dt_s", [1e-4, 1e-3, 1e-2])
+def test_rest_without_damping_lies_in_the_friction_band(dt_s):
+    """Assert that a drive without damping and mass comes to rest on a stiff contact exactly where the law says."""
+    drive = Drive(damping_n_s_m=0.0, mass_kg=0.0)
+    curve = make_curve("flat", finger_n_m=1e7, modulus_pa=1e9)
+    state = start(drive, curve, TOUCH_TICKS, -0.2)
+    settle(state, "current", 20.0, 100 * dt_s, dt_s, drive, curve)
+    assert state.force_n == pytest.approx(rest_n(20.0), rel=1e-9)
+
+
+def test_geometry_of_the_fingers():
+    """Assert that gap and ticks are inverse, that metres_per_tick is the slope, and the maker's stroke of 106 mm."""
+    for width_m in (0.0, 0.010, 0.048, 0.074, 0.104):
+        assert gap_m(ticks_at_gap(width_m)) == pytest.approx(width_m, abs=1e-12)
+        ticks = ticks_at_gap(width_m)
+        slope = gap_m(ticks - 0.5) - gap_m(ticks + 0.5)
+        assert metres_per_tick(width_m) == pytest.approx(slope, rel=1e-5)
+    assert gap_m(0) == pytest.approx(0.106, abs=0.0015)
+    for width_mm, tick_mm in ((74, 0.141), (60, 0.154), (35, 0.169), (26, 0.172)):
+        assert metres_per_tick(width_mm * 1e-3) == pytest.approx(tick_mm * 1e-3, abs=0.6e-6)
+    for width_m in (-1e-3, 0.105, np.nan):
+        with pytest.raises(ValueError, match="width_m"):
+            ticks_at_gap(width_m)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Drive)])
+def test_drive_refuses_nonsense(name, value):
+    """Assert that every constant has to be finite and not negative."""
+    with pytest.raises(ValueError, match=name):
+        Drive(**{name: value})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"force_per_current_n_ma": 0.0}, {"speed_limit_m_s": 0.0}, {"friction_share": 1.0}, {"open_ticks": 740.0}],
+)
+def test_drive_refuses_what_cannot_move(changes):
+    """Assert that constants with which the law has no solution, or only rest, are refused."""
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        Drive(**changes)
+
+
+@pytest.mark.parametrize(
+    ("mode", "command", "dt_s"),
+    [
+        ("current", np.nan, 1e-3),
+        ("current", np.inf, 1e-3),
+        ("position", 400.0, 0.0),
+        ("position", 400.0, -1e-3),
+        ("position", 400.0, np.nan),
+        ("velocity", 1.0, 1e-3),
+    ],
+)
+def test_step_refuses_nonsense(mode, command, dt_s):
+    """Assert that commands, steps and modes that make no sense are refused and leave the finger where it is."""
+    state = start(DRIVE, CURVE, TOUCH_TICKS, -1.0)
+    before = dataclasses.replace(state)
+    with pytest.raises(ValueError, match="found"):
+        step(state, DRIVE, CURVE, mode, command, dt_s)
+    assert state == before
+
+
+@pytest.mark.parametrize(("touch_ticks", "closing_ticks"), [(1.0, -2.0), (739.0, 2.0), (np.nan, 0.0), (400.0, np.inf)])
+def test_start_refuses_places_out_of_reach(touch_ticks, closing_ticks):
+    """Assert that a finger cannot start outside the gripper's stroke."""
+    with pytest.raises(ValueError, match="must start within"):
+        start(DRIVE, CURVE, touch_ticks, closing_ticks)

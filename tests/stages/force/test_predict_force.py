@@ -1,0 +1,226 @@
+"""rgb, fit, force and evaluate force on made-up recordings whose gel is exactly linear."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli import params
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import info, validate
+from evetac_cli.jobs import Outcome
+from evetac_cli.stages import track_rgb
+from evetac_cli.stages.evaluate import force as evaluate_force
+from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe
+
+N_PX = 0.4  # shear force for each px of mean displacement
+SLICES = 2400
+FIT = params.Fit(samples=40, epochs=5)
+
+
+def trial(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, truth: bool = True) -> Path:
+    """A recording without events and the tracks of its dots, all of which move as one; the tracks' path.
+
+    `softer`: how many times as far the dots move under the same force, on another individual.
+    """
+    rng = np.random.default_rng(number)
+    knots = rng.uniform(-10, 10, (9, 2))
+    time = np.arange(SLICES)
+    pressed = (time > 200) & (time < SLICES - 200)
+    at = np.linspace(200, SLICES - 200, len(knots))
+    force_n = pressed[:, None] * np.stack([np.interp(time, at, knots[:, axis]) for axis in (0, 1)], axis=1)
+    rest = np.stack(np.meshgrid(60.0 + 62.0 * np.arange(columns), 40.0 + 62.0 * np.arange(7)), axis=-1)
+    dots = (rest.reshape(1, -1, 2) + force_n[:, None] * softer / N_PX).astype(np.float32)
+    sensor = {
+        "sensor/frame_px": np.array([640, 480], np.int32),
+        "sensor/individual": "evetac" if softer == 1 else "soft-gel",
+        "sensor/dot_xy_px": rest,
+        "sensor/dot_radius_px": np.float64(15.0),
+    }
+    none = np.empty(0, np.int64)
+    events = {"events/t": none, **{f"events/{name}": none.astype(np.uint16) for name in "xy"}}
+    recording: dict[str, Any] = {
+        **events,
+        "events/p": none.astype(np.uint8),
+        "ms_to_idx": np.zeros(SLICES + 1, np.int64),
+        "t_offset": np.int64(0),
+        **sensor,
+    }
+    if truth:
+        recording |= {
+            "truth/dot_xy_px": dots,
+            "truth/object_xy_px": np.zeros((SLICES, 2), np.float32),
+            "truth/slid_px": np.zeros(SLICES, np.float32),
+            "truth/slip": np.zeros(SLICES, np.uint8),
+            "truth/slip_fraction": np.zeros(SLICES, np.float32),
+            "truth/normal_force_n": 20 * pressed.astype(np.float32),
+            "truth/shear_force_n": force_n.astype(np.float32),
+            "truth/drawn": "{}",
+        }
+    made = Recipe("recording", 1, {"softer": softer, "columns": columns}, seed=number, simulated_source=truth)
+    header = write_stage(folder / f"trial{number}.recording.h5", made, recording)
+    tracks = {
+        "dot_xy_px": dots,
+        "events_per_dot": np.zeros(dots.shape[:2], np.int32),
+        "lost": np.zeros(dots.shape[:2], np.uint8),
+        **sensor,
+    }
+    path = folder / f"trial{number}.tracks.h5"
+    write_stage(path, Recipe("tracks", 1, {"preset": "exact"}, parents=(header,)), tracks)
+    return path
+
+
+def run(stage: Any, files: list[Path], chosen: Any, out: Path | None = None) -> tuple[Path, Outcome]:
+    (job,) = stage.jobs(files, chosen, out)
+    outcome: Outcome = stage.run(job, chosen)
+    assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
+    return job.output, outcome
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three trials to fit on and one apart, their tracks from events and from frames, and a model for each sensor."""
+    folder = tmp_path_factory.mktemp("force")
+    tracks = [trial(folder, number) for number in range(4)]
+    frames = [run(track_rgb, [folder / f"trial{number}.recording.h5"], params.Rgb())[0] for number in range(4)]
+    run(train_force, tracks[:3], FIT, folder / "events.force-model.h5")
+    run(train_force, frames[:3], FIT, folder / "frames.force-model.h5")
+    return folder
+
+
+def test_frames_show_where_the_dots_are(made: Path) -> None:
+    """Assert that dots tracked in frames are within 0.3 px of truth at each frame, and stay until the next."""
+    with StageFile(made / "rgb" / "trial3.tracks.h5") as tracks, StageFile(made / "trial3.recording.h5") as recording:
+        found, true = tracks.read("dot_xy_px"), recording.read("truth/dot_xy_px")
+    assert np.abs(found[::40] - true[::40]).max() < 0.3
+    assert np.array_equal(found, np.repeat(found[::40], 40, axis=0))
+    assert np.abs(true[::40] - true[0]).max() > 20
+
+
+def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
+    """Assert that the regression errs by no more than the force sensor's noise, and the report says what the paper got.
+
+    The mean of the absolute value of a normal deviate is sqrt(2 / pi) of its deviation.
+    """
+    files = [made / "trial3.tracks.h5", made / "rgb" / "trial3.tracks.h5"]
+    chosen = params.EvaluateForce(model=str(made), samples=45)
+    output, outcome = run(evaluate_force, files, chosen, tmp_path)
+    assert output.with_suffix(".png").stat().st_size > 10_000
+    assert outcome.simulated
+    assert [(row["sensor"], row["model"]) for row in outcome.rows] == [
+        (sensor, model) for sensor in ("events", "frames") for model in ("regression", "network")
+    ]
+    for row in outcome.rows[::2]:
+        for letter in "xy":
+            assert row[f"mae_n_{letter}"] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.4)
+        assert row["gain"] == pytest.approx(1, abs=0.01)
+        assert row["fitted"]
+    assert [outcome.rows[2][f"paper_{name}"] for name in ("mae_n_x", "sd_n_x", "mae_n_y", "sd_n_y")] == [
+        0.53, 0.49, 0.44, 0.29,
+    ]  # fmt: skip
+    assert outcome.summary["force_n_x_most"] <= 10.5
+
+
+def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
+    """Assert that rows have the means over models that differ in the seed, and how much these differ."""
+    learn, judged = [made / f"trial{number}.tracks.h5" for number in range(3)], [made / "trial3.tracks.h5"]
+    rows = []
+    for seed in (1, 2):
+        model = tmp_path / f"{seed}.force-model.h5"
+        run(train_force, learn, params.Fit(samples=40, epochs=2, seed=seed), model)
+        chosen = params.EvaluateForce(model=str(model), samples=45)
+        rows.append(run(evaluate_force, judged, chosen, tmp_path / f"{seed}.report.h5")[1].rows[1])
+    chosen = params.EvaluateForce(model=str(tmp_path), samples=45)
+    network = run(evaluate_force, judged, chosen, tmp_path / "both.report.h5")[1].rows[1]
+    assert [row["models"] for row in (*rows, network)] == [1, 1, 2]
+    assert rows[0]["mae_n_x"] != rows[1]["mae_n_x"]
+    for name in ("mae_n_x", "mae_n_y", "sd_n_x", "sd_n_y", "gain"):
+        assert network[name] == pytest.approx((rows[0][name] + rows[1][name]) / 2)
+    assert network["models_sd_n_x"] == pytest.approx(abs(rows[0]["mae_n_x"] - rows[1]["mae_n_x"]) / 2)
+
+
+def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
+    """Assert that a gel whose dots move 1.3 times as far gives 1.3 times the force, without the paper beside it."""
+    soft = trial(tmp_path, 7, softer=1.3)
+    chosen = params.EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
+    _, outcome = run(evaluate_force, [soft], chosen, tmp_path / "out")
+    regression = outcome.rows[0]
+    assert regression["gain"] == pytest.approx(1.3, abs=0.01)
+    assert regression["individual"] == "soft-gel"
+    assert not regression["fitted"]
+    assert regression["paper_mae_n_x"] is None
+
+
+def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
+    """Assert that force tells every slice what the model says of it, also of tracks without a recording."""
+    chosen = params.Force(model=made / "events.force-model.h5")
+    output, _ = run(predict_force, [made / "trial3.tracks.h5"], chosen, tmp_path)
+    with StageFile(output) as told, StageFile(made / "trial3.recording.h5") as recording:
+        regression, network = told.read("regression_n"), told.read("network_n")
+        true = recording.read("truth/shear_force_n")
+    assert np.abs(regression - true).max() < 0.05
+    _, model = train_force.read_model(made / "events.force-model.h5")
+    with StageFile(made / "trial3.tracks.h5") as tracks:
+        moved = tracks.read("dot_xy_px") - train_force.rest_of(tracks)
+    assert np.allclose(network, train_force.forces.apply_network(model.network, moved), atol=1e-3)
+    figures = info.run([output, made / "events.force-model.h5"]).rows
+    assert figures[0]["slices"] == SLICES
+    assert figures[1]["sensor"] == "events"
+
+
+def refused(stage: Any, files: list[Path], chosen: Any, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        run(stage, files, chosen, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_was_learned_is_not_judged(made: Path, tmp_path: Path) -> None:
+    """Assert that a recording that was fitted on is refused, whichever sensor tracked it, and so is one held out."""
+    chosen = params.EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
+    for number in range(3):
+        refused(evaluate_force, [made / f"trial{number}.tracks.h5"], chosen, "trained on and judged on", tmp_path)
+    refused(train_force, [made / "trial0.tracks.h5", made / "trial0.tracks.h5"], FIT, "held out", tmp_path)
+
+
+def test_sensors_are_kept_apart(made: Path, tmp_path: Path) -> None:
+    """Assert that no model is fitted to two sensors, and that each file needs the one model of its own."""
+    events, frames = made / "trial3.tracks.h5", made / "rgb" / "trial3.tracks.h5"
+    refused(train_force, [made / "trial0.tracks.h5", frames], FIT, "different sensors", tmp_path)
+    only = params.EvaluateForce(model=str(made / "frames.force-model.h5"))
+    refused(evaluate_force, [events], only, "no model of dots tracked in events", tmp_path)
+    run(train_force, [made / "trial0.tracks.h5", made / "trial1.tracks.h5"], FIT, tmp_path / "other.force-model.h5")
+    (tmp_path / "events.force-model.h5").write_bytes((made / "events.force-model.h5").read_bytes())
+    refused(evaluate_force, [events], params.EvaluateForce(model=str(tmp_path)), "two models", tmp_path)
+
+
+def test_another_grid_is_refused(made: Path, tmp_path: Path) -> None:
+    """Assert that a cut gel's tracks do not fit a closed gel's model, in all three commands."""
+    cut = trial(tmp_path, 8, columns=8)
+    model = made / "events.force-model.h5"
+    refused(predict_force, [cut], params.Force(model=model), "another dot grid", tmp_path)
+    refused(evaluate_force, [cut], params.EvaluateForce(model=str(model)), "another dot grid", tmp_path)
+    refused(train_force, [made / "trial0.tracks.h5", cut], FIT, "different dot grids", tmp_path)
+
+
+def test_what_cannot_be_answered(made: Path, tmp_path: Path) -> None:
+    """Assert that too few files, no truth, too short a contact and no model are refused in words."""
+    model = str(made / "events.force-model.h5")
+    refused(train_force, [made / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
+    refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(model=model), "too short", tmp_path)
+    refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(), "no force model", tmp_path)
+    refused(predict_force, [made / "trial3.tracks.h5"], params.Force(), "no force model", tmp_path)
+    real = trial(tmp_path, 9, truth=False)
+    refused(evaluate_force, [real], params.EvaluateForce(model=model), "without truth", tmp_path)
+    refused(track_rgb, [tmp_path / "trial9.recording.h5"], params.Rgb(), "only a simulation", tmp_path)
+
+
+def test_damaged_network_is_refused(made: Path, tmp_path: Path) -> None:
+    """Assert that a model whose layers do not fit its grid is refused."""
+    with StageFile(made / "events.force-model.h5") as file:
+        arrays = {name: file.read(name) for name in file.contents()} | {"dot_shape": np.array([7, 8], np.int32)}
+    path = tmp_path / "wrong.force-model.h5"
+    write_stage(path, Recipe("force-model", 1, {}), arrays)
+    refused(predict_force, [made / "trial3.tracks.h5"], params.Force(model=path), "does not fit", tmp_path)

@@ -1,0 +1,283 @@
+"""The controller's beat and its watchdog, on a clock that only these tests move."""
+
+import math
+import multiprocessing
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from evetac_cli.devices import GripperReading
+from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+from evetac_cli.errors import DeviceError
+from evetac_cli.kernels.grip.control import Control, Felt
+from evetac_cli.kernels.grip.paper import PAPER, Phase
+from evetac_cli.realtime.message_pipe import Inbox, Outbox
+from evetac_cli.realtime.shared_status import Board, Sign
+from evetac_cli.stages.grasp.controller_process import (
+    COMMAND_BYTES,
+    FRESH_US,
+    MOST_SHIFT_US,
+    OVER,
+    STOPPED,
+    TOO_LONG,
+    Commanding,
+    CommandingEnded,
+    Pace,
+    Watch,
+    command,
+    shift_us,
+)
+from evetac_cli.stages.grasp.loop import Timing
+
+PERIOD_S = 0.002
+READ_S, WRITE_S = 400e-6, 100e-6
+FELT_S = 600e-6  # from the end of a slice until it is on the board
+MOST_S = 1e-9  # of rounding
+
+
+class Clock:
+    """Time that passes only when somebody sleeps, or is told to."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+        self.passing: Callable[[], None] = lambda: None
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds >= 0
+        self.now_s += seconds
+        self.passing()
+
+
+@given(took=st.lists(st.floats(0.0, 0.02), min_size=1, max_size=50))
+def test_deadlines_are_absolute_and_none_is_hidden(took: list[float]) -> None:
+    """Assert that steps begin on the grid, or less than a period late, and that every deadline that passed counts."""
+    clock = Clock()
+    pace = Pace(PERIOD_S, clock, clock.sleep)
+    began_s = clock.now_s
+    passed = 0
+    for seconds in took:
+        late_us = pace.wait()
+        assert 0.0 <= late_us < (PERIOD_S + MOST_S) * 1e6
+        due_s = clock.now_s - late_us * 1e-6
+        steps = (due_s - began_s) / PERIOD_S
+        assert steps == pytest.approx(round(steps), abs=1e-5)
+        clock.now_s += seconds
+        periods = (clock.now_s - due_s) / PERIOD_S
+        assume(not 0 < abs(periods - round(periods)) < 1e-6)  # whether it is in time is then a matter of rounding
+        passed += math.floor(periods)
+    pace.wait()
+    assert pace.missed == passed
+
+
+def test_one_long_step() -> None:
+    """Assert that a step of three and a half periods costs three deadlines; the next begins half a one late."""
+    clock = Clock()
+    pace = Pace(PERIOD_S, clock, clock.sleep)
+    assert pace.wait() == 0.0
+    clock.now_s += 3.5 * PERIOD_S
+    assert pace.wait() == pytest.approx(0.5e6 * PERIOD_S)
+    assert pace.missed == 3
+    clock.now_s += 0.1 * PERIOD_S
+    assert pace.wait() == pytest.approx(0.0, abs=1e-3)
+    assert pace.missed == 3
+
+
+@given(age_us=st.floats(0.0, 5000.0))
+def test_steps_follow_the_news(age_us: float) -> None:
+    """Assert that a shift is small, repeats with the slices, and brings the age of the news to what is wanted."""
+    shift = shift_us(age_us)
+    assert abs(shift) <= MOST_SHIFT_US
+    assert shift_us(age_us + 1000.0) == pytest.approx(shift, abs=1e-6)
+    for _ in range(1000):
+        age_us = (age_us + shift_us(age_us)) % 1000.0
+    assert age_us == pytest.approx(FRESH_US, abs=1.0)
+
+
+def test_watch() -> None:
+    """Assert that silence of detector and camera are told apart, and that time counts only while one was awake."""
+    watch = Watch(60)
+    sign = Sign(Felt(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
+    assert watch.wrong(sign, 1.059e6)[0] == ""
+    reason, alive_us = watch.wrong(sign, 1.061e6)
+    assert ("detector" in reason, alive_us) == (True, 1e6)
+    reason, alive_us = watch.wrong(sign._replace(at_us=1.06e6), 1.061e6)
+    assert ("camera" in reason, alive_us) == (True, 1e6)
+    watch.slept_until(1.2e6)
+    assert watch.wrong(sign, 1.25e6)[0] == ""
+    assert "detector" in watch.wrong(sign, 1.261e6)[0]
+
+
+class Hand:
+    """A gripper whose finger is where it was told to be, and which takes its time; fails when told."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.counted: dict[str, int] = {"answers_lost": 0}
+        self.goals: list[int] = []
+        self.position = 400
+        self.closed_s: float | None = None
+        self.fails_at = 10**9
+        self.frozen_at = 10**9
+        self._clock = clock
+
+    def read(self) -> GripperReading:
+        assert self.closed_s is None
+        if len(self.goals) == self.fails_at:
+            raise DeviceError("no answer", where="gripper")
+        self._clock.sleep(READ_S if len(self.goals) != self.frozen_at else 0.1)
+        return GripperReading(5.0, self.position)
+
+    def write_current(self, current_ma: int) -> None:
+        raise AssertionError("positions are commanded")
+
+    def write_position(self, goal_ticks: int) -> None:
+        assert self.closed_s is None
+        self._clock.sleep(WRITE_S)
+        self.goals.append(goal_ticks)
+        self.position += (goal_ticks > self.position) - (goal_ticks < self.position)
+
+    def close(self) -> None:
+        self.closed_s = self.closed_s or self._clock.now_s
+
+
+class Bench:
+    """A controller at a board, on which a detector of these tests tells what it feels."""
+
+    def __init__(self, timing: Timing, slips: Callable[[int], bool] = lambda k: False) -> None:
+        self.clock = Clock()
+        self.board, self.hand = Board(), Hand(self.clock)
+        self.zero_s = self.clock.now_s
+        self.dies_at = self.silent_at = self.stops_at = 10**9
+        self._slips, self._told, self._known, self._heard_us = slips, 0, list[float](), 0.0
+        self.clock.passing = self._tell
+        self._reading, self._writing = multiprocessing.Pipe(duplex=False)
+        self.commanding = Commanding("nowhere", 2_000_000, RhP12RnSettings(), PAPER, timing, 60, 100.0)
+
+    def _tell(self) -> None:
+        while self.clock.now_s >= self.zero_s + (self._told + 1) * 1e-3 + FELT_S and self._told < self.dies_at:
+            slice_ = self._told
+            self._told += 1
+            at_us = (self.zero_s + self._told * 1e-3 + FELT_S) * 1e6
+            self._heard_us = at_us if slice_ < self.silent_at else self._heard_us
+            if self._slips(slice_):
+                self._known.append((self.zero_s + slice_ * 1e-3) * 1e6 + 50.0)
+            felt = Felt(len(self._known), 0.5, 0.0, 0.0)
+            self.board.tell(Sign(felt, self._told, at_us, self._heard_us, self.zero_s * 1e6, tuple(self._known[-20:])))
+            if slice_ == self.stops_at:
+                self.board.stop()
+
+    def run(self, **changed: Any) -> tuple[CommandingEnded, list[dict[str, Any]]]:
+        commanding = self.commanding if not changed else Commanding(**{**vars(self.commanding), **changed})
+        outbox = Outbox(self._writing)
+        ended = command(self.hand, self.board, commanding, outbox, self.clock, self.clock.sleep)
+        assert outbox.flush(1.0)
+        return ended, [row for rows in Inbox(self._reading).take() for row in rows]
+
+    def close(self) -> None:
+        self._reading.close()
+        self._writing.close()
+
+
+@pytest.fixture
+def bench() -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def make(**more: Any) -> Bench:
+        made.append(Bench(Timing(100, 200, 100), **more))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def test_a_grasp_that_is_over(bench: Callable[..., Bench]) -> None:
+    """Assert that it steps 500 times a second without a miss, decides as the law does, and ends with torque off."""
+    at = bench(slips=lambda k: 150 <= k < 160 or 320 <= k < 330)
+    ended, rows = at.run()
+    assert (ended.ended, ended.error, ended.missed) == (OVER, None, 0)
+    assert at.hand.closed_s is not None
+    assert ended.steps == len(at.hand.goals)
+    assert ended.steps / ended.seconds == pytest.approx(500.0, rel=0.01)
+    phases = [row["control/phase"] for row in rows]
+    assert sorted(phases) == phases
+    assert set(phases) == set(Phase)
+    law, position = Control(PAPER), 400
+    slips = [sum(150 <= k < 160 or 320 <= k < 330 for k in range(row["control/slices_felt"])) for row in rows]
+    for row, felt, goal in zip(rows, slips, at.hand.goals, strict=False):
+        assert row["gripper/position_ticks"] == position
+        assert row["control/goal_ticks"] == goal == law.step(row["control/phase"], Felt(felt), position)
+        position += (goal > position) - (goal < position)
+    assert sum(row["control/slip"] for row in rows) == pytest.approx(10, abs=2)
+    times = [row["control/t_us"] for row in rows]
+    assert all(earlier < later for earlier, later in pairwise(times))
+
+
+def test_latency_is_from_the_event_to_the_last_byte(bench: Callable[..., Bench]) -> None:
+    """Assert that latency counts slice, detector, waiting, command and wire, and exists only in steps with news."""
+    at = bench(slips=lambda k: k % 50 == 7)
+    _, rows = at.run()
+    wire_us = COMMAND_BYTES * 10 / 2.0
+    least_us = 1000.0 - 50.0 + FELT_S * 1e6 + WRITE_S * 1e6 + wire_us
+    latency = np.array([row["control/latency_us"] for row in rows])
+    news = np.array([row["control/slip"] for row in rows], bool)
+    assert news.any()
+    assert (np.isfinite(latency) == news).all()
+    assert (latency[news] >= least_us - 0.01).all()
+    assert (latency[news] <= least_us + PERIOD_S * 1e6 + 0.01).all()
+
+
+@pytest.mark.parametrize(("dies_at", "silent_at", "what"), [(250, 10**9, "detector"), (10**9, 250, "camera")])
+def test_silence_ends_with_torque_off(bench: Callable[..., Bench], dies_at: int, silent_at: int, what: str) -> None:
+    """Assert that a dead detector and a silent camera end the grasp within watchdog and one step, and it says why."""
+    at = bench()
+    at.dies_at, at.silent_at = dies_at, silent_at
+    ended, _ = at.run()
+    assert what in ended.ended
+    assert isinstance(ended.error, DeviceError)
+    assert "torque is off" in str(ended.error)
+    assert 60_000.0 < ended.released_us - ended.alive_us < 63_000.0
+    assert at.hand.closed_s == pytest.approx(ended.released_us * 1e-6)
+
+
+def test_a_bus_that_fails(bench: Callable[..., Bench]) -> None:
+    """Assert that the driver's error ends the grasp and is handed on; nobody claims to know when torque was off."""
+    at = bench()
+    at.hand.fails_at = 60
+    ended, rows = at.run()
+    assert ended.ended.endswith("no answer")
+    assert isinstance(ended.error, DeviceError)
+    assert math.isnan(ended.released_us)
+    assert at.hand.closed_s is not None
+    assert len(rows) == ended.steps == 60
+
+
+def test_a_computer_that_stops_everything(bench: Callable[..., Bench]) -> None:
+    """Assert that 0.1 s in which nobody ran is no death of the detector, and that its deadlines are counted."""
+    at = bench()
+    at.hand.frozen_at = 60
+    ended, rows = at.run()
+    assert ended.ended == OVER
+    assert ended.missed == pytest.approx(50, abs=1)
+    assert sum(row["control/missed"] for row in rows) == ended.missed
+
+
+def test_stop_and_too_long(bench: Callable[..., Bench]) -> None:
+    """Assert that an order to stop and the longest time end a grasp, with torque off and no error."""
+    at = bench()
+    at.stops_at = 120
+    ended, _ = at.run()
+    assert (ended.ended, ended.error) == (STOPPED, None)
+    assert at.hand.closed_s is not None
+    at = bench()
+    ended, _ = at.run(most_s=0.1)
+    assert (ended.ended, ended.error) == (TOO_LONG, None)
+    assert ended.steps == pytest.approx(50, abs=2)
+    assert at.hand.closed_s is not None

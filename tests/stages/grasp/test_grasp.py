@@ -1,0 +1,227 @@
+"""grasp: which detector and controller, their timing, a closed gel, and what is kept of the outcome."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evetac_cli.devices import GripperReading, Rig
+from evetac_cli.errors import InputError
+from evetac_cli.events import empty
+from evetac_cli.inspect import validate
+from evetac_cli.kernels.grip.control import Control, Felt, law_of
+from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.params import Grasp
+from evetac_cli.resources import MODEL
+from evetac_cli.sim import gripper
+from evetac_cli.stages import grasp
+from evetac_cli.stages.grasp.loop import Kept, Timing, hold
+from evetac_cli.stages.grasp.online_detector import known_dots
+from evetac_cli.stages.slip_detectors import ahead_of, detector_of
+from evetac_cli.store.files import StageFile
+
+SHORT = {"lift_s": 1.0, "balance_s": 0.1}
+
+
+def made(tmp_path: Path, name: str = "a", **chosen):
+    params = Grasp(**{**SHORT, **chosen})
+    (job,) = grasp.jobs([], params, tmp_path / f"{name}.recording.h5")
+    return job.output, grasp.run(job, params).rows[0]
+
+
+def test_the_package_has_a_detector() -> None:
+    """Assert that a grasp needs no --model: the package's is whole, runs, and its report is of this very file."""
+    assert grasp.model_of(Grasp()) == MODEL
+    assert [row["faults"] for row in validate.run([MODEL]).rows] == [None]
+    made = json.loads(MODEL.with_name("fast-slow-10ms.json").read_text())
+    with StageFile(MODEL, "model") as model:
+        assert detector_of(model).architecture.name == made["model"] == "fast-slow"
+        assert ahead_of(model) == made["ahead_ms"] == 10
+        assert float(model.read("threshold")) == made["threshold"]
+        assert model.header["id"] == made["id"]
+    assert made["simulated"]
+    assert made["unseen_objects"]["trajectories"] > 0
+
+
+@pytest.mark.parametrize("controller", ["none", "fixed:6"])
+def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
+    """Assert that a model is refused where none is used, and that none is taken then."""
+    assert grasp.model_of(Grasp(controller=controller)) is None
+    with pytest.raises(InputError, match="no detector is used"):
+        grasp.jobs([], Grasp(controller=controller, model=tmp_path / "slip.model.h5"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "said"),
+    [({"controller": "papers"}, "--controller"), ({"controller": "fixed:x"}, "fixed:1"),
+     ({"controller": "by-load", "gain": 2.0}, "--gain"), ({"control_hz": 300.0}, "--control-hz")],
+)  # fmt: skip
+def test_refusals(tmp_path: Path, chosen, said: str) -> None:
+    """Assert that a controller, gain or rate that cannot be is refused before anything is made, naming its flag."""
+    with pytest.raises(InputError, match=said):
+        grasp.jobs([], Grasp(**chosen), tmp_path)
+
+
+def test_dry_run_refuses_what_a_run_does(tmp_path: Path) -> None:
+    """Assert that a file made by another recipe, and a model that is not there, are refused by a dry run too."""
+    out = tmp_path / "a.recording.h5"
+    out.touch()
+    for params, said in ((Grasp(), "the output exists"), (Grasp(model=tmp_path / "nope.h5"), "no such file")):
+        jobs = grasp.jobs([], params, out)
+        words = []
+        for try_ in (
+            lambda jobs=jobs, params=params: grasp.dry_run(jobs, params),
+            lambda jobs=jobs, params=params: grasp.run(jobs[0], params),
+        ):
+            with pytest.raises(InputError, match=said) as refused:
+                try_()
+            words.append(str(refused.value))
+        assert words[0] == words[1]
+    assert grasp.dry_run(grasp.jobs([], Grasp(), out), Grasp(), force=True).summary["files"] == 1
+
+
+def test_the_outcome_is_in_the_file(tmp_path: Path) -> None:
+    """Assert that the row's figures are those of the file, which is whole, and that contact alone lifts nothing."""
+    path, row = made(tmp_path, controller="none", lift_s=1.5)
+    with StageFile(path, "recording") as recording:
+        kept = json.loads(recording.read("control/outcome"))
+        assert recording.header["parameters"]["law"] == {"beyond": 0}
+    assert kept == {name: row[name] for name in kept}
+    assert not row["lifted"]
+    assert row["force_end_n"] == pytest.approx(row["force_touch_n"], rel=0.05)
+    assert [each["faults"] for each in validate.run([path]).rows] == [None]
+
+
+def test_a_fixed_grip_closes_by_its_ticks(tmp_path: Path) -> None:
+    """Assert that fixed:9 ends within the band of friction of 9 ticks, and holds harder than fixed:5."""
+    forces = []
+    for ticks in (5, 9):
+        _, row = made(tmp_path, str(ticks), controller=f"fixed:{ticks}", lift_s=1.0)
+        band_ticks = gripper.Drive().friction_n / 2.0
+        assert ticks - band_ticks - 2 <= -row["opening_lift_ticks"] <= ticks
+        forces.append(row["force_lift_n"])
+    assert forces[1] > forces[0] + 0.3
+
+
+def test_by_load_grips_as_the_object_pulls(tmp_path: Path) -> None:
+    """Assert that ours lifts off with a grip that holds, and that what it heard of the drag is in the file."""
+    path, row = made(tmp_path, controller="by-load", lift_s=1.2, balance_s=0.0)
+    with StageFile(path, "recording") as recording:
+        drag_px, gap_mm = recording.read("control/drag_px"), recording.read("truth/table_gap_mm")
+        shear_n = recording.read("truth/shear_force_n")
+    assert gap_mm[-1] > 5.0
+    load_px = np.linalg.norm(drag_px[-1] - drag_px[700])
+    assert load_px == pytest.approx(2.8 * np.linalg.norm(shear_n[-1]), rel=0.25)  # H / G over the gel, in px/N
+    assert row["force_lift_n"] > 0.5
+
+
+def test_known_dots() -> None:
+    """Assert that of a closed gel the column where the window would be is left out, and of a cut one nothing."""
+    x, y = np.meshgrid(np.arange(9) * 62.0 + 60, np.arange(7) * 62.0 + 40)
+    closed = np.stack([x, y], axis=-1)
+    known = known_dots(closed, 7, 8).reshape(7, 9)
+    assert known[:, :8].all()
+    assert not known[:, 8].any()
+    assert not known_dots(closed[:, ::-1], 7, 8).reshape(7, 9)[:, 0].any()
+    assert known_dots(closed[:, :8], 7, 8).all()
+    for rows, columns in ((7, 7), (6, 8), (7, 10)):
+        with pytest.raises(ValueError, match="dots"):
+            known_dots(closed, rows, columns)
+
+
+def test_a_closed_gel_is_felt_by_the_network_for_a_cut_one(tmp_path: Path) -> None:
+    """Assert that 63 dots are tracked and felt: the file has them all, and a probability for every slice."""
+    path, row = made(tmp_path, gel="closed")
+    with StageFile(path, "recording") as recording:
+        assert recording.read("sensor/dot_xy_px").shape == (7, 9, 2)
+        assert not recording.has("sensor/window_px")
+        probability = recording.read("control/probability")
+    assert np.isfinite(probability[100:]).all()
+    assert row["slices_with_slip"] > 0
+
+
+class Silence:
+    """A camera of so many empty slices, and its clock."""
+
+    def __init__(self, slices: int) -> None:
+        self.sensor, self.counted, self.left, self.now_ms = {}, {}, slices, 0
+
+    def read(self):
+        if not self.left:
+            return None
+        self.left, self.now_ms = self.left - 1, self.now_ms + 1
+        return empty()
+
+    def now_us(self) -> int:
+        return 1000 * self.now_ms
+
+    def close(self) -> None: ...
+
+
+class Still:
+    """A gripper whose fingers do not move, with a log of when it was told what."""
+
+    def __init__(self, camera: Silence) -> None:
+        self.camera, self.counted, self.goals = camera, {}, []
+
+    def read(self) -> GripperReading:
+        return GripperReading(0.0, 100)
+
+    def write_position(self, goal_ticks: int) -> None:
+        self.goals.append((self.camera.now_ms, goal_ticks))
+
+    def write_current(self, current_ma: int) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class SlipsAt:
+    """A detector that feels slip in one slice."""
+
+    def __init__(self, at: int) -> None:
+        self.at, self.slices, self.felt = at, 0, Felt()
+
+    def step(self, events) -> float:
+        self.slices += 1
+        self.felt = Felt(int(self.slices >= self.at), 1.0)
+        return float(self.slices == self.at)
+
+
+def held(timing: Timing, slips_at: int) -> list[tuple[int, int]]:
+    camera = Silence(timing.end_ms)
+    still = Still(camera)
+    kept = Kept()
+    control = Control(law_of("paper"), timing.control_hz)
+    slices = hold(Rig(camera, still, camera), SlipsAt(slips_at), control, timing, kept.append, lambda _: None)
+    assert slices == timing.end_ms == len(kept.events)
+    assert len(kept.rows["control/t_us"]) == len(still.goals)
+    return still.goals
+
+
+@pytest.mark.parametrize("hz", [50, 100, 250, 500, 1000])
+def test_the_controller_steps_at_its_rate(hz: int) -> None:
+    """Assert that a command is written in every slice in which one is due, and in no other."""
+    goals = held(Timing(10, 90, 100, float(hz)), 10_000)
+    assert [ms for ms, _ in goals] == list(range(1, 201, 1000 // hz))
+
+
+@pytest.mark.parametrize("latency_ms", [0, 1, 2, 7, 50])
+def test_the_controller_hears_so_much_later(latency_ms: int) -> None:
+    """Assert that slip in a slice changes the goal in the first step of control after the latency."""
+    timing = Timing(10, 190, 0, 500.0, latency_ms)
+    goals = held(timing, 51)
+    closed = next(ms for ms, goal in goals if ms > 10 and goal > 100)
+    due = 51 + latency_ms
+    assert closed == due + (due + 1) % 2  # slices 1, 3, 5 ... are followed by a step
+
+
+def test_phases_follow_the_clock() -> None:
+    """Assert that phases change at the slices that the timing names."""
+    timing = Timing(10, 20, 30)
+    assert [timing.phase(k) for k in (0, 9, 10, 29, 30, 59)] == [
+        Phase.CONTACT, Phase.CONTACT, Phase.LIFT, Phase.LIFT, Phase.BALANCE, Phase.BALANCE,
+    ]  # fmt: skip
+    assert timing.end_ms == 60
+    assert replace(timing, control_hz=250.0).every_ms == 4

@@ -1,0 +1,160 @@
+"""What a gripper does in a recording from devices: phases, the paper's ramp, and a loop that keeps every command."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from evetac_cli.devices import GripperReading
+from evetac_cli.devices.rh_p12_rn.close_until_contact import ClosingSettings
+from evetac_cli.errors import DeviceError
+from evetac_cli.stages.record.current_ramp import (
+    COMMAND_MS,
+    OPENED_TICKS,
+    RAMP_MA,
+    GripperLoop,
+    Hold,
+    Phase,
+    start,
+    step,
+)
+
+HOLD = Hold(closing_ma=10, holding_ma=40.0, hold_s=0.02, lowest_ma=-50.0)
+STILL = ClosingSettings().still_cycles
+
+
+def after_contact(hold: Hold = HOLD, position: int = 400) -> tuple[object, np.random.Generator]:
+    """A state in which the current is about to fall."""
+    state, rng = start(hold), np.random.default_rng(0)
+    while state.phase is not Phase.FALLING:
+        step(state, hold, GripperReading(0.0, position), rng)
+    return state, rng
+
+
+def test_phases() -> None:
+    """Assert that it closes while it moves, holds for as long as was said from contact on, and only then lets go."""
+    state, rng = start(HOLD), np.random.default_rng(0)
+    closing = [step(state, HOLD, GripperReading(10.0, 300 + k // 20), rng) for k in range(2000)]
+    assert set(closing) == {10.0}
+    assert state.phase is Phase.CLOSING
+    targets = []
+    while state.phase is not Phase.FALLING:
+        targets.append(step(state, HOLD, GripperReading(10.0, 400), rng))
+    assert targets.count(40.0) == 1000 * HOLD.hold_s / COMMAND_MS + 1
+    assert STILL - 1 <= targets.count(10.0) <= STILL + 1
+    assert step(state, HOLD, GripperReading(40.0, 400), rng) < 40.0
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-50, 39))
+@settings(max_examples=20, deadline=None)
+def test_ramp_is_the_papers(seed: int, lowest_ma: float) -> None:
+    """Assert that each command changes the target by U(-0.025, -0.0025) mA, until the lower limit, and says so."""
+    hold = Hold(10, 40.0, 0.0, lowest_ma)
+    state, _ = after_contact(hold)
+    rng = np.random.default_rng(seed)
+    targets = [40.0]
+    while not state.ended:
+        targets.append(step(state, hold, GripperReading(0.0, 400), rng))
+    changes = np.diff(targets)
+    assert (changes >= RAMP_MA[0] - 1e-12).all()
+    assert (changes <= RAMP_MA[1] + 1e-12).all()
+    assert targets[-1] <= lowest_ma < targets[-2]
+    assert "lower limit" in state.ended
+    if len(changes) > 200:
+        assert abs(changes.mean() - np.mean(RAMP_MA)) < 5 * (RAMP_MA[1] - RAMP_MA[0]) / np.sqrt(12 * len(changes))
+
+
+def test_open_gripper_ends_it() -> None:
+    """Assert that fingers clearly further apart than at contact are the end, and a little further are not."""
+    state, rng = after_contact()
+    step(state, HOLD, GripperReading(0.0, 400 - OPENED_TICKS + 1), rng)
+    assert not state.ended
+    step(state, HOLD, GripperReading(0.0, 400 - OPENED_TICKS), rng)
+    assert state.ended == "the gripper opened"
+
+
+def test_nothing_between_the_fingers() -> None:
+    """Assert that fingers that meet each other are an error in words."""
+    state, rng = start(HOLD), np.random.default_rng(0)
+    with pytest.raises(DeviceError, match="met nothing"):
+        step(state, HOLD, GripperReading(0.0, ClosingSettings().last_tick), rng)
+
+
+class LoggingGripper:
+    """A gripper that answers as told and keeps what it was commanded."""
+
+    def __init__(self, read_s: float = 0.0, fails_at: int = 10**9) -> None:
+        self.counted: dict[str, int] = {}
+        self.written: list[int] = []
+        self._read_s = read_s
+        self._fails_at = fails_at
+
+    def read(self) -> GripperReading:
+        if len(self.written) >= self._fails_at:
+            raise DeviceError("no answer")
+        time.sleep(self._read_s)
+        return GripperReading(1.5, 300 + len(self.written))
+
+    def write_current(self, current_ma: int) -> None:
+        self.written.append(current_ma)
+
+    def write_position(self, goal_ticks: int) -> None:
+        raise AssertionError("the current is commanded, not the position")
+
+    def close(self) -> None:
+        pass
+
+
+def run_loop(gripper: LoggingGripper, commands: int) -> tuple[GripperLoop, list[dict[str, float]]]:
+    """Run until so many commands, or an error; rows are fetched while it runs and at the end."""
+    given: list[float] = []
+
+    def act(reading: GripperReading) -> tuple[float, str]:
+        given.append(20.0 - 0.3 * len(given))
+        return given[-1], "enough" if len(given) == commands else ""
+
+    loop = GripperLoop(gripper, act, lambda: 1000 * len(given))
+    loop.start()
+    rows = []
+    while not loop.ended and loop.error is None:
+        rows += loop.rows()
+        time.sleep(0.001)
+    loop.stop()
+    return loop, rows + loop.rows()
+
+
+def test_every_command_has_its_row() -> None:
+    """Assert that rows are the commands one by one, in order, with the target as a float and what was written whole."""
+    gripper = LoggingGripper()
+    loop, rows = run_loop(gripper, 60)
+    assert [row["gripper/current_written_ma"] for row in rows] == gripper.written
+    assert len(rows) == loop.commands == 60
+    targets = [row["gripper/current_target_ma"] for row in rows]
+    np.testing.assert_allclose(targets, 20.0 - 0.3 * np.arange(60))
+    assert gripper.written == [round(target) for target in targets]
+    assert [row["gripper/position_ticks"] for row in rows] == list(range(300, 360))
+    assert [row["gripper/t_us"] for row in rows] == list(range(1000, 61000, 1000))
+
+
+def test_late_commands_are_counted() -> None:
+    """Assert that a gripper that takes three cycles is commanded less often, and each moment left out is a miss."""
+    loop, rows = run_loop(LoggingGripper(read_s=3 * COMMAND_MS * 1e-3), 20)
+    assert loop.misses >= 19
+    assert min(loop.cycle_us) >= 3000 * COMMAND_MS
+
+
+def test_failure_is_kept_for_the_recorder() -> None:
+    """Assert that an error ends the loop, is there to be told, and the rows until then too."""
+    gripper = LoggingGripper(fails_at=7)
+    loop, rows = run_loop(gripper, 60)
+    assert isinstance(loop.error, DeviceError)
+    assert len(rows) == 7
+
+
+def test_loop_can_be_stopped_before_it_starts() -> None:
+    """Assert that stopping a loop that never ran is no error."""
+    loop = GripperLoop(LoggingGripper(), lambda reading: (0.0, ""), lambda: 0)
+    loop.stop()
+    assert loop.rows() == []

@@ -1,0 +1,301 @@
+"""The contract of being a stage, run over all of them; a new stage gets these tests by a row in STAGES.
+
+Only calibrate, which writes JSON, and the evaluations that need no files (cost, stability) have tests of their own.
+"""
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import pytest
+
+from evetac_cli import params
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import validate
+from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, train
+from evetac_cli.stages.evaluate import data_rate as evaluate_data_rate
+from evetac_cli.stages.evaluate import force as evaluate_force
+from evetac_cli.stages.evaluate import grasp as evaluate_grasp
+from evetac_cli.stages.evaluate import labels as evaluate_labels
+from evetac_cli.stages.evaluate import slip as evaluate_slip
+from evetac_cli.stages.evaluate import tracking as evaluate_tracking
+from evetac_cli.stages.evaluate import vibration as evaluate_vibration
+from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.provenance import Header
+from tests.conftest import Made
+
+
+class Stage(NamedTuple):
+    """A stage module, parameters to run it with, others that give another recipe, and its inputs in a folder."""
+
+    name: str
+    module: Any
+    params: Callable[[Path], Any]
+    other: Callable[[Path], Any]
+    inputs: Callable[[Path], list[Path]]
+
+
+def of(kind: str) -> Callable[[Path], list[Path]]:
+    return lambda folder: sorted(folder.glob(f"short-*.{kind}.h5"))[:1]
+
+
+def some(cls: type, **values: Any) -> Callable[[Path], Any]:
+    return lambda folder: cls(**{k: v(folder) if callable(v) else v for k, v in values.items()})
+
+
+def scene(folder: Path) -> str:
+    return str(folder / "short.toml")
+
+
+def model(folder: Path) -> Path:
+    return folder / "hist10.model.h5"
+
+
+def force_model(folder: Path) -> Path:
+    return folder / "dots.force-model.h5"
+
+
+GRASP = {"model": model, "lift_s": 1.0}
+TRAIN = {"epochs": 1, "max_steps": 5, "recipe": "adam"}
+STAGES = [
+    Stage("record", record, some(params.Record, scene=scene), some(params.Record, scene=scene, seed=1), lambda _: []),
+    Stage(
+        "label", label, some(params.Label, after_ms=15), some(params.Label, after_ms=15, confirm_ms=4),
+        of("recording"),
+    ),
+    Stage("track", track, some(params.Track), some(params.Track, preset="stable"), of("recording")),
+    Stage("featurize", featurize, some(params.Featurize), some(params.Featurize), of("recording")),
+    Stage(
+        "train", train, some(params.Train, **TRAIN), some(params.Train, **TRAIN, seed=1),
+        lambda folder: sorted(folder.glob("short-*.features.h5")),
+    ),
+    Stage("rgb", track_rgb, some(params.Rgb), some(params.Rgb, seed=1), of("recording")),
+    Stage(
+        "fit", train_force, some(params.Fit, samples=10, epochs=2), some(params.Fit, samples=10, epochs=2, seed=1),
+        lambda folder: sorted(folder.glob("short-*.tracks.h5")),
+    ),
+    Stage("force", predict_force, some(params.Force, model=force_model), some(params.Force, model=force_model), of("tracks")),
+    Stage(
+        "grasp", grasp, some(params.Grasp, **GRASP, balance_s=0.0), some(params.Grasp, **GRASP, balance_s=0.1),
+        lambda _: [],
+    ),
+    Stage(
+        "evaluate slip", evaluate_slip, some(params.EvaluateSlip, model=model),
+        some(params.EvaluateSlip, model=model, threshold=0.5), lambda folder: [folder / "apart.features.h5"],
+    ),
+    Stage("evaluate labels", evaluate_labels, some(params.EvaluateLabels), some(params.EvaluateLabels), of("labels")),
+    Stage(
+        "evaluate tracking", evaluate_tracking, some(params.EvaluateTracking), some(params.EvaluateTracking),
+        of("tracks"),
+    ),
+    Stage(
+        "evaluate vibration", evaluate_vibration, some(params.EvaluateVibration, windows="0.2"),
+        some(params.EvaluateVibration, windows="0.25"), of("recording"),
+    ),
+    Stage(
+        "evaluate data-rate", evaluate_data_rate, some(params.EvaluateDataRate, around_s=0.1),
+        some(params.EvaluateDataRate, around_s=0.05), of("recording"),
+    ),
+    Stage(
+        "evaluate force", evaluate_force,
+        some(params.EvaluateForce, model=lambda folder: str(force_model(folder)), samples=10),
+        some(params.EvaluateForce, model=lambda folder: str(force_model(folder)), samples=10, seed=1),
+        lambda folder: [folder / "apart.tracks.h5"],
+    ),
+    Stage(
+        "evaluate grasp", evaluate_grasp, some(params.EvaluateGrasp), some(params.EvaluateGrasp),
+        lambda folder: [folder / "grasp.recording.h5"],
+    ),
+]  # fmt: skip
+FROM_FILES = [stage for stage in STAGES if stage.name not in ("record", "grasp")]
+TWO_RECIPES = [stage for stage in STAGES if stage.params(Path()) != stage.other(Path())]
+
+
+def each(stages: list[Stage]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("stage", stages, ids=[stage.name for stage in stages])
+
+
+@pytest.fixture
+def folder(made: Made, tmp_path: Path) -> Path:
+    """A copy of everything that was made, in a folder of its own."""
+    work = tmp_path / "work"
+    shutil.copytree(made.folder, work)
+    shutil.copy(made.scene, work / "short.toml")
+    return work
+
+
+def run(stage: Stage, folder: Path, out: Path, *, chosen: Any = None, **how: Any) -> tuple[Path, Any]:
+    chosen = stage.params(folder) if chosen is None else chosen
+    (job,) = stage.module.jobs(stage.inputs(folder), chosen, out)
+    return job.output, stage.module.run(job, chosen, **how)
+
+
+def arrays(path: Path) -> dict[str, bytes]:
+    with StageFile(path) as file:
+        return {name: np.asarray(file.read(name)).tobytes() for name in file.contents()}
+
+
+def header(path: Path) -> Header:
+    with StageFile(path) as file:
+        return file.header
+
+
+def files(folder: Path) -> set[Path]:
+    return {path for path in folder.rglob("*") if path.is_file()}
+
+
+@each(STAGES)
+def test_output_is_valid(stage: Stage, folder: Path, tmp_path: Path) -> None:
+    """Assert that the output is of the stage's kind, and that validate finds no fault in it."""
+    output, outcome = run(stage, folder, tmp_path / "out")
+    assert header(output)["kind"] == stage.module.OUTPUT
+    assert [row["faults"] for row in validate.run([output]).rows] == [None]
+    assert outcome.made
+    json.dumps(outcome.rows)
+
+
+@each(STAGES)
+def test_output_carries_its_history(stage: Stage, folder: Path, tmp_path: Path) -> None:
+    """Assert that the header holds every ancestor once, down to what has no parents, and says simulated."""
+    output, _ = run(stage, folder, tmp_path / "out")
+    made = header(output)
+    assert made["simulated"]
+    waiting, known = list(made["parents"]), set()
+    while waiting:
+        parent = waiting.pop()
+        known.add(parent)
+        waiting += [other for other in made["history"][parent]["parents"] if other not in known]
+    assert known == made["history"].keys()
+    for path in stage.inputs(folder):
+        if stage.name != "evaluate slip":
+            assert header(path)["id"] in made["parents"]
+
+
+@each(STAGES)
+def test_same_recipe_same_arrays(stage: Stage, folder: Path, tmp_path: Path) -> None:
+    """Assert that two runs of one recipe give one id and the same arrays, bit for bit."""
+    one, _ = run(stage, folder, tmp_path / "one")
+    other, _ = run(stage, folder, tmp_path / "other")
+    assert header(one)["id"] == header(other)["id"]
+    assert arrays(one) == arrays(other)
+
+
+@each(STAGES)
+def test_output_is_skipped_when_up_to_date(stage: Stage, folder: Path, tmp_path: Path) -> None:
+    """Assert that a second run of the same recipe does nothing and says so."""
+    output, _ = run(stage, folder, tmp_path / "out")
+    written = output.stat().st_mtime_ns
+    _, outcome = run(stage, folder, tmp_path / "out")
+    assert not outcome.made
+    assert output.stat().st_mtime_ns == written
+
+
+@each(TWO_RECIPES)
+def test_another_recipe_is_refused(stage: Stage, folder: Path, tmp_path: Path) -> None:
+    """Assert that an output of another recipe is left alone, is named, and is replaced only by force."""
+    target = tmp_path / "target.h5"
+    run(stage, folder, target)
+    before = target.read_bytes()
+    with pytest.raises(InputError, match="another recipe"):
+        run(stage, folder, target, chosen=stage.other(folder))
+    assert target.read_bytes() == before
+    _, outcome = run(stage, folder, target, chosen=stage.other(folder), force=True)
+    assert outcome.made
+    assert target.read_bytes() != before
+
+
+@each(FROM_FILES)
+@pytest.mark.parametrize("fault", ["wrong kind", "truncated", "foreign", "text", "newer"])
+def test_bad_input_is_refused(stage: Stage, fault: str, folder: Path, tmp_path: Path) -> None:
+    """Assert that an input that is not what the stage eats is refused in words, and that nothing is written."""
+    victim = stage.inputs(folder)[0]
+    if fault == "wrong kind":
+        kind = header(victim)["kind"]
+        shutil.copy(folder / "hist10.model.h5" if kind != "model" else folder / "grasp.recording.h5", victim)
+    elif fault == "truncated":
+        victim.write_bytes(victim.read_bytes()[:-2000])
+    elif fault == "foreign":
+        with h5py.File(victim, "w") as h5:
+            h5["events/t"] = [1, 2, 3]
+    elif fault == "text":
+        victim.write_text("0.1 1 2 1\n")
+    else:
+        with h5py.File(victim, "a") as h5:
+            h5.attrs["header"] = json.dumps(json.loads(h5.attrs["header"]) | {"version": "2.0"})
+    before = files(tmp_path)
+    with pytest.raises(InputError):
+        run(stage, folder, tmp_path / "out")
+    assert files(tmp_path) == before
+
+
+@each(STAGES)
+def test_interruption_leaves_nothing_behind(stage: Stage, folder: Path, tmp_path: Path) -> None:
+    """Assert that Ctrl-C in the middle of the work leaves no file and no folder."""
+
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    before = files(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        run(stage, folder, tmp_path / "out", progress=interrupt)
+    assert files(tmp_path) == before
+
+
+@each([stage for stage in STAGES if stage.name in ("label", "track", "featurize")])
+def test_empty_recording(stage: Stage, made: Made, tmp_path: Path) -> None:
+    """Assert that a recording without a single slice gives a valid, empty output."""
+    empty = tmp_path / "empty.recording.h5"
+    empty_recording(made.recordings[0], empty)
+    if stage.name == "featurize":
+        (job,) = track.jobs([empty], params.Track(), None)
+        track.run(job, params.Track())
+    (job,) = stage.module.jobs([empty], stage.params(tmp_path), None)
+    stage.module.run(job, stage.params(tmp_path))
+    assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
+
+
+def empty_recording(like: Path, path: Path) -> None:
+    """A recording of 0 slices from the same sensor."""
+    from evetac_cli.store.files import write_stage
+    from evetac_cli.store.provenance import Recipe, content_digest
+
+    with StageFile(like) as file:
+        kept = {name: file.read(name) for name in file.contents() if name.startswith("sensor/")}
+        columns = {name: file.read(name, 0, 0) for name in file.contents() if name.startswith("events/")}
+    content = {**kept, **columns, "ms_to_idx": np.zeros(1, np.int64), "t_offset": np.int64(0)}
+    write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
+
+
+def test_labels_of_another_recording_are_refused(folder: Path, tmp_path: Path) -> None:
+    """Assert that featurize refuses labels, and tracks, that were made from another recording."""
+    one, other, *_ = sorted(folder.glob("short-*.recording.h5"))
+    for kind in ("labels", "tracks"):
+        foreign = other.with_name(other.name.replace("recording", kind))
+        chosen = params.Featurize(**{kind: foreign})
+        (job,) = featurize.jobs([one], chosen, tmp_path / "out.features.h5")
+        with pytest.raises(InputError, match="another recording"):
+            featurize.run(job, chosen)
+    assert not (tmp_path / "out.features.h5").exists()
+
+
+def test_a_model_is_not_judged_on_what_it_learned(folder: Path, tmp_path: Path) -> None:
+    """Assert that evaluate slip refuses features of a recording that the model was trained or validated on."""
+    for path in sorted(folder.glob("short-*.features.h5")):
+        chosen = params.EvaluateSlip(model=folder / "hist10.model.h5")
+        (job,) = evaluate_slip.jobs([path], chosen, tmp_path / "out.report.h5")
+        with pytest.raises(InputError, match="both trained on and evaluated on"):
+            evaluate_slip.run(job, chosen)
+
+
+def test_parameters_reach_the_header(folder: Path) -> None:
+    """Assert that every parameter that changes numbers stands in the header of what was made with it."""
+    for kind, cls in (("labels", params.Label),):
+        path = sorted(folder.glob(f"short-*.{kind}.h5"))[0]
+        names = {item.name for item in dataclasses.fields(cls) if item.metadata["recipe"]}
+        assert names == header(path)["parameters"].keys()

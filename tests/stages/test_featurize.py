@@ -1,0 +1,65 @@
+"""featurize: directions and event images beside the paper's features, and where tracks and labels are looked for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.slip.features import event_image
+from evetac_cli.params import Featurize
+from evetac_cli.stages import featurize
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.read import open_recording
+from tests.conftest import Made
+
+
+def test_directions_are_the_displacement(made: Made) -> None:
+    """Assert that the stored displacements to the right and down are those of the tracks, with the stored length."""
+    path = made.recordings[0]
+    with StageFile(made.beside(path, "features")) as features, StageFile(made.beside(path, "tracks")) as tracks:
+        found = features.read("displacement_xy_px")
+        expected = tracks.read("dot_xy_px") - tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+        length = features.read("displacement_px")
+        assert not features.has("image")
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=2), length, atol=1e-4)
+
+
+def test_images_are_the_event_images_of_the_gel(made: Made, tmp_path: Path) -> None:
+    """Assert that --images stores every slice's event image without the window, and nothing else changes."""
+    path = made.recordings[0]
+    chosen = Featurize(images=True)
+    (job,) = featurize.jobs([path], chosen, tmp_path)
+    featurize.run(job, chosen)
+    with StageFile(job.output) as features, StageFile(made.beside(path, "features")) as plain:
+        for name in plain.contents():
+            np.testing.assert_array_equal(features.read(name), plain.read(name))
+        start, pixel, sign = (features.read(f"image/{name}") for name in ("start", "pixel", "sign"))
+    with open_recording(path) as recording:
+        assert recording.window_px is not None
+        x0, y0, x1, y1 = recording.window_px
+        assert len(start) == len(recording) + 1
+        for index in (0, len(recording) // 2, len(recording) - 1):
+            events = recording.between(index, index + 1)
+            expected = event_image(events.x, events.y, events.p, (540, 480))
+            expected[y0:y1, x0:x1] = 0
+            found = np.zeros(540 * 480, np.int8)
+            found[pixel[start[index] : start[index + 1]]] = sign[start[index] : start[index + 1]]
+            np.testing.assert_array_equal(found.reshape(480, 540), expected)
+    assert len(pixel) > 0
+
+
+def test_tracks_and_labels_of_a_folder(tmp_path: Path) -> None:
+    """Assert that --labels may be a folder that holds those of every recording, but a file only for one recording."""
+    recordings = [tmp_path / f"{name}.recording.h5" for name in "ab"]
+    truth = tmp_path / "truth"
+    truth.mkdir()
+    (truth / "a.labels.h5").touch()
+    found = featurize.jobs(recordings, Featurize(labels=truth), None)
+    assert [job.inputs[2] for job in found] == [truth / "a.labels.h5", truth / "b.labels.h5"]
+    assert [job.inputs[1] for job in found] == [tmp_path / "a.tracks.h5", tmp_path / "b.tracks.h5"]
+    with pytest.raises(InputError, match="name one file, or a folder"):
+        featurize.jobs(recordings, Featurize(labels=truth / "a.labels.h5"), None)
+    (one,) = featurize.jobs(recordings[:1], Featurize(tracks=truth / "x.h5"), None)
+    assert one.inputs[1] == truth / "x.h5"

@@ -1,0 +1,210 @@
+"""The stage label: its methods, what it refuses, what evaluate labels says of it, and the cost of labelling."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli import params
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events, empty
+from evetac_cli.inspect import validate
+from evetac_cli.kernels.labelling import flow
+from evetac_cli.numerics import cost, label_cost
+from evetac_cli.stages import label
+from evetac_cli.stages.evaluate import labels as evaluate_labels
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.read import open_recording
+from tests.conftest import Made
+
+METHODS = ("event-flow", "farneback", "dis", "event-count", "truth")
+
+
+def run(recording: Path, out: Path, **chosen: Any) -> tuple[Path, dict[str, Any]]:
+    given = params.Label(after_ms=15, **chosen)
+    (job,) = label.jobs([recording], given, out)
+    return job.output, label.run(job, given).rows[0]
+
+
+def recording_of(
+    path: Path,
+    events: Events,
+    slices: int,
+    *,
+    window: bool = True,
+    dots: bool = True,
+) -> Path:
+    """A recording without truth or gripper, of one dot."""
+    content: dict[str, Any] = {f"events/{name}": getattr(events, name) for name in Events._fields}
+    content |= {
+        "ms_to_idx": np.searchsorted(events.t, np.arange(slices + 1) * 1000).astype(np.int64),
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array([640, 480], np.int32),
+        "sensor/individual": "unknown",
+    }
+    if window:
+        content["sensor/window_px"] = np.array([540, 0, 640, 480], np.int32)
+    if dots:
+        content |= {"sensor/dot_xy_px": np.full((1, 1, 2), 200.0), "sensor/dot_radius_px": np.float64(15.0)}
+    write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
+    return path
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_makes_valid_labels_that_name_it(made: Made, tmp_path: Path, method: str) -> None:
+    """Assert that each method's labels are valid, are those of a slice-by-slice rule, and name it in their header."""
+    output, row = run(made.recordings[0], tmp_path, method=method)
+    assert row["method"] == method
+    assert [found["faults"] for found in validate.run([output]).rows] == [None]
+    with StageFile(output, "labels") as file:
+        assert file.header["parameters"]["method"] == method
+        assert row["onset_ms"] == int(file.read("onset_slice"))
+        assert row["onset_ms"] < 0 or file.read("label")[row["onset_ms"]] == 1
+
+
+def test_truth_is_what_the_simulation_knows(made: Made, tmp_path: Path) -> None:
+    """Assert that labels from truth are the truth from the ramp's start up to 15 ms after its onset."""
+    output, row = run(made.recordings[0], tmp_path, method="truth")
+    with StageFile(output) as labels, open_recording(made.recordings[0]) as recording:
+        slips = recording.read("truth/slip")
+        onset = int(np.flatnonzero(slips)[0])
+        start = label.ramp_start(recording)
+        assert 0 < start < onset
+        assert (labels.read("label")[:start] == -1).all()
+        np.testing.assert_array_equal(labels.read("label")[start : onset + 15], slips[start : onset + 15])
+        assert (labels.read("label")[onset + 15 :] == -1).all()
+    assert row["onset_ms"] == onset
+
+
+def test_truth_is_told_in_later_reports(made: Made, tmp_path: Path) -> None:
+    """Assert that a report on labels from truth says so in its summary and carries it in its history."""
+    beside = tmp_path / made.recordings[0].name
+    beside.write_bytes(made.recordings[0].read_bytes())
+    output, _ = run(beside, tmp_path, method="truth")
+    (job,) = evaluate_labels.jobs([output], params.EvaluateLabels(), tmp_path)
+    outcome = evaluate_labels.run(job, params.EvaluateLabels())
+    assert outcome.summary["method"] == "truth"
+    assert outcome.summary["onset_error_ms_median"] == 0
+    assert outcome.summary["within_minus4_plus3_ms"] == 1
+    with StageFile(job.output) as report:
+        (parent,) = report.header["parents"]
+        assert report.header["history"][parent]["parameters"]["method"] == "truth"
+
+
+def test_an_onset_that_was_missed_counts_against(made: Made, tmp_path: Path) -> None:
+    """Assert that a slip without an onset in the labels lowers the share within the limits."""
+    beside = tmp_path / made.recordings[0].name
+    beside.write_bytes(made.recordings[0].read_bytes())
+    output, row = run(beside, tmp_path, method="event-count", threshold_events=10**6)
+    assert row["onset_ms"] == -1
+    (job,) = evaluate_labels.jobs([output], params.EvaluateLabels(), tmp_path)
+    summary = evaluate_labels.run(job, params.EvaluateLabels()).summary
+    assert summary["onsets_found"] == 0
+    assert summary["within_minus4_plus3_ms"] == 0
+
+
+def test_the_default_finds_the_onset(made: Made, tmp_path: Path) -> None:
+    """Assert that event-flow finds the onset of every short trial within 10 ms (its gel is coarse, and fast)."""
+    for recording in made.recordings:
+        _, row = run(recording, tmp_path)
+        with open_recording(recording) as file:
+            true = int(np.flatnonzero(file.read("truth/slip"))[0])
+        assert abs(row["onset_ms"] - true) <= 10
+
+
+@pytest.mark.parametrize("method", METHODS[:-1])
+def test_without_a_window_it_says_so(tmp_path: Path, method: str) -> None:
+    """Assert that a gel without window is refused in words, and nothing is written."""
+    path = recording_of(tmp_path / "a.recording.h5", empty(), 50, window=False)
+    with pytest.raises(InputError, match="the gel has no window"):
+        run(path, tmp_path, method=method)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("method", ["event-flow", "farneback", "dis"])
+def test_without_texture_it_says_so(tmp_path: Path, method: str) -> None:
+    """Assert that a window that shows nothing while the gel is dragged is refused in words."""
+    rng = np.random.default_rng(0)
+    t, x, y, p = [], [], [], []
+    for slice_ in range(400):
+        angle = rng.uniform(0, 2 * np.pi, 650)
+        seen = np.abs(np.cos(angle)) * 0.02 * 650 > rng.uniform(0, 650 / 50, 650)
+        angle = angle[seen]
+        t += [slice_ * 1000] * len(angle)
+        x += list(np.round(200 + 0.02 * slice_ + 15 * np.cos(angle)))
+        y += list(np.round(200 + 15 * np.sin(angle)))
+        p += list(np.cos(angle) < 0)
+    events = Events(np.array(t), np.array(x, np.uint16), np.array(y, np.uint16), np.array(p, np.uint8))
+    path = recording_of(tmp_path / "a.recording.h5", events, 400)
+    with pytest.raises(InputError, match=r"slip cannot be labelled: texture(.|\n)*try: "):
+        run(path, tmp_path, method=method)
+
+
+def test_event_flow_needs_dots_and_truth_needs_truth(tmp_path: Path) -> None:
+    """Assert that what a method needs and the recording lacks is named, with another method to try."""
+    path = recording_of(tmp_path / "a.recording.h5", empty(), 50, dots=False)
+    with pytest.raises(InputError, match=r"no dot grid(.|\n)*--method farneback"):
+        run(path, tmp_path)
+    with pytest.raises(InputError, match=r"no truth(.|\n)*another --method"):
+        run(path, tmp_path, method="truth")
+    assert run(path, tmp_path, method="farneback")[1]["onset_ms"] == -1
+
+
+def test_regions_keep_clear_of_the_cut_edge(made: Made) -> None:
+    """Assert that neither region touches the columns in which the cut edge moves."""
+    with open_recording(made.recordings[0]) as recording:
+        window, gel = label.regions(recording)
+    assert window == (565, 0, 640, 480)
+    assert gel == (0, 0, 530, 480)
+
+
+def test_leaving_out_does_not_change_the_onset(made: Made) -> None:
+    """Assert that steps, leaving out pairs, and smaller pictures give the onset that all pairs of all slices give."""
+    with open_recording(made.recordings[0]) as recording:
+        true = int(np.flatnonzero(recording.read("truth/slip"))[0])
+        window, gel = label.regions(recording)
+        found = [
+            flow.label(recording.between, true + 12, window, gel, constants, true - 20)
+            for constants in (
+                label_cost._constants(coarse_ms=1, plain=True, after_ms=0),
+                label_cost._constants(coarse_ms=1, clear_px=np.inf, after_ms=0),
+                label_cost._constants(coarse_ms=3, clear_px=np.inf, after_ms=0),
+                label_cost._constants(coarse_ms=5, after_ms=0),
+            )
+        ]
+    assert len({labels.onset for labels in found}) == 1
+    assert found[-1].pairs < found[0].pairs
+
+
+def test_cost_of_labels(monkeypatch: pytest.MonkeyPatch, made: Made, tmp_path: Path) -> None:
+    """Assert a row a setting with errors and run times, the reference first, agreeing with itself."""
+    monkeypatch.setattr(label_cost, "_recorded", lambda chosen, folder: [made.recordings[0]])
+    chosen_methods = [label_cost.methods()[number] for number in (0, 1, 6, 10)]
+    monkeypatch.setattr(label_cost, "methods", lambda: chosen_methods)
+    monkeypatch.setattr(label_cost, "USUAL", label_cost.Extent("8", 20, 1))
+    monkeypatch.setattr(cost, "_draw", lambda rows, path: True)
+    chosen = params.EvaluateCost(part="label")
+    (job,) = cost.jobs([], chosen, tmp_path)
+    assert job.output.name == "label.cost.report.h5"
+    outcome = cost.run(job, chosen)
+    assert [row["setting"] for row in outcome.rows] == [setting for setting, _ in chosen_methods]
+    assert all(row["part"] == "label" and row["time_us_p99"] >= row["time_us_median"] > 0 for row in outcome.rows)
+    assert outcome.rows[0]["times_plain"] == 1
+    assert outcome.rows[0]["error_ms_reference"] == 0
+    assert outcome.rows[1]["error_ms_reference"] <= 1
+    assert outcome.rows[1]["trials"] == 1
+    assert outcome.simulated
+    json.dumps(outcome.rows)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"method": "guess"}, {"confirm_ms": 0}, {"coarse_ms": 0}, {"clear_px": float("nan")}, {"shrink": 0}]
+)
+def test_impossible_flow_constants(wrong: dict[str, Any]) -> None:
+    """Assert that constants out of range are refused."""
+    with pytest.raises(ValueError, match="expected"):
+        dataclasses.replace(label_cost._constants(), **wrong)

@@ -1,0 +1,342 @@
+"""train: names and seeds of its outputs, going on after an interruption, splits, and what a model file needs."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import validate
+from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.slip import ARCHITECTURES
+from evetac_cli.params import Train
+from evetac_cli.stages import slip_detectors, splits, train
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe
+
+SLICES, ONSET = 170, 130
+
+
+def features_file(
+    folder: Path, number: int, *, object_: int = 1, method: str = "event-flow", leave: tuple[str, ...] = ()
+) -> Path:
+    """Features of a made-up trial in which dots move and blink more when it slips; all groups but those to leave."""
+    rng = np.random.default_rng(number)
+    label = (np.arange(SLICES) >= ONSET).astype(np.int8)
+    direction = rng.normal(0, 0.3, (SLICES, 56, 2)) + np.array([3, 0]) * label[:, None, None]
+    events = rng.poisson(np.where(label, 8, 1)[:, None], (SLICES, 56)).astype(np.int32)
+    total = events.sum(axis=1).astype(np.int32)
+    count = np.minimum(total, 40)
+    arrays: dict[str, Any] = {
+        "displacement_px": np.linalg.norm(direction, axis=2).astype(np.float32),
+        "displacement_xy_px": direction.astype(np.float32),
+        "events_per_dot": events,
+        "events_total": total,
+        "events_outside": total,
+        "label": label,
+        "onset_slice": np.int64(ONSET),
+        "dot_shape": np.array([7, 8], np.int32),
+        "image/start": np.cumsum([0, *count]),
+        "image/pixel": np.concatenate([rng.choice(540 * 480, n, replace=False) for n in count]).astype(np.uint32),
+        "image/sign": np.ones(count.sum(), np.int8),
+    }
+    arrays = {name: array for name, array in arrays.items() if not name.startswith(leave or ("none",))}
+    recording = Recipe("recording", 1, {"object": object_}, seed=number, simulated_source=True).header()
+    labels = Recipe("labels", 1, {"method": method}, parents=(recording,)).header()
+    path = folder / f"trial-{number:02d}.features.h5"
+    write_stage(path, Recipe("features", 2, {"images": True}, parents=(recording, labels)), arrays)
+    return path
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Four trials, two of object 1 and two of object 2."""
+    folder = tmp_path_factory.mktemp("trials")
+    return [features_file(folder, number, object_=1 + number // 2) for number in range(4)]
+
+
+def small(**values: Any) -> Train:
+    """Parameters of a run of a second at most."""
+    return Train(**({"epochs": 1000, "max_steps": 120, "recipe": "adam"} | values))
+
+
+def run(job: Job, params: Train, progress: Progress = silent) -> Outcome:
+    return train.run(job, params, progress=progress)
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    with StageFile(path, "model") as file:
+        return {name: np.asarray(file.read(name)).tobytes() for name in file.contents()} | {
+            "id": file.header["id"].encode()
+        }
+
+
+def test_one_file_a_seed(trials: list[Path], tmp_path: Path) -> None:
+    """Assert the names of outputs: the model, how far ahead, and the seed where there are several."""
+    names = [job.output.name for job in train.jobs(trials, Train(model="fast-slow"), tmp_path)]
+    assert names == ["fast-slow.model.h5"]
+    many = train.jobs(trials, Train(model="fast-slow", ahead=10, seed=3, seeds=2), tmp_path)
+    assert [job.output for job in many] == [tmp_path / f"fast-slow-10ms-s{seed}.model.h5" for seed in (3, 4)]
+    with pytest.raises(InputError, match="one output file cannot hold several"):
+        train.jobs(trials, Train(seeds=2), tmp_path / "a.model.h5")
+
+
+def test_a_seed_alone_is_that_seed_among_many(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that the second of two seeds gives, alone, the same file, and another than the first."""
+    for job in train.jobs(trials, small(seeds=2), tmp_path):
+        run(job, small(seeds=2))
+    (alone,) = train.jobs(trials, small(seed=1), tmp_path)
+    run(alone, small(seed=1))
+    first, second = (contents(tmp_path / f"hist10-s{seed}.model.h5") for seed in (0, 1))
+    assert contents(alone.output) == second
+    assert first["weights/fc3.weight"] != second["weights/fc3.weight"]
+
+
+def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: int = 100) -> None:
+    """Run until this step, as if Ctrl-C had been pressed there."""
+
+    def stop(done: int, total: int) -> None:
+        if done >= at:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(train, "KEEP_S", 0.0)
+    with pytest.raises(KeyboardInterrupt):
+        run(job, params, stop)
+
+
+@pytest.mark.parametrize("recipe", ["paper", "steady"])
+def test_it_goes_on_after_an_interruption(
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recipe: str
+) -> None:
+    """Assert that a run broken off at step 100 goes on from 50, ends in the same file, and leaves nothing else."""
+    params = small(recipe=recipe)
+    (whole,) = train.jobs(trials, params, tmp_path / "whole")
+    run(whole, params)
+    (job,) = train.jobs(trials, params, tmp_path / "broken")
+    interrupted(job, params, monkeypatch)
+    assert [path.name for path in job.output.parent.iterdir()] == ["hist10.model.part"]
+    (row,) = run(job, params).rows
+    assert row["resumed_at_step"] == 50
+    assert contents(job.output) == contents(whole.output)
+    assert [path.name for path in job.output.parent.iterdir()] == ["hist10.model.h5"]
+
+
+def test_it_does_not_go_on_from_another_run(
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that what another recipe left, or a damaged rest, is not used."""
+    (job,) = train.jobs(trials, small(), tmp_path)
+    interrupted(job, small(), monkeypatch)
+    (row,) = run(job, small(seed=0, max_steps=110)).rows
+    assert row["resumed_at_step"] is None
+    job.output.unlink()
+    (tmp_path / "hist10.model.part").write_bytes(b"PK\x03\x04 nonsense")
+    (row,) = run(job, small()).rows
+    assert row["resumed_at_step"] is None
+
+
+def test_a_cut_run_says_so(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that a run ended by --max-steps says how many steps it took of how many, with curve and checkpoints."""
+    (job,) = train.jobs(trials, small(), tmp_path)
+    (row,) = run(job, small()).rows
+    assert row["cut"]
+    assert row["steps"] == 120 < row["steps_of_all_epochs"]
+    with StageFile(job.output, "model") as model:
+        assert model.read("curve/step")[-1] == 120
+        assert np.isfinite(model.read("curve/loss")).all()
+        assert len(model.read("checkpoint/step")) == 3
+    assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
+
+
+def test_every_kept_checkpoint_has_its_graph(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that the graphs of the last checkpoints run, and that the chosen one is the model's."""
+    (job,) = train.jobs(trials, small(), tmp_path)
+    run(job, small())
+    inputs = np.random.default_rng(0).random((1, 56, 20), np.float32)
+    with StageFile(job.output, "model") as model:
+        graphs = [graph.tobytes() for graph in model.read("checkpoint/onnx")]
+        assert graphs[int(model.read("checkpoint/chosen"))] == model.read("onnx").tobytes()
+    said = {float(Detector(graph, ARCHITECTURES["hist10"]).probability(inputs)[0]) for graph in graphs}
+    assert len(said) == 3
+
+
+def test_a_model_needs_neither_torch_nor_pickle(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that a model file is opened and run where torch cannot be imported and pickle does not work."""
+    (job,) = train.jobs(trials, small(), tmp_path)
+    run(job, small())
+    code = f"""
+import pickle, sys
+sys.modules["torch"] = None
+pickle.load = pickle.loads = pickle.Unpickler = None
+import numpy as np
+from evetac_cli.stages.detectors import detector_of
+from evetac_cli.store.files import StageFile
+with StageFile({str(job.output)!r}, "model") as model:
+    print(float(detector_of(model).probability(np.zeros((1, 56, 20), np.float32))[0]))
+"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert 0 <= float(found.stdout) <= 1
+
+
+def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that a model trained 10 ms ahead says so, and feels slip that a model of the present does not."""
+    said = {}
+    for ahead in (0, 10):
+        params = small(ahead=ahead, model="no-hist")
+        (job,) = train.jobs(trials, params, tmp_path)
+        (row,) = run(job, params).rows
+        assert row["ahead_ms"] == ahead
+        with StageFile(job.output, "model") as model:
+            assert slip_detectors.ahead_of(model) == ahead
+            found = slip_detectors.detector_of(model)
+        trajectory = slip_detectors.read_trajectory(trials[0], found.architecture)
+        said[ahead] = found.over(trajectory.series)[ONSET - 10 : ONSET].mean()
+        judged = slip_detectors.predict(found, trajectory, {"kind": "features", "history": {}}, ahead)
+        assert (judged.onset, np.flatnonzero(judged.label)[0]) == (ONSET, ONSET - ahead)
+    assert said[10] > said[0] + 0.1
+
+
+@pytest.mark.parametrize("model", ["hist10", "down5", "hist10-img-6x6"])
+def test_what_is_not_examined_is_left_out(trials: list[Path], tmp_path: Path, model: str) -> None:
+    """Assert that predictions are those of the whole trajectory, from the first slice that is labelled."""
+    params = small(model=model, max_steps=2)
+    (job,) = train.jobs(trials, params, tmp_path)
+    run(job, params)
+    with StageFile(job.output, "model") as file:
+        detector = slip_detectors.detector_of(file)
+    trajectory = slip_detectors.read_trajectory(trials[0], detector.architecture)
+    whole = detector.over(trajectory.series)
+    for first in (0, 5, 33, 61):
+        trajectory.label[:first] = -1
+        said = slip_detectors.predict(detector, trajectory, {"kind": "features", "history": {}}, 0).probability
+        assert np.isnan(said[:first]).all()
+        assert np.array_equal(said[first:], whole[first:], equal_nan=True)
+    trajectory.label[:] = -1
+    nothing = trajectory._replace(onset=-1)
+    said = slip_detectors.predict(detector, nothing, {"kind": "features", "history": {}}, 0).probability
+    assert np.isnan(said).all()
+
+
+def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that a run on labels from truth says so, and that two ways of labelling are refused together."""
+    truth = [features_file(tmp_path, number, method="truth") for number in (10, 11)]
+    params = small(max_steps=5, validate=str(trials[0]))
+    (job,) = train.jobs(truth, params, tmp_path)
+    (row,) = run(job, params).rows
+    assert row["labels"] == "truth"
+    (job,) = train.jobs([*truth, trials[1]], params, tmp_path / "mixed")
+    with pytest.raises(InputError, match="labelled in different ways") as refused:
+        run(job, params)
+    assert trials[1].name in str(refused.value)
+
+
+def test_objects_are_chosen(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that --object keeps the files of these objects alone, and that none of them is an error."""
+    (job,) = train.jobs(trials, Train(objects="2"), tmp_path)
+    assert set(job.inputs) == set(trials[2:])
+    with pytest.raises(InputError, match="no features of these objects"):
+        train.jobs(trials, Train(objects="3-9"), tmp_path)
+
+
+def test_folds_leave_objects_out(tmp_path: Path) -> None:
+    """Assert that every fold learns from some objects and judges the others, and the last network learns from all."""
+    files = [features_file(tmp_path, number, object_=(9, 10, 11, 9, 10)[number]) for number in range(5)]
+    headers = []
+    for path in files:
+        with StageFile(path, "features") as file:
+            headers.append(file.header)
+    assert splits.folds_of(headers, 3, 0) == [splits.Fold([0, 1, 2], [3, 4])]
+    assert splits.folds_of(headers, 3, 3) == [
+        splits.Fold([1, 2], [0, 3]),
+        splits.Fold([0, 2], [1, 4]),
+        splits.Fold([0, 1], [2]),
+        splits.Fold([0, 1, 2], []),
+    ]
+    assert [fold.judged for fold in splits.folds_of(headers, 3, 2)] == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
+    for wrong in (1, 4):
+        with pytest.raises(InputError, match=r"(?s)left out.*2 to 3, or 0.*9, 10, 11"):
+            splits.folds_of(headers, 3, wrong)
+
+
+def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that folds leave the network as it is, judge all trials, and go on after an interruption."""
+    params = small(folds=2)
+    unfolded, job = (train.jobs(trials, params, tmp_path / name)[0] for name in ("plain", "folds"))
+    run(unfolded, small())
+    seen: list[tuple[int, int]] = []
+    (row,) = run(job, params, lambda *at: seen.append(at)).rows
+    assert (row["folds"], row["validated_on"]) == (2, 4)
+    assert seen == sorted(seen)
+    assert seen[-1] == (360, 360)
+    plain, folded = contents(unfolded.output), contents(job.output)
+    for name in ("checkpoint/onnx", "curve/loss"):
+        assert plain[name] == folded[name]
+
+    (again,) = train.jobs(trials, params, tmp_path / "again")
+    interrupted(again, params, monkeypatch, at=220)
+    left = sorted(path.name for path in again.output.parent.iterdir())
+    assert left == ["hist10.model.fold1.part", "hist10.model.fold2.part"]
+    run(again, params)
+    assert contents(again.output) == folded
+    assert [path.name for path in again.output.parent.iterdir()] == ["hist10.model.h5"]
+
+
+def test_a_recording_on_both_sides_is_named(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that validating on a recording that is trained on is refused, with the file's name."""
+    again = features_file(tmp_path, 1, method="truth")
+    (job,) = train.jobs(trials, small(validate=str(again)), tmp_path)
+    with pytest.raises(InputError, match="both trained on and validated on") as refused:
+        run(job, small())
+    assert str(again) in str(refused.value)
+
+
+@pytest.mark.parametrize("model", ["hist10-img-6x6", "creep"])
+def test_other_features_are_trained_on(trials: list[Path], tmp_path: Path, model: str) -> None:
+    """Assert that models of images and of directions train from features that have these."""
+    params = small(model=model, max_steps=3)
+    (job,) = train.jobs(trials, params, tmp_path)
+    run(job, params)
+    with StageFile(job.output, "model") as file:
+        assert slip_detectors.detector_of(file).architecture == ARCHITECTURES[model]
+
+
+@pytest.mark.parametrize(
+    ("model", "leave", "hint"),
+    [
+        ("hist10-img", ("image",), "featurize --images"),
+        ("creep", ("displacement_xy_px",), "featurize --force"),
+        ("hist10", ("label", "onset"), "evetac label"),
+    ],
+)
+def test_missing_features_are_named(tmp_path: Path, model: str, leave: tuple[str, ...], hint: str) -> None:
+    """Assert that features without what a model sees are refused, and it is said how to get it."""
+    files = [features_file(tmp_path, number, leave=leave) for number in (20, 21)]
+    (job,) = train.jobs(files, small(model=model), tmp_path)
+    with pytest.raises(InputError) as refused:
+        run(job, small(model=model))
+    assert hint in str(refused.value)
+
+
+def test_a_gpu_that_is_not_there_is_refused(
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that --device cuda is an error in words where torch finds none."""
+    import torch
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    (job,) = train.jobs(trials, small(device="cuda"), tmp_path)
+    with pytest.raises(InputError, match="torch finds no GPU"):
+        run(job, small(device="cuda"))
+
+
+def test_flags_name_every_model_and_recipe() -> None:
+    """Assert that what params.py offers is what there is."""
+    from evetac_cli.kernels.slip.training import RECIPES
+
+    choices = {name: item.metadata["choices"] for name, item in Train.__dataclass_fields__.items()}
+    assert set(choices["model"]) == set(ARCHITECTURES)
+    assert set(choices["recipe"]) == set(RECIPES)

@@ -1,0 +1,256 @@
+"""Dot grids as JSON: good ones in any order, and every kind of fault."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.store import schema
+from evetac_cli.store.calibration import (
+    Calibration,
+    read_calibration,
+    read_quality,
+    up_to_date,
+    write_calibration,
+)
+from evetac_cli.store.provenance import Recipe
+
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "evetac_base_calibration.json"
+GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(4), 40.0 + 60 * np.arange(3)), axis=-1)
+GOOD: dict[str, Any] = {"frame_px": [640, 480], "radius_px": 20.5, "dot_xy_px": GRID.reshape(-1, 2).tolist()}
+
+
+def read(folder: Path, table: Any) -> Calibration:
+    """Read a table as a calibration; a key given as ... is left out."""
+    path = folder / "grid.json"
+    if isinstance(table, dict):
+        table = {key: value for key, value in table.items() if value is not ...}
+    path.write_text(table if isinstance(table, str) else json.dumps(table))
+    return read_calibration(path)
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="the real calibration is not here")
+def test_the_real_evetac() -> None:
+    """Assert that the official base calibration is a grid of 7 rows and 9 columns with the pitch of the real gel."""
+    calibration = read_calibration(REAL)
+    dots = calibration.dot_xy_px
+    assert dots.shape == (7, 9, 2)
+    assert calibration.frame_px == (640, 480)
+    assert calibration.window_px is None
+    assert calibration.dot_radius_px == pytest.approx(20.62, abs=0.005)
+    stored = {tuple(dot) for dot in json.loads(REAL.read_text())["dot_xy_px"]}
+    assert {tuple(dot) for dot in dots.reshape(-1, 2).tolist()} == stored
+    assert np.median(np.diff(dots[..., 0], axis=1)) == pytest.approx(62.7, abs=0.5)
+    assert np.median(np.diff(dots[..., 1], axis=0)) == pytest.approx(62.7, abs=0.5)
+
+
+@pytest.mark.parametrize("order", ["as it is", "shuffled", "nested"])
+def test_dots_in_any_order(tmp_path: Path, order: str) -> None:
+    """Assert that dots are sorted into rows and columns, however they are listed."""
+    flat = GRID.reshape(-1, 2)
+    dots = {"as it is": flat, "shuffled": np.random.default_rng(0).permutation(flat), "nested": GRID}[order]
+    calibration = read(tmp_path, {**GOOD, "dot_xy_px": dots.tolist()})
+    np.testing.assert_array_equal(calibration.dot_xy_px, GRID)
+
+
+def test_arrays_fit_the_schema(tmp_path: Path) -> None:
+    """Assert that what goes into files is what their schema says, with and without a window."""
+    table = schema.load("tracks")
+    for window in (None, [540, 0, 640, 480]):
+        arrays = read(tmp_path, {**GOOD, "window_px": window}).arrays()
+        described = {name: schema.describe(value) for name, value in arrays.items()}
+        assert not [line for line in schema.problems(table, described) if "missing" not in line]
+        assert ("sensor/window_px" in arrays) == (window is not None)
+
+
+def test_whole_numbers_may_be_written_as_decimals(tmp_path: Path) -> None:
+    """Assert that 640.0 is taken as 640, as some writers of JSON have no integers; other keys are let be."""
+    calibration = read(tmp_path, {**GOOD, "frame_px": [640.0, 480.0], "window_px": [540.0, 0, 640, 480], "more": 1})
+    assert calibration.frame_px == (640, 480)
+    assert calibration.window_px == (540, 0, 640, 480)
+    assert all(type(size) is int for size in (*calibration.frame_px, *calibration.window_px))
+
+
+def test_missing_dots(tmp_path: Path) -> None:
+    """Assert that a dot may be missing (null) in a list of rows, and not in a list without rows."""
+    rows = GRID.tolist()
+    rows[1][2] = [None, None]
+    dots = read(tmp_path, {**GOOD, "dot_xy_px": rows}).dot_xy_px
+    assert np.argwhere(np.isnan(dots[..., 0])).tolist() == [[1, 2]]
+    with pytest.raises(InputError, match="missing dots are only possible"):
+        read(tmp_path, {**GOOD, "dot_xy_px": [*GOOD["dot_xy_px"], [None, None]]})
+
+
+def test_mask(tmp_path: Path) -> None:
+    """Assert that a dot is missing where the mask is false, also in a list in any order, or its centre null."""
+    mask = np.ones((3, 4), bool)
+    mask[2, 1] = mask[0, 0] = False
+    shuffled = np.random.default_rng(0).permutation(GRID.reshape(-1, 2)).tolist()
+    dots = read(tmp_path, {**GOOD, "dot_xy_px": shuffled, "mask": mask.tolist(), "rows": 3, "columns": 4}).dot_xy_px
+    np.testing.assert_array_equal(np.isnan(dots[..., 0]), ~mask)
+    np.testing.assert_array_equal(dots[mask], GRID[mask])
+    rows = GRID.tolist()
+    rows[1][2] = [None, 100.0]
+    dots = read(tmp_path, {**GOOD, "dot_xy_px": rows, "mask": mask.tolist()}).dot_xy_px
+    assert np.argwhere(np.isnan(dots).all(axis=2)).tolist() == [[0, 0], [1, 2], [2, 1]]
+
+
+def test_written_is_read(tmp_path: Path) -> None:
+    """Assert that what is written is read again to 0.001 px, holes and window included, and nothing else is left."""
+    dots = GRID + np.random.default_rng(0).uniform(-3, 3, GRID.shape)
+    dots[1, 1] = np.nan
+    path = tmp_path / "new" / "grid.json"
+    for window in (None, (540, 0, 640, 480)):
+        write_calibration(path, Calibration((640, 480), dots, 14.4321, window), [[1], [0]], {"a_px": 1.0}, {"id": "x"})
+        again = read_calibration(path)
+        np.testing.assert_allclose(again.dot_xy_px, dots, atol=5.1e-4)
+        assert again.window_px == window
+        assert again.dot_radius_px == 14.432
+        assert read_quality(path) == {"a_px": 1.0}
+    assert [file.name for file in path.parent.iterdir()] == ["grid.json"]
+    assert json.loads(path.read_text())["mask"][1] == [True, False, True, True]
+
+
+def test_writing_that_fails(tmp_path: Path) -> None:
+    """Assert that a folder that is a file, and a target that is a folder, are errors that leave nothing behind."""
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.json").mkdir()
+    calibration = Calibration((640, 480), GRID, 15.0, None)
+    for target in (tmp_path / "file" / "grid.json", tmp_path / "folder.json"):
+        with pytest.raises(InputError):
+            write_calibration(target, calibration, [], {}, {})
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["file", "folder.json"]
+
+
+def test_up_to_date(tmp_path: Path) -> None:
+    """Assert that only the same recipe is up to date, another refused with the first difference unless forced."""
+    path = tmp_path / "grid.json"
+    recipe, other = (Recipe("calibration", 1, {"gel": gel}) for gel in ("cut", "closed"))
+    assert not up_to_date(path, recipe)
+    provenance = recipe.identity | {"id": recipe.id}
+    write_calibration(path, Calibration((640, 480), GRID, 15.0, None), [], {}, provenance)
+    assert up_to_date(path, recipe)
+    assert up_to_date(path, recipe, force=True)
+    assert not up_to_date(path, other, force=True)
+    with pytest.raises(InputError, match="parameters.gel is cut in the file, closed wanted"):
+        up_to_date(path, other)
+    for content in ("", "{}", "[]", '{"provenance": {}}', '{"provenance": {"id": 3}}', json.dumps(GOOD)):
+        path.write_text(content)
+        assert not up_to_date(path, recipe, force=True)
+        with pytest.raises(InputError, match="no calibration made by evetac"):
+            up_to_date(path, recipe)
+    with pytest.raises(InputError, match="is a folder"):
+        up_to_date(tmp_path, recipe, force=True)
+
+
+FLAT = GOOD["dot_xy_px"]
+FAULTS: dict[str, tuple[Any, str]] = {
+    "empty file": ("", "not a calibration"),
+    "no JSON": ("frame_px: [640, 480]", "not a calibration"),
+    "cut off": (json.dumps(GOOD)[:-1], "not a calibration"),
+    "endless nesting": ("[" * 100_000, "not a calibration"),
+    "list": ([GOOD], "not a calibration"),
+    "number": (3, "not a calibration"),
+    "null": ("null", "not a calibration"),
+    "text": ('"frame_px"', "not a calibration"),
+    "empty object": ({}, "the key 'frame_px' is missing"),
+    **{f"no {key}": ({**GOOD, key: ...}, f"the key '{key}' is missing") for key in GOOD},
+    "frame of three": ({**GOOD, "frame_px": [640, 480, 3]}, "frame_px"),
+    "frame of one": ({**GOOD, "frame_px": 640}, "frame_px"),
+    "frame as text": ({**GOOD, "frame_px": "64"}, "frame_px"),
+    "frame of texts": ({**GOOD, "frame_px": ["640", "480"]}, "frame_px"),
+    "frame null": ({**GOOD, "frame_px": None}, "frame_px"),
+    "frame of truth": ({**GOOD, "frame_px": [True, True]}, "frame_px"),
+    "frame with a fraction": ({**GOOD, "frame_px": [640.7, 480]}, "frame_px"),
+    "frame of zero": ({**GOOD, "frame_px": [0, 480]}, "frame_px is not valid"),
+    "frame negative": ({**GOOD, "frame_px": [-640, 480]}, "frame_px is not valid"),
+    "frame beyond uint16": ({**GOOD, "frame_px": [65537, 480]}, "frame_px is not valid"),
+    "frame infinite": ('{"frame_px": [1e999, 480]}', "not a calibration"),
+    "frame NaN": ('{"frame_px": [NaN, 480]}', "not a calibration"),
+    "radius as text": ({**GOOD, "radius_px": "20"}, "radius_px is not valid"),
+    "radius of truth": ({**GOOD, "radius_px": True}, "radius_px is not valid"),
+    "radius null": ({**GOOD, "radius_px": None}, "radius_px is not valid"),
+    "radius list": ({**GOOD, "radius_px": [20.5]}, "radius_px is not valid"),
+    "radius zero": ({**GOOD, "radius_px": 0}, "radius_px is not valid"),
+    "radius negative": ({**GOOD, "radius_px": -1.5}, "radius_px is not valid"),
+    "radius NaN": ({**GOOD, "radius_px": float("nan")}, "radius_px is not valid"),
+    "radius infinite": ({**GOOD, "radius_px": float("inf")}, "radius_px is not valid"),
+    "radius beyond float": ({**GOOD, "radius_px": 10**400}, "radius_px is not valid"),
+    "window of three": ({**GOOD, "window_px": [540, 0, 640]}, "window_px"),
+    "window as text": ({**GOOD, "window_px": "1234"}, "window_px"),
+    "window with a fraction": ({**GOOD, "window_px": [540, 0, 640, 479.5]}, "window_px"),
+    "window false": ({**GOOD, "window_px": False}, "window_px"),
+    "window empty": ({**GOOD, "window_px": []}, "window_px"),
+    "window backwards": ({**GOOD, "window_px": [640, 0, 540, 480]}, "window_px is not valid"),
+    "window of no width": ({**GOOD, "window_px": [540, 0, 540, 480]}, "window_px is not valid"),
+    "window outside": ({**GOOD, "window_px": [540, 0, 641, 480]}, "window_px is not valid"),
+    "window negative": ({**GOOD, "window_px": [-1, 0, 640, 480]}, "window_px is not valid"),
+    "window beyond int32": ({**GOOD, "window_px": [0, 0, 640, 2**40]}, "window_px is not valid"),
+    "rows of others": ({**GOOD, "rows": 4, "columns": 3}, "rows and columns do not fit"),
+    "rows alone": ({**GOOD, "rows": 3}, "rows and columns do not fit"),
+    "mask of one": ({**GOOD, "mask": True}, "expected a mask of 3 rows"),
+    "mask of dots": ({**GOOD, "mask": [True] * 12}, "expected a mask of 3 rows"),
+    "mask too short": ({**GOOD, "mask": [[True] * 4] * 2}, "expected a mask of 3 rows"),
+    "mask of numbers": ({**GOOD, "mask": [[1] * 4] * 3}, "expected a mask of 3 rows"),
+    "mask of none": ({**GOOD, "mask": [[False] * 4] * 3}, "all missing"),
+    "all dots null": ({**GOOD, "dot_xy_px": [[[None, None]] * 2] * 2}, "all missing"),
+    "no dots": ({**GOOD, "dot_xy_px": []}, "do not form a grid"),
+    "no rows": ({**GOOD, "dot_xy_px": [[]]}, "do not form a grid"),
+    "dots null": ({**GOOD, "dot_xy_px": None}, "do not form a grid"),
+    "dots a number": ({**GOOD, "dot_xy_px": 3}, "do not form a grid"),
+    "dots an object": ({**GOOD, "dot_xy_px": {"a": 1}}, "not a calibration"),
+    "dots of three": ({**GOOD, "dot_xy_px": [[1, 2, 3], [4, 5, 6]]}, "do not form a grid"),
+    "dots ragged": ({**GOOD, "dot_xy_px": [[1, 2], [3]]}, "not a calibration"),
+    "dots as text": ({**GOOD, "dot_xy_px": [["50", "40"], ["110", "40"]]}, "not a calibration"),
+    "dots of truth": ({**GOOD, "dot_xy_px": [[True, False]]}, "not a calibration"),
+    "dots beyond float": ({**GOOD, "dot_xy_px": [[10**400, 1], *FLAT]}, "not a calibration"),
+    "dot infinite": ({**GOOD, "dot_xy_px": [[float("inf"), 40], *FLAT[1:]]}, "do not form a grid"),
+    "dot NaN": ({**GOOD, "dot_xy_px": [[float("nan"), 40], *FLAT[1:]]}, "do not form a grid"),
+    "nested infinite": ({**GOOD, "dot_xy_px": [[[50, 40], [float("inf"), 40]]]}, "do not form a grid"),
+    "nested by columns": ({**GOOD, "dot_xy_px": GRID.transpose(1, 0, 2).tolist()}, "do not form a grid"),
+    "nested from below": ({**GOOD, "dot_xy_px": GRID[::-1].tolist()}, "do not form a grid"),
+    "a dot less": ({**GOOD, "dot_xy_px": FLAT[1:]}, "do not form a grid"),
+    "a dot twice": ({**GOOD, "dot_xy_px": [FLAT[0], *FLAT]}, "do not form a grid"),
+    "a dot less in every row": ({**GOOD, "dot_xy_px": [*FLAT[1:5], *FLAT[6:10], *FLAT[11:]]}, "do not form a grid"),
+    "x and y exchanged": ({**GOOD, "frame_px": [640, 200], "dot_xy_px": GRID[..., ::-1].tolist()}, ""),
+    "outside to the right": ({**GOOD, "frame_px": [230, 480]}, "a dot lies outside the frame"),
+    "outside to the left": ({**GOOD, "dot_xy_px": (GRID - 51).reshape(-1, 2).tolist()}, "a dot lies outside the frame"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("table", "words"), FAULTS.values(), ids=FAULTS)
+def test_faults_are_named(tmp_path: Path, table: Any, words: str) -> None:
+    """Assert that a faulty calibration is refused with its file and what is wrong with it."""
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, table)
+    message = str(refused.value)
+    assert message.startswith(f"{tmp_path / 'grid.json'}: ")
+    assert words in message
+
+
+def test_file_that_cannot_be_read(tmp_path: Path) -> None:
+    """Assert that a missing file, a folder and bytes that are no text are errors in words."""
+    with pytest.raises(InputError, match="No such file"):
+        read_calibration(tmp_path / "none.json")
+    with pytest.raises(InputError, match="Is a directory"):
+        read_calibration(tmp_path)
+    (tmp_path / "grid.json").write_bytes(b"\x80\x04\x95pickle")
+    with pytest.raises(InputError, match="not a calibration"):
+        read_calibration(tmp_path / "grid.json")
+
+
+def test_digest_is_of_the_grid(tmp_path: Path) -> None:
+    """Assert that the digest does not depend on the order of dots, and changes with dot, radius, window and shape."""
+    base = read(tmp_path, GOOD).digest()
+    assert read(tmp_path, {**GOOD, "dot_xy_px": FLAT[::-1], "more": 1}).digest() == base
+    moved = [[50.0, 40.001], *FLAT[1:]]
+    others = [
+        read(tmp_path, {**GOOD, "dot_xy_px": moved}).digest(),
+        read(tmp_path, {**GOOD, "radius_px": 20.6}).digest(),
+        read(tmp_path, {**GOOD, "window_px": [540, 0, 640, 480]}).digest(),
+        Calibration((640, 480), GRID.reshape(4, 3, 2), 20.5, None).digest(),
+    ]
+    assert len({base, *others}) == 5
