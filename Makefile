@@ -12,17 +12,17 @@ UNSEEN ?= 10-17
 TRAIN ?= 12
 VALIDATE ?= 2
 TEST ?= 10
-INDIVIDUAL ?= evetac
+SENSOR ?= evetac
 TRACKER ?= stable
 SEEDS ?= 5
 MODELS ?= no-hist hist10 events-only disp-only hist20 down5 fast-slow
 IMAGE_MODELS ?= no-hist-img-6x6 hist10-img-6x6
-OURS ?= creep
-AHEAD ?= 10 20
-RECIPES ?= steady paper
+OURS ?= disp-xy
+HORIZON_MS ?= 10 20
+TRAIN_PRESETS ?= adamw paper
 FOLDS ?= 3
 STEPS ?= 40000
-STEADY_STEPS ?= $(shell echo $$(( $(STEPS) < 10000 ? $(STEPS) : 10000 )))
+ADAMW_STEPS ?= $(shell echo $$(( $(STEPS) < 10000 ? $(STEPS) : 10000 )))
 IMAGE_STEPS ?= $(shell echo $$(( $(STEPS) < 3000 ? $(STEPS) : 3000 )))
 # Four minutes each on two cores, and as long to judge.
 IMAGE_SEEDS ?= $(SEEDS)
@@ -48,7 +48,7 @@ TRAJECTORIES ?= 5
 GRASPS ?= data/grasps
 TRIALS ?= 10
 ALONE ?= 5
-CONTROLLERS ?= paper relatch by-load
+CONTROLLERS ?= paper paper-reset load-proportional
 REPORTS ?= reports
 VENV := .venv
 BIN := $(VENV)/bin
@@ -86,7 +86,7 @@ demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; res
 	run track "*/*.recording.h5" --jobs $(JOBS); \
 	run label "*/*.recording.h5" --after-ms 25 --jobs $(JOBS); \
 	run featurize "*/*.recording.h5" --jobs $(JOBS); \
-	run train "learn/*.features.h5" --validate choose --recipe adam --epochs 30 --seed $(SEED) --out slip.model.h5; \
+	run train "learn/*.features.h5" --validate choose --preset adam --epochs 30 --seed $(SEED) --out slip.model.h5; \
 	run evaluate labels "unseen/*.labels.h5" --out labels.report.h5; \
 	run evaluate tracking "unseen/*.tracks.h5" --out tracking.report.h5; \
 	run evaluate slip "unseen/*.features.h5" --model slip.model.h5 --out slip.report.h5; \
@@ -97,7 +97,7 @@ demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; res
 
 slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in data/slip (TRAIN, VALIDATE, TEST, SEED, JOBS)
 	@$(RUN) mkdir -p $(SLIP); cd $(SLIP); \
-	slips() { run record --scene slip --individual $(INDIVIDUAL) --object $$2 --count $$3 --seed $$4 --out $$1 --jobs $(JOBS); \
+	slips() { run record --scene slip --sensor $(SENSOR) --object $$2 --count $$3 --seed $$4 --out $$1 --jobs $(JOBS); \
 	run label "$$1/*.recording.h5" --jobs $(JOBS); \
 	run track "$$1/*.recording.h5" --preset $(TRACKER) --jobs $(JOBS); \
 	run featurize "$$1/*.recording.h5" --images --jobs $(JOBS); }; \
@@ -111,35 +111,35 @@ slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in da
 LEARN = $(RUN) cd $(SLIP); learn() { from=$$1; folder=$$2; shift 2; run train "$$from/*.features.h5" $$* \
 	--validate choose --seed $(SEED) --seeds $$seeds --out models/$$folder --jobs $(JOBS); };
 
-slip-models: $(READY)  ## train slip detectors on what slip-data made (RECIPES, SEEDS, STEPS, FOLDS, MODELS, AHEAD, JOBS)
+slip-models: $(READY)  ## train slip detectors on what slip-data made (TRAIN_PRESETS, SEEDS, STEPS, FOLDS, MODELS, HORIZON_MS, JOBS)
 	@$(LEARN) seeds=$(SEEDS); \
-	for recipe in $(RECIPES); do steps=$(STEPS); models="$(MODELS)"; later="$(filter hist20 fast-slow,$(MODELS))"; \
-	if [ $$recipe = steady ]; then steps=$(STEADY_STEPS); models="$$models $(OURS)"; later="$$later $(OURS)"; fi; \
-	for model in $$models; do learn learn $$recipe --model $$model --recipe $$recipe --max-steps $$steps; done; \
-	for model in $$later; do for ahead in $(AHEAD); do \
-	learn learn $$recipe-ahead --model $$model --ahead $$ahead --recipe $$recipe --max-steps $$steps; done; done; done; \
-	learn truth truth --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS); \
+	for recipe in $(TRAIN_PRESETS); do steps=$(STEPS); models="$(MODELS)"; later="$(filter hist20 fast-slow,$(MODELS))"; \
+	if [ $$recipe = adamw ]; then steps=$(ADAMW_STEPS); models="$$models $(OURS)"; later="$$later $(OURS)"; fi; \
+	for model in $$models; do learn learn $$recipe --model $$model --preset $$recipe --max-steps $$steps; done; \
+	for model in $$later; do for ahead in $(HORIZON_MS); do \
+	learn learn $$recipe-ahead --model $$model --horizon-ms $$ahead --preset $$recipe --max-steps $$steps; done; done; done; \
+	learn truth truth --model fast-slow --horizon-ms 10 --preset adamw --max-steps $(ADAMW_STEPS); \
 	if [ $(FOLDS) != 0 ]; then \
-	learn learn folds --model fast-slow --ahead 10 --recipe steady --max-steps $(STEADY_STEPS) --folds $(FOLDS); fi
+	learn learn folds --model fast-slow --horizon-ms 10 --preset adamw --max-steps $(ADAMW_STEPS) --folds $(FOLDS); fi
 
 # On a CPU the image baselines run on images summed over 6 x 6 px, for fewer steps, and beside them hist10 for as many.
 slip-images: $(READY)  ## train the image baselines, the slowest part; IMAGE_MODELS= leaves them out (IMAGE_SEEDS, IMAGE_STEPS)
-	@$(LEARN) seeds=$(SEEDS); learn learn images --model hist10 --recipe steady --max-steps $(IMAGE_STEPS); \
+	@$(LEARN) seeds=$(SEEDS); learn learn images --model hist10 --preset adamw --max-steps $(IMAGE_STEPS); \
 	seeds=$(IMAGE_SEEDS); for model in $(IMAGE_MODELS); do \
-	learn learn images --model $$model --recipe steady --max-steps $(IMAGE_STEPS); done; \
-	for model in $(filter hist10-img%,$(IMAGE_MODELS)); do for ahead in $(AHEAD); do \
-	learn learn images-ahead --model $$model --ahead $$ahead --recipe steady --max-steps $(IMAGE_STEPS); done; done
+	learn learn images --model $$model --preset adamw --max-steps $(IMAGE_STEPS); done; \
+	for model in $(filter hist10-img%,$(IMAGE_MODELS)); do for ahead in $(HORIZON_MS); do \
+	learn learn images-ahead --model $$model --horizon-ms $$ahead --preset adamw --max-steps $(IMAGE_STEPS); done; done
 
 slip-table: slip-models slip-images  ## ... and judge all of these on unseen slips: tables in reports/
 	@$(RUN) cd $(SLIP); keep slip-training-objects evaluate slip "known/*.features.h5" --model \
-	"models/paper/*.model.h5 models/steady/*.model.h5 models/images/*.model.h5"; \
+	"models/paper/*.model.h5 models/adamw/*.model.h5 models/images/*.model.h5"; \
 	unseen="--model models/*/hist20*.model.h5 models/*/fast-slow*.model.h5 \
-	models/images*/hist10-img*.model.h5 models/*/creep*.model.h5"; \
+	models/images*/hist10-img*.model.h5 models/*/disp-xy*.model.h5"; \
 	keep slip-unseen-objects evaluate slip "unseen/*.features.h5 $$unseen"; \
 	keep model-cost evaluate cost model "slip-unseen-objects.report.h5 $$unseen"
 
 ship: slip-table  ## put the best fast-slow detector, 10 ms ahead, into the package, for grasp
-	$(BIN)/python scripts/ship_model.py $(SLIP)/models/steady-ahead/fast-slow-10ms-s*.model.h5 $(REPORTS)/slip-unseen-objects.json
+	$(BIN)/python scripts/ship_model.py $(SLIP)/models/adamw-ahead/fast-slow-10ms-s*.model.h5 $(REPORTS)/slip-unseen-objects.json
 
 tracking: $(READY)  ## presets of the tracker on edges, slip and shear, simulated: tables in reports/ (EDGES, PRESETS, SEED, JOBS)
 	@$(RUN) mkdir -p $(TRACKING); cd $(TRACKING); \
@@ -162,8 +162,8 @@ vibration: $(READY)  ## which tone the gel feels, simulated: tables in reports/ 
 	@$(RUN) mkdir -p $(VIBRATION); cd $(VIBRATION); \
 	run record --scene vibration --seed $(SEED) --out . --jobs $(JOBS); \
 	keep vibration evaluate vibration "vibration-*hz-s$(SEED)-000.recording.h5" --windows 10,2,1,0.25; \
-	run record --scene vibration-drawn --count $(VIBRATION_SEEDS) --seed $(SEED) --out drawn --jobs $(JOBS); \
-	keep vibration-drawn evaluate vibration "drawn/*hz-s$(SEED)-*.recording.h5" --windows 10,2,1,0.25
+	run record --scene vibration-randomized --count $(VIBRATION_SEEDS) --seed $(SEED) --out drawn --jobs $(JOBS); \
+	keep vibration-randomized evaluate vibration "drawn/*hz-s$(SEED)-*.recording.h5" --windows 10,2,1,0.25
 
 data-rate: $(READY)  ## bytes a second against an RGB sensor, simulated: a table in reports/ (TRAJECTORIES, SEED, JOBS)
 	@$(RUN) mkdir -p $(RATE); cd $(RATE); \
@@ -176,12 +176,12 @@ force: $(READY)  ## shear force from dots in events and in frames, simulated: a 
 	run record --scene shear --count 4 --seed $(SEED) --out learn --jobs $(JOBS); \
 	run record --scene shear --count $(JUDGED) --seed $$(( $(SEED) + 500 )) --out unseen --jobs $(JOBS); \
 	for other in $(OTHERS); do \
-	run record --scene shear --individual $$other --seed $$(( $(SEED) + 500 )) --out $$other; done; \
+	run record --scene shear --sensor $$other --seed $$(( $(SEED) + 500 )) --out $$other; done; \
 	run track "*/*.recording.h5" --preset stable --jobs $(JOBS); \
-	run rgb "*/*.recording.h5" --jobs $(JOBS); \
+	run track-rgb "*/*.recording.h5" --jobs $(JOBS); \
 	for each in $$(seq $(SEED) $$(( $(SEED) + $(FORCE_SEEDS) - 1 ))); do \
-	run fit "learn/*.tracks.h5" --seed $$each --out models/events-$$each.force-model.h5; \
-	run fit "learn/rgb/*.tracks.h5" --seed $$each --out models/frames-$$each.force-model.h5; done; \
+	run train-force "learn/*.tracks.h5" --seed $$each --out models/events-$$each.force-model.h5; \
+	run train-force "learn/rgb/*.tracks.h5" --seed $$each --out models/frames-$$each.force-model.h5; done; \
 	others=; for other in $(OTHERS); do others="$$others $$other/*.tracks.h5 $$other/rgb/*.tracks.h5"; done; \
 	keep force evaluate force "unseen/*.tracks.h5 unseen/rgb/*.tracks.h5" $$others --model models --seed $(SEED)
 
@@ -190,7 +190,7 @@ grasp-table: $(READY)  ## lift and balance by feel, all controllers side by side
 	@$(RUN) mkdir -p $(GRASPS); cd $(GRASPS); \
 	grasped() { into=$$1; shift; run grasp $$* --seed $(SEED) --out $$into --jobs $(JOBS); }; \
 	for controller in $(CONTROLLERS); do \
-	gain=; if [ $$controller != by-load ]; then gain="--gain 2"; fi; \
+	gain=; if [ $$controller != load-proportional ]; then gain="--gain 2"; fi; \
 	grasped $$controller --controller $$controller --object 10-18 --count $(TRIALS); \
 	if [ -n "$$gain" ]; then grasped $$controller-higher --controller $$controller $$gain --object 14,19,20 --count $(TRIALS); \
 	else grasped $$controller --controller $$controller --object 19,20 --count $(TRIALS); fi; \
@@ -198,8 +198,8 @@ grasp-table: $(READY)  ## lift and balance by feel, all controllers side by side
 	grasped $$controller-tests --controller $$controller --scene drop-20g --object 16 --count $(TRIALS); \
 	grasped $$controller-tests --controller $$controller $$gain --scene drop-100g --object 16 --count $(TRIALS); \
 	for gel in cut closed; do \
-	grasped $$controller-second-$$gel --controller $$controller --individual second --gel $$gel --object 16,17 --count $$(( ($(TRIALS) + 1) / 2 )); \
-	grasped $$controller-second-$$gel --controller $$controller $$gain --individual second --gel $$gel --object 19,20 --count $$(( ($(TRIALS) + 1) / 2 )); \
+	grasped $$controller-second-$$gel --controller $$controller --sensor second --gel $$gel --object 16,17 --count $$(( ($(TRIALS) + 1) / 2 )); \
+	grasped $$controller-second-$$gel --controller $$controller $$gain --sensor second --gel $$gel --object 19,20 --count $$(( ($(TRIALS) + 1) / 2 )); \
 	done; done; \
 	grasped alone --controller none --object 10-20 --count $(ALONE) --balance-s 0; \
 	for ticks in 4 8 16; do grasped fixed-$$ticks --controller fixed:$$ticks --object 11,18 --count $(ALONE); done; \

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from evetac_cli.errors import told
+from evetac_cli.errors import error_dict
 from evetac_cli.jobs import Outcome, Progress, silent
 
 FEW_ROWS = 3
@@ -99,10 +99,10 @@ def show_failure(command: str, errors: Sequence[BaseException], outcomes: Sequen
         "simulated": any(outcome.simulated for outcome in outcomes) if outcomes else None,
         "rows": [row for outcome in outcomes for row in outcome.rows],
         "summary": count(outcomes),
-        "error": told(errors[0]),
+        "error": error_dict(errors[0]),
     }
     if len(errors) > 1:
-        result["more_errors"] = [told(error) for error in errors[1:]]
+        result["more_errors"] = [error_dict(error) for error in errors[1:]]
     _print_json(result)
 
 

@@ -9,7 +9,7 @@
 
 Kernels raise ValueError; the stage that calls them knows where the value came from and says so.
 
-Where files were made all the same, an error or Ctrl-C takes along what came of them: `carry`.
+Where files were made all the same, an error or Ctrl-C takes along what came of them: `attach_outcome`.
 """
 
 from typing import Any, TypeVar
@@ -66,18 +66,18 @@ class DeviceTimeout(DeviceError, TimeoutError):
     """A device did not answer in time (exit code 3)."""
 
 
-def carry(error: AnyError, outcome: Any) -> AnyError:
+def attach_outcome(error: AnyError, outcome: Any) -> AnyError:
     """Let an error take along the Outcome of what was made all the same."""
     vars(error)["outcome"] = outcome
     return error
 
 
-def carried(error: BaseException) -> Any:
+def attached_outcome(error: BaseException) -> Any:
     """The Outcome that an error took along, or None."""
     return vars(error).get("outcome")
 
 
-def told(error: BaseException) -> dict[str, Any]:
+def error_dict(error: BaseException) -> dict[str, Any]:
     """An error as data, for --json: its kind, its parts as far as there are any, the exit status."""
     if isinstance(error, EvetacError):
         names = ("message", "where", "expected", "found", "hint", "kept")

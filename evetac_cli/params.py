@@ -49,10 +49,10 @@ class Trials:
     objects: str
     count: int = parameter(1, "Trials of each object.", low=1, high=100000, recipe=False)
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
-    individual: str = parameter(
+    sensor: str = parameter(
         "evetac",
-        "Sensor individual: evetac, second, bare-dvxplorer, soft-gel, stiff-gel; drawn: another one, and another"
-        " gripper, for every trial; drawn:N: the N-th of these, the same wherever it is named.",
+        "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel; randomized: another one, and another"
+        " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named.",
     )
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     readout: str = parameter(
@@ -144,7 +144,7 @@ class Record(Trials):
         choices=READOUT_RATES,
         recipe=False,
     )
-    expect: float = parameter(
+    expected_event_rate: float = parameter(
         1e6, "Devices: events a second that the disk must have room for.", unit="1/s", low=0.0, high=1e9, recipe=False
     )
     resume: bool = parameter(False, "Devices: go on with a series, made with the same set-up.", recipe=False)
@@ -152,7 +152,7 @@ class Record(Trials):
 
 
 @dataclass(frozen=True)
-class Cut:
+class Trim:
     """Cut a range of slices out of a recording, as a recording of its own."""
 
     from_ms: int = parameter(0, "First slice of the piece.", unit="ms", low=0)
@@ -188,10 +188,10 @@ class Label:
         " event-count: many events in the window; truth: what the simulation knows, for comparison.",
         choices=("event-flow", "farneback", "dis", "event-count", "truth"),
     )
-    slide_px: float = parameter(
+    slip_distance_px: float = parameter(
         0.5, "Slide of the object on the gel that is the onset of slip; event-flow.", unit="px", low=0.01
     )
-    crossings: float = parameter(
+    edge_events: float = parameter(
         6.9, "Thresholds that a pixel crosses when a dot's rim passes; event-flow.", unit="events", low=0.1
     )
     threshold_px: float = parameter(
@@ -261,7 +261,7 @@ class Train:
     model: str = parameter(
         "hist10",
         "Architecture, named as in the paper's table; -6x6: event images summed over 6 x 6 px, for a CPU;"
-        " creep: ours, which sees directions and changes of displacements.",
+        " disp-xy: ours, which sees directions and changes of displacements.",
         choices=(
             "no-hist",
             "hist10",
@@ -274,15 +274,17 @@ class Train:
             "hist10-img",
             "no-hist-img-6x6",
             "hist10-img-6x6",
-            "creep",
+            "disp-xy",
         ),
     )
-    ahead: int = parameter(0, "Predict slip so far ahead: labels are shifted by as much.", unit="ms", low=0, high=1000)
-    recipe: str = parameter(
+    horizon_ms: int = parameter(
+        0, "Predict slip so far ahead: labels are shifted by as much.", unit="ms", low=0, high=1000
+    )
+    preset: str = parameter(
         "paper",
-        "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; steady: AdamW 0.002 falling to 0"
+        "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
         " on normalised features, samples made stronger and weaker, and the mean of the weights on the way.",
-        choices=("paper", "adam", "steady"),
+        choices=("paper", "adam", "adamw"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
     max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
@@ -309,14 +311,14 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Rgb:
+class TrackRgb:
     """Track the dots as an RGB sensor at 25 Hz sees them, by optical flow: a comparison (simulated recordings)."""
 
     seed: int = parameter(0, "Seed of the frames' noise.", low=0, high=2**31 - 1)
 
 
 @dataclass(frozen=True)
-class Fit:
+class TrainForce:
     """Fit shear force to the displacements of dots: a linear regression, and the paper's network."""
 
     samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
@@ -326,10 +328,10 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Force:
+class PredictForce:
     """Tell the shear force from tracked dots, slice by slice, by a force model."""
 
-    model: Path | None = parameter(None, "Force model, made by fit.", recipe=False)
+    model: Path | None = parameter(None, "Force model, made by train-force.", recipe=False)
 
 
 @dataclass(frozen=True)
@@ -363,7 +365,7 @@ class EvaluateVibration:
         choices=("default", "paper"),
     )
     windows: str = parameter("10,2,1", "Lengths of windows, 0.1 to 10.", unit="s")
-    expect: float | None = parameter(
+    true_hz: float | None = parameter(
         None, "The tone that was played; default: the truth of a simulation.", unit="Hz", low=0.1, high=1e6
     )
     tolerance_hz: float = parameter(
@@ -461,12 +463,12 @@ class Grasp(Trials):
     )
     controller: str = parameter(
         "paper",
-        "Law of the grip; paper: the paper's, whose balance sets its reference at the first slip; relatch: at every"
-        " slip; by-load: ours, in proportion to the load; none: contact alone, without the detector; fixed:N: closed N"
+        "Law of the grip; paper: the paper's, whose balance sets its reference at the first slip; paper-reset: at every"
+        " slip; load-proportional: ours, in proportion to the load; none: contact alone, without the detector; fixed:N: closed N"
         " ticks beyond light contact.",
     )
     gain: float = parameter(
-        1.0, "K_p in balance, in multiples of the paper's; paper and relatch.", low=0.01, high=100.0
+        1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0
     )
     latency_ms: int = parameter(0, "What is felt reaches the controller so much later.", unit="ms", low=0, high=1000)
     control_hz: float = parameter(
@@ -518,7 +520,7 @@ class View:
     start_s: float = parameter(0.0, "Show from here on.", unit="s", low=0.0, recipe=False)
     stop_s: float | None = parameter(None, "Show up to here; default: the end.", unit="s", low=0.0, recipe=False)
     shown_ms: int = parameter(5, "Events summed into one image.", unit="ms", low=1, high=1000, recipe=False)
-    moments: int = parameter(
+    images: int = parameter(
         500, "Images in the page at most, dense near slip and where it is busiest.", low=1, high=3000, recipe=False
     )
     film: Path | None = parameter(None, "Write an animation too, to this GIF.", recipe=False)
@@ -555,15 +557,15 @@ class Doctor:
 # A table of a config file for each: [track], [evaluate.slip].
 COMMANDS = (
     "record",
-    "cut",
+    "trim",
     "calibrate",
     "label",
     "track",
     "featurize",
     "train",
-    "rgb",
-    "fit",
-    "force",
+    "track-rgb",
+    "train-force",
+    "predict-force",
     "evaluate slip",
     "evaluate vibration",
     "evaluate data-rate",

@@ -16,7 +16,7 @@ from evetac_cli.kernels.slip import features, slip
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.numerics import tracker_cost
 from evetac_cli.sim import scene
-from evetac_cli.sim.scenes.gripped import World
+from evetac_cli.sim.scenes.gripped import GraspSimulation
 
 SLICE_US = 1000.0
 TOUCH_MS, LIFT_MS = 1500, 10_000
@@ -42,9 +42,9 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
     kind = "lift" if name == "lift" else "ramp"
     plan = scene.plan(name, str(number), "evetac", (kind,))[0]
     for slices in (100, 100_000):  # the first compiles
-        world = World(plan, *(np.random.default_rng([1, part]) for part in range(2)))
-        mechanics, camera = Stopwatch(world._move), Stopwatch(world.eye.see)
-        world._move, world.eye.see = mechanics, camera  # type: ignore[method-assign, assignment]
+        world = GraspSimulation(plan, *(np.random.default_rng([1, part]) for part in range(2)))
+        mechanics, camera = Stopwatch(world._move), Stopwatch(world.gel_camera.see)
+        world._move, world.gel_camera.see = mechanics, camera  # type: ignore[method-assign, assignment]
         held_ma, law = world.command[1], paper.start()
         started = time.thread_time()
         while not world.finished and world.slices < slices:

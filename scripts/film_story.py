@@ -34,7 +34,7 @@ class Catch(NamedTuple):
 
 @dataclass(frozen=True)
 class Story:
-    """What a recording and its tracks tell, slice by slice; lengths in mm upwards are those of the object."""
+    """What a recording and its tracks tell_story, slice by slice; lengths in mm upwards are those of the object."""
 
     title: str
     catch: Catch
@@ -85,12 +85,12 @@ def acts(catch: Catch, rise_ms: int, slices: int) -> list[Act]:
     return plan
 
 
-def moments(plan: list[Act]) -> list[float]:
+def frame_times(plan: list[Act]) -> list[float]:
     """Recorded time of every picture, in ms, at its end."""
     return [float(at) for act in plan for at in np.arange(act.start_ms, act.stop_ms, act.speed * PICTURE_MS)]
 
 
-def tell(trial: Trial) -> Story:
+def tell_story(trial: Trial) -> Story:
     """Read all but the events; InputError if the recording is no simulated grasp, has no tracks, or shows no catch."""
     recording, tracks = trial.recording, trial.tracks
     if recording is None or not (recording.has("control") and recording.has("truth/table_gap_mm")):
@@ -105,7 +105,7 @@ def tell(trial: Trial) -> Story:
         return values
 
     made = recording.header["parameters"]
-    thing, mm_per_px = made["object_row"], float(made["individual_row"]["mm_per_px"])
+    object_params, mm_per_px = made["object_row"], float(made["sensor_row"]["mm_per_px"])
     if made["scene"]["gel"].get("sideways") or "drop" in made["scene"]:
         raise InputError("the film shows lifts from the top, without a falling weight", where=str(recording.path))
     height = recording.read("truth/table_gap_mm")
@@ -125,10 +125,13 @@ def tell(trial: Trial) -> Story:
     heard_ms = recording.read("control/t_us")[recording.read("control/slip") > 0] // SLICE_US
     heard_ms = np.append(heard_ms[heard_ms >= plan[2].start_ms], catch.stuck_ms)
     return Story(
-        title=f"Catching object {made['object']} by feel: {thing['material']}, {thing['mass_g']:g} g",
+        title=f"Catching object {made['object']} by feel: {object_params['material']}, {object_params['mass_g']:g} g",
         catch=catch,
         acts=plan,
-        object_mm=(float(thing.get("grasped_width_mm", thing["width_mm"])), float(thing["height_mm"])),
+        object_mm=(
+            float(object_params.get("grasped_width_mm", object_params["width_mm"])),
+            float(object_params["height_mm"]),
+        ),
         mm_per_px=mm_per_px,
         window_px=recording.window_px,
         frame_px=recording.frame_px,

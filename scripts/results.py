@@ -171,7 +171,7 @@ def vibration(report: Row, which: str) -> str:
 
 
 def force(report: Row) -> str:
-    gels = list(dict.fromkeys(row["individual"] for row in report["rows"]))
+    gels = list(dict.fromkeys(row["sensor_name"] for row in report["rows"]))
     rows = []
     for sensor, model in dict.fromkeys((row["sensor"], row["model"]) for row in report["rows"]):
         cells = []
@@ -179,7 +179,7 @@ def force(report: Row) -> str:
             same = [
                 row
                 for row in report["rows"]
-                if (row["sensor"], row["model"], row["individual"]) == (sensor, model, gel)
+                if (row["sensor"], row["model"], row["sensor_name"]) == (sensor, model, gel)
             ]
             errors = [sum(row[f"mae_n_{axis}"] for row in same) / len(same) for axis in "xy"]
             papers = [same[0][f"paper_mae_n_{axis}"] for axis in "xy"]
@@ -203,7 +203,7 @@ def grasps(report: Row, which: str) -> str:
             number(row["force_end_n"]),
             number(row["moved_mm_median"]),
             number(row["moved_mm_mean"]),
-            beside(row["reduction"], row["paper_reduction"]),
+            beside(row["reopened_share"], row["paper_reopened_share"]),
         ]
         for row in having(report, "columns")
     ]
@@ -222,9 +222,15 @@ def objects(report: Row) -> str:
         cells = []
         for name in settings:
             row = of.get(name)
-            figures = () if row is None else (number(row["opening_end_ticks"], 1), number(row["force_end_n"], 1))
+            figures = (
+                () if row is None else (number(row["opening_after_balance_ticks"], 1), number(row["force_end_n"], 1))
+            )
             cells.append("" if row is None else ", ".join((f"{row['success']:.0%}", *figures)))
-        told = [row["paper_opening_end_ticks"] for row in of.values() if row["paper_opening_end_ticks"] is not None]
+        told = [
+            row["paper_opening_after_balance_ticks"]
+            for row in of.values()
+            if row["paper_opening_after_balance_ticks"] is not None
+        ]
         lines.append([str(number_), *cells, number(told[0], 1) if told else ""])
     return table("Grasps by object: kept, ticks closed at the end, N:", ["object", *settings, "paper, ticks"], lines)
 
@@ -241,7 +247,7 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "tracking-edge-cut": edges,
     "data-rate": data_rate,
     "vibration": lambda report: vibration(report, "100 s a tone"),
-    "vibration-drawn": lambda report: vibration(report, "10 s a tone, loudness, place and harmonics drawn anew"),
+    "vibration-randomized": lambda report: vibration(report, "10 s a tone, loudness, place and harmonics drawn anew"),
     "force": force,
     "grasps": grasp_tables,
     "grasp-robustness": lambda report: grasps(report, "sideways, with a falling weight, on another sensor"),

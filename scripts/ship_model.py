@@ -30,13 +30,13 @@ def main() -> None:
     judged = json.loads(report.read_text())
     chosen = model.header["parameters"]
     traits = {key: chosen[key] for key in ("model", "recipe", "max_steps", "folds")}
-    traits |= {"ahead_ms": model.ahead_ms, "labels": model.labels}
+    traits |= {"horizon_ms": model.horizon_ms, "labels": model.labels}
     (setting,) = [row["setting"] for row in judged["rows"] if "seeds" in row and traits.items() <= row.items()]
     one = {"setting": setting, "seed": chosen["seed"]}
     (found,) = [row for row in judged["rows"] if "threshold" in row and one.items() <= row.items()]
     made = {
         "model": model.architecture.name,
-        "ahead_ms": model.ahead_ms,
+        "horizon_ms": model.horizon_ms,
         "threshold": model.threshold,
         "parameters": model.parameters,
         "training": model.header["parameters"],

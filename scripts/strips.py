@@ -20,7 +20,7 @@ MOMENTS = 4
 INK, QUIET, WARM, COOL = "#22303f", "#8a95a1", "#b5502a", "#2f6690"
 
 
-def moments(recording: Recording) -> list[int]:
+def frame_times(recording: Recording) -> list[int]:
     """Slices worth seeing: about the onset where there is one, else the busiest of each quarter."""
     slip = np.flatnonzero(recording.read("truth/slip")) if recording.has("truth") else []
     if len(slip) and recording.header["parameters"]["scene"]["kind"] == "ramp":
@@ -38,7 +38,7 @@ def image(recording: Recording, start: int) -> np.ndarray:
 def strip(path: Path, out: Path) -> Path:
     """Draw one recording."""
     with open_recording(path) as recording:
-        chosen = moments(recording)
+        chosen = frame_times(recording)
         figure = plt.figure(figsize=(11, 5.6), dpi=110, layout="constrained")
         grid = figure.add_gridspec(3, MOMENTS, height_ratios=(2.6, 1, 1))
         for place, start in enumerate(chosen):
@@ -71,8 +71,8 @@ def strip(path: Path, out: Path) -> Path:
         rate.set_xlim(0, seconds[-1])
         rate.tick_params(labelbottom=False)
         what = recording.header["parameters"]["scene"]
-        thing = recording.header["parameters"]["object"]
-        name = what["name"] + (f", object {thing}" if thing else "")
+        object_params = recording.header["parameters"]["object"]
+        name = what["name"] + (f", object {object_params}" if object_params else "")
         figure.suptitle(f"{name} (simulated): {what['summary']}", fontsize=11, color=INK, x=0.01, ha="left")
         out.mkdir(parents=True, exist_ok=True)
         target = out / f"{what['name']}.png"

@@ -108,10 +108,10 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
             (job,) = stage.jobs([path], chosen, None)
             stage.run(job, chosen)
     features = [made.beside(path, "features") for path in made.recordings]
-    training = params.Train(epochs=1, max_steps=20, recipe="adam", validate=str(features[-1]))
+    training = params.Train(epochs=1, max_steps=20, preset="adam", validate=str(features[-1]))
     (job,) = train.jobs(features, training, made.model)
     train.run(job, training)
-    fitting = params.Fit(samples=10, epochs=2)
+    fitting = params.TrainForce(samples=10, epochs=2)
     (job,) = train_force.jobs([made.beside(path, "tracks") for path in made.recordings], fitting, made.force_model)
     train_force.run(job, fitting)
     grasping = params.Grasp(model=made.model, lift_s=1.0, balance_s=0.2)
@@ -142,4 +142,4 @@ def fresh(gripper: VirtualGripper) -> VirtualGripper:
 
 
 def is_off(gripper: VirtualGripper) -> bool:
-    return gripper.look("Torque Enable") == 0 and gripper.look("Goal Current") == 0
+    return gripper.read_register("Torque Enable") == 0 and gripper.read_register("Goal Current") == 0

@@ -11,7 +11,7 @@ from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params import Featurize, Track
 from evetac_cli.stages import featurize, track
-from evetac_cli.stages.grasp.online_detector import SlipSense
+from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.slip_detectors import series_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
@@ -70,7 +70,7 @@ def test_live_features_are_those_of_the_files(made: Made, cuts: list[int]) -> No
         events, slices = recording.between(0, len(recording)), len(recording)
         dots = recording.dot_xy_px
         assert dots is not None
-        sense = SlipSense.start(model, dots, recording.window_px, tracker.PRESETS["stable"])
+        sense = OnlineSlipDetector.start(model, dots, recording.window_px, tracker.PRESETS["stable"])
         architecture = slip.ARCHITECTURES[model.read("architecture")]
         detector = Detector(model.read("onnx").tobytes(), architecture)
     with StageFile(made.beside(path, "tracks")) as tracks, StageFile(made.beside(path, "features")) as features:

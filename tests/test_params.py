@@ -218,12 +218,12 @@ def test_ranges_hold_in_config_files(tmp_path: Path) -> None:
 
 def test_choices() -> None:
     """Assert that an unknown choice is refused with all there are, and the nearest, if one is near."""
-    message = refusal(Train, "train", {"recipe": "adma"})
-    assert message.startswith("--recipe: unknown value")
+    message = refusal(Train, "train", {"preset": "adma"})
+    assert message.startswith("--preset: unknown value")
     assert "expected: paper, adam" in message
     assert "did you mean adam?" in message
-    assert "try:" not in refusal(Train, "train", {"recipe": "xyzzy"})
-    assert refusal(Train, "train", {"recipe": ""})
+    assert "try:" not in refusal(Train, "train", {"preset": "xyzzy"})
+    assert refusal(Train, "train", {"preset": ""})
 
 
 @pytest.mark.parametrize(("command", "item"), ALL_FIELDS, ids=lambda value: getattr(value, "name", value))

@@ -1,0 +1,1 @@
+"""The command line: commands and their flags, exit codes, and how jobs are run."""

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from evetac_cli import console
-from evetac_cli.errors import INTERRUPTED, EvetacError, InputError, carried, told
+from evetac_cli.errors import INTERRUPTED, EvetacError, InputError, attached_outcome, error_dict
 from evetac_cli.jobs import Outcome
 
 UsageError: Any = typer.BadParameter.__base__  # which typer does not name; it lies in click, or in typer's own copy
@@ -59,7 +59,9 @@ class Ending:
 
     def outcomes(self) -> list[Outcome]:
         """What was made; also by what failed in the end, if it took that along."""
-        found = (result if isinstance(result, Outcome) else carried(result) for result in self.results.values())
+        found = (
+            result if isinstance(result, Outcome) else attached_outcome(result) for result in self.results.values()
+        )
         return [outcome for outcome in found if outcome is not None]
 
     def errors(self) -> list[EvetacError]:
@@ -73,7 +75,7 @@ class Ending:
         if self.as_json and error is not None and not isinstance(error, (typer.Exit, BrokenPipeError)):
             errors = self.errors()
             known = any(error is other for other in errors)
-            more = carried(error) if not known else None
+            more = attached_outcome(error) if not known else None
             outcomes = self.outcomes() + ([more] if more is not None else [])
             console.show_failure(self.title, errors if known else [error, *errors], outcomes)
         if isinstance(error, KeyboardInterrupt):
@@ -84,6 +86,6 @@ class Ending:
                 import traceback
 
                 traceback.print_exception(error)
-            data = told(error)  # of a disk or a path that failed where nobody looked, as much as there is
+            data = error_dict(error)  # of a disk or a path that failed where nobody looked, as much as there is
             console.say(f"error: {error if isinstance(error, EvetacError) else '{where}: {message}'.format(**data)}")
             raise typer.Exit(data["exit_status"]) from None

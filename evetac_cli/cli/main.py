@@ -39,7 +39,7 @@ class Command:
 
 PIPELINE = (
     Command("record", params.Record, "stages.record", ""),
-    Command("cut", params.Cut, "stages.trim", "Recordings."),
+    Command("trim", params.Trim, "stages.trim", "Recordings."),
     Command(
         "calibrate", params.Calibrate, "stages.calibrate", "Press recordings; none with --import.", files_needed=False
     ),
@@ -47,15 +47,15 @@ PIPELINE = (
     Command("track", params.Track, "stages.track", "Recordings."),
     Command("featurize", params.Featurize, "stages.featurize", "Recordings (tracks and labels lie beside them)."),
     Command("train", params.Train, "stages.train", "Labelled features, one file a trajectory.", "steps"),
-    Command("rgb", params.Rgb, "stages.track_rgb", "Simulated recordings.", "frames"),
+    Command("track-rgb", params.TrackRgb, "stages.track_rgb", "Simulated recordings.", "frames"),
     Command(
-        "fit",
-        params.Fit,
+        "train-force",
+        params.TrainForce,
         "stages.force.train_force",
         "Tracks of shear recordings; the last file is held out.",
         "epochs",
     ),
-    Command("force", params.Force, "stages.force.predict_force", "Tracks."),
+    Command("predict-force", params.PredictForce, "stages.force.predict_force", "Tracks."),
     Command("grasp", params.Grasp, "stages.grasp", ""),
 )
 EVALUATE = (

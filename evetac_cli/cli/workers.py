@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from evetac_cli.errors import EvetacError, carried, carry
+from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
@@ -42,7 +42,7 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
             raise KeyboardInterrupt from None
         raise
     if _came:
-        raise carry(KeyboardInterrupt(), result)
+        raise attach_outcome(KeyboardInterrupt(), result)
     return result
 
 
@@ -55,7 +55,7 @@ def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | Eve
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)  # one that came while the process started, comes up now
         return run_one(module, job, chosen, force)
     except KeyboardInterrupt as error:
-        finished: Outcome | None = carried(error)
+        finished: Outcome | None = attached_outcome(error)
         return finished
     finally:
         signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)

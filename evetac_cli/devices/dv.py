@@ -49,7 +49,7 @@ class DvCamera:
             ) from error
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array(FRAME_PX, np.int32),
-            "sensor/individual": f"dv:{name}",
+            "sensor/name": f"dv:{name}",
         }
         self._slices = DeviceSlices(self.settings.flush_us + SLICE_US + PATIENCE_US)
         self._slices.start(_now_us())

@@ -158,12 +158,12 @@ def open_rig(
         for device in (servo, hand):
             if device is not None:
                 opened.callback(device.close)
-        eye, eye_setup, parents = open_camera(camera, settings, world, seeds)
+        gel_camera, eye_setup, parents = open_camera(camera, settings, world, seeds)
         opened.pop_all()
     return Rig(
-        eye,
+        gel_camera,
         hand,
-        eye,
+        gel_camera,
         holding_ma=world.holding_ma if world else 0.0,
         drawn=world.drawn if world else "",
         sensor=world.sensor if world else {},
@@ -193,8 +193,8 @@ def open_camera(
         from evetac_cli.devices.dv import DvCamera
 
         through_dv = DvCamera(name.which, chosen)
-        which = str(through_dv.sensor["sensor/individual"])
-        return through_dv, {"name": name.kind, "individual": which, "settings": asdict(chosen)}, ()
+        which = str(through_dv.sensor["sensor/name"])
+        return through_dv, {"name": name.kind, "sensor": which, "settings": asdict(chosen)}, ()
     backend = None
     if name.kind == "virtual":
         from evetac_cli.devices.virtual.virtual_dvxplorer import VirtualDvxplorer
@@ -208,9 +208,9 @@ def open_camera(
 
 def _prepared(events_s: float, seeds: np.random.SeedSequence) -> "PreparedWords":
     """Words of a second of events at random, for half a minute again and again."""
-    from evetac_cli.devices.virtual.word_sources import PreparedWords, rain
+    from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 
-    second = rain(events_s, 1.0, np.random.default_rng(seeds))
+    second = random_event_words(events_s, 1.0, np.random.default_rng(seeds))
     stamps = second >> 26 == TIMESTAMP_CODE
     return PreparedWords(
         np.concatenate([np.where(stamps, second + np.uint32(1000 * played), second) for played in range(PREPARED_S)])

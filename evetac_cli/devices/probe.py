@@ -19,7 +19,7 @@ import usb.core
 import usb.util
 
 from evetac_cli.devices.dvxplorer import protocol
-from evetac_cli.devices.dvxplorer.camera import CONTROL_TIMEOUT_MS, FoundCamera, look
+from evetac_cli.devices.dvxplorer.camera import CONTROL_TIMEOUT_MS, FoundCamera, find_cameras
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, SDK_RATES, Bus, Found, latency_timer_ms, scan
 
 FTDI = "0403"  # vendor of the chip in ROBOTIS' U2D2
@@ -56,7 +56,7 @@ class CameraAnswer(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Machine:
+class Host:
     """The machine it runs on, or one that a test made up."""
 
     sysfs: Path = Path("/sys")
@@ -72,7 +72,7 @@ class Machine:
 
     def cameras(self) -> list[FoundCamera]:
         """All DVXplorer on the bus."""
-        return look(self.usb_backend)
+        return find_cameras(self.usb_backend)
 
     def ask_camera(self, camera: FoundCamera) -> CameraAnswer:
         """Open a camera, claim it, read the size of its sensor, and let go of it."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.scenes.gripped import World
+from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
 from evetac_cli.sim.scenes.vibrating import Vibration
@@ -21,17 +21,17 @@ class SimulatedCamera:
 
     counted: Mapping[str, int] = MappingProxyType({})
 
-    def __init__(self, world: World | Pressing | Vibration, individual: str, individual_row: Mapping[str, Any]) -> None:
-        self._world: World | Pressing | Vibration | None = world
+    def __init__(self, world: GraspSimulation | Pressing | Vibration, name: str, sensor_row: Mapping[str, Any]) -> None:
+        self._world: GraspSimulation | Pressing | Vibration | None = world
         self._now_us = 0
         self.sensor: Mapping[str, Any] = {
-            "sensor/frame_px": np.array(individual_row["frame_px"], np.int32),
-            "sensor/individual": individual,
-            "sensor/dot_xy_px": world.eye.grid_xy_px,
-            "sensor/dot_radius_px": np.float64(individual_row["dot_radius_px"]),
+            "sensor/frame_px": np.array(sensor_row["frame_px"], np.int32),
+            "sensor/name": name,
+            "sensor/dot_xy_px": world.gel_camera.grid_xy_px,
+            "sensor/dot_radius_px": np.float64(sensor_row["dot_radius_px"]),
         }
-        if world.eye.window_px is not None:
-            self.sensor = {**self.sensor, "sensor/window_px": np.array(world.eye.window_px, np.int32)}
+        if world.gel_camera.window_px is not None:
+            self.sensor = {**self.sensor, "sensor/window_px": np.array(world.gel_camera.window_px, np.int32)}
 
     def read(self) -> Events | None:
         """Advance the world by 1 ms and return what the camera saw; None once the scene has ended."""
@@ -54,7 +54,7 @@ class SimulatedGripper:
 
     counted: Mapping[str, int] = MappingProxyType({})
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: GraspSimulation) -> None:
         self.world = world
 
     def read(self) -> GripperReading:
@@ -78,12 +78,12 @@ class SimulatedGripper:
 def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: float) -> Rig:
     """Build the devices of a simulated trial; each part draws from a stream of its own."""
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
-    named = plan["individual"], plan["individual_row"]
+    named = plan["sensor"], plan["sensor_row"]
     driven = DRIVEN.get(plan["scene"]["kind"])
     if driven is not None:
         trial = driven(plan, mechanics, optics)
         camera = SimulatedCamera(trial, *named)
         return Rig(camera, None, camera, trial.truth, drawn=trial.drawn.as_json())
-    world = World(plan, mechanics, optics, **durations)
+    world = GraspSimulation(plan, mechanics, optics, **durations)
     camera = SimulatedCamera(world, *named)
     return Rig(camera, SimulatedGripper(world), camera, world.truth, world.holding_ma(), world.drawn.as_json())

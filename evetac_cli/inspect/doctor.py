@@ -14,7 +14,7 @@ from typing import Any
 
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
-from evetac_cli.devices.probe import FTDI, Machine
+from evetac_cli.devices.probe import FTDI, Host
 from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Found
 from evetac_cli.errors import DeviceError
@@ -65,9 +65,9 @@ def udev_rules() -> str:
     )
 
 
-def run(params: Doctor, machine: Machine | None = None) -> Outcome:
+def run(params: Doctor, machine: Host | None = None) -> Outcome:
     """A row for every check of every device that was found, and of what they need."""
-    machine = machine or Machine()
+    machine = machine or Host()
     rows = [*_software(machine), _disk(machine, Path.cwd())]
     cameras = machine.cameras() if machine.has_libusb() else []
     for camera in cameras:
@@ -116,7 +116,7 @@ def _row(device: str, check: str, ok: bool | None, found: str, expected: str = "
     }
 
 
-def _software(machine: Machine) -> Iterator[Row]:
+def _software(machine: Host) -> Iterator[Row]:
     there = machine.has_libusb()
     fix = "" if there else "pip install --force-reinstall libusb-package"
     yield _row("software", "libusb", there, "loads" if there else "none that loads", "one, to speak USB with", fix)
@@ -138,7 +138,7 @@ def _software(machine: Machine) -> Iterator[Row]:
     )
 
 
-def _disk(machine: Machine, folder: Path) -> Row:
+def _disk(machine: Host, folder: Path) -> Row:
     free = machine.free_bytes(folder)
     enough = free >= FREE_BYTES
     minutes = free / 3.5e6 / 60
@@ -148,7 +148,7 @@ def _disk(machine: Machine, folder: Path) -> Row:
     )
 
 
-def _camera(machine: Machine, camera: FoundCamera) -> Iterator[Row]:
+def _camera(machine: Host, camera: FoundCamera) -> Iterator[Row]:
     name = f"camera {camera.serial or 'at ' + camera.where}"
     mini = camera.board == protocol.MINI_BOARD
     fix = "" if mini else "record it with DV, and import: evetac record --from FILE.aedat4"
@@ -180,7 +180,7 @@ def _camera(machine: Machine, camera: FoundCamera) -> Iterator[Row]:
         yield _row(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
 
 
-def _opened(machine: Machine, camera: FoundCamera, number: int, found: str) -> tuple[str, bool, str, str, str]:
+def _opened(machine: Host, camera: FoundCamera, number: int, found: str) -> tuple[str, bool, str, str, str]:
     """Check, whether it is well, what was found, expected, and what to do: of opening and asking a camera."""
     if number == 0:
         return "access", True, "opens and answers", "", ""
@@ -203,7 +203,7 @@ def _opened(machine: Machine, camera: FoundCamera, number: int, found: str) -> t
     return "access", False, found, "", "unplug it and plug it in again, without a hub"
 
 
-def _ports(machine: Machine, params: Doctor) -> Iterator[tuple[Path, bool]]:
+def _ports(machine: Host, params: Doctor) -> Iterator[tuple[Path, bool]]:
     """Ports to examine, and whether the user named them."""
     given = params.gripper or ""
     named = Path(given.partition("@")[0]) if given and given.partition(":")[0] not in NO_PORTS else None
@@ -214,7 +214,7 @@ def _ports(machine: Machine, params: Doctor) -> Iterator[tuple[Path, bool]]:
         yield named, True
 
 
-def _port(machine: Machine, path: Path, named: bool) -> tuple[list[Row], int]:
+def _port(machine: Host, path: Path, named: bool) -> tuple[list[Row], int]:
     """Rows of one port and of the grippers on it, and how many these are."""
     name = f"port {path}"
     if not path.exists():
@@ -270,7 +270,7 @@ def _is_serial(path: Path) -> bool:
         os.close(port)
 
 
-def _gripper(machine: Machine, path: Path, gripper: Found) -> Iterator[Row]:
+def _gripper(machine: Host, path: Path, gripper: Found) -> Iterator[Row]:
     name = f"gripper {gripper.id} at {path}"
     right = gripper.model == MODEL_NUMBER
     older = " (RH-P12-RN without A: another control table)" if gripper.model == OLD_MODEL_NUMBER else ""

@@ -94,7 +94,7 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "data_rate_bytes_s": bytes_s,
             "data_rate_to_rgb": bytes_s / RGB_BYTES_S,
             "frame_px": f"{width} x {height}",
-            "individual": recording.read("sensor/individual"),
+            "sensor": recording.read("sensor/name"),
             "dots": "none" if grid is None else f"{grid.shape[0]} rows x {grid.shape[1]} columns",
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
             "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture"))) or "none",
@@ -147,7 +147,7 @@ def _labels(file: StageFile) -> dict[str, Any]:
         "confidence": float(file.read("confidence")),
         "slices_slip": int(np.sum(label == 1)),
         "slices_not_examined": int(np.sum(label < 0)),
-        "pairs_computed": int(file.read("pairs_computed")),
+        "flow_pairs_computed": int(file.read("flow_pairs_computed")),
     }
 
 
@@ -191,7 +191,7 @@ def _force_model(file: StageFile) -> dict[str, Any]:
     chosen = int(file.read("curve/chosen"))
     return {
         "sensor": file.read("sensor"),
-        "individual": file.read("individual"),
+        "sensor_name": file.read("sensor_name"),
         "dots": f"{rows} rows x {columns} columns",
         "epoch": chosen + 1,
         "held_out_n_rms": float(file.read("curve/held_out_n")[chosen]),

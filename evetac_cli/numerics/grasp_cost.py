@@ -19,7 +19,7 @@ import numpy as np
 from evetac_cli import resources
 from evetac_cli.devices import Rig
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.numerics.grasp_trials import Held, Short, grasp, truthful
+from evetac_cli.numerics.grasp_trials import GraspResult, Short, grasp, truthful
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report
 from evetac_cli.stages.grasp.loop import Sense
@@ -34,7 +34,7 @@ class Extent:
 
     objects: tuple[int, ...] = (11, 17)
     trials: int = 1
-    controllers: tuple[str, ...] = ("paper", "by-load")
+    controllers: tuple[str, ...] = ("paper", "load-proportional")
     latencies_ms: tuple[int, ...] = (5, 10, 20, 50)
     rates_hz: tuple[float, ...] = (50.0, 100.0, 1000.0)
 
@@ -65,7 +65,7 @@ USUAL = Extent()
 FULL = Extent(
     (10, 11, 12, 13, 17, 18),
     3,
-    ("paper", "relatch", "by-load"),
+    ("paper", "paper-reset", "load-proportional"),
     (2, 5, 10, 20, 30, 50),
     (50.0, 100.0, 200.0, 250.0, 1000.0),
 )
@@ -142,7 +142,7 @@ def rows_of(extent: Extent, models: list[Path]) -> int:
     return len(extent.controllers) * len(extent.settings(models))
 
 
-def _row(trials: list[Held]) -> dict[str, Any]:
+def _row(trials: list[GraspResult]) -> dict[str, Any]:
     kept = [trial.figures for trial in trials if trial.figures["balanced"]]
     feel_us = np.concatenate([trial.feel_us for trial in trials])
     return {

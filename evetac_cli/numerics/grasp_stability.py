@@ -18,15 +18,15 @@ from evetac_cli.devices import Rig
 from evetac_cli.errors import EvetacError
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip import paper
-from evetac_cli.kernels.grip.control import Felt
-from evetac_cli.numerics.grasp_trials import CONTROLLERS, Held, Says, Short, grasp
+from evetac_cli.kernels.grip.control import SlipSignal
+from evetac_cli.numerics.grasp_trials import CONTROLLERS, GraspResult, Says, Short, grasp
 from evetac_cli.numerics.stability_rows import Row, Rows
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.stages.grasp.loop import Sense
 
 Plan = dict[str, Any]
 ROWS = Rows(("force_most_n", "current_most_ma", "swing_ticks", "moved_mm"))
-USUAL_CONTROLLERS = ("paper", "by-load")
+USUAL_CONTROLLERS = ("paper", "load-proportional")
 BALANCE_S = 3.0
 SETTLED_MS = 500  # at the end, in which fingers are looked at
 MOST_SWING_TICKS = 4.0  # of the encoder in that time: a step of an integer goal moves the fingers by less
@@ -52,7 +52,7 @@ class Uneven:
         return self.sense.step(events)
 
     @property
-    def felt(self) -> Felt:
+    def felt(self) -> SlipSignal:
         """What came through."""
         return self.sense.felt
 
@@ -70,7 +70,7 @@ class Case:
 
 def _servo(factor: float, plan: Plan) -> None:
     gain = Drive.gain_ma_tick * factor
-    plan["individual_row"] = {**plan["individual_row"], "gripper": {"gain_ma_tick": gain}}
+    plan["sensor_row"] = {**plan["sensor_row"], "gripper": {"gain_ma_tick": gain}}
 
 
 def _object(name: str, value: float, plan: Plan) -> None:
@@ -78,9 +78,9 @@ def _object(name: str, value: float, plan: Plan) -> None:
 
 
 def _gel(factor: float, plan: Plan) -> None:
-    row = plan["individual_row"]
+    row = plan["sensor_row"]
     stiffer = {name: row[name] * factor for name in ("shear_modulus_pa", "normal_modulus_pa")}
-    plan["individual_row"] = {**row, **stiffer}
+    plan["sensor_row"] = {**row, **stiffer}
 
 
 def cases(*, full: bool) -> list[Case]:
@@ -119,7 +119,7 @@ def suite(seed: int, *, full: bool = False) -> list[Callable[[], Row]]:
         partial(case_row, case, controller, seed)
         for controller in controllers
         for case in cases(full=full)
-        if not (case.paper_only and controller == "by-load")
+        if not (case.paper_only and controller == "load-proportional")
     ]
 
 
@@ -135,7 +135,7 @@ def case_row(case: Case, controller: str, seed: int) -> Row:
     return judged(name, held)
 
 
-def judged(name: str, held: Held) -> Row:
+def judged(name: str, held: GraspResult) -> Row:
     """The row of a grasp that ended: ok or not, and what came of it."""
     rows, figures = held.rows, held.figures
     numbers = [rows[path] for path in rows if path.startswith("truth/") or path in ("gripper/current_ma",)]

@@ -16,16 +16,16 @@ from evetac_cli import resources
 from evetac_cli.devices import Rig
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip import control as grip_control
-from evetac_cli.kernels.grip.control import Control, Felt
+from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.params import Grasp
 from evetac_cli.sim import grasp_outcome, scene
-from evetac_cli.stages.grasp.loop import SLICES_S, Kept, Sense, Timing, hold
-from evetac_cli.stages.grasp.setup import sense_of
+from evetac_cli.stages.grasp.loop import SLICES_S, Sense, Timing, TrialBuffer, run_grasp
+from evetac_cli.stages.grasp.setup import open_detector
 from evetac_cli.store.files import StageFile
 
 LIFT_S = 3.5  # 50 mm are reached at 3.1 s
 LOST_MM = 25.0  # an object that moved so far in the gripper is lost
-CONTROLLERS = ("paper", "relatch", "by-load")
+CONTROLLERS = ("paper", "paper-reset", "load-proportional")
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Timed:
         return probability
 
     @property
-    def felt(self) -> Felt:
+    def felt(self) -> SlipSignal:
         """What the detector tells."""
         return self.sense.felt
 
@@ -64,7 +64,7 @@ class Says:
         return float(slips)
 
     @property
-    def felt(self) -> Felt:
+    def felt(self) -> SlipSignal:
         """The count of what was said."""
         return self.sense.felt._replace(slips=self.count)
 
@@ -116,11 +116,11 @@ class Short:
     latency_ms: int = 0
     control_hz: float = 500.0
     scene: str = "lift"
-    individual: str = "evetac"
+    sensor: str = "evetac"
 
 
 @dataclass(frozen=True)
-class Held:
+class GraspResult:
     """What came of it."""
 
     figures: dict[str, Any]
@@ -134,15 +134,15 @@ def grasp(
     model: Path | None = None,
     change: Callable[[dict[str, Any]], None] = lambda plan: None,
     through: Callable[[Sense, Rig], Sense] = lambda sense, devices: sense,
-) -> Held:
+) -> GraspResult:
     """Make one short grasp.
 
-    model: of the detector, default the package's; `change` alters the plan (its object_row, individual_row, scene);
+    model: of the detector, default the package's; `change` alters the plan (its object_row, sensor_row, scene);
     `through` puts something between the detector and the controller. ValueError where the plan cannot be simulated.
     """
     from evetac_cli.devices.simulated import rig
 
-    (plan,) = scene.plan(short.scene, str(short.object), short.individual, ("lift",))
+    (plan,) = scene.plan(short.scene, str(short.object), short.sensor, ("lift",))
     plan = {key: dict(value) if isinstance(value, dict) else value for key, value in plan.items()}
     change(plan)
     touch_ms = round(SLICES_S * plan["scene"]["time"]["touch_s"])
@@ -150,15 +150,15 @@ def grasp(
         touch_ms, round(SLICES_S * short.lift_s), round(SLICES_S * short.balance_s), short.control_hz, short.latency_ms
     )
     devices = rig(plan, np.random.SeedSequence([seed, short.object]), lift_s=short.lift_s, balance_s=short.balance_s)
-    control = Control(grip_control.law_of(short.controller, short.gain), short.control_hz)
-    kept = Kept()
+    control = Control(grip_control.make_law(short.controller, short.gain), short.control_hz)
+    kept = TrialBuffer()
     try:
         with StageFile(model or resources.MODEL, "model") as file:
-            timed = Timed(through(sense_of(file, devices.camera.sensor, Grasp().tracker), devices))
-        watched = replace(devices, camera=UntilLost(devices, plan["individual_row"]["mm_per_px"]))
-        hold(watched, timed, control, timing, lambda _, rows: kept.append_rows(rows), lambda _: None)
+            timed = Timed(through(open_detector(file, devices.camera.sensor, Grasp().tracker), devices))
+        watched = replace(devices, camera=UntilLost(devices, plan["sensor_row"]["mm_per_px"]))
+        run_grasp(watched, timed, control, timing, lambda _, rows: kept.append_rows(rows), lambda _: None)
     finally:
         devices.close()
     rows = kept.row_arrays()
-    figures = grasp_outcome.outcome(rows, plan["individual_row"]["mm_per_px"], timing.end_ms)
-    return Held(figures, rows, np.array(timed.took_us))
+    figures = grasp_outcome.outcome(rows, plan["sensor_row"]["mm_per_px"], timing.end_ms)
+    return GraspResult(figures, rows, np.array(timed.took_us))

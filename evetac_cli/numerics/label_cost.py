@@ -55,13 +55,13 @@ def methods() -> list[tuple[str, Method]]:
         ("event-count, steps of 5 ms", replace(default, method="event-count")),
     ]
     shrunk = [(f"farneback in steps of 5 ms, {times} x smaller", times) for times in (2, 4)]
-    ahead = [(f"event-flow, look-ahead {ahead_ms} ms", ahead_ms) for ahead_ms in (1, 2, 4)]
+    look_aheads = [(f"event-flow, look-ahead {ms} ms", ms) for ms in (1, 2, 4)]
     return [
         ("farneback of both regions, every slice", _plain),
         ("farneback in the same slices, searched", _searched),
         *((setting, _whole(params)) for setting, params in chosen),
         *((setting, _shrunk(times)) for setting, times in shrunk),
-        *((setting, _ahead(ahead_ms)) for setting, ahead_ms in ahead),
+        *((setting, with_look_ahead(ms)) for setting, ms in look_aheads),
     ]
 
 
@@ -159,11 +159,11 @@ def _shrunk(times: int) -> Method:
     return method
 
 
-def _ahead(ahead_ms: int) -> Method:
+def with_look_ahead(look_ahead_ms: int) -> Method:
     def method(recording: Recording, around_ms: int) -> tuple[int, float]:
         dots, radius = recording.dot_xy_px, float(recording.read("sensor/dot_radius_px"))
         assert dots is not None  # a simulated recording
-        constants = event_flow.EventFlowConstants(look_ahead_ms=ahead_ms)
+        constants = event_flow.EventFlowConstants(look_ahead_ms=look_ahead_ms)
         given = (*label.regions(recording), dots.reshape(-1, 2), radius, constants, label.ramp_start(recording))
         return _timed(recording, lambda: event_flow.label(recording.between, len(recording), *given))
 

@@ -13,7 +13,7 @@ NICE = -10
 USUAL = "as usual"
 
 
-def hurry(rank: int, process: int = 0) -> str:
+def set_realtime_priority(rank: int, process: int = 0) -> str:
     """Raise this process (or one by its number) above others; of two, the one of higher rank, 1 to 50, goes first.
 
     What it is then: `real-time RANK` (first in, first out), `nice -10`, or `as usual` where nothing is permitted.

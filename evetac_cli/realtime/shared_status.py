@@ -8,7 +8,7 @@ the news is.
 import multiprocessing
 from typing import NamedTuple
 
-from evetac_cli.kernels.grip.control import Felt
+from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.shared_row import SharedRow
 
 REMEMBERED = 32  # slices with slip whose time is known
@@ -16,10 +16,10 @@ _SIZE = 1024
 _STOP_AT = 768
 
 
-class Sign(NamedTuple):
+class DetectorStatus(NamedTuple):
     """A sign of life of the detector; times in us of time.monotonic."""
 
-    felt: Felt
+    felt: SlipSignal
     slices: int  # that the detector has felt
     at_us: float  # when it told this
     heard_us: float  # when the camera last gave an event
@@ -35,7 +35,7 @@ class Sign(NamedTuple):
         return self.slip_us[-new] if new > 0 else float("nan")
 
 
-class Board:
+class SharedStatus:
     """The shared memory; may be given to a process that is being spawned."""
 
     def __init__(self) -> None:
@@ -54,13 +54,13 @@ class Board:
         vars(self).update(state)
         self._attach()
 
-    def tell(self, sign: Sign) -> None:
+    def publish(self, sign: DetectorStatus) -> None:
         """For the detector."""
         known = sign.slip_us[-REMEMBERED:]
         unknown = (float("nan"),) * (REMEMBERED - len(known))
         self._sign.write(*sign.felt, *sign[1:5], *unknown, *known)
 
-    def look(self) -> Sign | None:
+    def latest(self) -> DetectorStatus | None:
         """For the controller: the latest sign; None before the first."""
         found = self._sign.read()
         if found is None:
@@ -68,7 +68,7 @@ class Board:
         slips, *felt, slices, at_us, heard_us, zero_us = found[1][:8]
         known = min(int(slips), REMEMBERED)
         slip_us = found[1][8 + REMEMBERED - known :]
-        return Sign(Felt(int(slips), *felt), int(slices), at_us, heard_us, zero_us, slip_us)
+        return DetectorStatus(SlipSignal(int(slips), *felt), int(slices), at_us, heard_us, zero_us, slip_us)
 
     def stop(self) -> None:
         """For whoever started both: end, as soon as possible."""

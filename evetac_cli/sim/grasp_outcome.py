@@ -30,7 +30,7 @@ def opening_mm(from_ticks: int, to_ticks: int) -> float:
 def outcome(rows: Mapping[str, NDArray[Any]], mm_per_px: float, planned_ms: int) -> dict[str, Any]:
     """Figures of one grasp, simulated, from the rows of its recording (`NEEDED`); planned_ms: how long it should last.
 
-    moved_* in mm, opening_* in ticks and mm, force_* in N of one finger; reduction: by how much of the closing for the
+    moved_* in mm, opening_* in ticks and mm, force_* in N of one finger; reopened_share: by how much of the closing for the
     lift the gripper opened again in balance, None where it did not close.
     """
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
@@ -55,11 +55,11 @@ def outcome(rows: Mapping[str, NDArray[Any]], mm_per_px: float, planned_ms: int)
         "balanced": held and hangs(last_ms) and len(gap_mm) >= planned_ms,
         "moved_lift_mm": moved_mm(lifted_ms),
         "moved_mm": moved_mm(last_ms),
-        "opening_lift_ticks": -closed,
-        "opening_end_ticks": -closed_end,
-        "opening_lift_mm": opening_mm(ticks[touched], ticks[lifted]),
-        "opening_end_mm": opening_mm(ticks[touched], ticks[-1]),
-        "reduction": (closed - closed_end) / closed if closed > 0 else None,
+        "opening_after_lift_ticks": -closed,
+        "opening_after_balance_ticks": -closed_end,
+        "opening_after_lift_mm": opening_mm(ticks[touched], ticks[lifted]),
+        "opening_after_balance_mm": opening_mm(ticks[touched], ticks[-1]),
+        "reopened_share": (closed - closed_end) / closed if closed > 0 else None,
         "force_touch_n": float(force_n[touched_ms]),
         "force_lift_n": float(force_n[lifted_ms]),
         "force_end_n": float(force_n[last_ms]),

@@ -67,13 +67,13 @@ class Drive:
             raise ValueError(f"open_ticks must be < closed_ticks, found {self.open_ticks} and {self.closed_ticks}")
 
 
-def drive_of(individual: Mapping[str, Any], friction_factor: float = 1.0) -> Drive:
-    """The drive of an individual: `Drive` but for what its row's `gripper` names, friction times a factor.
+def drive_of(sensor_row: Mapping[str, Any], friction_factor: float = 1.0) -> Drive:
+    """The drive of an sensor: `Drive` but for what its row's `gripper` names, friction times a factor.
 
     servo_n_tick (force_per_current * gain) and two_ticks_n (what two ticks push beyond the friction) stand for
     gain_ma_tick and friction_n, because they are what a gripper shows; ValueError as from `Drive`.
     """
-    named = dict(individual.get("gripper", {}))
+    named = dict(sensor_row.get("gripper", {}))
     named.pop("finger_stiffness_n_m", None)
     if "servo_n_tick" in named:
         servo_n_tick = named.pop("servo_n_tick")
@@ -214,8 +214,8 @@ def _move(
             slow = q
         else:
             fast = q
-        ahead = lookup(force_table, step_ticks, place + sign * step_ticks)
-        slope = mass / dt + damping + (sign + friction_share) * (ahead - force) / step_ticks * ticks_per_speed
+        horizon_ms = lookup(force_table, step_ticks, place + sign * step_ticks)
+        slope = mass / dt + damping + (sign + friction_share) * (horizon_ms - force) / step_ticks * ticks_per_speed
         newton = q - excess / slope if slope > 0.0 else slow
         if fast <= slow or abs(newton - q) <= 1e-14 * speed_limit:
             break

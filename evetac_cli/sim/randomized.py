@@ -1,4 +1,4 @@
-"""Sensors and grippers drawn from ranges, for those who need many: the row `drawn` of sensors.toml.
+"""Sensors and grippers drawn from ranges, for those who need many: the row `randomized` of sensors.toml.
 
 An entry of that row is a plain value, which all have in common, or a distribution: `{uniform = [low, high]}`,
 `{log_uniform = [low, high]}` (uniform in the logarithm), `{whole = [low, high]}` (a whole number, both ends included).
@@ -16,12 +16,12 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 
-FOR_EACH_TRIAL = "drawn"
+FOR_EACH_TRIAL = "randomized"
 DISTRIBUTIONS = ("uniform", "log_uniform", "whole")
 
 
 def draw(ranges: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
-    """A row as of a named individual, from the row of ranges; InputError on a range that is none.
+    """A row as of a named sensor, from the row of ranges; InputError on a range that is none.
 
     `dot_shift_x_px` and `dot_shift_y_px` move the columns and rows of dots and do not appear in the result.
     """

@@ -1,7 +1,7 @@
 """Scenes: what is simulated, in TOML, and what is drawn from their ranges for one trajectory.
 
 A scene names the parts that exist and the ranges from which a trajectory's parameters are drawn (scenes/*.toml, checked
-against schemas/scene.v1.json). Objects are rows of the paper's table (objects.toml), individuals built sensors.
+against schemas/scene.v1.json). Objects are rows of the paper's table (objects.toml), sensors rows of sensors.toml.
 """
 
 import json
@@ -22,8 +22,8 @@ from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim import randomized
 
 OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
-INDIVIDUAL_SEED = 104729  # with those of a trial: keeps what draws its individual apart from what draws the trial
-NUMBERED_SEED = 1299709  # with the number of an individual
+SENSOR_SEED = 104729  # with those of a trial: keeps what draws its sensor apart from what draws the trial
+NUMBERED_SEED = 1299709  # with the number of a sensor
 FLOOR_MM = (250.0, 250.0)
 LOWEST_TONE_HZ = 1.0
 HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
@@ -118,7 +118,7 @@ def _check_tone(tone: dict[str, Any], where: str) -> None:
 def plan(
     scene_name: str,
     objects: str,
-    individual: str,
+    sensor: str,
     kinds: tuple[str, ...],
     gel: str | None = None,
     readout: str = "dvxplorer",
@@ -140,7 +140,7 @@ def plan(
             found=f"kind {resolved['kind']}",
             hint="lift scenes are grasped, all others are recorded",
         )
-    named = {"individual": individual, "individual_row": individual_row(individual), "readout": readout}
+    named = {"sensor": sensor, "sensor_row": sensor_row(sensor), "readout": readout}
     common = {"scene": resolved, **named}
     if resolved["kind"] == "tone":
         wanted = resolved["tone"].pop("frequency_hz")
@@ -163,8 +163,8 @@ def object_row(number: int) -> dict[str, Any]:
     return dict(row)
 
 
-def individual_row(name: str) -> dict[str, Any]:
-    """The row of a sensor individual, `drawn:7` drawn by its number; InputError if there is no such individual."""
+def sensor_row(name: str) -> dict[str, Any]:
+    """The row of a sensor, `randomized:7` drawn by its number; InputError if there is no such sensor."""
     rows = table("sensors")
     number = re.fullmatch(f"{randomized.FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
     if number is not None:
@@ -173,9 +173,9 @@ def individual_row(name: str) -> dict[str, Any]:
     if name not in rows:
         near = get_close_matches(name, rows, n=1)
         raise InputError(
-            "no such individual",
-            where="--individual",
-            expected=", ".join(rows) + ", drawn:NUMBER",
+            "no such sensor",
+            where="--sensor",
+            expected=", ".join(rows) + ", randomized:NUMBER",
             found=name,
             hint=f"did you mean {near[0]}?" if near else "",
         )
@@ -183,12 +183,12 @@ def individual_row(name: str) -> dict[str, Any]:
 
 
 def for_trial(plan: dict[str, Any], seeds: Sequence[int]) -> dict[str, Any]:
-    """The plan of one trial: where each has an individual of its own, that is drawn; its ranges stay beside it."""
-    if plan["individual"] != randomized.FOR_EACH_TRIAL:
+    """The plan of one trial: where each has a sensor of its own, that is drawn; its ranges stay beside it."""
+    if plan["sensor"] != randomized.FOR_EACH_TRIAL:
         return plan
-    ranges = plan["individual_row"]
-    row = randomized.draw(ranges, np.random.default_rng([INDIVIDUAL_SEED, *seeds]))
-    return {**plan, "individual_row": row, "individual_ranges": ranges}
+    ranges = plan["sensor_row"]
+    row = randomized.draw(ranges, np.random.default_rng([SENSOR_SEED, *seeds]))
+    return {**plan, "sensor_row": row, "sensor_ranges": ranges}
 
 
 def numbers(text: str) -> list[int]:
@@ -242,9 +242,9 @@ class Drawn:
 
 def draw(
     scene: Mapping[str, Any],
-    thing: Mapping[str, Any],
+    object_params: Mapping[str, Any],
     rng: np.random.Generator,
-    individual: Mapping[str, Any] | None = None,
+    sensor_row: Mapping[str, Any] | None = None,
     number: int | None = None,
 ) -> Drawn:
     """Draw a trajectory's parameters; always in the same order, so that a key of one scene does not shift another's.
@@ -258,12 +258,12 @@ def draw(
         low, high = scene.get(group, {}).get(key, default)
         return float(rng.uniform(low, high))
 
-    factor = float((individual or {}).get("static_friction_factor", 1.0))
-    static = factor * float(thing["static_friction"]) * between("randomise", "static_friction", (1, 1))
+    factor = float((sensor_row or {}).get("static_friction_factor", 1.0))
+    static = factor * float(object_params["static_friction"]) * between("randomise", "static_friction", (1, 1))
     tilt_deg = between("randomise", "tilt_deg", (0, 0))
-    if "tilt_deg" in thing:  # the shape itself is slanted, so a finger's misalignment hardly matters
-        tilt_deg = float(rng.uniform(*thing["tilt_deg"]))
-    mass_kg = float(thing["mass_g"]) * 1e-3 * between("randomise", "mass", (1, 1))
+    if "tilt_deg" in object_params:  # the shape itself is slanted, so a finger's misalignment hardly matters
+        tilt_deg = float(rng.uniform(*object_params["tilt_deg"]))
+    mass_kg = float(object_params["mass_g"]) * 1e-3 * between("randomise", "mass", (1, 1))
     kinetic_share = between("randomise", "kinetic_share", (1, 1))
     varied = scene["randomise"]
     off_share = place.uniform(-1, 1) * varied.get("kinetic_share_spread", 0.0)
@@ -272,9 +272,9 @@ def draw(
         kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
     touch_m = place.uniform(-1e-3, 1e-3, 2) * varied.get("touch_mm", 0.0)
     lever_m = float(place.normal()) * varied.get("lever_mm", 0.0) * 1e-3
-    if thing.get("shape") != "flat":
+    if object_params.get("shape") != "flat":
         lever_m = 0.0  # the weight of a round object acts on its axis, and there it is touched
-    lever_m += float(thing.get("lever_mm", 0.0)) * 1e-3
+    lever_m += float(object_params.get("lever_mm", 0.0)) * 1e-3
     return Drawn(
         mass_kg=mass_kg,
         static_friction=static,
@@ -293,21 +293,21 @@ def draw(
 
 def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
     """What a plan builds and what it leaves out, a row a part: a scene pays only for what it names."""
-    resolved, individual = plan["scene"], plan["individual_row"]
+    resolved, sensor_row = plan["scene"], plan["sensor_row"]
     cut, kind = resolved["gel"]["cut"], resolved["kind"]
     solved = "{} x {} nodes, 1 ms steps".format(*resolved["gel"].get("nodes", (0, 0)))
     gripped = kind in ("ramp", "lift", "hold")
-    dots = len(individual["dot_rows_px"]) * (len(individual["dot_columns_px"]) - cut)
+    dots = len(sensor_row["dot_rows_px"]) * (len(sensor_row["dot_columns_px"]) - cut)
     pressed = f"a face, {resolved['motion']['kind']}" if kind == "press" else f"object {plan['object']}"
     if kind == "tone":
         pressed = f"a speaker, {plan['tone_hz']:g} Hz for {resolved['time']['tone_s']:g} s"
     if kind == "rub":
         pressed = f"a {' or a '.join(resolved['rub']['objects'])}, rubbed"
-    edge = "moves with the gel" if cut and individual.get("cut_contrast") else ""
+    edge = "moves with the gel" if cut and sensor_row.get("cut_contrast") else ""
     mode = {"ramp": "current", "hold": "position, then current", "lift": "position"}.get(kind, "")
     readout = {"dvxplorer": "5000 scans/s, global hold", "ideal": "every event to the us"}[plan["readout"]]
-    bandwidth_hz = individual.get("bandwidth_hz", 0.0)
-    noise = f"{individual['noise_hz']:g} Hz a pixel, {individual['hot_pixels']} hot pixels"
+    bandwidth_hz = sensor_row.get("bandwidth_hz", 0.0)
+    noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {sensor_row['hot_pixels']} hot pixels"
     window = "texture of the object, moved with it" if cut and "texture" in resolved else ""
     left_out = "closed gel: the gel is there" if not cut else "nothing behind it has texture"
     table = [
@@ -321,7 +321,7 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
         ("dots", f"{dots}, evaluated while they move", ""),
         ("window", window, left_out),
         ("object rims", "where they move" if kind == "rub" else "", "none named"),
-        ("cut edge", edge, "closed gel: no cut" if not cut else "the individual's cut is not seen"),
+        ("cut edge", edge, "closed gel: no cut" if not cut else "the sensor's cut is not seen"),
         ("camera", readout + (f", pixels of {bandwidth_hz:g} Hz" if bandwidth_hz else ""), ""),
         ("noise", noise, ""),
     ]

@@ -49,7 +49,7 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         "relative_flow_px": labels.relative_flow_px,
         "onset_slice": np.int64(labels.onset),
         "confidence": np.float64(labels.confidence),
-        "pairs_computed": np.int64(labels.pairs),
+        "flow_pairs_computed": np.int64(labels.pairs),
     }
     write_stage(job.output, recipe, arrays)
     return outcome(
@@ -65,7 +65,9 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
 
 
 def _event_flow(params: Label) -> event_flow.EventFlowConstants:
-    return event_flow.EventFlowConstants(slide_px=params.slide_px, crossings=params.crossings, after_ms=params.after_ms)
+    return event_flow.EventFlowConstants(
+        slip_distance_px=params.slip_distance_px, edge_events=params.edge_events, after_ms=params.after_ms
+    )
 
 
 def compute(recording: Recording, params: Label, progress: Progress = silent) -> flow.Labels:

@@ -54,7 +54,7 @@ def series_of(
     return features.series(file.read("displacement_px", start, stop), file.read("events_per_dot", start, stop), across)
 
 
-def predict(detector: Detector, trajectory: Trajectory, header: Header, ahead_ms: int) -> slip.Prediction:
+def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> slip.Prediction:
     """What a detector says of a trajectory, beside its labels, from the first slice that is labelled.
 
     The labels are shifted by `ahead_ms`, as F1 is counted; the onset is not, as the timing is judged.
@@ -67,16 +67,16 @@ def predict(detector: Detector, trajectory: Trajectory, header: Header, ahead_ms
         begin = max(0, int(examined[0]) - architecture.history - architecture.every + 2)
         probability[begin:] = detector.over(inputs.part(trajectory.series, begin, slices), begin)
         probability[: examined[0]] = np.nan
-    label = slip.shift(trajectory.label, ahead_ms)
+    label = slip.shift(trajectory.label, horizon_ms)
     return slip.Prediction(probability, label, trajectory.onset, object_of(header))
 
 
-def ahead_of(model: StageFile) -> int:
+def horizon_ms_of(model: StageFile) -> int:
     """How far ahead a model predicts slip, in ms."""
-    return int(model.read("ahead_ms")) if model.has("ahead_ms") else 0
+    return int(model.read("horizon_ms")) if model.has("horizon_ms") else 0
 
 
-def detector_of(model: StageFile) -> Detector:
+def load_detector(model: StageFile) -> Detector:
     """The detector in a model file; InputError if its architecture is unknown or its graph damaged."""
     name = model.read("architecture")
     if name not in slip.ARCHITECTURES:

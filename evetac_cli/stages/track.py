@@ -79,7 +79,7 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
             "events_per_dot": events_per_dot,
             "lost": lost,
             "sensor/frame_px": recording.read("sensor/frame_px"),
-            "sensor/individual": recording.read("sensor/individual"),
+            "sensor/name": recording.read("sensor/name"),
             **calibration.arrays(),
         }
     write_stage(job.output, recipe, arrays)

@@ -1,4 +1,4 @@
-"""rgb: where every dot is as an RGB sensor at 25 Hz would track it (paper, "Dot-based Shear Force Reconstruction").
+"""track-rgb: where every dot is as an RGB sensor at 25 Hz would track it (paper, "Dot-based Shear Force Reconstruction").
 
 The gel of a simulated recording is drawn in frames, as it truly moved, and its dots are followed by optical flow. The
 tracks are like those from events in all but this: between two frames dots stay where the last one showed them.
@@ -14,7 +14,7 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.tracking import frame_tracker
-from evetac_cli.params import Rgb, recipe_of
+from evetac_cli.params import TrackRgb, recipe_of
 from evetac_cli.sim.camera.rgb import RgbCamera, frame
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import up_to_date, write_stage
@@ -25,17 +25,17 @@ INPUTS = ("recording",)
 OUTPUT = "tracks"
 METHOD = 1
 PRESET = "rgb"
-SENSOR = ("sensor/frame_px", "sensor/individual", "sensor/dot_xy_px", "sensor/dot_radius_px", "sensor/window_px")
+SENSOR = ("sensor/frame_px", "sensor/name", "sensor/dot_xy_px", "sensor/dot_radius_px", "sensor/window_px")
 
 
-def jobs(files: list[Path], params: Rgb, out: Path | None) -> list[Job]:
+def jobs(files: list[Path], params: TrackRgb, out: Path | None) -> list[Job]:
     """One tracks file for every recording."""
     if out is None:
         return [job for file in files for job in per_file([file], OUTPUT, file.parent / PRESET)]
     return per_file(files, OUTPUT, out)
 
 
-def run(job: Job, params: Rgb, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Draw the frames of a recording and follow the dots in them."""
     camera = RgbCamera()
     with open_recording(job.inputs[0]) as recording:

@@ -32,7 +32,7 @@ from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import
-    from evetac_cli.kernels.slip.training import Kept, Training
+    from evetac_cli.kernels.slip.training import Training, TrainingState
 
 INPUTS = ("features",)
 OUTPUT = "model"
@@ -58,9 +58,9 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[Job]:
     one_file(range(params.seeds), out)
     found = []
     for seed in range(params.seed, params.seed + params.seeds):
-        ahead = f"-{params.ahead}ms" if params.ahead else ""
+        horizon_ms = f"-{params.horizon_ms}ms" if params.horizon_ms else ""
         number = f"-s{seed}" if params.seeds > 1 else ""
-        name = f"{params.model}{ahead}{number}.model.h5"
+        name = f"{params.model}{horizon_ms}{number}.model.h5"
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
         found.append(Job((*learn, *validate), output, {"learn": len(learn), "seed": seed}))
     return found
@@ -103,7 +103,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
     try:
         for number, fold in enumerate(folds):
             learned = (read_trajectory(job.inputs[index], architecture) for index in fold.learned)
-            samples = sampling.gather(learned, architecture, *shape, params.ahead)
+            samples = sampling.gather(learned, architecture, *shape, params.horizon_ms)
             result, resumed = _train(job, params, recipe, samples, (number, len(folds)), progress)
             kept = result.checkpoints[-slip.LAST_CHECKPOINTS :]
             graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in kept]
@@ -112,7 +112,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
             for index in fold.judged:
                 trajectory = read_trajectory(job.inputs[index], architecture)
                 for detector, found in zip(detectors, predictions, strict=True):
-                    found.append(predict(detector, trajectory, headers[index], params.ahead))
+                    found.append(predict(detector, trajectory, headers[index], params.horizon_ms))
         choice = slip.choose_threshold(predictions)
     except ValueError as error:
         raise InputError(
@@ -123,7 +123,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
         "onnx": np.frombuffer(graphs[choice.checkpoint], np.uint8),
         "architecture": architecture.name,
         "history": np.int64(architecture.history),
-        "ahead_ms": np.int64(params.ahead),
+        "horizon_ms": np.int64(params.horizon_ms),
         "dot_shape": np.array(shape, np.int32),
         "threshold": np.float64(choice.threshold),
         "curve/step": result.curve_step,
@@ -142,9 +142,9 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
         made=True,
         simulated=simulated,
         model=params.model,
-        recipe=params.recipe,
+        preset=params.preset,
         seed=seed,
-        ahead_ms=params.ahead,
+        horizon_ms=params.horizon_ms,
         labels=labels,
         trajectories=learn,
         validated_on=sum(len(fold.judged) for fold in folds),
@@ -174,7 +174,7 @@ def _train(
     kept = _read_part(part, recipe)
     written = time.monotonic()
 
-    def keep(state: Callable[[], "Kept"]) -> None:
+    def keep(state: Callable[[], "TrainingState"]) -> None:
         nonlocal written
         if time.monotonic() - written >= KEEP_S:
             _write_part(part, recipe, state())
@@ -182,7 +182,7 @@ def _train(
 
     result = training.train(
         samples,
-        training.RECIPES[params.recipe],
+        training.PRESETS[params.preset],
         np.random.default_rng(seed if number == networks - 1 else (seed, number)),
         epochs=params.epochs,
         max_steps=params.max_steps,
@@ -200,7 +200,7 @@ def _part(job: Job, number: int, networks: int) -> Path:
     return job.output.with_name(job.output.name.removesuffix(".h5") + fold + ".part")
 
 
-def _read_part(path: Path, recipe: Recipe) -> "Kept | None":
+def _read_part(path: Path, recipe: Recipe) -> "TrainingState | None":
     """A kept run of this recipe; None where there is none, or one of another recipe, or a damaged one."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -210,7 +210,7 @@ def _read_part(path: Path, recipe: Recipe) -> "Kept | None":
     return arrays if str(arrays.pop("recipe", "")) == recipe.id else None
 
 
-def _write_part(path: Path, recipe: Recipe, kept: "Kept") -> None:
+def _write_part(path: Path, recipe: Recipe, kept: "TrainingState") -> None:
     """Keep a run, all or nothing."""
     with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
         np.savez(file, recipe=np.array(recipe.id), **kept)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""cut: a range of slices out of a recording, as a recording of its own.
+"""trim: a range of slices out of a recording, as a recording of its own.
 
 Every group is cut: what is stored of every slice by its index, gripper and controller by their time; times begin anew
 at 0, and `t_offset` says by how much. What belongs to no moment stays, but of `capture` only the lost slices and the
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
-from evetac_cli.params import Cut
+from evetac_cli.params import Trim
 from evetac_cli.stages import one_file
 from evetac_cli.store import schema
 from evetac_cli.store.files import stem, up_to_date, write_stage
@@ -30,7 +30,7 @@ METHOD = 1
 CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us"}  # dims whose rows have times of their own
 
 
-def jobs(files: list[Path], params: Cut, out: Path | None) -> list[Job]:
+def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
     """One piece of every recording, named <name>-<from>-<to>ms."""
     if params.to_ms is not None and params.to_ms <= params.from_ms:
         raise InputError("ends before it begins", where="--to-ms", expected=f"more than {params.from_ms}")
@@ -42,7 +42,7 @@ def jobs(files: list[Path], params: Cut, out: Path | None) -> list[Job]:
     return [Job((file,), (out or file.parent) / name) for file, name in named]
 
 
-def run(job: Job, params: Cut, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Cut one recording."""
     with open_recording(job.inputs[0]) as recording:
         first = params.from_ms
@@ -56,7 +56,7 @@ def run(job: Job, params: Cut, *, force: bool = False, progress: Progress = sile
             )
         header = recording.header
         simulated = bool(header["simulated"])
-        parameters = {**header["parameters"], "cut": {"from_ms": first, "to_ms": end}}
+        parameters = {**header["parameters"], "trimmed": {"from_ms": first, "to_ms": end}}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,))
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)

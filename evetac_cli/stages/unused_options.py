@@ -26,7 +26,7 @@ class Source(StrEnum):
 
 # Of a field that is not named here nothing depends on the source, or `names` says what fits together.
 RECORD: dict[str, tuple[Source, ...]] = {
-    **dict.fromkeys(("scene", "objects", "individual", "gel", "readout"), (Source.SCENE,)),
+    **dict.fromkeys(("scene", "objects", "sensor", "gel", "readout"), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
     **dict.fromkeys(("count", "seed", "live"), (Source.SCENE, Source.DEVICE)),
     **dict.fromkeys(("frame_size", "sort", "stream"), (Source.IMPORT,)),
@@ -35,10 +35,10 @@ RECORD: dict[str, tuple[Source, ...]] = {
     "seconds": (Source.DEVICE, Source.LIVE),
     **dict.fromkeys(("closing_ma", "holding_ma", "hold_s", "lowest_ma"), (Source.MOVED,)),
     **dict.fromkeys(("threshold_on", "threshold_off", "readout_rate"), (Source.SENSOR,)),
-    **dict.fromkeys(("expect", "resume"), (Source.RECORDED,)),
+    **dict.fromkeys(("expected_event_rate", "resume"), (Source.RECORDED,)),
 }
 GRASP: dict[str, tuple[Source, ...]] = {
-    **dict.fromkeys(("objects", "individual", "gel", "readout"), (Source.SCENE,)),
+    **dict.fromkeys(("objects", "sensor", "gel", "readout"), (Source.SCENE,)),
     **dict.fromkeys(("calibration", "arm", "max_current_ma", "max_seconds", "watchdog_ms"), (Source.GRASPED,)),
 }
 
@@ -60,7 +60,7 @@ def sources(params: Record) -> set[Source]:
     return found
 
 
-def refuse_idle_options(params: Record | Grasp) -> None:
+def refuse_unused_options(params: Record | Grasp) -> None:
     """InputError for an option that is not at its default and belongs to nothing that this run has."""
     if isinstance(params, Grasp):
         camera = camera_name(params.camera)

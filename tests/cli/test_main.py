@@ -26,9 +26,9 @@ from evetac_cli.errors import (
     InputError,
     SceneError,
     SchemaError,
-    carried,
-    carry,
-    told,
+    attach_outcome,
+    attached_outcome,
+    error_dict,
 )
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.resources import PACKAGE
@@ -305,7 +305,7 @@ def test_json_has_the_rows_of_what_was_kept(label_is: Any, files: list[str], err
     """Assert that the file of a recording that was interrupted, or whose device failed, has its row."""
 
     def act(job: Job, chosen: Any) -> Outcome:
-        raise carry(error, outcome(job, made=True, simulated=True, slices=7))
+        raise attach_outcome(error, outcome(job, made=True, simulated=True, slices=7))
 
     label_is(act)
     shown = json.loads(evetac("label", files[0], "--json").stdout)
@@ -350,9 +350,9 @@ def test_json_of_every_kind_of_command(files: list[str], arguments: list[str]) -
 @pytest.mark.parametrize("error", [DeviceTimeout(**PARTS), SchemaError(**PARTS)])
 def test_errors_come_whole_from_worker_processes(error: EvetacError) -> None:
     """Assert that an error that was pickled has its words and parts."""
-    back = pickle.loads(pickle.dumps(carry(error, outcome(Job((), Path("x.h5")), made=True, simulated=True))))
-    assert (type(back), str(back), told(back)) == (type(error), str(error), told(error))
-    assert carried(back).rows == carried(error).rows
+    back = pickle.loads(pickle.dumps(attach_outcome(error, outcome(Job((), Path("x.h5")), made=True, simulated=True))))
+    assert (type(back), str(back), error_dict(back)) == (type(error), str(error), error_dict(error))
+    assert attached_outcome(back).rows == attached_outcome(error).rows
     assert str(back).splitlines() == [
         "w: m",
         "  expected: e",

@@ -34,10 +34,10 @@ def lifted(made: Made, mode: Mode = "current") -> Rig:
 
 def named(camera: str, gripper: str, made: Made, mode: Mode = "current") -> Rig:
     """What the command line opens for these names."""
-    eye = camera_name(camera)
+    gel_camera = camera_name(camera)
     ramp = for_trial(plan(str(made.scene), "8", "evetac", ("ramp",))[0], (5, 8, 0))
-    hand = gripper_name(gripper, eye)
-    return open_rig(eye, hand, CameraSettings(), ramp, np.random.SeedSequence([5, 8, 0]), mode=mode)
+    hand = gripper_name(gripper, gel_camera)
+    return open_rig(gel_camera, hand, CameraSettings(), ramp, np.random.SeedSequence([5, 8, 0]), mode=mode)
 
 
 # Cameras whose stream ends by itself, and those that go on until they are closed.

@@ -82,7 +82,7 @@ def test_settings_are_told() -> None:
     """Assert that every setting reaches the library in its own words, and batches of 1 ms."""
     settings = DvxplorerSettings(3, 4, "lossy-2000", 500, global_hold=False)
     with closing(DvCamera("ABC", settings, library())) as camera:
-        assert camera.sensor["sensor/individual"] == "dv:DVXplorerM_FAKE"
+        assert camera.sensor["sensor/name"] == "dv:DVXplorerM_FAKE"
     assert FakeMini.latest.told == {
         "serial": ("ABC",),
         "setReadoutFPS": "lossy-2000",

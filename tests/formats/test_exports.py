@@ -55,7 +55,7 @@ def write(
         "ms_to_idx": slice_starts(events.t, slices),
         "t_offset": np.int64(t_offset),
         "sensor/frame_px": np.array(FRAME, np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
         **(more or {}),
     }
     recipe = Recipe("recording", 1, {}, content=content_digest(arrays), simulated_source=simulated)
@@ -264,7 +264,7 @@ FULL = """
 import sys
 from pathlib import Path
 from evetac_cli.errors import InputError
-from evetac_cli.store.exports import export
+from evetac_cli.formats.exports import export
 try:
     export(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))
 except InputError as error:

@@ -586,7 +586,7 @@ def test_our_own_files_need_no_import(tmp_path: Path) -> None:
         "ms_to_idx": slice_starts(t, 1),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array(FRAME, np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
     }
     path = tmp_path / "a.recording.h5"
     write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
-from evetac_cli.devices.probe import Machine
+from evetac_cli.devices.probe import Host
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.virtual_dvxplorer import PreparedWords, VirtualDvxplorer
@@ -34,7 +34,7 @@ class NoBus:
         return iter(())
 
 
-class Made(Machine):
+class Made(Host):
     """A machine with known software and disk."""
 
     def has_libusb(self) -> bool:
@@ -331,13 +331,13 @@ def test_a_virtual_gripper_needs_no_doctor(machine: Made, name: str) -> None:
 
 def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -> None:
     """Assert exit codes 0 and 3, flat rows as JSON, and that --print-udev prints rules and nothing else."""
-    monkeypatch.setattr(doctor, "Machine", lambda: machine)
+    monkeypatch.setattr(doctor, "Host", lambda: machine)
     fine = CliRunner().invoke(app, ["doctor", "--json"])
     assert fine.exit_code == 0, fine.output
     result = json.loads(fine.stdout)
     assert all(set(row) == {"device", "check", "ok", "found", "expected", "fix"} for row in result["rows"])
     there, _ = with_camera(machine, "usb2")
-    monkeypatch.setattr(doctor, "Machine", lambda: there)
+    monkeypatch.setattr(doctor, "Host", lambda: there)
     ill = CliRunner().invoke(app, ["doctor"])
     assert ill.exit_code == 3
     assert "WRONG" in ill.stdout and "1 wrong" in ill.stdout and "try: use a USB 3 port" in ill.stdout

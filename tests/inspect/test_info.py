@@ -27,7 +27,7 @@ def captured(path: Path, **more: Any) -> Path:
         "ms_to_idx": np.zeros(3, np.int64),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array((640, 480), np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
         **{f"capture/{name.replace('__', '/')}": value for name, value in more.items()},
     }
     write_stage(path, Recipe("recording", 1, {}, content="0"), arrays)

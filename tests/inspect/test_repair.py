@@ -170,7 +170,15 @@ def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path
     scripts/kill_recordings.py does this many times and measures the loss.
     """
     output = tmp_path / "k.recording.h5"
-    arguments = ["record", "--camera", f"replay:{made.recordings[0]}", "--expect", "1e5", "-o", str(output)]
+    arguments = [
+        "record",
+        "--camera",
+        f"replay:{made.recordings[0]}",
+        "--expected-event-rate",
+        "1e5",
+        "-o",
+        str(output),
+    ]
     run = subprocess.Popen([sys.executable, "-m", "evetac_cli", *arguments], cwd=PACKAGE.parent)
     while not (output.with_suffix(".part") / "000000.h5").exists():
         assert run.poll() is None

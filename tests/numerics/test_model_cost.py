@@ -97,7 +97,7 @@ def test_every_architecture_is_a_candidate(untrained: list[model_cost.Candidate]
     assert {name: found[name] for name in expected} == expected
 
 
-@pytest.mark.parametrize("name", ["fast-slow", "down5", "creep", "hist10-img-6x6"])
+@pytest.mark.parametrize("name", ["fast-slow", "down5", "disp-xy", "hist10-img-6x6"])
 def test_a_step_is_a_whole_one(
     untrained: list[model_cost.Candidate], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

@@ -5,8 +5,8 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.grip.control import Felt
-from evetac_cli.realtime.shared_status import REMEMBERED, Board, Sign
+from evetac_cli.kernels.grip.control import SlipSignal
+from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 
 NUMBER = st.floats(-1e12, 1e12)
 
@@ -22,12 +22,12 @@ def test_what_is_told_is_what_is_seen(
     slips: int, felt: tuple[float, ...], times: tuple[float, ...], slices: int, slip_us: list[float]
 ) -> None:
     """Assert that a sign comes out as it went in, but for times of slip longer ago than are remembered."""
-    board = Board()
-    assert board.look() is None
+    board = SharedStatus()
+    assert board.latest() is None
     slips = max(slips, len(slip_us)) if len(slip_us) >= REMEMBERED else len(slip_us)
-    sign = Sign(Felt(slips, *felt), slices, *times, tuple(slip_us))
-    board.tell(sign)
-    assert board.look() == sign._replace(slip_us=tuple(slip_us[-REMEMBERED:]))
+    sign = DetectorStatus(SlipSignal(slips, *felt), slices, *times, tuple(slip_us))
+    board.publish(sign)
+    assert board.latest() == sign._replace(slip_us=tuple(slip_us[-REMEMBERED:]))
 
 
 @given(slices=st.lists(st.booleans(), max_size=60), looks=st.lists(st.integers(0, 60), max_size=8))
@@ -36,15 +36,15 @@ def test_earliest_news_of_slip(slices: list[bool], looks: list[int]) -> None:
 
     Slices last 1000 us.
     """
-    board = Board()
+    board = SharedStatus()
     known: list[float] = []
     seen = last = 0
     for index, slipping in enumerate(slices):
         if slipping:
             known.append(1000.0 * index)
-        board.tell(Sign(Felt(len(known)), index + 1, 0.0, 0.0, 0.0, tuple(known)))
+        board.publish(DetectorStatus(SlipSignal(len(known)), index + 1, 0.0, 0.0, 0.0, tuple(known)))
         if index in looks:
-            sign = board.look()
+            sign = board.latest()
             assert sign is not None
             news = [1000.0 * k for k in range(last, index + 1) if slices[k]][-REMEMBERED:]
             began = sign.slip_began_us(seen)
@@ -54,8 +54,8 @@ def test_earliest_news_of_slip(slices: list[bool], looks: list[int]) -> None:
 
 def test_stop() -> None:
     """Assert that the order to stop stays."""
-    board = Board()
+    board = SharedStatus()
     assert not board.stopping
     board.stop()
     assert board.stopping
-    assert board.look() is None
+    assert board.latest() is None

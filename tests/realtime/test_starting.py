@@ -36,9 +36,8 @@ def parent() -> None:
 
 def test_ctrl_c_is_held_back_from_the_first_moment() -> None:
     """Assert that a child never sees Ctrl-C, not even the first process that a program starts, and the parent does."""
-    program = "import test_devices_starting as test; test.parent()"
-    folder = Path(__file__).parent
-    path = os.pathsep.join([str(folder), str(folder.parent)])
+    program = "from tests.realtime import test_starting as test; test.parent()"
+    path = str(Path(__file__).resolve().parents[2])
     run = subprocess.run(
         [sys.executable, "-c", program],
         env={**os.environ, "PYTHONPATH": path},

@@ -71,7 +71,7 @@ def test_acts_follow_each_other_and_the_catch_is_shown_slice_by_slice() -> None:
     """Assert that no time is skipped or shown twice, and that there is a picture of each millisecond of the catch."""
     plan = film_story.acts(Catch(ONSET, STUCK, 1.0), 200, SLICES)
     assert [act.stop_ms for act in plan[:-1]] == [act.start_ms for act in plan[1:]]
-    shown = film_story.moments(plan)
+    shown = film_story.frame_times(plan)
     assert (np.diff(shown) > 0).all()
     assert set(range(ONSET - 20, STUCK + 40)) <= {int(at) for at in shown}
     assert shown[0] >= 0 and shown[-1] < SLICES

@@ -38,9 +38,9 @@ def test_a_grasp_that_holds() -> None:
     found = outcome(rows(), MM_PER_PX, END_MS)
     assert found["lifted"]
     assert found["balanced"]
-    assert found["opening_lift_ticks"] == -10
-    assert found["opening_end_ticks"] == -6
-    assert found["reduction"] == pytest.approx(0.4)
+    assert found["opening_after_lift_ticks"] == -10
+    assert found["opening_after_balance_ticks"] == -6
+    assert found["reopened_share"] == pytest.approx(0.4)
     assert found["moved_lift_mm"] == pytest.approx(0.3)
     assert found["moved_mm"] == pytest.approx(MM_PER_PX * np.hypot(10, 5))
     assert found["force_end_n"] == 1.5
@@ -69,7 +69,7 @@ def test_how_a_grasp_fails() -> None:
 def test_a_grasp_that_never_closed_has_no_reduction() -> None:
     """Assert that nothing is divided by no closing."""
     still = np.full(END_MS // 2, 200)
-    assert outcome(rows(**{"gripper/position_ticks": still}), MM_PER_PX, END_MS)["reduction"] is None
+    assert outcome(rows(**{"gripper/position_ticks": still}), MM_PER_PX, END_MS)["reopened_share"] is None
 
 
 def test_opening_in_mm_is_that_of_the_linkage() -> None:

@@ -86,7 +86,7 @@ def test_files_that_are_no_scene(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="did you mean slip"):
         scene.load("slipp")
     with pytest.raises(InputError, match="did you mean evetac"):
-        scene.individual_row("evtac")
+        scene.sensor_row("evtac")
 
 
 @pytest.mark.parametrize(("text", "numbers"), [("8", [8]), ("1-3,10", [1, 2, 3, 10]), ("3, 3,2", [3, 2])])
@@ -104,10 +104,10 @@ def test_bad_object_lists(text: str) -> None:
 
 def test_draws_stay_in_their_ranges() -> None:
     """Assert that 200 draws lie in the scene's ranges and fill them."""
-    ramp, thing = slip(), scene.object_row(8)
+    ramp, object_params = slip(), scene.object_row(8)
     rng = np.random.default_rng(0)
-    drawn = [scene.draw(ramp, thing, rng) for _ in range(200)]
-    friction = np.array([one.static_friction for one in drawn]) / thing["static_friction"]
+    drawn = [scene.draw(ramp, object_params, rng) for _ in range(200)]
+    friction = np.array([one.static_friction for one in drawn]) / object_params["static_friction"]
     low, high = ramp["randomise"]["static_friction"]
     assert low <= friction.min() < low + 0.02
     assert high - 0.02 < friction.max() <= high
@@ -149,7 +149,7 @@ def test_objects_keep_their_kinetic_share() -> None:
 
 def test_drawn_individuals_lie_in_their_ranges() -> None:
     """Assert that 300 drawn individuals fill the ranges of the table, log-uniform ones evenly in the logarithm."""
-    ranges = table("sensors")["drawn"]
+    ranges = table("sensors")["randomized"]
     rows = [randomized.draw(ranges, random(seed)) for seed in range(300)]
     for group, low, high in (("mm_per_px", 0.029, 0.034), ("hot_pixels", 0, 20), ("loss_tangent", 0.08, 0.2)):
         values = np.array([row[group] for row in rows])
@@ -165,7 +165,7 @@ def test_drawn_individuals_lie_in_their_ranges() -> None:
 
 def test_a_range_more_leaves_the_others() -> None:
     """Assert that a range added at the front of the table, or a table turned round, changes no other value."""
-    ranges = table("sensors")["drawn"]
+    ranges = table("sensors")["randomized"]
     row = randomized.draw(ranges, random(3))
     more = randomized.draw({"another": {"uniform": [0, 1]}, **dict(reversed(ranges.items()))}, random(3))
     assert 0 <= more.pop("another") <= 1
@@ -173,20 +173,20 @@ def test_a_range_more_leaves_the_others() -> None:
 
 
 def test_who_is_drawn() -> None:
-    """Assert that drawn:N is one individual wherever it is named, and drawn another for every trial and seed."""
-    (slipping,) = scene.plan("slip", "8", "drawn:7", ("ramp",))
-    (lifting,) = scene.plan("lift", "11", "drawn:7", ("lift",))
-    assert slipping["individual_row"] == lifting["individual_row"] != scene.individual_row("drawn:8")
+    """Assert that randomized:N is one sensor wherever it is named, and randomized another for every trial and seed."""
+    (slipping,) = scene.plan("slip", "8", "randomized:7", ("ramp",))
+    (lifting,) = scene.plan("lift", "11", "randomized:7", ("lift",))
+    assert slipping["sensor_row"] == lifting["sensor_row"] != scene.sensor_row("randomized:8")
     assert scene.for_trial(slipping, (0, 8, 1)) is slipping
-    (each,) = scene.plan("slip", "8", "drawn", ("ramp",))
+    (each,) = scene.plan("slip", "8", "randomized", ("ramp",))
     trials = [scene.for_trial(each, seeds) for seeds in ((0, 8, 0), (0, 8, 1), (1, 8, 0), (0, 8, 0))]
-    rows = [trial["individual_row"] for trial in trials]
+    rows = [trial["sensor_row"] for trial in trials]
     assert rows[0] == rows[3]
     assert len({row["seed"] for row in rows}) == 3
-    assert all(trial["individual_ranges"] == table("sensors")["drawn"] for trial in trials)
-    for wrong in ("drawn:", "drawn:x", "drawn:-1", "drawn:1.5"):
-        with pytest.raises(InputError, match="no such individual"):
-            scene.individual_row(wrong)
+    assert all(trial["sensor_ranges"] == table("sensors")["randomized"] for trial in trials)
+    for wrong in ("randomized:", "randomized:x", "randomized:-1", "randomized:1.5"):
+        with pytest.raises(InputError, match="no such sensor"):
+            scene.sensor_row(wrong)
 
 
 @given(

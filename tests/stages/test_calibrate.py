@@ -18,7 +18,7 @@ from evetac_cli.events import Events, concatenate, empty, slice_starts
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.camera import gel_camera
-from evetac_cli.sim.scene import individual_row
+from evetac_cli.sim.scene import sensor_row
 from evetac_cli.stages import calibrate, featurize, record, track
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
@@ -42,7 +42,7 @@ def truth() -> Grid:
     """The grid of the real sensor; without it, that of the simulated one."""
     if REAL.exists():
         return read_calibration(REAL).dot_xy_px
-    return gel_camera.dot_grid(individual_row("evetac"), cut=False)
+    return gel_camera.dot_grid(sensor_row("evetac"), cut=False)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def recorded(path: Path, events: Events, frame_px: tuple[int, int] = (640, 480))
         "ms_to_idx": slice_starts(events.t, int(events.t[-1]) // 1000 + 1 if events.size else 0),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array(frame_px, np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
     }
     write_stage(path, Recipe("recording", 1, {"made": path.name}, content="0" * 64), arrays)
     return path

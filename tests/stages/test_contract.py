@@ -62,7 +62,7 @@ def force_model(folder: Path) -> Path:
 
 
 GRASP = {"model": model, "lift_s": 1.0}
-TRAIN = {"epochs": 1, "max_steps": 5, "recipe": "adam"}
+TRAIN = {"epochs": 1, "max_steps": 5, "preset": "adam"}
 STAGES = [
     Stage("record", record, some(params.Record, scene=scene), some(params.Record, scene=scene, seed=1), lambda _: []),
     Stage(
@@ -75,12 +75,12 @@ STAGES = [
         "train", train, some(params.Train, **TRAIN), some(params.Train, **TRAIN, seed=1),
         lambda folder: sorted(folder.glob("short-*.features.h5")),
     ),
-    Stage("rgb", track_rgb, some(params.Rgb), some(params.Rgb, seed=1), of("recording")),
+    Stage("track-rgb", track_rgb, some(params.TrackRgb), some(params.TrackRgb, seed=1), of("recording")),
     Stage(
-        "fit", train_force, some(params.Fit, samples=10, epochs=2), some(params.Fit, samples=10, epochs=2, seed=1),
+        "train-force", train_force, some(params.TrainForce, samples=10, epochs=2), some(params.TrainForce, samples=10, epochs=2, seed=1),
         lambda folder: sorted(folder.glob("short-*.tracks.h5")),
     ),
-    Stage("force", predict_force, some(params.Force, model=force_model), some(params.Force, model=force_model), of("tracks")),
+    Stage("predict-force", predict_force, some(params.PredictForce, model=force_model), some(params.PredictForce, model=force_model), of("tracks")),
     Stage(
         "grasp", grasp, some(params.Grasp, **GRASP, balance_s=0.0), some(params.Grasp, **GRASP, balance_s=0.1),
         lambda _: [],

@@ -44,7 +44,7 @@ def recording_of(
         "ms_to_idx": np.searchsorted(events.t, np.arange(slices + 1) * 1000).astype(np.int64),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
     }
     if window:
         content["sensor/window_px"] = np.array([540, 0, 640, 480], np.int32)

@@ -61,7 +61,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def small(**values: Any) -> Train:
     """Parameters of a run of a second at most."""
-    return Train(**({"epochs": 1000, "max_steps": 120, "recipe": "adam"} | values))
+    return Train(**({"epochs": 1000, "max_steps": 120, "preset": "adam"} | values))
 
 
 def run(job: Job, params: Train, progress: Progress = silent) -> Outcome:
@@ -79,7 +79,7 @@ def test_one_file_a_seed(trials: list[Path], tmp_path: Path) -> None:
     """Assert the names of outputs: the model, how far ahead, and the seed where there are several."""
     names = [job.output.name for job in train.jobs(trials, Train(model="fast-slow"), tmp_path)]
     assert names == ["fast-slow.model.h5"]
-    many = train.jobs(trials, Train(model="fast-slow", ahead=10, seed=3, seeds=2), tmp_path)
+    many = train.jobs(trials, Train(model="fast-slow", horizon_ms=10, seed=3, seeds=2), tmp_path)
     assert [job.output for job in many] == [tmp_path / f"fast-slow-10ms-s{seed}.model.h5" for seed in (3, 4)]
     with pytest.raises(InputError, match="one output file cannot hold several"):
         train.jobs(trials, Train(seeds=2), tmp_path / "a.model.h5")
@@ -108,12 +108,12 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
         run(job, params, stop)
 
 
-@pytest.mark.parametrize("recipe", ["paper", "steady"])
+@pytest.mark.parametrize("preset", ["paper", "adamw"])
 def test_it_goes_on_after_an_interruption(
-    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recipe: str
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
 ) -> None:
     """Assert that a run broken off at step 100 goes on from 50, ends in the same file, and leaves nothing else."""
-    params = small(recipe=recipe)
+    params = small(preset=preset)
     (whole,) = train.jobs(trials, params, tmp_path / "whole")
     run(whole, params)
     (job,) = train.jobs(trials, params, tmp_path / "broken")
@@ -173,10 +173,10 @@ import pickle, sys
 sys.modules["torch"] = None
 pickle.load = pickle.loads = pickle.Unpickler = None
 import numpy as np
-from evetac_cli.stages.detectors import detector_of
+from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 with StageFile({str(job.output)!r}, "model") as model:
-    print(float(detector_of(model).probability(np.zeros((1, 56, 20), np.float32))[0]))
+    print(float(load_detector(model).probability(np.zeros((1, 56, 20), np.float32))[0]))
 """
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 0 <= float(found.stdout) <= 1
@@ -185,18 +185,18 @@ with StageFile({str(job.output)!r}, "model") as model:
 def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a model trained 10 ms ahead says so, and feels slip that a model of the present does not."""
     said = {}
-    for ahead in (0, 10):
-        params = small(ahead=ahead, model="no-hist")
+    for horizon_ms in (0, 10):
+        params = small(horizon_ms=horizon_ms, model="no-hist")
         (job,) = train.jobs(trials, params, tmp_path)
         (row,) = run(job, params).rows
-        assert row["ahead_ms"] == ahead
+        assert row["horizon_ms"] == horizon_ms
         with StageFile(job.output, "model") as model:
-            assert slip_detectors.ahead_of(model) == ahead
-            found = slip_detectors.detector_of(model)
+            assert slip_detectors.horizon_ms_of(model) == horizon_ms
+            found = slip_detectors.load_detector(model)
         trajectory = slip_detectors.read_trajectory(trials[0], found.architecture)
-        said[ahead] = found.over(trajectory.series)[ONSET - 10 : ONSET].mean()
-        judged = slip_detectors.predict(found, trajectory, {"kind": "features", "history": {}}, ahead)
-        assert (judged.onset, np.flatnonzero(judged.label)[0]) == (ONSET, ONSET - ahead)
+        said[horizon_ms] = found.over(trajectory.series)[ONSET - 10 : ONSET].mean()
+        judged = slip_detectors.predict(found, trajectory, {"kind": "features", "history": {}}, horizon_ms)
+        assert (judged.onset, np.flatnonzero(judged.label)[0]) == (ONSET, ONSET - horizon_ms)
     assert said[10] > said[0] + 0.1
 
 
@@ -207,7 +207,7 @@ def test_what_is_not_examined_is_left_out(trials: list[Path], tmp_path: Path, mo
     (job,) = train.jobs(trials, params, tmp_path)
     run(job, params)
     with StageFile(job.output, "model") as file:
-        detector = slip_detectors.detector_of(file)
+        detector = slip_detectors.load_detector(file)
     trajectory = slip_detectors.read_trajectory(trials[0], detector.architecture)
     whole = detector.over(trajectory.series)
     for first in (0, 5, 33, 61):
@@ -294,21 +294,21 @@ def test_a_recording_on_both_sides_is_named(trials: list[Path], tmp_path: Path) 
     assert str(again) in str(refused.value)
 
 
-@pytest.mark.parametrize("model", ["hist10-img-6x6", "creep"])
+@pytest.mark.parametrize("model", ["hist10-img-6x6", "disp-xy"])
 def test_other_features_are_trained_on(trials: list[Path], tmp_path: Path, model: str) -> None:
     """Assert that models of images and of directions train from features that have these."""
     params = small(model=model, max_steps=3)
     (job,) = train.jobs(trials, params, tmp_path)
     run(job, params)
     with StageFile(job.output, "model") as file:
-        assert slip_detectors.detector_of(file).architecture == ARCHITECTURES[model]
+        assert slip_detectors.load_detector(file).architecture == ARCHITECTURES[model]
 
 
 @pytest.mark.parametrize(
     ("model", "leave", "hint"),
     [
         ("hist10-img", ("image",), "featurize --images"),
-        ("creep", ("displacement_xy_px",), "featurize --force"),
+        ("disp-xy", ("displacement_xy_px",), "featurize --force"),
         ("hist10", ("label", "onset"), "evetac label"),
     ],
 )
@@ -335,8 +335,8 @@ def test_a_gpu_that_is_not_there_is_refused(
 
 def test_flags_name_every_model_and_recipe() -> None:
     """Assert that what params.py offers is what there is."""
-    from evetac_cli.kernels.slip.training import RECIPES
+    from evetac_cli.kernels.slip.training import PRESETS
 
     choices = {name: item.metadata["choices"] for name, item in Train.__dataclass_fields__.items()}
     assert set(choices["model"]) == set(ARCHITECTURES)
-    assert set(choices["recipe"]) == set(RECIPES)
+    assert set(choices["preset"]) == set(PRESETS)

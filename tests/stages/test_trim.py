@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.inspect import validate
-from evetac_cli.params import Cut, Featurize, Track
+from evetac_cli.params import Featurize, Track, Trim
 from evetac_cli.stages import featurize, track, trim
 from evetac_cli.store import schema
 from evetac_cli.store.files import StageFile
@@ -25,7 +25,7 @@ from tests.store.test_recovery import STATIC, events_of
 
 def piece(path: Path, out: Path, **flags: Any) -> Path:
     """Cut one recording."""
-    params = Cut(**flags)
+    params = Trim(**flags)
     (job,) = trim.jobs([path], params, out)
     trim.run(job, params)
     assert validate.run([job.output]).rows[0]["faults"] is None
@@ -62,7 +62,7 @@ def test_every_group_is_cut(tmp_path: Path) -> None:
         assert part.read("capture/lost_slices").tolist() == [[0, 2]]
         assert not part.has("capture/lost")
         assert part.header["parents"] == [source.header["id"]]
-        assert part.header["parameters"]["cut"] == {"from_ms": 4, "to_ms": 9}
+        assert part.header["parameters"]["trimmed"] == {"from_ms": 4, "to_ms": 9}
     with open_recording(piece(whole, tmp_path, from_ms=6, to_ms=9)) as part:
         assert not part.has("capture/lost_slices")
 

@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.params import Grasp, Record
 from evetac_cli.stages import grasp, record
-from evetac_cli.stages.unused_options import GRASP, RECORD, refuse_idle_options
+from evetac_cli.stages.unused_options import GRASP, RECORD, refuse_unused_options
 
 FILE = {"source": Path("one.txt")}
 REPLAY = {"camera": "replay:a.recording.h5"}
@@ -33,18 +33,18 @@ LIVE = {"camera": "dvxplorer", "live": True}
         (FILE, {"count": 2}, "--count", "a simulated scene .* or a device"),
         (FILE, {"live": True}, "--live", "a simulated scene .* or a device"),
         (REPLAY, {"readout_rate": "variable-5000"}, "--readout-rate", "a camera that can be set up"),
-        (REPLAY, {"individual": "second"}, "--individual", "a simulated scene"),
+        (REPLAY, {"sensor": "second"}, "--sensor", "a simulated scene"),
         (PREPARED, {"scene": "data-rate"}, "--scene", "a simulated scene"),
         ({"camera": "dvxplorer"}, {"lowest_ma": 3.0}, "--lowest-ma", "a gripper that is moved"),
         ({"camera": "dvxplorer"}, {"sort": True}, "--sort", "an import"),
         ({"camera": "virtual"}, {"tones": "200"}, "--tone", "a simulated scene in its own time"),
-        (LIVE, {"expect": 1e4}, "--expect", "a recording from a device"),
+        (LIVE, {"expected_event_rate": 1e4}, "--expected-event-rate", "a recording from a device"),
         ({**LIVE, "gripper": "/dev/ttyUSB0"}, {"hold_s": 3.0}, "--hold-s", "a gripper that is moved"),
     ],
 )
 def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], flag: str, belongs: str) -> None:
     """Assert that an option without effect is refused by name, with what it belongs to; without it all is well."""
-    refuse_idle_options(Record(**run))
+    refuse_unused_options(Record(**run))
     with pytest.raises(InputError, match=f"^{flag}: has no effect here: it belongs to .*{belongs}"):
         record.jobs([], Record(**run, **option), None)
 
@@ -52,11 +52,11 @@ def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], 
 @pytest.mark.parametrize(
     "flags",
     [
-        {"tones": "200", "scene": "vibration", "count": 3, "seed": 4, "individual": "second", "readout": "ideal"},
+        {"tones": "200", "scene": "vibration", "count": 3, "seed": 4, "sensor": "second", "readout": "ideal"},
         {"live": True, "seconds": 3.0},
         {**FILE, "frame_size": "640x480", "sort": True, "stream": "a", "calibration": Path("a.json")},
         {"camera": "virtual", "scene": "data-rate", "objects": "3", "count": 2, "seconds": 3.0, "hold_s": 3.0},
-        {**PREPARED, "threshold_on": 3, "gripper": "none", "expect": 1e4},
+        {**PREPARED, "threshold_on": 3, "gripper": "none", "expected_event_rate": 1e4},
         {"camera": "dvxplorer", "gripper": "/dev/ttyUSB0", "closing_ma": 20, "resume": True, "seed": 3},
         {**REPLAY, "gripper": "virtual", "lowest_ma": 3.0, "calibration": Path("a.json")},
         {**LIVE, "threshold_off": 3, "seconds": 1.0},
@@ -64,7 +64,7 @@ def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], 
 )
 def test_options_of_this_source(flags: dict[str, Any]) -> None:
     """Assert that options with an effect are not refused."""
-    refuse_idle_options(Record(**flags))
+    refuse_unused_options(Record(**flags))
 
 
 def test_every_option_belongs_somewhere() -> None:
@@ -89,17 +89,15 @@ def test_what_belongs_to_a_moving_gripper(camera: str, option: dict[str, Any], f
     """Assert that a grasp in which nothing moves refuses what is for devices, and that one with devices does not."""
     with pytest.raises(InputError, match=f"^{flag}: has no effect here: it belongs to a grasp with devices"):
         grasp.jobs([], Grasp(camera=camera, **option), None)
-    refuse_idle_options(Grasp(camera="virtual", **option))
+    refuse_unused_options(Grasp(camera="virtual", **option))
     assert set(GRASP) < {item.name for item in fields(Grasp)}
 
 
-@pytest.mark.parametrize(
-    "option", [{"objects": "3"}, {"individual": "second"}, {"gel": "closed"}, {"readout": "ideal"}]
-)
+@pytest.mark.parametrize("option", [{"objects": "3"}, {"sensor": "second"}, {"gel": "closed"}, {"readout": "ideal"}])
 def test_what_belongs_to_a_simulated_grasp(option: dict[str, Any]) -> None:
     """Assert that an object or a gel is chosen where they are simulated, and refused where they are what they are."""
     for camera in ("dvxplorer", "replay:a.recording.h5", "virtual:prepared"):
         with pytest.raises(InputError, match="it belongs to a simulated scene"):
-            refuse_idle_options(Grasp(camera=camera, **option))
+            refuse_unused_options(Grasp(camera=camera, **option))
     for camera in ("sim", "virtual"):
-        refuse_idle_options(Grasp(camera=camera, **option))
+        refuse_unused_options(Grasp(camera=camera, **option))

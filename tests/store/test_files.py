@@ -34,7 +34,7 @@ def labels() -> dict[str, Any]:
         "relative_flow_px": rng.normal(size=SLICES).astype(np.float32),
         "onset_slice": np.int64(17),
         "confidence": np.float64("nan"),
-        "pairs_computed": np.int64(3),
+        "flow_pairs_computed": np.int64(3),
     }
 
 
@@ -377,7 +377,7 @@ def test_a_recording_of_devices_in_the_way(tmp_path: Path) -> None:
         "ms_to_idx": np.zeros(3, np.int64),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array((640, 480), np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
     }
     path = tmp_path / "a.recording.h5"
     wanted = Recipe("recording", 2, {}, content="1")
@@ -534,7 +534,7 @@ from evetac_cli.store.provenance import Recipe
 
 rng = np.random.default_rng(0)
 arrays = {"label": rng.integers(0, 2, 200000).astype(np.int8), "relative_flow_px": rng.random(200000, np.float32),
-          "onset_slice": np.int64(1), "confidence": np.float64(1), "pairs_computed": np.int64(1)}
+          "onset_slice": np.int64(1), "confidence": np.float64(1), "flow_pairs_computed": np.int64(1)}
 said = []
 for room in (0, 1, 1000, 30000, 400000):
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))

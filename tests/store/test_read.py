@@ -41,7 +41,7 @@ def write_recording(path: Path, counts: list[int], **more: Any) -> Path:
         "ms_to_idx": slice_starts(events.t, len(counts)),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array([346, 260], np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
         **more,
     }
     write_stage(path, Recipe("recording", 1, {}, content="0" * 64), arrays)

@@ -16,7 +16,7 @@ from evetac_cli.store.segments import RecordingWriter
 
 STATIC: dict[str, Any] = {
     "sensor/frame_px": np.array([640, 480], np.int32),
-    "sensor/individual": "dvxplorer:DXM00042",
+    "sensor/name": "dvxplorer:DXM00042",
     "t_offset": np.int64(0),
 }
 PARENT = Recipe("recording", 1, {"object": 8}, seed=3, simulated_source=True).header()

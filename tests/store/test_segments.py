@@ -24,7 +24,7 @@ from evetac_cli.store.segments import RecordingWriter
 
 STATIC: dict[str, Any] = {
     "sensor/frame_px": np.array([640, 480], np.int32),
-    "sensor/individual": "evetac",
+    "sensor/name": "evetac",
     "t_offset": np.int64(0),
 }
 RECIPE = Recipe("recording", 1, {"object": 8}, seed=3, simulated_source=True)
@@ -70,7 +70,7 @@ def expected(counts: list[int], every: int) -> dict[str, Any]:
     events = concatenate([some_events(k, count) for k, count in enumerate(counts)])
     rows = [rows_of(k, every) for k in range(len(counts))]
     arrays = {f"events/{name}": getattr(events, name) for name in Events._fields}
-    arrays |= {"ms_to_idx": slice_starts(events.t, len(counts)), **STATIC, "truth/drawn": "{}"}
+    arrays |= {"ms_to_idx": slice_starts(events.t, len(counts)), **STATIC, "truth/sampled_parameters": "{}"}
     for described in (*TRUTH, *GRIPPER):
         column = [row[described.path] for row in rows if described.path in row]
         arrays[described.path] = np.array(column, described.dtype)
@@ -84,7 +84,7 @@ def write(path: Path, counts: list[int], cuts: set[int], every: int, **finish: A
         if k in cuts:
             writer.close_segment()
         writer.append(some_events(k, count), rows_of(k, every))
-    return writer.finish(RECIPE, {"truth/drawn": "{}"}, **finish)
+    return writer.finish(RECIPE, {"truth/sampled_parameters": "{}"}, **finish)
 
 
 def everything(folder: Path) -> list[str]:
@@ -196,7 +196,7 @@ import numpy as np
 from evetac_cli.events import Events
 from evetac_cli.store import schema, segments
 segments.SEGMENT_S = 1e9
-static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "e", "t_offset": np.int64(0)}
+static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "e", "t_offset": np.int64(0)}
 writer = segments.RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False)
 for k in range(5):
     one = np.ones(1)
@@ -346,7 +346,7 @@ from evetac_cli.events import Events
 from evetac_cli.store import schema, segments
 from evetac_cli.store.provenance import Recipe
 segments.SEGMENT_S = 1e9
-static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "e", "t_offset": np.int64(0)}
+static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "e", "t_offset": np.int64(0)}
 writer = segments.RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False)
 rng = np.random.default_rng(0)
 def piece(k, count):

@@ -40,7 +40,7 @@ class FoundCamera(NamedTuple):
     device: Any  # of pyusb
 
 
-def look(backend: Any = None) -> list[FoundCamera]:
+def find_cameras(backend: Any = None) -> list[FoundCamera]:
     """All DVXplorer on the bus; DeviceError if there is no libusb."""
     backend = backend or libusb_package.get_libusb1_backend()
     if backend is None:
@@ -66,7 +66,7 @@ def _serial(device: Any) -> str | None:
 
 def _choose(serial: str | None, backend: Any) -> FoundCamera:
     """The camera of this serial number, or the only one; DeviceError if there is no such, or no single one."""
-    found = look(backend)
+    found = find_cameras(backend)
     fitting = [camera for camera in found if serial is None or camera.serial in (serial, None)]
     minis = [camera for camera in fitting if camera.board == protocol.MINI_BOARD]
     named = [camera for camera in minis if serial is None or camera.serial == serial] or minis
@@ -125,7 +125,7 @@ class DvxplorerCamera:
         self._left = 0  # events of the slice that was open when the camera failed
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array(FRAME_PX, np.int32),
-            "sensor/individual": f"dvxplorer:{self.serial}",
+            "sensor/name": f"dvxplorer:{self.serial}",
         }
 
     @property

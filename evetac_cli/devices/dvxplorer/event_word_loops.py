@@ -104,11 +104,11 @@ def _timestamp(ref: int, host_ms: int, registers: NDArray[np.int64], counts: NDA
         registers[FIRST_MS] = ref
         registers[LAST_US] = -1
     else:
-        ahead = (ref - registers[REF]) & REF_MASK
+        horizon_ms = (ref - registers[REF]) & REF_MASK
         if host_ms < 0:
-            refused = ahead > REF_MASK // 2
+            refused = horizon_ms > REF_MASK // 2
         else:
-            refused = ahead > JUMP_MS and registers[MS] + ahead > host_ms + HOST_SLACK_MS
+            refused = horizon_ms > JUMP_MS and registers[MS] + horizon_ms > host_ms + HOST_SLACK_MS
         if refused:
             counts[_REFUSED] += 1
             registers[REFUSALS] += 1
@@ -116,9 +116,9 @@ def _timestamp(ref: int, host_ms: int, registers: NDArray[np.int64], counts: NDA
                 registers[WHERE] = LOST
                 return
             counts[_RESTARTS] += 1
-            ahead = max(1, host_ms - registers[MS])
-        if ahead > 0:  # else it is repeated, and its frames go on
-            registers[MS] += ahead
+            horizon_ms = max(1, host_ms - registers[MS])
+        if horizon_ms > 0:  # else it is repeated, and its frames go on
+            registers[MS] += horizon_ms
             registers[LAST_US] = -1
     registers[REF] = ref
     registers[REFUSALS] = 0

@@ -31,7 +31,7 @@ class WordSource(Protocol):
         """At most so many bytes of little-endian words, as they come; b"" if none came in time."""
 
 
-class Body:
+class DeviceModel:
     """A camera without its USB; see VirtualDvxplorer for what it is made of."""
 
     def __init__(self, source: WordSource, firmware: int, faults: tuple[str, ...], fifo_bytes: int) -> None:

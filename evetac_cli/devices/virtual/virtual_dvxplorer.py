@@ -21,7 +21,7 @@ import usb.core
 
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.protocol import Generation
-from evetac_cli.devices.virtual.device_model import Body, WordSource
+from evetac_cli.devices.virtual.device_model import DeviceModel, WordSource
 from evetac_cli.devices.virtual.word_sources import PreparedWords as PreparedWords
 
 FIFO_BYTES = 512 << 10
@@ -56,7 +56,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._board = board
         self._strings = ("\u0409", *_STRINGS, serial)
         self._configuration = 1
-        self._body = Body(source, firmware, faults, fifo_bytes)
+        self._body = DeviceModel(source, firmware, faults, fifo_bytes)
         self.log: list[tuple[int, int, int, bytes]] = []
 
     @property

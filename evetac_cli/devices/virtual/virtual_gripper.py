@@ -75,7 +75,7 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         """Let a fault strike, at once or as its moment or share says."""
         self._ask(inject=_checked(fault))
 
-    def look(self, register: str) -> int:
+    def read_register(self, register: str) -> int:
         """Value of a register, read past the wire."""
         return int(self._ask(look=register))
 

@@ -91,7 +91,7 @@ def due_us(words: NDArray[np.uint32]) -> NDArray[np.int64]:
     return np.cumsum(of_stamp) + within[known]
 
 
-def rain(events_per_s: float, seconds: float, rng: np.random.Generator) -> NDArray[np.uint32]:
+def random_event_words(events_per_s: float, seconds: float, rng: np.random.Generator) -> NDArray[np.uint32]:
     """Words of events at random, as many in every frame, no pixel twice in it: a load of a known number of events.
 
     seconds * events_per_s events, rounded to whole events a frame of 200 us. They fall in patches of 8 x 8 pixels, half

@@ -1,0 +1,1 @@
+"""Writers of event formats, one module each."""

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.inspect.view.collect import look
-from evetac_cli.inspect.view.page import page
+from evetac_cli.inspect.view.collect import collect_view
+from evetac_cli.inspect.view.page import render_page
 from evetac_cli.inspect.view.trial_files import Trial, open_trial
-from evetac_cli.inspect.view.view_data import Look
+from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.params import View
 from evetac_cli.store.disk import taking_the_place_of
@@ -28,8 +28,8 @@ def run(
         _check_free(path, force)
     with open_trial(files) as trial:
         span = _span(trial, params)
-        shown = look(trial, params, span, progress)
-        written = {target: page(trial, shown)}
+        shown = collect_view(trial, params, span, progress)
+        written = {target: render_page(trial, shown)}
         if params.film is not None:
             written[params.film] = _film(trial, shown)
     for path, content in written.items():
@@ -39,7 +39,7 @@ def run(
         "size_bytes": len(written[target]),
         "film": None if params.film is None else str(params.film),
         "film_bytes": None if params.film is None else len(written[params.film]),
-        "moments": len(shown.moments),
+        "frame_times": len(shown.frame_times),
         "images": len(shown.pictures),
         "series": sum(len(panel.lines) for panel in shown.panels),
         "shown_ms": span[1] - span[0],
@@ -55,12 +55,12 @@ def _check_libraries(names: Iterable[str]) -> None:
             raise EvetacError(f"{name}, which draws the page, is not installed", hint="pip install 'evetac[plot]'")
 
 
-def _film(trial: Trial, shown: Look) -> bytes:
+def _film(trial: Trial, shown: ViewData) -> bytes:
     if not shown.pictures:
         raise InputError("there is nothing to animate: no event images", where=str(trial.files[0].path))
-    from evetac_cli.inspect.view.film import film
+    from evetac_cli.inspect.view.film import render_film
 
-    return film(shown, trial.files[0].path.name)
+    return render_film(shown, trial.files[0].path.name)
 
 
 def _span(trial: Trial, params: View) -> tuple[int, int]:

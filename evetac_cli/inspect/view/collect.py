@@ -3,18 +3,18 @@
 import numpy as np
 
 from evetac_cli.inspect.view.lines import lanes_of, model_output, onsets_of, panels_of
-from evetac_cli.inspect.view.pictures import choose_moments, draw_pictures, frame_of, place_dots, window_of
+from evetac_cli.inspect.view.pictures import choose_frame_times, draw_pictures, frame_of, place_dots, window_of
 from evetac_cli.inspect.view.trial_files import Trial
-from evetac_cli.inspect.view.view_data import Look
+from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.jobs import Progress
 from evetac_cli.params import View
 
 
-def look(trial: Trial, params: View, span: tuple[int, int], progress: Progress) -> Look:
+def collect_view(trial: Trial, params: View, span: tuple[int, int], progress: Progress) -> ViewData:
     """Gather what is shown of the slices [start, stop)."""
     empty = span[0] == span[1]
     probability = model_output(trial, span)
-    found = Look(
+    found = ViewData(
         slices=trial.slices,
         span=span,
         shown_ms=params.shown_ms,
@@ -25,7 +25,7 @@ def look(trial: Trial, params: View, span: tuple[int, int], progress: Progress) 
         panels=[] if empty else panels_of(trial, span, probability),
         lanes=[] if empty else lanes_of(trial, span, probability),
         notes=_copied(trial) + trial.notes,
-        moments=np.empty(0, np.int64),
+        frame_times=np.empty(0, np.int64),
         dense={},
         pictures=[],
         events=[],
@@ -35,7 +35,7 @@ def look(trial: Trial, params: View, span: tuple[int, int], progress: Progress) 
         true_xy_px=None,
     )
     if not empty and (trial.recording is not None or trial.tracks is not None):
-        choose_moments(found, trial, params.moments)
+        choose_frame_times(found, trial, params.images)
         draw_pictures(found, trial, progress)
         place_dots(found, trial)
     return found

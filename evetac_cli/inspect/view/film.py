@@ -5,7 +5,7 @@ import io
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from evetac_cli.inspect.view.view_data import INK, Look
+from evetac_cli.inspect.view.view_data import INK, ViewData
 
 WIDTH_PX = 480
 MOST_FRAMES = 300
@@ -16,39 +16,39 @@ GUTTER_PX = 62  # left of the series: their names
 PAPER, TEXT, QUIET, DOT, LOST, CURSOR = "#f6f7f8", "#1f2730", "#7f8790", "#ffb52e", "#ff5fa8", "#c58a00"
 
 
-def film(look: Look, title: str) -> bytes:
+def render_film(view: ViewData, title: str) -> bytes:
     """A GIF of the moments of a page, evenly thinned to 300; ValueError if there is not one picture."""
-    if not look.pictures:
+    if not view.pictures:
         raise ValueError("expected at least one picture, found none")
-    chosen = np.unique(np.linspace(0, len(look.pictures) - 1, MOST_FRAMES).round().astype(np.int64)).tolist()
-    below = _below(look)
+    chosen = np.unique(np.linspace(0, len(view.pictures) - 1, MOST_FRAMES).round().astype(np.int64)).tolist()
+    below = _below(view)
     # One palette for all frames, from a frame in the middle; frames are made one after the other, as they are written.
-    palette = _frame(look, chosen[len(chosen) // 2], title, below).quantize(32, dither=Image.Dither.NONE)
-    frames = (_frame(look, at, title, below).quantize(palette=palette, dither=Image.Dither.NONE) for at in chosen)
+    palette = _frame(view, chosen[len(chosen) // 2], title, below).quantize(32, dither=Image.Dither.NONE)
+    frames = (_frame(view, at, title, below).quantize(palette=palette, dither=Image.Dither.NONE) for at in chosen)
     written = io.BytesIO()
     next(frames).save(written, "GIF", save_all=True, append_images=frames, duration=FRAME_MS, loop=0, optimize=False)
     return written.getvalue()
 
 
-def _frame(look: Look, at: int, title: str, below: Image.Image) -> Image.Image:
-    scale = WIDTH_PX / max(look.frame_px)
-    wide, tall = (max(1, round(side * scale)) for side in look.frame_px)
+def _frame(view: ViewData, at: int, title: str, below: Image.Image) -> Image.Image:
+    scale = WIDTH_PX / max(view.frame_px)
+    wide, tall = (max(1, round(side * scale)) for side in view.frame_px)
     left = (WIDTH_PX - wide) // 2
     frame = Image.new("RGB", (WIDTH_PX, HEAD_PX + tall + below.height), PAPER)
-    with Image.open(io.BytesIO(look.pictures[at])) as picture:
+    with Image.open(io.BytesIO(view.pictures[at])) as picture:
         small = picture.convert("L").resize((wide, tall), Image.Resampling.BOX)
     frame.paste(small, (left, HEAD_PX))
     frame.paste(below, (0, HEAD_PX + tall))
     pen = ImageDraw.Draw(frame)
     font = ImageFont.load_default(13)
-    start_s = look.moments[at] / 1000
+    start_s = view.frame_times[at] / 1000
     pen.text((8, 5), _fitting(title, WIDTH_PX - 220, font), TEXT, font)
-    said = ["simulated"] if look.simulated else []
-    said += [f"arrows {ARROWS:g} x"] if look.dot_xy_px is not None else []
+    said = ["simulated"] if view.simulated else []
+    said += [f"arrows {ARROWS:g} x"] if view.dot_xy_px is not None else []
     clock = "   ".join([", ".join(said), f"{start_s:.3f} s"])
     pen.text((WIDTH_PX - 8, 5), clock, TEXT, font, anchor="ra")
-    _dots(pen, look, at, scale, left)
-    x = round(_across(look, start_s))
+    _dots(pen, view, at, scale, left)
+    x = round(_across(view, start_s))
     pen.line((x, HEAD_PX + tall, x, frame.height), CURSOR, 2)
     return frame
 
@@ -63,11 +63,11 @@ def _fitting(text: str, room: int, font: ImageFont.FreeTypeFont | ImageFont.Imag
     return plain + "..."
 
 
-def _dots(pen: ImageDraw.ImageDraw, look: Look, at: int, scale: float, left: int) -> None:
-    if look.dot_xy_px is None or look.rest_xy_px is None or look.lost is None:
+def _dots(pen: ImageDraw.ImageDraw, view: ViewData, at: int, scale: float, left: int) -> None:
+    if view.dot_xy_px is None or view.rest_xy_px is None or view.lost is None:
         return
     limit = 10 * WIDTH_PX  # a mark farther off than this is not seen, and Pillow may not take it
-    for dot, rest, lost in zip(look.dot_xy_px[at], look.rest_xy_px, look.lost[at], strict=True):
+    for dot, rest, lost in zip(view.dot_xy_px[at], view.rest_xy_px, view.lost[at], strict=True):
         x, y = (float(value) * scale for value in dot)
         dx, dy = (float(value) * scale * ARROWS for value in dot - rest)
         if not all(abs(value) < limit for value in (x, y, dx, dy)):  # false for NaN too
@@ -79,32 +79,32 @@ def _dots(pen: ImageDraw.ImageDraw, look: Look, at: int, scale: float, left: int
             pen.line((x, y, x + dx, y + dy), colour, 2)
 
 
-def _below(look: Look) -> Image.Image:
+def _below(view: ViewData) -> Image.Image:
     """Events a millisecond, and who says slip when: the same under every frame."""
-    image = Image.new("RGB", (WIDTH_PX, CHART_PX + LANE_PX * len(look.lanes) + 8), PAPER)
+    image = Image.new("RGB", (WIDTH_PX, CHART_PX + LANE_PX * len(view.lanes) + 8), PAPER)
     pen = ImageDraw.Draw(image)
     font = ImageFont.load_default(10)
-    if look.panels:
-        _chart(pen, look)
-    for number, lane in enumerate(look.lanes):
+    if view.panels:
+        _chart(pen, view)
+    for number, lane in enumerate(view.lanes):
         top = CHART_PX + LANE_PX * number
         for start, stop in lane.slip:
-            left, right = _across(look, start), _across(look, stop)
+            left, right = _across(view, start), _across(view, stop)
             colour = QUIET if lane.colour == INK else lane.colour
             pen.rectangle((left, top + 3, max(right, left + 1), top + 11), fill=colour)
         pen.text((8, top + 1), lane.name, TEXT, font)
     return image
 
 
-def _across(look: Look, t_s: float) -> float:
+def _across(view: ViewData, t_s: float) -> float:
     """Where a time lies from left to right, in px."""
-    first, last = (at / 1000 for at in look.span)
+    first, last = (at / 1000 for at in view.span)
     return GUTTER_PX + (t_s - first) / max(last - first, 1e-3) * (WIDTH_PX - 9 - GUTTER_PX)
 
 
-def _chart(pen: ImageDraw.ImageDraw, look: Look) -> None:
+def _chart(pen: ImageDraw.ImageDraw, view: ViewData) -> None:
     """The first series of the page."""
-    panel = look.panels[0]
+    panel = view.panels[0]
     values = [np.log10(line.value) if panel.logarithmic else line.value for line in panel.lines]
     low = min(float(np.nanmin(value)) for value in values)
     high = max(float(np.nanmax(value)) for value in values)
@@ -112,7 +112,7 @@ def _chart(pen: ImageDraw.ImageDraw, look: Look) -> None:
     for line, value in zip(panel.lines, values, strict=True):
         there = np.isfinite(value)
         points = [
-            (_across(look, float(t_s)), CHART_PX - 4 - (float(height) - low) * up)
+            (_across(view, float(t_s)), CHART_PX - 4 - (float(height) - low) * up)
             for t_s, height in zip(line.t_s[there], value[there], strict=True)
         ]
         if len(points) > 1:

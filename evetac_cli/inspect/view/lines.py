@@ -193,9 +193,9 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
     """Slip probability of each slice of the span, where both a model and features are there."""
     if trial.model is None or trial.features is None:
         return None
-    from evetac_cli.stages.slip_detectors import detector_of, series_of
+    from evetac_cli.stages.slip_detectors import load_detector, series_of
 
-    detector = detector_of(trial.model)
+    detector = load_detector(trial.model)
     start = span[0]
     length = _length(trial.features, "displacement_px", span)
     found = np.full(length, np.nan, np.float32)

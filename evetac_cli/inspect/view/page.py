@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import EvetacError
 from evetac_cli.inspect.view.trial_files import Trial
-from evetac_cli.inspect.view.view_data import INK, Lane, Line, Look, Panel
+from evetac_cli.inspect.view.view_data import INK, Lane, Line, Panel, ViewData
 from evetac_cli.resources import PACKAGE
 
 LARGEST_BYTES = 20_000_000
@@ -24,20 +24,20 @@ NEUTRAL = "#7f8790"  # of lines that are seen on white and on black
 UNKNOWN = "#9aa1a9"
 
 
-def page(trial: Trial, look: Look) -> bytes:
+def render_page(trial: Trial, view: ViewData) -> bytes:
     """The whole page; EvetacError where it would be larger than 20 MB."""
-    script, library, charts = _charts(look)
+    script, library, charts = _charts(view)
     title = trial.files[0].path.name
     parts = {
         "TITLE": html.escape(title),
-        "HEADING": _heading(trial, title, look.simulated),
-        "VIEWER": "" if len(look.moments) else "hidden",
-        "EMPTY": _empty(look),
-        "ONSETS": _onsets(look),
+        "HEADING": _heading(trial, title, view.simulated),
+        "VIEWER": "" if len(view.frame_times) else "hidden",
+        "EMPTY": _empty(view),
+        "ONSETS": _onsets(view),
         "CHARTS": charts,
-        "NOTES": "".join(f"<li>{html.escape(note)}</li>" for note in _notes(look)),
+        "NOTES": "".join(f"<li>{html.escape(note)}</li>" for note in _notes(view)),
         "FILES": _files(trial),
-        "DATA": _for_script(_data(look)),
+        "DATA": _for_script(_data(view)),
         "LIBRARY": library,
         "SCRIPT": script,
     }
@@ -51,7 +51,7 @@ def page(trial: Trial, look: Look) -> bytes:
             where=str(trial.files[0].path),
             expected=f"at most {LARGEST_BYTES // 1_000_000} MB",
             found=f"{len(done) / 1e6:.1f} MB",
-            hint="fewer --moments, or a part with --start-s and --stop-s",
+            hint="fewer --images, or a part with --start-s and --stop-s",
         )
     return done
 
@@ -69,22 +69,22 @@ def _base64(array: NDArray[Any] | None) -> str | None:
     return b64encode(np.ascontiguousarray(array, kind).tobytes()).decode()
 
 
-def _data(look: Look) -> dict[str, Any]:
+def _data(view: ViewData) -> dict[str, Any]:
     return {
-        "span": [at / 1000 for at in look.span],
-        "shown_ms": look.shown_ms,
-        "frame": list(look.frame_px),
-        "window": look.window_px,
-        "moments": look.moments.tolist(),
-        "pictures": [b64encode(png).decode() for png in look.pictures],
-        "events": look.events,
-        "dots": 0 if look.rest_xy_px is None else len(look.rest_xy_px),
-        "rest": _base64(look.rest_xy_px),
-        "tracked": _base64(look.dot_xy_px),
-        "lost": _base64(look.lost),
-        "true_dots": 0 if look.true_xy_px is None else look.true_xy_px.shape[1],
-        "true": _base64(look.true_xy_px),
-        "onsets": {who: slice_ for who, slice_ in look.onsets.items() if slice_ is not None},
+        "span": [at / 1000 for at in view.span],
+        "shown_ms": view.shown_ms,
+        "frame": list(view.frame_px),
+        "window": view.window_px,
+        "frame_times": view.frame_times.tolist(),
+        "pictures": [b64encode(png).decode() for png in view.pictures],
+        "events": view.events,
+        "dots": 0 if view.rest_xy_px is None else len(view.rest_xy_px),
+        "rest": _base64(view.rest_xy_px),
+        "tracked": _base64(view.dot_xy_px),
+        "lost": _base64(view.lost),
+        "true_dots": 0 if view.true_xy_px is None else view.true_xy_px.shape[1],
+        "true": _base64(view.true_xy_px),
+        "onsets": {who: slice_ for who, slice_ in view.onsets.items() if slice_ is not None},
     }
 
 
@@ -117,7 +117,7 @@ def _heading(trial: Trial, title: str, simulated: bool) -> str:
         ("object", _inner(made, "object")),
         ("", _inner(made, "object_row", "material")),
         ("imported from", _inner(made, "source")),
-        ("individual", _inner(made, "individual")),
+        ("sensor", _inner(made, "sensor")),
     ]
     badges = '<span class="badge simulated">simulated</span>' if simulated else ""
     badges += "".join(
@@ -146,22 +146,22 @@ def _files(trial: Trial) -> str:
     return "".join(rows)
 
 
-def _empty(look: Look) -> str:
+def _empty(view: ViewData) -> str:
     """What to say instead of pictures and series, where there is nothing to draw."""
-    if look.slices == 0:
+    if view.slices == 0:
         return "<p class='empty'>This recording is empty: it holds not one slice of a millisecond.</p>"
-    if look.pictures and not any(look.events) and look.panels and (look.panels[0].lines[0].value <= 1).all():
+    if view.pictures and not any(view.events) and view.panels and (view.panels[0].lines[0].value <= 1).all():
         return "<p class='empty'>There is not one event in what is shown.</p>"
     return ""
 
 
-def _onsets(look: Look) -> str:
+def _onsets(view: ViewData) -> str:
     """First slip by truth, label and model, and how far apart they are."""
-    if not look.onsets:
+    if not view.onsets:
         return ""
-    reference = next((slice_ for slice_ in look.onsets.values() if slice_ is not None), None)
+    reference = next((slice_ for slice_ in view.onsets.values() if slice_ is not None), None)
     cells = []
-    for who, slice_ in look.onsets.items():
+    for who, slice_ in view.onsets.items():
         simulated = " <small>(simulated)</small>" if who == "truth" else ""
         if slice_ is None or reference is None:
             cells.append(f"<span>{who}{simulated} <b>none</b></span>")
@@ -172,40 +172,40 @@ def _onsets(look: Look) -> str:
             f"<button type='button' class='jump' data-ms='{slice_}'>{who}{simulated} "
             f"<b>{slice_ / 1000:.3f} s</b>{later}</button>"
         )
-    since = f" after {look.span[0] / 1000:.3f} s" if look.span[0] else ""
+    since = f" after {view.span[0] / 1000:.3f} s" if view.span[0] else ""
     return f"<div class='onsets'><h2>First slip{since}</h2>" + "".join(cells) + "</div>"
 
 
-def _notes(look: Look) -> list[str]:
-    start, stop = look.span
-    notes = [f"Shown: {start / 1000:.3f} to {stop / 1000:.3f} s of {look.slices / 1000:.3f} s."]
-    if len(look.moments):
-        dense = ", ".join(f"{at / 1000:.3f} s ({why})" for why, at in look.dense.items())
+def _notes(view: ViewData) -> list[str]:
+    start, stop = view.span
+    notes = [f"Shown: {start / 1000:.3f} to {stop / 1000:.3f} s of {view.slices / 1000:.3f} s."]
+    if len(view.frame_times):
+        dense = ", ".join(f"{at / 1000:.3f} s ({why})" for why, at in view.dense.items())
         notes.append(
-            f"{len(look.moments):,} images of {look.shown_ms} ms, spread evenly"
+            f"{len(view.frame_times):,} images of {view.shown_ms} ms, spread evenly"
             + (f" and, every 2 ms, around {dense}." if dense else ".")
         )
     notes.append("Series: every value, or the least and the greatest of each of 3,000 stretches of time.")
-    return notes + look.notes
+    return notes + view.notes
 
 
 # Series ---------------------------------------------------------------------------------------------------------------
 
 
-def _charts(look: Look) -> tuple[str, str, str]:
+def _charts(view: ViewData) -> tuple[str, str, str]:
     """Bokeh's script for this page, its library, and the HTML in which the charts stand."""
-    if not look.panels and not look.lanes:
+    if not view.panels and not view.lanes:
         return "", "", ""
     from bokeh.embed import components
     from bokeh.models.ranges import Range1d
     from bokeh.resources import Resources
 
-    start, stop = look.span
+    start, stop = view.span
     x_range = Range1d(start=start / 1000, end=stop / 1000, bounds=(start / 1000, stop / 1000))
     figures = []
     heads = []
     number = 0
-    for panel in look.panels:
+    for panel in view.panels:
         keys = "".join(
             f"<span class='key {'ink' if line.colour == INK else ''}' style='--colour:{_colour(line)}'>"
             f"{line.name if len(panel.lines) > 1 else ''} <output data-series='series{number + at}'></output></span>"
@@ -215,10 +215,10 @@ def _charts(look: Look) -> tuple[str, str, str]:
         heads.append(_head(panel.title, panel.unit, panel.simulated, keys))
         figures.append(_panel_figure(panel, x_range, number))
         number += len(panel.lines)
-    if look.lanes:
-        keys = "<span class='key unknown'>not examined</span>" if any(lane.unknown for lane in look.lanes) else ""
+    if view.lanes:
+        keys = "<span class='key unknown'>not examined</span>" if any(lane.unknown for lane in view.lanes) else ""
         heads.append(_head("Slip", "", False, keys))
-        figures.append(_lane_figure(look.lanes, x_range))
+        figures.append(_lane_figure(view.lanes, x_range))
     figures[-1].xaxis.visible = True
     figures[-1].height += 34
     script, places = components(tuple(figures))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.inspect.view.trial_files import Trial
-from evetac_cli.inspect.view.view_data import Look
+from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.jobs import Progress
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
@@ -42,7 +42,7 @@ def window_of(trial: Trial) -> tuple[int, int, int, int] | None:
     return None
 
 
-def choose_moments(found: Look, trial: Trial, most: int) -> None:
+def choose_frame_times(found: ViewData, trial: Trial, most: int) -> None:
     """Choose the images: uniform over the span, and dense around onsets and the busiest moments."""
     start, stop = found.span
     last = max(start, stop - found.shown_ms)
@@ -50,7 +50,7 @@ def choose_moments(found: Look, trial: Trial, most: int) -> None:
         dots = int(np.prod(trial.tracks.read("sensor/dot_xy_px").shape[:2]))
         most = max(1, min(most, DOT_PLACES // max(dots, 1)))
     if last - start < most:
-        found.moments = np.arange(start, last + 1)
+        found.frame_times = np.arange(start, last + 1)
         return
     found.dense = {f"onset, {who}": slice_ for who, slice_ in found.onsets.items() if slice_ is not None}
     if trial.recording is not None:
@@ -60,10 +60,10 @@ def choose_moments(found: Look, trial: Trial, most: int) -> None:
     each = int(most * DENSE_SHARE / max(len(places), 1))
     uniform = np.linspace(start, last, most - each * len(places)).astype(np.int64)
     near = [place - found.shown_ms + DENSE_MS * (np.arange(each) - each // 2) for place in places]
-    found.moments = np.unique(np.clip(np.concatenate((uniform, *near)), start, last))
+    found.frame_times = np.unique(np.clip(np.concatenate((uniform, *near)), start, last))
 
 
-def draw_pictures(found: Look, trial: Trial, progress: Progress) -> None:
+def draw_pictures(found: ViewData, trial: Trial, progress: Progress) -> None:
     """A PNG of each moment; every other moment goes, as often as needed, where they would make the page too large."""
     recording = trial.recording
     if recording is None:
@@ -71,7 +71,7 @@ def draw_pictures(found: Look, trial: Trial, progress: Progress) -> None:
     pictures: dict[int, tuple[bytes, int]] = {}
     step = 1
     size = 0
-    wanted = found.moments
+    wanted = found.frame_times
     for number, moment in enumerate(wanted.tolist()):
         progress(number, len(wanted))
         if number % step:
@@ -87,7 +87,7 @@ def draw_pictures(found: Look, trial: Trial, progress: Progress) -> None:
             f"Full images: only every {step}th of {len(wanted)} is kept, so that the page stays small; "
             "--start-s and --stop-s show a part more finely."
         )
-    found.moments = wanted[list(pictures)]
+    found.frame_times = wanted[list(pictures)]
     found.pictures = [png for png, _ in pictures.values()]
     found.events = [events for _, events in pictures.values()]
 
@@ -112,9 +112,9 @@ def picture(recording: Recording, start: int, shown_ms: int) -> tuple[bytes, int
     return written.getvalue(), last - first
 
 
-def place_dots(found: Look, trial: Trial) -> None:
+def place_dots(found: ViewData, trial: Trial) -> None:
     """Where the dots are at the end of each picture: tracked and true; NaN after the end of the tracks."""
-    ends = np.minimum(found.moments + found.shown_ms, found.span[1]) - 1
+    ends = np.minimum(found.frame_times + found.shown_ms, found.span[1]) - 1
     if trial.tracks is not None:
         found.rest_xy_px = trial.tracks.read("sensor/dot_xy_px").reshape(-1, 2)
         there = trial.tracks.length("dot_xy_px")

@@ -41,7 +41,7 @@ class Lane:
 
 
 @dataclass
-class Look:
+class ViewData:
     """All that a page or an animation draws."""
 
     slices: int
@@ -54,7 +54,7 @@ class Look:
     panels: list[Panel]
     lanes: list[Lane]
     notes: list[str]
-    moments: NDArray[np.int64]  # first slice of each image
+    frame_times: NDArray[np.int64]  # first slice of each image
     dense: dict[str, int]  # what the images are dense around
     pictures: list[bytes]  # PNG of each moment; none without a recording
     events: list[int]  # in each picture

@@ -10,7 +10,7 @@ weights that nothing trained. These settings were among the best of some twenty 
 that is reported; a rate of 0.001 that does not fall, on first weights as torch draws them, erred more than the
 regression.
 
-Only `fit` imports this module, as torch takes more than a second to import.
+Only `train-force` imports this module, as torch takes more than a second to import.
 """
 
 from collections.abc import Callable

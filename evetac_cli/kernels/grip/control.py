@@ -1,6 +1,6 @@
 """The controllers of a grasp by name, behind one `step`: what was felt and where the fingers are in, a goal out.
 
-The paper's law with both readings of its latch, ours (`by-load`), and two without feeling: `none`, the paper's control
+The paper's law with both readings of its latch, ours (`load-proportional`), and two without feeling: `none`, the paper's control
 experiment, stays where light contact ended; `fixed:N` closes N ticks beyond it and stays there.
 """
 
@@ -12,18 +12,22 @@ from evetac_cli.kernels.grip import load_proportional, paper
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
 from evetac_cli.kernels.grip.paper import GripLaw, Phase
 
-LAWS: dict[str, GripLaw | LoadLaw] = {"paper": paper.PAPER, "relatch": paper.RELATCH, "by-load": LoadLaw()}
+LAWS: dict[str, GripLaw | LoadLaw] = {
+    "paper": paper.PAPER,
+    "paper-reset": paper.PAPER_RESET,
+    "load-proportional": LoadLaw(),
+}
 FIXED = "fixed:"
 MOST_FIXED_TICKS = 300
 
 
-class Felt(NamedTuple):
+class SlipSignal(NamedTuple):
     """What the detector tells the controller: few numbers, so that they fit into shared memory."""
 
     slips: int = 0  # slices with slip so far: a count that only rises
     probability: float = math.nan  # of slip, in the last slice
-    drag_x_px: float = 0.0  # mean displacement of the dots: a load cell (see grip_by_load)
-    drag_y_px: float = 0.0
+    mean_displacement_x_px: float = 0.0  # mean displacement of the dots: a load cell (see grip_by_load)
+    mean_displacement_y_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -33,8 +37,8 @@ class FixedGrip:
     beyond: int
 
 
-def law_of(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
-    """The law of a controller: paper, relatch, by-load, none, or fixed:N. ValueError if there is no such controller.
+def make_law(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
+    """The law of a controller: paper, paper-reset, load-proportional, none, or fixed:N. ValueError if there is no such controller.
 
     gain: K_p of the paper's law in balance, in multiples; the others have none.
     """
@@ -52,7 +56,7 @@ def law_of(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
     if gain == 1.0:
         return law
     if not isinstance(law, GripLaw):
-        raise ValueError(f"a gain is for paper and relatch, found {name} with gain {gain:g}")
+        raise ValueError(f"a gain is for paper and paper-reset, found {name} with gain {gain:g}")
     return replace(law, gain=gain)
 
 
@@ -83,7 +87,7 @@ class Control:
         else:
             self._law, self._state = paper.PAPER, paper.start()
 
-    def step(self, phase: Phase, felt: Felt, position_ticks: int) -> int:
+    def step(self, phase: Phase, felt: SlipSignal, position_ticks: int) -> int:
         """One step: the goal in ticks."""
         self.slip = felt.slips > self._seen
         self._seen = felt.slips
@@ -92,7 +96,7 @@ class Control:
                 self._state,
                 phase,
                 self.slip,
-                (felt.drag_x_px, felt.drag_y_px),
+                (felt.mean_displacement_x_px, felt.mean_displacement_y_px),
                 position_ticks,
                 1.0 / self.control_hz,
                 self.law,

@@ -120,14 +120,14 @@ def step(
     state: LoadState,
     phase: Phase,
     slip: bool,
-    drag_px: tuple[float, float],
+    mean_displacement_px: tuple[float, float],
     position_ticks: int,
     dt_s: float,
     law: LoadLaw,
 ) -> int:
-    """One control step of dt_s: the goal in ticks. drag_px: mean displacement of the dots, right and down."""
+    """One control step of dt_s: the goal in ticks. mean_displacement_px: mean displacement of the dots, right and down."""
     if phase is Phase.CONTACT:
-        state.rest_ticks, state.rest_px = position_ticks - 0.5, drag_px
+        state.rest_ticks, state.rest_px = position_ticks - 0.5, mean_displacement_px
         state.place_ticks = position_ticks + 0.5
         state.wanted_ticks = state.rest_ticks
         state.u_ff = -law.approach
@@ -135,7 +135,7 @@ def step(
     if state.phase is Phase.CONTACT:
         state.ratio, state.spare_ticks = law.first_ratio, law.lift_ticks
     state.phase = phase
-    load_px = math.hypot(drag_px[0] - state.rest_px[0], drag_px[1] - state.rest_px[1])
+    load_px = math.hypot(mean_displacement_px[0] - state.rest_px[0], mean_displacement_px[1] - state.rest_px[1])
     _observe(state, position_ticks)
     if phase is Phase.LIFT:
         if slip and load_px > MEANT_PX:

@@ -36,7 +36,7 @@ class GripLaw:
     highest_open: float = 2.0  # clip of u_ff in balance, until the first slip
     first_tick: int = 0
     last_tick: int = 740  # closed; the authors' code stops at 660, where fingers without sensors are 10 mm apart
-    relatch: bool = False  # balance: x_ref is set anew wherever slip begins, and not the first time alone
+    paper_reset: bool = False  # balance: x_ref is set anew wherever slip begins, and not the first time alone
     gain: float = 1.0  # K_p in balance, in multiples of the servo's
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class GripLaw:
 
 
 PAPER = GripLaw()
-RELATCH = GripLaw(relatch=True)
+PAPER_RESET = GripLaw(paper_reset=True)
 
 
 @dataclass
@@ -92,7 +92,7 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
 
     Lift: each step with slip closes by one tick of u_ff, each without opens by 0.01; where slip ends, the present
     position becomes the reference. Balance: opens by 0.01 a step until the first slip, which closes by 2 and makes the
-    position of the step before the reference (with `relatch` every beginning of slip does); from then on u_ff only
+    position of the step before the reference (with `paper-reset` every beginning of slip does); from then on u_ff only
     closes. (Paper, section VII-A.)
     """
     if phase != state.phase:
@@ -114,7 +114,7 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
     else:
         gain = law.gain
         state.u_ff += law.balance_slip if slip else law.balance_quiet
-        if slip and not state.slipped and (law.relatch or not state.caught):
+        if slip and not state.slipped and (law.paper_reset or not state.caught):
             state.caught = True
             state.x_ref = float(state.position)
         state.u_ff = _clip(state.u_ff, law.lowest, 0.0 if state.caught else law.highest_open)

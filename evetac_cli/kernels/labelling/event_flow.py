@@ -59,9 +59,9 @@ Floats = NDArray[np.float64]
 class EventFlowConstants:
     """Constants of slip labels by counting; ValueError unless all are finite and in range."""
 
-    slide_px: float = 0.5  # the object has slid so far: the onset
+    slip_distance_px: float = 0.5  # the object has slid so far: the onset
     look_ahead_ms: int = 4  # a slice's speeds are means over the next so many ms
-    crossings: float = 6.9  # thresholds that a dot's rim crosses: log contrast over threshold, less what scans miss
+    edge_events: float = 6.9  # thresholds that a dot's rim crosses: log contrast over threshold, less what scans miss
     follow_ms: int = 3  # whether a dot follows is seen over so many ms, the slice the last of them
     follow_share: float = 0.95  # a dot slower than the object by more than this share of its speed does not follow
     least_px_ms: float = 0.01  # and by more than this
@@ -109,7 +109,7 @@ def label(
     dots = np.ascontiguousarray(dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)], np.float64)
     if not len(dots) or not 0.0 < dot_radius_px < math.inf:
         raise ValueError(f"dots: expected some with a radius > 0, found {len(dots)} of radius {dot_radius_px}")
-    motion = follow(between, slices, window, gel, dots, dot_radius_px, constants.crossings)
+    motion = follow(between, slices, window, gel, dots, dot_radius_px, constants.edge_events)
     away = np.hypot(motion.dot_px[..., 0], motion.dot_px[..., 1])
     noise = noise_rate(motion.window_events) * np.arange(slices + 1)
     moved = np.maximum.accumulate(motion.window_events - noise)
@@ -125,7 +125,7 @@ def label(
         object_px,
         away,
         start,
-        constants.slide_px,
+        constants.slip_distance_px,
         constants.look_ahead_ms,
         constants.follow_ms,
         constants.follow_share,
@@ -146,7 +146,7 @@ def label(
 
 
 def follow(
-    between: Between, slices: int, window: Region, gel: Region, dots: Floats, radius_px: float, crossings: float
+    between: Between, slices: int, window: Region, gel: Region, dots: Floats, radius_px: float, edge_events: float
 ) -> Motion:
     """Follow every dot by the polarity of its rim's events, and count the window's; hot pixels left out.
 
@@ -167,7 +167,7 @@ def follow(
     for first in range(0, slices, BLOCK_SLICES):
         stop = min(first + BLOCK_SLICES, slices)
         events = between(first, stop)
-        step = 1.0 / (math.pi * radius_px * crossings)
+        step = 1.0 / (math.pi * radius_px * edge_events)
         _follow(*events, part, dots, centre, radius_px, step, first, stop, dot_px, window_events)
     return Motion(dot_px, np.cumsum(window_events))
 
@@ -307,7 +307,7 @@ def _search(
     object_px: Floats,
     away_px: Floats,
     start: int,
-    slide_px: float,
+    slip_distance_px: float,
     look_ahead_ms: int,
     follow_ms: int,
     follow_share: float,
@@ -326,15 +326,15 @@ def _search(
     paused_ms = 0
     onset = -1
     for slice_ in range(slices):
-        ahead = min(slice_ + look_ahead_ms, slices)
+        horizon_ms = min(slice_ + look_ahead_ms, slices)
         begin = max(slice_ + 1 - follow_ms, 0)
-        span = ahead - slice_
+        span = horizon_ms - slice_
         follow_span = slice_ + 1 - begin
-        object_px_ms = (object_px[ahead] - object_px[slice_]) / span
+        object_px_ms = (object_px[horizon_ms] - object_px[slice_]) / span
         recent_px_ms = (object_px[slice_ + 1] - object_px[begin]) / follow_span
         closest = np.inf
         for dot in range(dots):
-            dot_px_ms = (away_px[ahead, dot] - away_px[slice_, dot]) / span
+            dot_px_ms = (away_px[horizon_ms, dot] - away_px[slice_, dot]) / span
             relative_px[slice_] = min(relative_px[slice_], (object_px_ms - dot_px_ms) * span)
             behind = recent_px_ms - (away_px[slice_ + 1, dot] - away_px[begin, dot]) / follow_span
             if dot_px_ms < -back_px_ms:
@@ -354,6 +354,6 @@ def _search(
             paused_ms += 1
             if paused_ms > pause_ms:
                 slid_px = 0.0
-        if slid_px > slide_px:
+        if slid_px > slip_distance_px:
             onset = slice_
     return onset, slips, relative_px

@@ -1,0 +1,1 @@
+"""Slip detectors: features, inputs, networks, training, inference, metrics."""

@@ -59,7 +59,7 @@ def gather(
     architecture: slip.Architecture,
     rows: int = 7,
     columns: int = 8,
-    ahead_ms: int = 0,
+    horizon_ms: int = 0,
 ) -> Samples:
     """Sort the slices of trajectories into the three pools; what no sample sees is left out.
 
@@ -76,7 +76,7 @@ def gather(
         count += 1
         try:
             _check(trajectory, rows * columns)
-            shifted = slip.shift(trajectory.label, ahead_ms)
+            shifted = slip.shift(trajectory.label, horizon_ms)
         except ValueError as error:
             raise ValueError(f"trajectory {index}: {error}") from error
         slices = len(shifted)
@@ -153,7 +153,7 @@ def augment(samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int6
     return result
 
 
-def moments(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of each channel over what a batch holds: every pool counts by its share."""
     images = isinstance(samples.architecture, slip.ImageArchitecture)
     over = (0, 2, 3) if images else (0, 1)

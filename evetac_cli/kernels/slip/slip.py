@@ -159,7 +159,7 @@ ARCHITECTURES: dict[str, Architecture] = {
         # distance from rest alone, which has no direction and hides changes as small. So: direction, and changes.
         # Twice the time (100 ms) was no better on unseen objects.
         DotArchitecture(
-            "creep",
+            "disp-xy",
             (
                 View("x", 10, 10, 5, change=True),
                 View("y", 10, 10, 5, change=True),
@@ -172,15 +172,15 @@ ARCHITECTURES: dict[str, Architecture] = {
 }
 
 
-def shift(label: NDArray[np.int8], ahead_ms: int) -> NDArray[np.int8]:
+def shift(label: NDArray[np.int8], horizon_ms: int) -> NDArray[np.int8]:
     """Labels for predicting slip: slice t is what slice t + ahead_ms is labelled (paper, Slip Prediction).
 
     Where that slice is not there or was not examined, and where t itself was not, t keeps its own label.
     """
-    if ahead_ms < 0:
-        raise ValueError(f"ahead_ms: expected at least 0, found {ahead_ms}")
+    if horizon_ms < 0:
+        raise ValueError(f"ahead_ms: expected at least 0, found {horizon_ms}")
     future = np.full_like(label, -1)
-    future[: max(len(label) - ahead_ms, 0)] = label[ahead_ms:]
+    future[: max(len(label) - horizon_ms, 0)] = label[horizon_ms:]
     return np.where((future >= 0) & (label >= 0), future, label)
 
 

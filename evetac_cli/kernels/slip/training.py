@@ -13,14 +13,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from evetac_cli.kernels.slip.networks import Network, build, weights
-from evetac_cli.kernels.slip.sampling import Samples, augment, batches, moments, quarter_turns, steps_per_epoch
+from evetac_cli.kernels.slip.sampling import Samples, augment, batches, channel_stats, quarter_turns, steps_per_epoch
 
 CURVE_POINTS = 100
 KEEP_STEPS = 50  # how often a run may be kept, see `train`
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Preset:
     """A named, complete set of training constants."""
 
     name: str
@@ -38,17 +38,17 @@ class Recipe:
     )  # every sample is multiplied by a factor from this range, drawn log-uniformly
 
 
-RECIPES = {
-    recipe.name: recipe
-    for recipe in [
-        Recipe("paper", "sgd", learning_rate=1e-3, normalise=False, epochs=70, checkpoint_every=10),
+PRESETS = {
+    preset.name: preset
+    for preset in [
+        Preset("paper", "sgd", learning_rate=1e-3, normalise=False, epochs=70, checkpoint_every=10),
         # not the paper's: for when few steps are to be enough; their names travel with the result
-        Recipe("adam", "adam", learning_rate=1e-3, normalise=True, epochs=70, checkpoint_every=10),
+        Preset("adam", "adam", learning_rate=1e-3, normalise=True, epochs=70, checkpoint_every=10),
         # A single wrong slice spoils a trajectory's timing, and the mean of many late weights makes fewer of them. The
         # gel is elastic and friction has no scale: an object half as heavy moves the dots half as far, with half the
         # events, when it slips under half the force. So the factor makes lighter and heavier objects of those at hand.
-        Recipe(
-            "steady",
+        Preset(
+            "adamw",
             "adamw",
             learning_rate=2e-3,
             normalise=True,
@@ -63,9 +63,9 @@ RECIPES = {
 }
 
 
-def factors(recipe: Recipe, samples: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """What each sample is multiplied by, drawn log-uniformly from the range of the recipe."""
-    least, most = recipe.gain
+def factors(preset: Preset, samples: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """What each sample is multiplied by, drawn log-uniformly from the range of the preset."""
+    least, most = preset.gain
     return np.exp(rng.uniform(math.log(least), math.log(most), samples)).astype(np.float32)
 
 
@@ -80,7 +80,7 @@ class Checkpoint(NamedTuple):
 class Training:
     """What a run of training gave."""
 
-    recipe: Recipe
+    preset: Preset
     checkpoints: list[Checkpoint]  # the last is the end of the run
     curve_step: NDArray[np.int64]  # (points,)
     curve_loss: NDArray[np.float64]  # (points,) mean loss since the point before
@@ -93,23 +93,23 @@ class Training:
         return self.steps < self.steps_planned
 
 
-Kept = dict[str, NDArray[Any]]  # a run that is not over, as named arrays
+TrainingState = dict[str, NDArray[Any]]  # a run that is not over, as named arrays
 
 
 def train(
     samples: Samples,
-    recipe: Recipe,
+    preset: Preset,
     rng: np.random.Generator,
     epochs: int | None = None,
     max_steps: int | None = None,
     on_progress: Callable[[int, int, float], None] | None = None,
     device: str = "cpu",
-    kept: Kept | None = None,
-    on_keep: Callable[[Callable[[], Kept]], None] | None = None,
+    kept: TrainingState | None = None,
+    on_keep: Callable[[Callable[[], TrainingState]], None] | None = None,
 ) -> Training:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
-    `epochs` None takes the recipe's. Checkpoints are kept every `recipe.checkpoint_every` epochs and at the end; where
+    `epochs` None takes the preset's. Checkpoints are kept every `preset.checkpoint_every` epochs and at the end; where
     `max_steps` cuts the run, as many are spread evenly over the steps that are left, and the result's `cut` is True.
     `on_progress` gets (step, steps, loss) at each of the up to 100 points of the loss curve. The result depends on the
     generator's state alone (on one kind of machine and number of torch threads, which is the caller's to set).
@@ -118,26 +118,26 @@ def train(
     else as it was, the run goes on from there to the same result: the generators are led to the same place by drawing
     again what had been drawn. ValueError when the loss stops being finite, or where `kept` is of another run.
     """
-    epochs = recipe.epochs if epochs is None else epochs
+    epochs = preset.epochs if epochs is None else epochs
     if epochs < 1 or (max_steps is not None and max_steps < 1):
         raise ValueError(f"expected at least one epoch and one step, found {epochs} and {max_steps}")
     per_epoch = steps_per_epoch(samples)
     planned = epochs * per_epoch
     steps = planned if max_steps is None else min(planned, max_steps)
-    checkpoint_epochs = sorted({*range(recipe.checkpoint_every, epochs + 1, recipe.checkpoint_every), epochs})
+    checkpoint_epochs = sorted({*range(preset.checkpoint_every, epochs + 1, preset.checkpoint_every), epochs})
     wanted = {epoch * per_epoch for epoch in checkpoint_epochs}
     if steps < planned:
         wanted = set(_evenly(steps, len(checkpoint_epochs)))
     points = set(_evenly(steps, CURVE_POINTS))
 
     seeds, draws, turns, gains = rng.spawn(4)
-    run = _Run(_network(samples, recipe, int(seeds.integers(2**63))).to(device), recipe, device)
+    run = _Run(_network(samples, preset, int(seeds.integers(2**63))).to(device), preset, device)
     if kept is not None:
         run.restore(kept)
     for step, batch in enumerate(islice(batches(samples, draws), steps), start=1):
         ends = np.concatenate(batch)
         turned = quarter_turns(len(ends), turns)
-        factor = factors(recipe, len(ends), gains)
+        factor = factors(preset, len(ends), gains)
         if step <= run.step:
             continue  # done before the interruption
         target = torch.zeros(len(ends))
@@ -148,7 +148,7 @@ def train(
         if step in points:
             mean = run.mean_loss()
             if not np.isfinite(mean):
-                raise ValueError(f"recipe {recipe.name}: expected a finite loss, found {mean} by step {step}")
+                raise ValueError(f"preset {preset.name}: expected a finite loss, found {mean} by step {step}")
             if on_progress:
                 on_progress(step, steps, mean)
         if step in wanted:
@@ -156,22 +156,22 @@ def train(
         if on_keep and step % KEEP_STEPS == 0 and step < steps:
             on_keep(run.keep)
     curve = np.array(run.curve_step, np.int64), np.array(run.curve_loss)
-    return Training(recipe, run.checkpoints, *curve, steps, planned)
+    return Training(preset, run.checkpoints, *curve, steps, planned)
 
 
 class _Run:
     """A run of training between two steps."""
 
-    def __init__(self, network: Network, recipe: Recipe, device: str) -> None:
+    def __init__(self, network: Network, preset: Preset, device: str) -> None:
         self.network = network
-        self.recipe = recipe
+        self.preset = preset
         self.device = device
         self.trained = dict(network.named_parameters())
-        make: Any = {"sgd": torch.optim.SGD, "adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[recipe.optimiser]
+        make: Any = {"sgd": torch.optim.SGD, "adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[preset.optimiser]
         self.optimiser = make(
-            self.trained.values(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay, fused=True
+            self.trained.values(), lr=preset.learning_rate, weight_decay=preset.weight_decay, fused=True
         )
-        self.average = {name: value.detach().clone() for name, value in self.trained.items() if recipe.average}
+        self.average = {name: value.detach().clone() for name, value in self.trained.items() if preset.average}
         self.loss_sum = torch.zeros((), device=device)
         self.step = self.since = 0
         self.checkpoints: list[Checkpoint] = []
@@ -180,9 +180,9 @@ class _Run:
 
     def advance(self, batch: NDArray[np.float32], target: Tensor, done: float) -> None:
         """Take one step of the optimiser; `done` is the share of the run that lies behind."""
-        if self.recipe.cosine:
+        if self.preset.cosine:
             for group in self.optimiser.param_groups:
-                group["lr"] = self.recipe.learning_rate * 0.5 * (1 + math.cos(math.pi * done))
+                group["lr"] = self.preset.learning_rate * 0.5 * (1 + math.cos(math.pi * done))
         self.optimiser.zero_grad()
         logits = self.network(torch.from_numpy(batch).to(self.device))
         loss = functional.binary_cross_entropy_with_logits(logits, target.to(self.device))
@@ -192,7 +192,7 @@ class _Run:
         self.step += 1
         if self.average:
             # early weights are soon forgotten: the mean of a short run reaches back for a tenth of it
-            share = min(self.recipe.average, (1 + self.step) / (10 + self.step))
+            share = min(self.preset.average, (1 + self.step) / (10 + self.step))
             new = [value.detach() for value in self.trained.values()]
             torch._foreach_lerp_(list(self.average.values()), new, 1 - share)
 
@@ -209,9 +209,9 @@ class _Run:
         """The weights to be judged: the last, or their running mean."""
         return weights(self.network) | {name: value.cpu().numpy().copy() for name, value in self.average.items()}
 
-    def keep(self) -> Kept:
+    def keep(self) -> TrainingState:
         """The run as named arrays."""
-        arrays: Kept = {
+        arrays: TrainingState = {
             "step": np.array(self.step),
             "since": np.array(self.since),
             "loss_sum": self.loss_sum.cpu().numpy().copy(),
@@ -229,7 +229,7 @@ class _Run:
                 arrays[f"checkpoint/{checkpoint.step}/{name}"] = array
         return arrays
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: TrainingState) -> None:
         """Become the run that `keep` gave; ValueError if it does not fit."""
         found = _groups(kept)
         try:
@@ -252,12 +252,12 @@ class _Run:
             self.step, self.since = int(kept["step"]), int(kept["since"])
             self.curve_step, self.curve_loss = kept["curve_step"].tolist(), kept["curve_loss"].tolist()
         except (KeyError, RuntimeError) as error:
-            raise ValueError(f"expected a kept run of this network and recipe, found another: {error}") from error
+            raise ValueError(f"expected a kept run of this network and preset, found another: {error}") from error
 
 
-def _groups(kept: Kept) -> dict[str, Kept]:
+def _groups(kept: TrainingState) -> dict[str, TrainingState]:
     """Arrays by the first part of their names."""
-    groups: dict[str, Kept] = {name: {} for name in ("weights", "average", "optimiser", "checkpoint")}
+    groups: dict[str, TrainingState] = {name: {} for name in ("weights", "average", "optimiser", "checkpoint")}
     for name, array in kept.items():
         group, _, rest = name.partition("/")
         if rest:
@@ -265,10 +265,10 @@ def _groups(kept: Kept) -> dict[str, Kept]:
     return groups
 
 
-def _network(samples: Samples, recipe: Recipe, seed: int) -> Network:
+def _network(samples: Samples, preset: Preset, seed: int) -> Network:
     scale = offset = None
-    if recipe.normalise:
-        offset, spread = moments(samples)
+    if preset.normalise:
+        offset, spread = channel_stats(samples)
         # a channel that varies by rounding alone carries nothing: it is shifted to 0 and not blown up
         scale = 1 / np.where(spread > 1e-6 * np.abs(offset), spread, 1)
     with torch.random.fork_rng(devices=[]):  # torch draws first weights from its global generator only

@@ -1,0 +1,1 @@
+"""Where the dots are, from events or from frames."""

@@ -23,7 +23,7 @@ from evetac_cli.kernels.tracking import hot_pixels
 MARGIN_PX = 4.0
 BLOCK = 256  # events
 UNITS = 2.0**36  # a sum's integer for 1
-NOBODY_XY_PX = (-1000.0, -1000.0)  # farther from every pixel than any event may be from its dot
+DUMMY_DOT_XY_PX = (-1000.0, -1000.0)  # farther from every pixel than any event may be from its dot
 _BITS = 4
 SIZE_PX = 1 << _BITS
 COLUMNS = -(-FRAME_PX[0] // SIZE_PX)
@@ -135,13 +135,13 @@ def look_up(
             row = np.uint64(min(y[k], np.uint16(FRAME_PX[1] - 1))) + _ONE
             column = np.uint64(min(x[k], np.uint16(FRAME_PX[0] - 1))) + _ONE
             bucket[k] = NOWHERE if fired[row, column] & hot_pixels.HOT else bucket[k]
-    nobody = np.uint32(centre_xy_px.shape[0] - 1)
+    dummy_dot = np.uint32(centre_xy_px.shape[0] - 1)
     crowd = False
     for k in range(x.shape[0]):
         # Unsigned, as are the buckets: numba need not look for negative indices.
         i = first_dot[bucket[k]]
-        crowd |= i > nobody
-        i = min(i, nobody)
+        crowd |= i > dummy_dot
+        i = min(i, dummy_dot)
         near_dot[k] = i
         near_px[0, k] = centre_xy_px[i, 0]
         near_px[1, k] = centre_xy_px[i, 1]
@@ -171,12 +171,12 @@ def look_up_crowd(
     Fills near_dot, near_px and, where p is not empty, near_p; returns where to go on, and how many pairs. There is room
     for BLOCK pairs and as many as there are dots. `bucket` as from `look_up`.
     """
-    nobody = np.uint32(centre_xy_px.shape[0] - 1)
+    dummy_dot = np.uint32(centre_xy_px.shape[0] - 1)
     pairs = 0
     k = begin
     while k < x.shape[0] and pairs < BLOCK:
         b = bucket[k]
-        if first_dot[b] > nobody:
+        if first_dot[b] > dummy_dot:
             for entry in range(bucket_start[b], bucket_start[b + 1]):
                 i = bucket_dots[entry]
                 near_dot[pairs] = i

@@ -80,9 +80,9 @@ def _find_lost(
     if 4.0 * furthest_px2 <= LOST_PX * LOST_PX:  # then no two are further apart, and there is no need to look
         lost[:] = False
         return
-    nobody = np.zeros_like(lost)
+    dummy_dot = np.zeros_like(lost)
     for i in range(lost.shape[0]):
-        away_x, away_y, count = _mean_displacement(i, centre_xy_px, rest_xy_px, neighbours, nobody)
+        away_x, away_y, count = _mean_displacement(i, centre_xy_px, rest_xy_px, neighbours, dummy_dot)
         if count == 0:
             continue
         away_x = centre_xy_px[i, 0] - rest_xy_px[i, 0] - away_x

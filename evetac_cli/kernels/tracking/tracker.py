@@ -195,7 +195,7 @@ def start(
     entries = buckets.most_entries(n, max(constants.ring_outer_px, constants.count_radius_px))
     state = TrackerState(
         constants=constants,
-        centre_xy_px=np.vstack([rest, buckets.NOBODY_XY_PX]),
+        centre_xy_px=np.vstack([rest, buckets.DUMMY_DOT_XY_PX]),
         events=np.zeros(n + 1, np.int32),
         lost=np.zeros(n, np.bool_),
         rest_xy_px=rest,

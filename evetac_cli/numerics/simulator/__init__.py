@@ -1,0 +1,1 @@
+"""Error, run time and stability of the simulated gel and camera."""

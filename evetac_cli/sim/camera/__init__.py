@@ -1,0 +1,1 @@
+"""What an event camera behind the gel sees: optics, edges, noise, and two cameras."""

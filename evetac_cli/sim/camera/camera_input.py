@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from evetac_cli.sim.camera.contact_edges import Place, Rims, check_place
+from evetac_cli.sim.camera.contact_edges import ContactEdges, Place, check_place
 
 FARTHEST_PX = 1e6
 MOST_PIECES = 1000  # of a curved path in a slice
@@ -93,23 +93,28 @@ def window_texture(
 
 
 def line_places(
-    rims: Rims | None, start: Place | None, end: Place | None, *, coarsely: bool = False
+    contact_edges: ContactEdges | None, start: Place | None, end: Place | None, *, coarsely: bool = False
 ) -> tuple[Place, Place] | None:
     """Where lines are at both ends of a slice, checked; None if there are none, or none that moves.
 
     `coarsely`, a cut edge that moves less than scans look at does not, which keeps a slow shear cheap.
     """
-    if rims is None:
+    if contact_edges is None:
         if start is not None or end is not None:
-            raise ValueError("rims_start, rims_end: expected none before a camera without rims, found some")
+            raise ValueError(
+                "contact_edges_start, contact_edges_end: expected none before a camera without rims, found some"
+            )
         return None
     if start is None or end is None:
-        raise ValueError("rims_start, rims_end: expected both before a camera with rims, found none")
-    if start is end is rims.rested:
+        raise ValueError("contact_edges_start, contact_edges_end: expected both before a camera with rims, found none")
+    if start is end is contact_edges.rested:
         return None
-    places = check_place("rims_start", rims, start), check_place("rims_end", rims, end)
-    rims.rested = end if start is end else None
-    return None if rims.still(*places, rims.cut_resolution_px * 0.99 if coarsely else 0.0) else places
+    places = (
+        check_place("contact_edges_start", contact_edges, start),
+        check_place("contact_edges_end", contact_edges, end),
+    )
+    contact_edges.rested = end if start is end else None
+    return None if contact_edges.still(*places, contact_edges.cut_resolution_px * 0.99 if coarsely else 0.0) else places
 
 
 def check_range(name: str, value: float, low: float, high: float) -> None:

@@ -56,7 +56,7 @@ class Place(NamedTuple):
 
 
 @dataclass
-class Rims:
+class ContactEdges:
     """The lines before one camera, and what it last saw of them; a camera's `step` changes it in place.
 
     `seen_level` and `seen_cut_level` (height, width) are the levels that an outline and the cut edge add at
@@ -98,7 +98,7 @@ def start(
     outline: Outline | None = None,
     cut_contrast: float = 0.0,
     cut_width_px: float = 3.0,
-) -> Rims:
+) -> ContactEdges:
     """Lines that are already there, in full view, when a camera is switched on.
 
     The cut edge is a line `cut_contrast` log units darker than the gel and `cut_width_px` wide at half its depth.
@@ -111,7 +111,7 @@ def start(
         raise ValueError(f"cut_width_px: expected 0.01 to 1000, found {cut_width_px}")
     drawn = Outline(np.zeros((0, 0), np.float32), np.empty((0, 4), np.int64), 0.0, 0.0) if outline is None else outline
     cut = len(place.cut_x_px) > 0
-    rims = Rims(
+    contact_edges = ContactEdges(
         frame_px=(width, height),
         outline=drawn,
         cut_contrast=float(cut_contrast),
@@ -121,22 +121,29 @@ def start(
         seen_level=np.zeros((height, width) if drawn.picture.size else (0, 0), np.float32),
         seen_cut_level=np.zeros((height, width) if cut else (0, 0), np.float32),
     )
-    checked = check_place("place", rims, place)
-    rims.seen_corner[:] = *checked.corner_px, checked.strength
-    rims.seen_cut_x[:] = checked.cut_x_px
-    for y in range(len(rims.seen_level)):
-        sample_row(drawn.picture, *checked.corner_px, checked.strength, y, 0, width, rims.seen_level[y])
-    for y in range(len(rims.seen_cut_level)):
-        sample_cut(rims.cut_contrast, rims.cut_half_px, checked.cut_x_px[y], 0, width, rims.seen_cut_level[y])
-    return rims
+    checked = check_place("place", contact_edges, place)
+    contact_edges.seen_corner[:] = *checked.corner_px, checked.strength
+    contact_edges.seen_cut_x[:] = checked.cut_x_px
+    for y in range(len(contact_edges.seen_level)):
+        sample_row(drawn.picture, *checked.corner_px, checked.strength, y, 0, width, contact_edges.seen_level[y])
+    for y in range(len(contact_edges.seen_cut_level)):
+        sample_cut(
+            contact_edges.cut_contrast,
+            contact_edges.cut_half_px,
+            checked.cut_x_px[y],
+            0,
+            width,
+            contact_edges.seen_cut_level[y],
+        )
+    return contact_edges
 
 
-def check_place(name: str, rims: Rims, place: Place) -> Place:
+def check_place(name: str, contact_edges: ContactEdges, place: Place) -> Place:
     """The place as arrays of the right kind; ValueError on values that are not finite, or of another shape."""
     corner = np.ascontiguousarray(place.corner_px, np.float64)
     cut_x = np.ascontiguousarray(place.cut_x_px, np.float64)
-    if corner.shape != (2,) or cut_x.shape != rims.seen_cut_x.shape:
-        expected = f"corner_px (2,) and cut_x_px {rims.seen_cut_x.shape}"
+    if corner.shape != (2,) or cut_x.shape != contact_edges.seen_cut_x.shape:
+        expected = f"corner_px (2,) and cut_x_px {contact_edges.seen_cut_x.shape}"
         raise ValueError(f"{name}: expected {expected}, found {corner.shape} and {cut_x.shape}")
     if not (_all_within(corner, FARTHEST_PX) and _all_within(cut_x, FARTHEST_PX)):
         raise ValueError(f"{name}: expected finite places within {FARTHEST_PX:g} px")

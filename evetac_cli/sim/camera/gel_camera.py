@@ -1,4 +1,4 @@
-"""The camera individual behind a gel: its dots at rest, its window and cut edge or none, what it sees of an object."""
+"""The camera behind a gel: its dots at rest, its window and cut edge or none, what it sees of an object."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -21,30 +21,30 @@ FARTHEST_CUT_PX = 4.0  # from where the window begins
 CUT_STEP_PX = 1e-3  # the cut edge is placed anew once it has moved by more: a level has changed by 2e-4
 
 
-def dot_grid(individual: Mapping[str, Any], cut: bool) -> Floats:
-    """Dot centres at rest (rows, columns, 2) in px: the individual's grid, turned, with its jitter.
+def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
+    """Dot centres at rest (rows, columns, 2) in px: the sensor's grid, turned, with its jitter.
 
     A cut gel lacks the columns that the window took away.
     """
-    columns, rows = individual["dot_columns_px"], individual["dot_rows_px"]
-    rng = np.random.default_rng(individual["seed"])
+    columns, rows = sensor_row["dot_columns_px"], sensor_row["dot_rows_px"]
+    rng = np.random.default_rng(sensor_row["seed"])
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
-    grid = grid + rng.normal(0.0, individual["dot_jitter_px"], grid.shape)
-    angle = np.deg2rad(individual["turned_deg"])
-    middle = np.array(individual["frame_px"]) / 2
+    grid = grid + rng.normal(0.0, sensor_row["dot_jitter_px"], grid.shape)
+    angle = np.deg2rad(sensor_row["turned_deg"])
+    middle = np.array(sensor_row["frame_px"]) / 2
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     grid = (grid - middle) @ turn + middle
-    kept = grid[..., 0].max(axis=0) + individual["dot_radius_px"] < individual["window_px"][0]
+    kept = grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]
     dots: Floats = grid[:, kept] if cut else grid
     return dots
 
 
-class Eye:
+class GelCamera:
     """A camera that looks at dots, and through the window at an object."""
 
     def __init__(
         self,
-        individual: Mapping[str, Any],
+        sensor_row: Mapping[str, Any],
         *,
         cut: bool,
         texture: NDArray[np.float32] | None,
@@ -53,65 +53,65 @@ class Eye:
         outline: contact_edges.Outline | None = None,
         outline_at_px: Floats | None = None,
     ) -> None:
-        """Switch the individual's camera on.
+        """Switch the sensor's camera on.
 
         `outline` is that of an object which dents the gel, its middle at `outline_at_px` (x, y) while the object is not
         displaced. Whoever moves the gel moves its cut edge at `cut_rest_m` (CUT_NODES, 2), empty where none is seen.
         """
-        self.grid_xy_px = dot_grid(individual, cut)
-        x0, y0, x1, y1 = individual["window_px"]
+        self.grid_xy_px = dot_grid(sensor_row, cut)
+        x0, y0, x1, y1 = sensor_row["window_px"]
         self.window_px: tuple[int, int, int, int] | None = (x0, y0, x1, y1) if cut else None
-        self.mm_per_px = float(individual["mm_per_px"])
-        frame = np.array(individual["frame_px"])
+        self.mm_per_px = float(sensor_row["mm_per_px"])
+        frame = np.array(sensor_row["frame_px"])
         self.rest_m = (self.grid_xy_px.reshape(-1, 2) - frame / 2) * self.mm_per_px * 1e-3
         model = camera.CameraModel(
-            frame_px=tuple(individual["frame_px"]),
-            threshold=individual["threshold"],
-            mismatch=individual["mismatch"],
-            noise_rate_hz=individual["noise_hz"],
-            hot_pixels=individual["hot_pixels"],
-            hot_rate_hz=tuple(individual["hot_pixel_hz"]),
-            edge_sigma_px=individual["edge_sigma_px"],
-            log_contrast=individual["log_contrast"],
-            dot_radius_px=individual["dot_radius_px"],
-            leak_hz=individual.get("leak_hz", 0.0),
-            refractory_us=individual.get("refractory_us", 0.0),
+            frame_px=tuple(sensor_row["frame_px"]),
+            threshold=sensor_row["threshold"],
+            mismatch=sensor_row["mismatch"],
+            noise_rate_hz=sensor_row["noise_hz"],
+            hot_pixels=sensor_row["hot_pixels"],
+            hot_rate_hz=tuple(sensor_row["hot_pixel_hz"]),
+            edge_sigma_px=sensor_row["edge_sigma_px"],
+            log_contrast=sensor_row["log_contrast"],
+            dot_radius_px=sensor_row["dot_radius_px"],
+            leak_hz=sensor_row.get("leak_hz", 0.0),
+            refractory_us=sensor_row.get("refractory_us", 0.0),
         )
         self._rng = rng
         self._texture_at_px = rng.uniform(0, texture.shape[0], 2) if texture is not None else np.zeros(2)
         self.dot_xy_px = self.grid_xy_px.reshape(-1, 2).copy()
         self.object_xy_px = np.zeros(2)
-        bandwidth_hz = float(individual.get("bandwidth_hz", 0.0))  # 0: as fast as anything moves
+        bandwidth_hz = float(sensor_row.get("bandwidth_hz", 0.0))  # 0: as fast as anything moves
         self._lagging = None
         if bandwidth_hz:
             self._lagging = LowPass(bandwidth_hz, self.dot_xy_px), LowPass(bandwidth_hz, self.object_xy_px[None])
         window = self.window_px if texture is not None else None
-        built = np.random.default_rng([individual["seed"], 1])
+        built = np.random.default_rng([sensor_row["seed"], 1])
         self._outline = outline
         self._outline_at_px = frame / 2 if outline_at_px is None else outline_at_px
-        self._cut_x_px, self.cut_rest_m = self._cut_edge(individual, cut)
+        self._cut_x_px, self.cut_rest_m = self._cut_edge(sensor_row, cut)
         self._cut_m = np.zeros_like(self.cut_rest_m)
         self._lines = None
         if outline is not None or len(self.cut_rest_m):
             self._place = self._place_at(self.object_xy_px, self._cut_m, 0.0)
             self._lined_at = self.object_xy_px
-            line = (individual.get("cut_contrast", 0.0), individual.get("cut_width_px", 3.0))
+            line = (sensor_row.get("cut_contrast", 0.0), sensor_row.get("cut_width_px", 3.0))
             self._lines = contact_edges.start(model.frame_px, self._place, outline, *line)
         switch_on = ideal.start if readout == "ideal" else camera.start
         self._camera: CameraState | IdealState = switch_on(
             model, self.dot_xy_px, None, window, texture, rng, built, self._lines
         )
 
-    def _cut_edge(self, individual: Mapping[str, Any], cut: bool) -> tuple[Floats, Floats]:
+    def _cut_edge(self, sensor_row: Mapping[str, Any], cut: bool) -> tuple[Floats, Floats]:
         """Where the cut edge crosses every row at rest, in px, and where on it the gel's motion is asked for, in m.
 
-        A straight cut between two ends, each off the window's border by the individual's jitter. Empty without one.
+        A straight cut between two ends, each off the window's border by the sensor's jitter. Empty without one.
         """
-        if not cut or individual.get("cut_contrast", 0.0) == 0.0:
+        if not cut or sensor_row.get("cut_contrast", 0.0) == 0.0:
             return np.zeros(0), np.zeros((0, 2))
-        width, height = individual["frame_px"]
-        border_px = individual["window_px"][0]
-        off_px = np.random.default_rng([individual["seed"], 2]).normal(0.0, individual.get("cut_jitter_px", 0.0), 2)
+        width, height = sensor_row["frame_px"]
+        border_px = sensor_row["window_px"][0]
+        off_px = np.random.default_rng([sensor_row["seed"], 2]).normal(0.0, sensor_row.get("cut_jitter_px", 0.0), 2)
         ends_px = border_px + np.clip(off_px, -FARTHEST_CUT_PX, FARTHEST_CUT_PX)
         nodes_px = np.stack([np.full(CUT_NODES, float(border_px)), np.linspace(0.0, height - 1.0, CUT_NODES)], axis=1)
         rest_m: Floats = (nodes_px - np.array([width, height]) / 2) * self.mm_per_px * 1e-3
@@ -131,7 +131,7 @@ class Eye:
         return contact_edges.Place(corner, strength, cut_x)
 
     @property
-    def line_events(self) -> int:
+    def contact_edge_events(self) -> int:
         """How many events of the last slice rims and cut edge made alone."""
         return 0 if self._lines is None else self._lines.events
 
@@ -156,18 +156,18 @@ class Eye:
         at_rest = self.grid_xy_px.reshape(-1, 2)
         dots = at_rest + shift_m * to_px
         path = None if shift_path_m is None else at_rest + shift_path_m * to_px
-        thing = object_m * to_px
+        object_params = object_m * to_px
         begin = self.dot_xy_px if path is None else path[0]
-        seen = (begin, dots, self.object_xy_px, thing)
+        seen = (begin, dots, self.object_xy_px, object_params)
         if self._lagging is not None:
-            path, seen = self._lag(np.stack([begin, dots]) if path is None else path, thing)
+            path, seen = self._lag(np.stack([begin, dots]) if path is None else path, object_params)
         ends = (seen[0], seen[1], self._texture_at_px + seen[2], self._texture_at_px + seen[3])
         lines = self._move_lines(seen[3], self._cut_m if cut_m is None else cut_m, strength)
         if isinstance(self._camera, CameraState):
             events = camera.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
         else:
             events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
-        self.dot_xy_px, self.object_xy_px = dots, thing
+        self.dot_xy_px, self.object_xy_px = dots, object_params
         return events
 
     def _move_lines(
@@ -187,10 +187,10 @@ class Eye:
             )
         return before, self._place
 
-    def _lag(self, path: Floats, thing: Floats) -> tuple[Floats, tuple[Floats, Floats, Floats, Floats]]:
+    def _lag(self, path: Floats, object_params: Floats) -> tuple[Floats, tuple[Floats, Floats, Floats, Floats]]:
         """Where pixels of a finite bandwidth see the dots along a path, and start and end of dots and object."""
         assert self._lagging is not None
         dots, objects = self._lagging
         path = dots.follow(path)
-        object_path = objects.follow(np.stack([self.object_xy_px, thing])[:, None])
+        object_path = objects.follow(np.stack([self.object_xy_px, object_params])[:, None])
         return path, (path[0], path[-1], object_path[0, 0], object_path[-1, 0])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
-from evetac_cli.sim.camera.scanning.pixel_culling import Sleep
+from evetac_cli.sim.camera.scanning.pixel_culling import CandidatePixels
 from evetac_cli.sim.camera.scanning.scan_window import StripSleep
 
 # Slices in which leak visits every row of pixels once: a divisor of 480, so that all slices visit equally many.
@@ -38,7 +38,7 @@ def leak_in_scans(
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
-    sleep: Sleep,
+    sleep: CandidatePixels,
     object_seen: NDArray[np.float64],
     texture: NDArray[np.float32],
     first_x: int,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim import gripper, scene
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.dilation import dilation
 
@@ -30,7 +30,7 @@ SLIP_PX = 0.5  # an object that slid further than this in gross slip slips (scen
 EPISODE_MS = 3  # gross slip is over after so many slices with a stuck node
 CONTACT_N = 0.01
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
-LOSS_AT_HZ = 100.0  # where an individual's loss tangent is meant
+LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
 GONE_M = 0.02  # an object that slid this far is lost
 PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
 APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
@@ -39,11 +39,11 @@ TEXTURE_SEED = 7919  # with the object's number: an object has the same texture 
 INDENTATION_STEP_M = 2e-8  # dilation is evaluated anew when the indentation has changed by this: 0.001 px
 
 
-def pad(scene_: Mapping[str, Any], individual: Mapping[str, Any]) -> NDArray[np.float64]:
+def pad(scene_: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:
     """Gel nodes (rows, columns, 2) in m: a cut gel ends at the window, a closed one at the edge of the frame."""
     columns, rows = scene_["gel"]["nodes"]
-    mm_per_px = float(individual["mm_per_px"])
-    cut_m = (individual["window_px"][0] - FRAME_PX[0] / 2) * mm_per_px * 1e-3
+    mm_per_px = float(sensor_row["mm_per_px"])
+    cut_m = (sensor_row["window_px"][0] - FRAME_PX[0] / 2) * mm_per_px * 1e-3
     end_m = cut_m if scene_["gel"]["cut"] else FRAME_PX[0] / 2 * mm_per_px * 1e-3
     more = (end_m - cut_m) / PAD_M[0]
     return contact.pad_nodes(
@@ -51,24 +51,24 @@ def pad(scene_: Mapping[str, Any], individual: Mapping[str, Any]) -> NDArray[np.
     )
 
 
-def material(individual: Mapping[str, Any]) -> gel.GelMaterial:
-    """The gel of an individual: `GelMaterial` but for its shear modulus, and its loss_tangent where the row names one.
+def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
+    """The gel of an sensor: `GelMaterial` but for its shear modulus, and its loss_tangent where the row names one.
 
     The loss tangent of spring, dashpot tau and Maxwell arm (share g, time t) at w is
     (w tau + g wt / (1 + wt^2)) / (1 + g wt^2 / (1 + wt^2)); it is met by the choice of tau.
     """
-    usual = gel.GelMaterial(shear_modulus_pa=float(individual["shear_modulus_pa"]))
-    if "loss_tangent" not in individual:
+    usual = gel.GelMaterial(shear_modulus_pa=float(sensor_row["shear_modulus_pa"]))
+    if "loss_tangent" not in sensor_row:
         return usual
     omega = 2 * np.pi * LOSS_AT_HZ
     turn = omega * usual.maxwell_time_s
     stored = 1 + usual.maxwell_share * turn**2 / (1 + turn**2)
     lost_in_arm = usual.maxwell_share * turn / (1 + turn**2)
-    viscous_time_s = (float(individual["loss_tangent"]) * stored - lost_in_arm) / omega
+    viscous_time_s = (float(sensor_row["loss_tangent"]) * stored - lost_in_arm) / omega
     return replace(usual, viscous_time_s=viscous_time_s)
 
 
-class SlipAccount:
+class GroundTruthSlip:
     """Whether a body slips, and how far it slid: gross slip beyond half a pixel, in episodes (scenes.md section 4)."""
 
     def __init__(self, mm_per_px: float) -> None:
@@ -98,7 +98,7 @@ class SlipAccount:
         return self._slid_m * 1e3 / self._mm_per_px
 
 
-class World:
+class GraspSimulation:
     """Everything that exists in one trial: `command` is set from outside, `step` makes a slice, `truth` tells of it."""
 
     def __init__(
@@ -110,32 +110,32 @@ class World:
         lift_s: float = 10.0,
         balance_s: float = 20.0,
     ) -> None:
-        """Build what a plan names: scene, object (its number), object_row, individual_row."""
+        """Build what a plan names: scene, object (its number), object_row, sensor_row."""
         self._scene = plan["scene"]
         self._time = self._scene["time"]
         self._kind = self._scene["kind"]
         self._drop = self._scene.get("drop")
-        thing, individual = plan["object_row"], plan["individual_row"]
-        self.drawn = scene.draw(self._scene, thing, mechanics, individual, plan["object"])
+        object_params, sensor_row = plan["object_row"], plan["sensor_row"]
+        self.drawn = scene.draw(self._scene, object_params, mechanics, sensor_row, plan["object"])
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
-        self.eye = Eye(
-            individual,
+        self.gel_camera = GelCamera(
+            sensor_row,
             cut=self._scene["gel"]["cut"],
             texture=self._texture(plan["object"]),
             rng=optics_rng,
             readout=plan["readout"],
         )
-        self._build_mechanics(thing, individual)
+        self._build_mechanics(object_params, sensor_row)
         self.slices = 0
         self.finished = False
         self._mass_kg = self.drawn.mass_kg
         self._lost_for = 0
-        self._account = SlipAccount(self.eye.mm_per_px)
+        self._account = GroundTruthSlip(self.gel_camera.mm_per_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
         self._hand_m_s = 0.0
         self._shift_indentation_m = -1.0
-        self._dilation_m: NDArray[np.float64] = np.zeros_like(self.eye.rest_m)
+        self._dilation_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
         self._last_slice = self._planned_slices(lift_s, balance_s)
         self._lift_starts_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
         self._drops_at = round((float(self._time.get("touch_s", 0.0)) + lift_s) * 1000)
@@ -154,23 +154,23 @@ class World:
         rng = np.random.default_rng([TEXTURE_SEED, number])
         return optics.texture(rng, TEXTURE_PX, self.drawn.texture_half_correlation_px, self.drawn.texture_log_sd)
 
-    def _build_mechanics(self, thing: Mapping[str, Any], individual: Mapping[str, Any]) -> None:
-        nodes = pad(self._scene, individual)
+    def _build_mechanics(self, object_params: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> None:
+        nodes = pad(self._scene, sensor_row)
         drawn = self.drawn
-        width_m = float(thing.get("grasped_width_mm", thing["width_mm"])) * 1e-3
+        width_m = float(object_params.get("grasped_width_mm", object_params["width_mm"])) * 1e-3
         upright = nodes if self._down == 0 else np.ascontiguousarray(nodes[..., ::-1])
-        radius_m = float(thing["width_mm"]) * 0.5e-3
-        self._gap = contact.gap_profile(upright - drawn.touch_m, thing["shape"], radius_m, drawn.tilt_rad)
-        self._material = material(individual)
+        radius_m = float(object_params["width_mm"]) * 0.5e-3
+        self._gap = contact.gap_profile(upright - drawn.touch_m, object_params["shape"], radius_m, drawn.tilt_rad)
+        self._material = material(sensor_row)
         self._curve = contact.force_curve(
             self._gap,
             contact.cell_area(nodes),
-            float(individual["normal_modulus_pa"]),
+            float(sensor_row["normal_modulus_pa"]),
             self._material.height_m,
-            float(individual.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
+            float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
         )
-        self.drive = gripper.drive_of(individual, drawn.gear_friction_factor)
+        self.drive = gripper.drive_of(sensor_row, drawn.gear_friction_factor)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
         self.command: tuple[gripper.Mode, float]
         if self._kind == "ramp":
@@ -180,7 +180,7 @@ class World:
             away = APPROACH_TICKS if self._kind == "lift" else -float(self._scene["gripper"]["open_ticks"])
             self.finger = gripper.start(self.drive, self._curve, touch_ticks, away)
             self.command = ("position", self.finger.position_ticks)
-        height_m = float(thing["height_mm"]) * 1e-3
+        height_m = float(object_params["height_mm"]) * 1e-3
         inertia = drawn.mass_kg * (height_m**2 + width_m**2) / 12
         along, across = drawn.touch_m[0], drawn.touch_m[1] + drawn.lever_m
         middle_m = (along, across) if self._down == 0 else (across, along)
@@ -188,12 +188,12 @@ class World:
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
         self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
         self._window_from_middle_m: tuple[float, float] | None = None
-        if self.eye.window_px is not None and self._middle_m.any():
-            window_px = np.array(self.eye.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
-            across_m, down_m = (window_px * self.eye.mm_per_px * 1e-3 - self._middle_m).tolist()
+        if self.gel_camera.window_px is not None and self._middle_m.any():
+            window_px = np.array(self.gel_camera.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
+            across_m, down_m = (window_px * self.gel_camera.mm_per_px * 1e-3 - self._middle_m).tolist()
             self._window_from_middle_m = (across_m, down_m)
-        self._at_dots = gel.interpolation(nodes, self.eye.rest_m)
-        self._at_cut = gel.interpolation(nodes, self.eye.cut_rest_m)
+        self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
+        self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
         self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
         self._on_table = self._kind == "lift"
 
@@ -209,7 +209,7 @@ class World:
         self._move()
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
-        events = self.eye.see(shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, cut_m=cut_m)
+        events = self.gel_camera.see(shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, cut_m=cut_m)
         self.slices += 1
         self.finished = self.slices >= self._last_slice or self._over()
         return events
@@ -244,7 +244,7 @@ class World:
             indices, weights = self._at_dots
             at_dots = gel.field_at(depth[..., None], indices, weights)[:, 0]
             nodes = self._gel.node_xy_m
-            self._dilation_m = dilation(self.eye.rest_m, nodes, depth, at_dots, self._material.height_m)
+            self._dilation_m = dilation(self.gel_camera.rest_m, nodes, depth, at_dots, self._material.height_m)
         return self._dilation_m
 
     def _move(self) -> None:
@@ -350,8 +350,8 @@ class World:
         """What only a simulation knows, at the end of the slice made last; schema paths."""
         moved_m = self._gel.pose[:2] - self._middle_m
         row = {
-            "truth/dot_xy_px": self.eye.dot_xy_px.astype(np.float32),
-            "truth/object_xy_px": (moved_m * 1e3 / self.eye.mm_per_px).astype(np.float32),
+            "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
+            "truth/object_xy_px": (moved_m * 1e3 / self.gel_camera.mm_per_px).astype(np.float32),
             "truth/slid_px": self._account.slid_px,
             "truth/slip": self._account.slips,
             "truth/slip_fraction": self._account.fraction,

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim import scene
 from evetac_cli.sim.camera.contact_edges import Outline
-from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.gripped import STEP_S, THETA, SlipAccount, material, pad
+from evetac_cli.sim.scenes.gripped import STEP_S, THETA, GroundTruthSlip, material, pad
 
 Floats = NDArray[np.float64]
 
@@ -53,11 +53,11 @@ class Pressing:
         outline: Outline | None = None,
         outline_at_px: Floats | None = None,
     ) -> None:
-        """Build what a plan names: scene, individual_row. The camera sees the face's outline, if there is one."""
+        """Build what a plan names: scene, sensor_row. The camera sees the face's outline, if there is one."""
         self._scene = plan["scene"]
-        individual = plan["individual_row"]
-        self.eye = Eye(
-            individual,
+        sensor_row = plan["sensor_row"]
+        self.gel_camera = GelCamera(
+            sensor_row,
             cut=self._scene["gel"]["cut"],
             texture=None,
             rng=optics_rng,
@@ -65,17 +65,17 @@ class Pressing:
             outline=outline,
             outline_at_px=outline_at_px,
         )
-        self.drawn = scene.draw(self._scene, plan["object_row"], mechanics, individual)
-        nodes = pad(self._scene, individual)
-        self._material = material(individual)
-        self._stiffness_n_m3 = float(individual["normal_modulus_pa"]) / self._material.height_m
+        self.drawn = scene.draw(self._scene, plan["object_row"], mechanics, sensor_row)
+        nodes = pad(self._scene, sensor_row)
+        self._material = material(sensor_row)
+        self._stiffness_n_m3 = float(sensor_row["normal_modulus_pa"]) / self._material.height_m
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
         drawn = self.drawn
         self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
-        self._at_dots = gel.interpolation(nodes, self.eye.rest_m)
-        self._at_cut = gel.interpolation(nodes, self.eye.cut_rest_m)
+        self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
+        self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
-        self._account = SlipAccount(self.eye.mm_per_px)
+        self._account = GroundTruthSlip(self.gel_camera.mm_per_px)
         self._xy_m, self._force_n = self.timeline.at(0.0)
         self._shear_n = (0.0, 0.0)
         self.slices = 0
@@ -155,7 +155,9 @@ class Pressing:
         self._account.follow(info, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated(weights)
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
-        events = self.eye.see(shift_m, self._xy_m, 0.0, self.slices * SLICE_US, cut_m=cut_m, strength=self._strength())
+        events = self.gel_camera.see(
+            shift_m, self._xy_m, 0.0, self.slices * SLICE_US, cut_m=cut_m, strength=self._strength()
+        )
         self.slices += 1
         time = self._scene["time"]
         self.finished = self.slices * STEP_S >= self.timeline.time_s[-1] + time.get("after_s", time["rest_s"])
@@ -172,18 +174,18 @@ class Pressing:
     def _dilated(self, weights: Floats) -> Floats:
         """Shift of the dots by pressure alone."""
         if self._force_n <= 0.0:
-            return np.zeros_like(self.eye.rest_m)
+            return np.zeros_like(self.gel_camera.rest_m)
         area = weights.sum() * self._gel.cell_area_m2
         depth = weights * (self._force_n / (self._stiffness_n_m3 * area))
         indices, share = self._at_dots
         at_dots = (depth.reshape(-1)[indices] * share).sum(axis=1)
-        return dilation(self.eye.rest_m, self._gel.node_xy_m, depth, at_dots, self._material.height_m)
+        return dilation(self.gel_camera.rest_m, self._gel.node_xy_m, depth, at_dots, self._material.height_m)
 
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""
         return {
-            "truth/dot_xy_px": self.eye.dot_xy_px.astype(np.float32),
-            "truth/object_xy_px": self.eye.object_xy_px.astype(np.float32),
+            "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
+            "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
             "truth/slid_px": self._account.slid_px,
             "truth/slip": self._account.slips,
             "truth/slip_fraction": self._account.fraction,

@@ -31,7 +31,7 @@ SEEN_FROM_N = 0.2  # pressed with this much or more an object is in full view
 class DrawnRub(Drawn):
     """What was drawn for one trajectory: frictions as in all scenes, and the object."""
 
-    thing: str
+    object_name: str
     normal_n: float
     rim_log: float
     rim_width_px: float
@@ -45,12 +45,12 @@ class Rubbing(Pressing):
     def __init__(
         self, plan: Mapping[str, Any], mechanics: np.random.Generator, optics_rng: np.random.Generator
     ) -> None:
-        """Build what a plan names: scene, individual_row."""
+        """Build what a plan names: scene, sensor_row."""
         rub = plan["scene"]["rub"]
-        thing = str(mechanics.choice(rub["objects"]))
+        object_name = str(mechanics.choice(rub["objects"]))
         log, width_px = (float(mechanics.uniform(*rub[key])) for key in ("rim_log", "rim_width_px"))
         self._normal_n = float(mechanics.uniform(*rub["normal_n"]))
-        self._size_px, self._thick_px = np.array(SIZES_PX[thing]), THICK_PX[thing]
+        self._size_px, self._thick_px = np.array(SIZES_PX[object_name]), THICK_PX[object_name]
         outline = contact_edges.ellipse(self._size_px, log, width_px, self._thick_px)
         far_px = np.array(
             [mechanics.uniform(*span) for span in STARTS_PX]
@@ -58,12 +58,14 @@ class Rubbing(Pressing):
         self._starts_px: Floats = far_px * mechanics.choice([-1.0, 1.0], 2)
         super().__init__(plan, mechanics, optics_rng, outline, np.array(FRAME_PX) / 2 + self._starts_px)
         base: dict[str, Any] = asdict(self.drawn)
-        self.drawn = DrawnRub(**base, thing=thing, normal_n=self._normal_n, rim_log=log, rim_width_px=width_px)
+        self.drawn = DrawnRub(
+            **base, object_name=object_name, normal_n=self._normal_n, rim_log=log, rim_width_px=width_px
+        )
 
     def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
         """Touch, shear there and back, ease off, rub in random directions with pauses between, lift off."""
         rub = self._scene["rub"]
-        mm_per_px = self.eye.mm_per_px
+        mm_per_px = self.gel_camera.mm_per_px
         place = np.zeros(2)
         entries = [(0.0, place, 0.0), (self._scene["time"]["rest_s"], place, 0.0)]
 
@@ -90,8 +92,8 @@ class Rubbing(Pressing):
 
     def _weights(self, centre_m: Floats) -> Floats:
         """Share of each node's cell inside the outline, (rows, columns); soft over one cell."""
-        from_centre_px = (self._gel.node_xy_m - centre_m) * 1e3 / self.eye.mm_per_px
-        pitch_px = np.sqrt(self._gel.cell_area_m2) * 1e3 / self.eye.mm_per_px
+        from_centre_px = (self._gel.node_xy_m - centre_m) * 1e3 / self.gel_camera.mm_per_px
+        pitch_px = np.sqrt(self._gel.cell_area_m2) * 1e3 / self.gel_camera.mm_per_px
         inside_px = _inside(from_centre_px, self._size_px / 2)
         if self._thick_px is not None:
             inside_px = np.minimum(inside_px, -_inside(from_centre_px, self._size_px / 2 - self._thick_px))
@@ -103,7 +105,7 @@ class Rubbing(Pressing):
         area_px2 = np.prod(self._size_px)
         if self._thick_px is not None:
             area_px2 -= np.prod(self._size_px - 2 * self._thick_px)
-        cells = 0.25 * np.pi * area_px2 * (self.eye.mm_per_px * 1e-3) ** 2 / self._gel.cell_area_m2
+        cells = 0.25 * np.pi * area_px2 * (self.gel_camera.mm_per_px * 1e-3) ** 2 / self._gel.cell_area_m2
         return float(min(covered / cells, 1.0))
 
     def _strength(self) -> float:
@@ -112,7 +114,7 @@ class Rubbing(Pressing):
 
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""
-        return {**super().truth(), "truth/line_events": self.eye.line_events}
+        return {**super().truth(), "truth/contact_edge_events": self.gel_camera.contact_edge_events}
 
 
 def _inside(from_centre: Floats, half: Floats) -> Floats:

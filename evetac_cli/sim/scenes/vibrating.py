@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
 from evetac_cli.sim.scenes.gripped import material
@@ -48,14 +48,14 @@ def waves(second_harmonic: Floats, modulation: Floats, phase_rad: float) -> Comp
 
     `second_harmonic` and `modulation` are h2 and m, of one shape.
     """
-    ahead = np.exp(1j * phase_rad)
+    horizon_ms = np.exp(1j * phase_rad)
     half = modulation / 2
     parts = (
-        half * ahead.conjugate(),
+        half * horizon_ms.conjugate(),
         np.full_like(half, -1j, np.complex128),
-        -half * ahead + 1j * half * second_harmonic * ahead.conjugate(),
+        -half * horizon_ms + 1j * half * second_harmonic * horizon_ms.conjugate(),
         second_harmonic + 0j,
-        -1j * half * second_harmonic * ahead,
+        -1j * half * second_harmonic * horizon_ms,
     )
     return np.stack(parts, axis=-1)
 
@@ -143,11 +143,13 @@ class Vibration:
     def __init__(
         self, plan: Mapping[str, Any], mechanics: np.random.Generator, optics_rng: np.random.Generator
     ) -> None:
-        """Build what a plan names: scene, individual_row, tone_hz."""
-        scene, individual = plan["scene"], plan["individual_row"]
+        """Build what a plan names: scene, sensor_row, tone_hz."""
+        scene, sensor_row = plan["scene"], plan["sensor_row"]
         self._time, tone = scene["time"], scene["tone"]
-        self.eye = Eye(individual, cut=scene["gel"]["cut"], texture=None, rng=optics_rng, readout=plan["readout"])
-        layer = material(individual)
+        self.gel_camera = GelCamera(
+            sensor_row, cut=scene["gel"]["cut"], texture=None, rng=optics_rng, readout=plan["readout"]
+        )
+        layer = material(sensor_row)
         radius_m = tone["radius_mm"] * 1e-3
         offset_m = mechanics.uniform(-1.0, 1.0, 2) * tone["offset_mm"] * 1e-3
         share = float(mechanics.uniform(*tone["tangential_share"]))
@@ -156,15 +158,15 @@ class Vibration:
 
         self._hz = float(plan["tone_hz"])
         self._along = share * resonance(ORDERS * self._hz, layer)
-        self._shift, follows = pressed_by_disc(self.eye.rest_m, offset_m, radius_m, layer.height_m)
+        self._shift, follows = pressed_by_disc(self.gel_camera.rest_m, offset_m, radius_m, layer.height_m)
         direction = np.array([np.cos(direction_rad), np.sin(direction_rad)])
         self._sideways = follows[:, None] * direction
-        amplitude_m = factor * _table(tone, "dot_motion_px", self._hz) * self.eye.mm_per_px * 1e-3
+        amplitude_m = factor * _table(tone, "dot_motion_px", self._hz) * self.gel_camera.mm_per_px * 1e-3
         self._amplitude_m = amplitude_m / self._motion_per_metre()
         # A rigid disc on the layer: what the tone's share along the surface pulls, and how deep the press goes.
         area_m2 = math.pi * radius_m**2
         self._shear_n_m = layer.shear_modulus_pa * area_m2 / layer.height_m * direction
-        self._depth_m_n = layer.height_m / (float(individual["normal_modulus_pa"]) * area_m2)
+        self._depth_m_n = layer.height_m / (float(sensor_row["normal_modulus_pa"]) * area_m2)
         self._press_n, self._press_s = float(tone["normal_n"]), float(tone["press_s"])
 
         hold_s = tuple(tone["drift_s"])
@@ -198,7 +200,7 @@ class Vibration:
             self._start_block()
         end = first + self._pieces
         path_m = self._paths(slice(first, end + 1))
-        events = self.eye.see(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
+        events = self.gel_camera.see(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
         self._now = Motion(*(column[end] for column in self._block))
         self.slices += 1
         self.finished = self.slices >= self._slices_in_all
@@ -235,8 +237,8 @@ class Vibration:
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""
         return {
-            "truth/dot_xy_px": self.eye.dot_xy_px.astype(np.float32),
-            "truth/object_xy_px": self.eye.object_xy_px.astype(np.float32),
+            "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
+            "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
             "truth/slid_px": 0.0,
             "truth/slip": False,
             "truth/slip_fraction": 0.0,

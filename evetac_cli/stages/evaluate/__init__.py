@@ -57,7 +57,7 @@ def own_report(part: str, subject: str, out: Path | None) -> Path:
 
 @contextmanager
 def with_truth(file: StageFile) -> Iterator[Recording]:
-    """The simulated recording beside a file that was made from it, or in the folder above, as `rgb` keeps its tracks.
+    """The simulated recording beside a file that was made from it, or in the folder above, as `track-rgb` keeps its tracks.
 
     InputError if it is not there or has no truth.
     """

@@ -1,6 +1,6 @@
 """evaluate force: shear force told from dots against the true one, beside the paper's table.
 
-Each tracks file is judged by the model of its own sensor (events, or frames of an RGB sensor). A file of an individual
+Each tracks file is judged by the model of its own sensor (events, or frames of an RGB sensor). A file of an sensor_name
 that the model was not fitted on has a row like any other, without the paper's figures beside it; `gain` says what a
 softer or stiffer gel does: the force told for each newton that was there. Of several models of a sensor, fitted with
 other seeds, rows have the means, and how much the models differ.
@@ -37,13 +37,13 @@ LOOKS = {"regression": ("C0", "linear regression"), "network": ("C1", "network")
 Models = dict[str, list[tuple[Path, Header, ForceModel]]]  # by sensor
 
 
-class Told(NamedTuple):
+class TrialForce(NamedTuple):
     """The forces that both models tell for the samples of one trajectory."""
 
     path: Path
     sensor: str
-    individual: str
-    fitted: bool  # whether the model was fitted on this individual
+    sensor_name: str
+    fitted: bool  # whether the model was fitted on this sensor_name
     samples: Samples
     by: dict[str, forces.Floats]  # regression or network -> (models, samples, 2) in N
 
@@ -54,7 +54,10 @@ def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[Job
     models = [Path(name) for name in sorted(glob.glob(pattern))] if params.model else []
     if not models:
         raise InputError(
-            "no force model", where="--model", expected="a file, folder or glob made by evetac fit", found=params.model
+            "no force model",
+            where="--model",
+            expected="a file, folder or glob made by evetac train-force",
+            found=params.model,
         )
     (job,) = report_job(files, "force", out, *models)
     return [Job(job.inputs, job.output, {"models": len(models)})]
@@ -72,9 +75,9 @@ def run(job: Job, params: EvaluateForce, *, force: bool = False, progress: Progr
                 check_grid(model, model_path, tracks)
                 check_disjoint([model_header], [tracks.header], "judged on", [path])
     parents = [*headers, *(header for of_sensor in models.values() for _, header, _ in of_sensor)]
-    told: list[Told] = []
+    told: list[TrialForce] = []
 
-    def tell() -> list[Told]:
+    def predictions() -> list[TrialForce]:
         if not told:
             noise = np.random.default_rng(params.seed)
             for number, path in enumerate(files):
@@ -83,12 +86,12 @@ def run(job: Job, params: EvaluateForce, *, force: bool = False, progress: Progr
         return told
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        rows = [_row(one, name) for one in tell() for name in one.by]
-        return rows, _summary(tell(), rows, params)
+        rows = [_row(one, name) for one in predictions() for name in one.by]
+        return rows, _summary(predictions(), rows, params)
 
     outcome = report(job, "evaluate force", METHOD, recipe_of(params), parents, measure, force=force)
     sensors = len(models)
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, tell()), (13.0, 1.0 + 3.2 * sensors))
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, predictions()), (13.0, 1.0 + 3.2 * sensors))
 
 
 def _models(paths: tuple[Path, ...]) -> Models:
@@ -126,26 +129,26 @@ def _models_for(tracks: StageFile, models: Models) -> list[tuple[Path, Header, F
     return models[sensor]
 
 
-def _tell(path: Path, models: Models, params: EvaluateForce, noise: np.random.Generator) -> Told:
+def _tell(path: Path, models: Models, params: EvaluateForce, noise: np.random.Generator) -> TrialForce:
     with StageFile(path, "tracks") as tracks:
         chosen = [model for _, _, model in _models_for(tracks, models)]
-        sensor, individual = sensor_of(tracks.header), str(tracks.read("sensor/individual"))
+        sensor, sensor_name = sensor_of(tracks.header), str(tracks.read("sensor/name"))
     samples = read_samples(path, params, noise)
     by = {
         "regression": np.stack([forces.apply_regression(model.regression, samples.moved_px) for model in chosen]),
         "network": np.stack([forces.apply_network(model.network, samples.moved_px) for model in chosen]),
     }
-    return Told(path, sensor, individual, individual in chosen[0].individual.split(", "), samples, by)
+    return TrialForce(path, sensor, sensor_name, sensor_name in chosen[0].sensor_name.split(", "), samples, by)
 
 
-def _row(told: Told, name: str) -> dict[str, Any]:
+def _row(told: TrialForce, name: str) -> dict[str, Any]:
     measured = told.samples.force_n
     errors = [forces.errors(one, measured) for one in told.by[name]]
     mean_n, sd_n = np.mean([one.mean_n for one in errors], axis=0), np.mean([one.sd_n for one in errors], axis=0)
     spread_n = np.std([one.mean_n for one in errors], axis=0)
     row: dict[str, Any] = {
         "file": told.path.name,
-        "individual": told.individual,
+        "sensor_name": told.sensor_name,
         "fitted": told.fitted,
         "sensor": told.sensor,
         "model": name,
@@ -161,8 +164,8 @@ def _row(told: Told, name: str) -> dict[str, Any]:
     return row
 
 
-def _summary(told: list[Told], rows: Rows, params: EvaluateForce) -> dict[str, Any]:
-    """The forces that there were, and means over the trajectories of individuals fitted on, which the paper's are."""
+def _summary(told: list[TrialForce], rows: Rows, params: EvaluateForce) -> dict[str, Any]:
+    """The forces that there were, and means over the trajectories of sensor_names fitted on, which the paper's are."""
     known = [row for row in rows if row["fitted"]]
     means = {
         f"{sensor}_{model}_mae_n_{letter}": float(np.mean([row[f"mae_n_{letter}"] for row in chosen]))
@@ -183,10 +186,10 @@ def _summary(told: list[Told], rows: Rows, params: EvaluateForce) -> dict[str, A
     }
 
 
-def _draw(figure: Any, told: list[Told]) -> None:
+def _draw(figure: Any, told: list[TrialForce]) -> None:
     """The first trajectory of every sensor, as in the paper's figure: force sensor, regression and network."""
-    shown: dict[str, Told] = {}
-    for one in sorted(told, key=lambda one: not one.fitted):  # stable: those of the fitted individual first
+    shown: dict[str, TrialForce] = {}
+    for one in sorted(told, key=lambda one: not one.fitted):  # stable: those of the fitted sensor_name first
         shown.setdefault(one.sensor, one)
     panels = figure.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
     for row, (sensor, one) in zip(panels, shown.items(), strict=True):
@@ -195,7 +198,7 @@ def _draw(figure: Any, told: list[Told]) -> None:
             axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, label="force sensor")
             for name, (colour, words) in LOOKS.items():
                 axes.plot(order, one.by[name][0][:, axis], color=colour, linewidth=1.0, label=words)
-            axes.set_title(f"{sensor}, {one.individual}: shear force {forces.AXES[axis]}")
+            axes.set_title(f"{sensor}, {one.sensor_name}: shear force {forces.AXES[axis]}")
             axes.set_ylabel("force [N]")
             picture.quiet_grid(axes)
     for axes in panels[-1]:

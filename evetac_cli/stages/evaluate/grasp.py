@@ -29,7 +29,13 @@ INPUTS = ("recording",)
 OUTPUT = "report"
 METHOD = 2
 USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # of a grasp that says nothing of it
-MEANS = ("opening_lift_ticks", "opening_end_ticks", "opening_lift_mm", "opening_end_mm", "reduction")
+MEANS = (
+    "opening_after_lift_ticks",
+    "opening_after_balance_ticks",
+    "opening_after_lift_mm",
+    "opening_after_balance_mm",
+    "reopened_share",
+)
 
 
 def jobs(files: list[Path], params: EvaluateGrasp, out: Path | None) -> list[Job]:
@@ -71,7 +77,7 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     with StageFile(path, "recording") as recording:
         rows = {name: recording.read(name) for name in grasp_outcome.NEEDED}
     seconds = planned["scene"]["time"]["touch_s"] + planned["lift_s"] + planned["balance_s"]
-    figures = grasp_outcome.outcome(rows, planned["individual_row"]["mm_per_px"], round(1000 * seconds))
+    figures = grasp_outcome.outcome(rows, planned["sensor_row"]["mm_per_px"], round(1000 * seconds))
     return {"setting": setting_of(planned), "object": planned["object"], "file": path.name, **figures}
 
 
@@ -83,8 +89,8 @@ def setting_of(planned: dict[str, Any]) -> str:
         words.append(f"gain {chosen['gain']:g}")
     if planned["scene"]["name"] != "lift":
         words.append(planned["scene"]["name"])
-    if planned["individual"] != "evetac":
-        words.append(planned["individual"])
+    if planned["sensor"] != "evetac":
+        words.append(planned["sensor"])
     if not planned["scene"]["gel"]["cut"]:
         words.append("closed gel")
     if chosen["latency_ms"]:
@@ -106,7 +112,7 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
         rows = [{"setting": setting, "object": number, **figures(cell)} for (setting, number), cell in columns.items()]
         objects += [{**row, **_paper_object(row["setting"], row["object"])} for row in rows]
         row = {"setting": name, "columns": len(columns), **figures(members)}
-        row["reduction"] = _mean([each["reduction"] for each in rows])  # every column counts the same
+        row["reopened_share"] = _mean([each["reopened_share"] for each in rows])  # every column counts the same
         whole.append({**row, **_paper_setting(name, len(columns))})
     shares = {f"{name}_share": float(np.mean([row[name] for row in trials])) for name in ("lifted", "balanced")}
     return [*whole, *objects, *trials], {"grasps": len(trials), **shares}
@@ -128,7 +134,7 @@ def figures(trials: Rows) -> dict[str, Any]:
         "lifted": len(lifted) / len(trials),
         "balanced": len(held) / len(lifted) if lifted else None,
         **{name: _mean([row[name] for row in held]) for name in MEANS},
-        "opening_end_ticks_sd": _sd([row["opening_end_ticks"] for row in held]),
+        "opening_after_balance_ticks_sd": _sd([row["opening_after_balance_ticks"] for row in held]),
         "force_end_n": _mean([row["force_end_n"] for row in held]),
         "moved_lift_mm_median": _quantile([row["moved_lift_mm"] for row in held], 0.5),
         "moved_mm_median": _quantile(moved, 0.5),
@@ -156,25 +162,25 @@ def _paper_object(setting: str, number: int) -> dict[str, Any]:
     """What the paper says of an object, of its own controller in its usual scene."""
     grasp = table("paper")["grasp"]
     said = {}
-    if setting in ("paper", "relatch"):
+    if setting in ("paper", "paper-reset"):
         said = grasp["objects"].get(str(number), {})
-    elif setting in ("paper, gain 2", "relatch, gain 2"):
+    elif setting in ("paper, gain 2", "paper-reset, gain 2"):
         said = grasp["objects_higher_gain"].get(str(number), {})
     success = said["lifted"] * said["balanced"] if said else None
-    return {"paper_success": success, "paper_opening_end_ticks": said.get("opening_end_ticks")}
+    return {"paper_success": success, "paper_opening_after_balance_ticks": said.get("opening_after_balance_ticks")}
 
 
 def _paper_setting(setting: str, columns: int) -> dict[str, Any]:
     """What the paper says of a setting as a whole: all its columns, or a test of robustness."""
     grasp = table("paper")["grasp"]
     words = setting.split(", ")
-    said: dict[str, float | None] = {"paper_success": None, "paper_reduction": None}
+    said: dict[str, float | None] = {"paper_success": None, "paper_reopened_share": None}
     if words == ["none"]:
         return {**said, "paper_success": grasp["lifted_by_contact_alone"]}
-    if words[0] not in ("paper", "relatch"):
+    if words[0] not in ("paper", "paper-reset"):
         return said
     if words[1:] == [] and columns > 1:
-        return {"paper_success": grasp["success"], "paper_reduction": grasp["reduction"]}
+        return {"paper_success": grasp["success"], "paper_reopened_share": grasp["reopened_share"]}
     tested = [grasp["robustness"][word] for word in words if word in grasp["robustness"]]
     if "second" in words or "closed gel" in words:
         tested = [grasp["robustness"]["other_sensor"]]

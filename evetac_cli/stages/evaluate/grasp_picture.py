@@ -10,7 +10,7 @@ PAPER_ORDER = (18, 17, 10, 11, 12, 13, 15, 16, 14, 19, 20)
 MOST_SETTINGS = 8  # colours that can be told apart
 PANELS = (
     ("success", "share of trials lifted and balanced"),
-    ("opening_end_ticks", "change of opening at the end [ticks]"),
+    ("opening_after_balance_ticks", "change of opening at the end [ticks]"),
     ("force_end_n", "grip force at the end [N]"),
     ("moved_mm_median", "object moved, median [mm]"),
 )

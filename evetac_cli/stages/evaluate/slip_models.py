@@ -12,7 +12,7 @@ from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import slip
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.slip import Prediction
-from evetac_cli.stages.slip_detectors import ahead_of, detector_of, predict, read_trajectory
+from evetac_cli.stages.slip_detectors import horizon_ms_of, load_detector, predict, read_trajectory
 from evetac_cli.stages.splits import check_disjoint, object_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
@@ -28,7 +28,7 @@ class Model:
     header: Header
     architecture: slip.Architecture
     graph_bytes: int
-    ahead_ms: int
+    horizon_ms: int
     threshold: float
     dot_shape: tuple[int, int]
     parameters: int  # trained numbers
@@ -42,9 +42,9 @@ class Model:
             return cls(
                 path,
                 file.header,
-                detector_of(file).architecture,
+                load_detector(file).architecture,
                 file.length("onnx"),
-                ahead_of(file),
+                horizon_ms_of(file),
                 float(file.read("threshold")),
                 (rows, columns),
                 sum(int(np.prod(shape)) for name, shape in shapes.items() if name not in NOT_WEIGHTS),
@@ -57,7 +57,7 @@ class Model:
         a gigabyte for event images.
         """
         with StageFile(self.path, "model") as file:
-            return detector_of(file)
+            return load_detector(file)
 
     @property
     def labels(self) -> str:
@@ -133,7 +133,7 @@ def judge(
             if model.architecture == architecture:
                 detector = model.detector()
                 for trajectory, header in zip(trajectories, headers, strict=True):
-                    predictions.append(predict(detector, trajectory, header, model.ahead_ms))
+                    predictions.append(predict(detector, trajectory, header, model.horizon_ms))
                     done += 1
                     progress(done // len(models), len(paths))
     return found

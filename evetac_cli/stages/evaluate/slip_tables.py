@@ -43,8 +43,8 @@ def _traits(model: Model) -> dict[str, str]:
     chosen = model.header["parameters"]
     return {
         "model": model.architecture.name,
-        "ahead": f"{model.ahead_ms} ms ahead" if model.ahead_ms else "",
-        "recipe": str(chosen.get("recipe", "")),
+        "horizon": f"{model.horizon_ms} ms ahead" if model.horizon_ms else "",
+        "preset": str(chosen.get("preset", "")),
         "labels": f"labels {model.labels}",
         "steps": f"up to {chosen.get('max_steps')} steps",
         "epochs": f"{chosen.get('epochs')} epochs",
@@ -60,7 +60,7 @@ def tables(
     """All rows, and a summary; `judged`: the predictions of each model, one for each path."""
     scores = [slip.score(predictions, at) for predictions, at in zip(judged, thresholds, strict=True)]
     settings: Rows = []
-    moments: Rows = []
+    timing_bins: Rows = []
     objects: Rows = []
     for setting, members in settings_of(models).items():
         first = models[members[0]]
@@ -72,7 +72,7 @@ def tables(
             if prediction.onset >= 0
         ]
         settings.append(setting_row(setting, first, cells))
-        moments.append({"setting": setting, **_moments(late_by), **_paper_moments(first, set(cells[0]))})
+        timing_bins.append({"setting": setting, **_timing_bins(late_by), **_paper_timing_bins(first, set(cells[0]))})
         for name in cells[0]:
             of_object = [cell[name] for cell in cells]
             correct, f1 = _values(of_object, "slip_correct"), _values(of_object, "f1")
@@ -100,7 +100,7 @@ def tables(
         for index in members
         for prediction, path in zip(judged[index], paths, strict=True)
     ]
-    return [*settings, *moments, *objects, *by_model, *trajectories], _summary(scores, settings)
+    return [*settings, *timing_bins, *objects, *by_model, *trajectories], _summary(scores, settings)
 
 
 def _seed(model: Model) -> int | None:
@@ -133,8 +133,8 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
     row: dict[str, Any] = {
         "setting": setting,
         "model": model.architecture.name,
-        "ahead_ms": model.ahead_ms,
-        "recipe": chosen.get("recipe"),
+        "horizon_ms": model.horizon_ms,
+        "preset": chosen.get("preset"),
         "labels": model.labels,
         "scenes": model.scenes,
         "max_steps": chosen.get("max_steps"),
@@ -162,16 +162,16 @@ def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
     paper = table("paper")["slip"]
     if "unknown" in objects:
         return figures
-    if objects <= model.objects and model.ahead_ms == 0:
+    if objects <= model.objects and model.horizon_ms == 0:
         found = paper["training_objects"].get(name, {})
         figures = {"paper_slip_correct": found.get("correct"), "paper_f1": found.get("f1")}
-    elif not objects & model.objects and model.ahead_ms in paper["unseen_objects"]["ahead_ms"]:
-        at = paper["unseen_objects"]["ahead_ms"].index(model.ahead_ms)
+    elif not objects & model.objects and model.horizon_ms in paper["unseen_objects"]["horizon_ms"]:
+        at = paper["unseen_objects"]["horizon_ms"].index(model.horizon_ms)
         figures["paper_slip_correct"] = paper["unseen_objects"].get(name, [None] * (at + 1))[at]
     return figures
 
 
-def _moments(late_by: Sequence[int | None]) -> dict[str, Any]:
+def _timing_bins(late_by: Sequence[int | None]) -> dict[str, Any]:
     """Shares of the trajectories with an onset, by where t_m - t_c is; the median of those with a detection."""
     told = [value for value in late_by if value is not None]
     shares = {name: sum(low <= value <= high for value in told) for name, low, high in MOMENTS}
@@ -182,9 +182,9 @@ def _moments(late_by: Sequence[int | None]) -> dict[str, Any]:
     }
 
 
-def _paper_moments(model: Model, objects: set[str]) -> dict[str, Any]:
+def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:
     timing = table("paper")["slip"]["timing"]
-    same = timing["model"] == model.architecture.name and timing["ahead_ms"] == model.ahead_ms
+    same = timing["model"] == model.architecture.name and timing["horizon_ms"] == model.horizon_ms
     unseen = not objects & (model.objects | {"unknown"})
     return {"paper_10_to_0_ms_ahead": timing["10_to_0_ms_ahead"] if same and unseen else None}
 

@@ -1,6 +1,6 @@
 """evaluate vibration: which tone the gel feels, in the whole recording and in windows of some lengths.
 
-Where the tone is known, from a simulation's truth or from `--expect`, windows with the right frequency are counted,
+Where the tone is known, from a simulation's truth or from `--true-hz`, windows with the right frequency are counted,
 beside the paper's table ("Sensing Vibrations"). The recording passes by in pieces, so its length costs no memory.
 
 Why so: the tone's truth decides only which slices are looked at, those in which it sounds, and what is right.
@@ -121,7 +121,7 @@ def _windows_ms(text: str) -> list[int]:
 
 def _span(recording: Recording, params: EvaluateVibration) -> tuple[int, int, float | None]:
     """Slices [start, stop) to look at, and the tone in Hz if it is known: in a simulation while it sounds."""
-    start, stop, expected_hz = 0, len(recording), params.expect
+    start, stop, expected_hz = 0, len(recording), params.true_hz
     if recording.has(TONE):
         tone_hz = recording.read(TONE)
         sounding = np.flatnonzero(tone_hz > 0.0)

@@ -1,4 +1,4 @@
-"""force: the shear force on the gel, slice by slice, from any tracks and a model made by fit; needs no torch."""
+"""predict-force: the shear force on the gel, slice by slice, from any tracks and a model made by train-force; needs no torch."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.params import Force, recipe_of
+from evetac_cli.params import PredictForce, recipe_of
 from evetac_cli.stages import per_file
 from evetac_cli.stages.force.train_force import check_grid, read_model, rest_of
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
@@ -19,14 +19,14 @@ METHOD = 1
 BLOCK = 5000  # slices at a time
 
 
-def jobs(files: list[Path], params: Force, out: Path | None) -> list[Job]:
+def jobs(files: list[Path], params: PredictForce, out: Path | None) -> list[Job]:
     """One forces file for every tracks file."""
     if params.model is None:
-        raise InputError("no force model", where="--model", expected="a file made by evetac fit")
+        raise InputError("no force model", where="--model", expected="a file made by evetac train-force")
     return [Job((*job.inputs, params.model), job.output) for job in per_file(files, OUTPUT, out)]
 
 
-def run(job: Job, params: Force, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: Job, params: PredictForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Apply both models to every slice."""
     path, model_path = job.inputs
     model_header, model = read_model(model_path)

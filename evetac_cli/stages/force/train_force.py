@@ -1,4 +1,4 @@
-"""fit: shear force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
+"""train-force: shear force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
 
 Two models into one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's
 network, trained on all but the last, on which the best epoch is chosen. What they are fitted to is the reading of a
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.params import EvaluateForce, Fit, recipe_of
+from evetac_cli.params import EvaluateForce, TrainForce, recipe_of
 from evetac_cli.stages.evaluate import with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.track_rgb import PRESET
@@ -40,13 +40,13 @@ class ForceModel(NamedTuple):
     """What a force-model file holds."""
 
     sensor: str
-    individual: str
+    sensor_name: str
     dot_shape: tuple[int, int]
     regression: forces.Regression
     network: forces.Network
 
 
-def jobs(files: list[Path], params: Fit, out: Path | None) -> list[Job]:
+def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
     """One model from all tracks files together: `shear.force-model.h5` beside the first."""
     if len(files) < 2:
         raise InputError(
@@ -56,14 +56,14 @@ def jobs(files: list[Path], params: Fit, out: Path | None) -> list[Job]:
     return [Job(tuple(files), output)]
 
 
-def run(job: Job, params: Fit, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Fit both models and store them as arrays."""
-    headers, sensors, individuals, shapes = [], [], [], []
+    headers, sensors, sensor_names, shapes = [], [], [], []
     for path in job.inputs:
         with StageFile(path, "tracks") as tracks, with_truth(tracks):
             headers.append(tracks.header)
             sensors.append(sensor_of(tracks.header))
-            individuals.append(tracks.read("sensor/individual"))
+            sensor_names.append(tracks.read("sensor/name"))
             shapes.append(shape_of(tracks))
     check_disjoint(headers[:-1], headers[-1:], "held out", job.inputs[-1:])
     for what, found in (("sensors", sensors), ("dot grids", shapes)):
@@ -105,7 +105,7 @@ def run(job: Job, params: Fit, *, force: bool = False, progress: Progress = sile
         ) from error
     arrays: dict[str, Any] = {
         "sensor": sensors[0],
-        "individual": ", ".join(dict.fromkeys(individuals)),
+        "sensor_name": ", ".join(dict.fromkeys(sensor_names)),
         "dot_shape": np.array(shapes[0], np.int32),
         "regression/slope_n_px": regression.slope_n_px,
         "regression/offset_n": regression.offset_n,
@@ -123,7 +123,7 @@ def run(job: Job, params: Fit, *, force: bool = False, progress: Progress = sile
         made=True,
         simulated=simulated,
         sensor=sensors[0],
-        individual=arrays["individual"],
+        sensor_name=arrays["sensor_name"],
         trajectories=len(job.inputs),
         samples=len(force_n),
         epoch=trained.chosen + 1,
@@ -131,7 +131,7 @@ def run(job: Job, params: Fit, *, force: bool = False, progress: Progress = sile
     )
 
 
-def read_samples(path: Path, params: Fit | EvaluateForce, noise: np.random.Generator) -> Samples:
+def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.random.Generator) -> Samples:
     """Samples of a trajectory, with the force as a sensor with noise reads it; InputError where there are none."""
     with StageFile(path, "tracks") as tracks, with_truth(tracks) as recording:
         try:
@@ -173,7 +173,7 @@ def read_model(path: Path) -> tuple[Header, ForceModel]:
         shape = (int(rows), int(columns))
         if network.layers[0].weight.shape[1] != 2 * rows * columns:
             raise InputError("the network does not fit the dot grid", where=str(path), hint="the file is damaged")
-        return file.header, ForceModel(file.read("sensor"), file.read("individual"), shape, regression, network)
+        return file.header, ForceModel(file.read("sensor"), file.read("sensor_name"), shape, regression, network)
 
 
 def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:

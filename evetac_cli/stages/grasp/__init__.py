@@ -17,10 +17,17 @@ from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages import record
-from evetac_cli.stages.grasp.loop import Kept, hold
-from evetac_cli.stages.grasp.setup import law_of, model_of, parameters_of, parents_of, sense_of, timing_of
+from evetac_cli.stages.grasp.loop import TrialBuffer, run_grasp
+from evetac_cli.stages.grasp.setup import (
+    grasp_parameters,
+    make_law,
+    make_timing,
+    model_headers,
+    model_path_for,
+    open_detector,
+)
 from evetac_cli.stages.record import seeds, trials
-from evetac_cli.stages.unused_options import refuse_idle_options
+from evetac_cli.stages.unused_options import refuse_unused_options
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 
@@ -31,8 +38,8 @@ METHOD = 4
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
     """One recording for every object and trial."""
-    refuse_idle_options(params)
-    law = law_of(params)
+    refuse_unused_options(params)
+    law = make_law(params)
     if not grip_control.feels(law) and params.model is not None:
         raise InputError(
             f"no detector is used with --controller {params.controller}", where="--model", found=str(params.model)
@@ -42,7 +49,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
 
         return live.jobs(params, out)
     found = trials(("lift",), params, out)
-    timing_of(params, found[0].choice["plan"]["scene"])  # refuses a rate that cannot be kept
+    make_timing(params, found[0].choice["plan"]["scene"])  # refuses a rate that cannot be kept
     return found
 
 
@@ -58,8 +65,8 @@ def dry_run(jobs: list[Job], params: Grasp, *, force: bool = False) -> Outcome:
 
 
 def _recipe(job: Job, params: Grasp) -> Recipe:
-    parameters = parameters_of(job, params, Control(law_of(params), params.control_hz))
-    parents = parents_of(model_of(params))
+    parameters = grasp_parameters(job, params, Control(make_law(params), params.control_hz))
+    parents = model_headers(model_path_for(params))
     return Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=parents, simulated_source=True)
 
 
@@ -69,7 +76,7 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
         from evetac_cli.stages.grasp import live
 
         return live.run(job, params, seeds(params, job), force=force, progress=progress)
-    model_path, control = model_of(params), Control(law_of(params), params.control_hz)
+    model_path, control = model_path_for(params), Control(make_law(params), params.control_hz)
     recipe = _recipe(job, params)
     parameters = recipe.parameters
     if up_to_date(job.output, recipe, force=force):
@@ -77,19 +84,19 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
     from evetac_cli.devices.simulated import rig
 
     devices = rig(parameters, seeds(params, job), lift_s=params.lift_s, balance_s=params.balance_s)
-    timing = timing_of(params, parameters["scene"])
-    kept = Kept()
+    timing = make_timing(params, parameters["scene"])
+    kept = TrialBuffer()
     try:
         sense = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:
-                sense = sense_of(model, devices.camera.sensor, params.tracker)
-        slices = hold(devices, sense, control, timing, kept.append, lambda done: progress(done, timing.end_ms))
+                sense = open_detector(model, devices.camera.sensor, params.tracker)
+        slices = run_grasp(devices, sense, control, timing, kept.append, lambda done: progress(done, timing.end_ms))
     finally:
         devices.close()
     arrays = kept.arrays()
-    figures = grasp_outcome.outcome(arrays, parameters["individual_row"]["mm_per_px"], timing.end_ms)
-    told = {"control/outcome": json.dumps(figures), "truth/drawn": devices.drawn, "t_offset": np.int64(0)}
+    figures = grasp_outcome.outcome(arrays, parameters["sensor_row"]["mm_per_px"], timing.end_ms)
+    told = {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.drawn, "t_offset": np.int64(0)}
     write_stage(job.output, recipe, {**devices.camera.sensor, **arrays, **told})
     slipping = sense.count if sense else 0
     return outcome(job, made=True, simulated=True, slices=slices, slices_with_slip=slipping, **figures)

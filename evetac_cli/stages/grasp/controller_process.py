@@ -26,8 +26,8 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.realtime.message_pipe import Outbox
-from evetac_cli.realtime.scheduling import hurry
-from evetac_cli.realtime.shared_status import Board, Sign
+from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.starting import ignore_interrupts
 from evetac_cli.stages.grasp.loop import Timing, row_of
 
@@ -63,7 +63,7 @@ class Ready(NamedTuple):
     """The gripper has torque and waits."""
 
     setup: dict[str, Any]
-    urgency: str
+    scheduling: str
 
 
 class CommandingEnded(NamedTuple):
@@ -141,7 +141,7 @@ class Watch:
         """The controller was stopped until now."""
         self._awake_us = now_us
 
-    def wrong(self, sign: Sign, now_us: float) -> tuple[str, float]:
+    def wrong(self, sign: DetectorStatus, now_us: float) -> tuple[str, float]:
         """What is wrong, "" if nothing is, and the last sign of life of what that is about."""
         if self._gone():
             return "the detector died", sign.at_us
@@ -154,7 +154,9 @@ class Watch:
         return "", sign.at_us
 
 
-def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connection, detector: Connection) -> None:
+def live(
+    commanding: Commanding, board: SharedStatus, orders: Connection, pipe: Connection, detector: Connection
+) -> None:
     """Be the controller's process: wait for word, open the gripper, command until the end, torque off, say why.
 
     detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
@@ -164,10 +166,10 @@ def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connect
     told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
         orders.recv()
-        urgency = hurry(RANK)
+        scheduling = set_realtime_priority(RANK)
         with RhP12Rn(commanding.port, commanding.baud, "position", commanding.settings) as gripper:
             setup = {name: value for name, value in gripper.described.items() if name != "eeprom_written"}
-            outbox.put(Ready(setup, urgency))
+            outbox.put(Ready(setup, scheduling))
             outbox.flush(FLUSH_S)
             gc.collect()
             gc.freeze()
@@ -187,7 +189,7 @@ def live(commanding: Commanding, board: Board, orders: Connection, pipe: Connect
 
 def command(
     gripper: Gripper,
-    board: Board,
+    board: SharedStatus,
     commanding: Commanding,
     outbox: Outbox,
     clock: Callable[[], float] = time.monotonic,
@@ -209,7 +211,7 @@ def command(
 
 def _command(
     gripper: Gripper,
-    board: Board,
+    board: SharedStatus,
     commanding: Commanding,
     outbox: Outbox,
     clock: Callable[[], float],
@@ -234,7 +236,7 @@ def _command(
         try:
             reading = gripper.read()
             now_us = clock() * 1e6
-            sign = board.look()
+            sign = board.latest()
             assert sign is not None
             if now_us - begun_s * 1e6 + late_us > FROZEN_US:
                 watch.slept_until(now_us)
@@ -263,7 +265,7 @@ def _command(
         row["control/late_us"] = late_us
         row["control/missed"] = pace.missed - told_missed
         row["control/latency_us"] = last_s * 1e6 + wire_us - sign.slip_began_us(seen)
-        row["control/slices_felt"] = sign.slices
+        row["control/slices_processed"] = sign.slices
         told_missed, seen = pace.missed, sign.felt.slips
         rows.append(row)
         if len(rows) >= PIECE_STEPS:
@@ -275,11 +277,11 @@ def _command(
     return CommandingEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
 
 
-def _first_sign(board: Board, clock: Callable[[], float], sleep: Callable[[float], None]) -> bool:
+def _first_sign(board: SharedStatus, clock: Callable[[], float], sleep: Callable[[float], None]) -> bool:
     """Wait until the detector has felt a first slice; False if it was stopped before."""
     until_s = clock() + FIRST_SIGN_S
     parent = os.getppid()
-    while board.look() is None:
+    while board.latest() is None:
         if board.stopping or os.getppid() != parent:
             return False
         if clock() > until_s:

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from evetac_cli.devices.naming import CameraName, CameraSettings, Opened, open_camera
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
-from evetac_cli.kernels.grip.control import Felt
+from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.message_pipe import Outbox
-from evetac_cli.realtime.scheduling import hurry
-from evetac_cli.realtime.shared_status import REMEMBERED, Board, Sign
+from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.realtime.starting import ignore_interrupts
 from evetac_cli.stages.grasp.loop import Sense
 
@@ -59,7 +59,7 @@ class Seen(NamedTuple):
     sensor: Mapping[str, Any]
     setup: Mapping[str, Any]
     notes: tuple[str, ...]
-    urgency: str
+    scheduling: str
 
 
 @dataclass
@@ -80,11 +80,11 @@ class FeelingEnded(NamedTuple):
     error: Exception | None
 
 
-def sense_of(feeling: Feeling) -> Sense | None:
+def open_detector(feeling: Feeling) -> Sense | None:
     """The detector, and one run through it on noise with another of its kind, so that everything is compiled."""
     if feeling.model is None:
         return None
-    from evetac_cli.stages.grasp.setup import sense_of as load
+    from evetac_cli.stages.grasp.setup import open_detector as load
     from evetac_cli.store.files import StageFile
 
     with StageFile(feeling.model, "model") as model:
@@ -106,7 +106,7 @@ def noise(rng: np.random.Generator, slice_: int) -> Events:
 
 def live(
     feeling: Feeling,
-    board: Board,
+    board: SharedStatus,
     world: "VirtualWorld | None",
     orders: Connection,
     pipe: Connection,
@@ -121,15 +121,15 @@ def live(
     camera = None
     error: Exception | None = None
     try:
-        sense = sense_of(feeling)
+        sense = open_detector(feeling)
         sys.setswitchinterval(SWITCH_S)
         outbox.put("ready")
         outbox.flush(FLUSH_S)
         orders.recv()
-        urgency = hurry(RANK)  # before the camera's thread, which inherits it
+        scheduling = set_realtime_priority(RANK)  # before the camera's thread, which inherits it
         settings = CameraSettings(flush_us=FLUSH_US)
         camera, setup, _ = open_camera(feeling.camera, settings, world, feeling.seeds)
-        outbox.put(Seen(camera.sensor, setup, getattr(camera, "notes", ()), urgency))
+        outbox.put(Seen(camera.sensor, setup, getattr(camera, "notes", ()), scheduling))
         gc.collect()
         gc.freeze()
         gc.disable()  # the loop makes no cycles
@@ -152,7 +152,7 @@ def live(
     alive.close()
 
 
-def feel(camera: Opened, sense: Sense | None, board: Board, outbox: Outbox, most: int) -> None:
+def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: Outbox, most: int) -> None:
     """Feel slice after slice, until there are no more, or enough, or the board says stop."""
     host_us = getattr(camera, "host_us", None)
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
@@ -167,7 +167,7 @@ def feel(camera: Opened, sense: Sense | None, board: Board, outbox: Outbox, most
             raise DeviceError("the camera's stream ended", expected=f"{most} slices", found=f"{slices}")
         slices += 1
         probability = float("nan") if sense is None else sense.step(events)
-        felt = Felt() if sense is None else sense.felt
+        felt = SlipSignal() if sense is None else sense.felt
         now_us = _now_us()
         if events.size:
             heard_us = now_us
@@ -175,7 +175,7 @@ def feel(camera: Opened, sense: Sense | None, board: Board, outbox: Outbox, most
         if felt.slips > slips:
             slips = felt.slips
             slip_us.append(zero_us + (float(events.t[0]) if events.size else (slices - 1) * SLICE_US))
-        board.tell(Sign(felt, slices, now_us, heard_us, zero_us, tuple(slip_us)))
+        board.publish(DetectorStatus(felt, slices, now_us, heard_us, zero_us, tuple(slip_us)))
         piece.append(events)
         rows.counts.append(events.size)
         rows.probability.append(probability)

@@ -21,11 +21,11 @@ from evetac_cli import console
 from evetac_cli.devices.naming import VIRTUAL_ANSWER_MS, CameraName, GripperName, camera_name, gripper_name
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS
-from evetac_cli.errors import DeviceError, EvetacError, InputError, carry
+from evetac_cli.errors import DeviceError, EvetacError, InputError, attach_outcome
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
-from evetac_cli.realtime.scheduling import hurry
+from evetac_cli.realtime.scheduling import set_realtime_priority
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.stages.grasp import replay
@@ -78,7 +78,7 @@ def names(params: Grasp) -> tuple[CameraName, GripperName]:
 def jobs(params: Grasp, out: Path | None) -> list[Job]:
     """One recording for every trial; InputError for what cannot be done, or must not without --arm."""
     camera, gripper = names(params)
-    timing = timing_of(params)
+    timing = make_timing(params)
     if timing.latency_ms and gripper.kind != "sim":
         raise InputError("latency is added in simulation alone", where="--latency-ms", found=str(timing.latency_ms))
     if timing.every_ms > 1000 / SLOWEST_HZ:
@@ -121,10 +121,10 @@ def jobs(params: Grasp, out: Path | None) -> list[Job]:
     return as_series([Job(inputs, output, {"trial": trial}) for trial, output in enumerate(outputs)])
 
 
-def timing_of(params: Grasp) -> Timing:
+def make_timing(params: Grasp) -> Timing:
     """When phases end, by the scene that is named."""
-    planned = scene.plan(params.scene, params.objects, params.individual, ("lift",), params.gel, params.readout)
-    return grasp_setup.timing_of(params, planned[0]["scene"])
+    planned = scene.plan(params.scene, params.objects, params.sensor, ("lift",), params.gel, params.readout)
+    return grasp_setup.make_timing(params, planned[0]["scene"])
 
 
 def settings_of(params: Grasp, gripper: GripperName) -> RhP12RnSettings:
@@ -146,10 +146,10 @@ def settings_of(params: Grasp, gripper: GripperName) -> RhP12RnSettings:
 def check(job: Job, params: Grasp, *, force: bool) -> None:
     """InputError for whatever can be known to be wrong with a grasp before a device is touched."""
     refuse_taken(job, again="a grasp in real time", hint="--force replaces it, -o NAME writes elsewhere", force=force)
-    timing = timing_of(params)
+    timing = make_timing(params)
     require_room(job.output.parent, EVENTS_S * timing.end_ms * 1e-3 * BYTES_AN_EVENT, "a shorter --balance-s")
-    model_path = grasp_setup.model_of(params)
-    grasp_setup.parents_of(model_path)
+    model_path = grasp_setup.model_path_for(params)
+    grasp_setup.model_headers(model_path)
     if "plan" in job.choice and params.calibration is None:
         return  # its world will say where the dots are
     sensor = _sensor(params, names(params)[0], None)
@@ -164,13 +164,13 @@ def dry_run(jobs: list[Job], params: Grasp, *, force: bool = False) -> Outcome:
         refuse = replay.check if names(params)[1].kind == "sim" else check
         refuse(job, params, force=force)
     camera, gripper = names(params)
-    timing = timing_of(params)
+    timing = make_timing(params)
     moved = "moves nothing" if gripper.kind == "sim" else f"at most {params.max_current_ma} mA"
     rows = [
         {
             "part": "camera",
             "what": str(camera),
-            "detail": f"slip felt 1000 times a second by {grasp_setup.model_of(params)}",
+            "detail": f"slip felt 1000 times a second by {grasp_setup.model_path_for(params)}",
         },
         {"part": "gripper", "what": str(gripper), "detail": f"{params.control_hz:g} Hz, {params.controller}, {moved}"},
         {"part": "end", "what": f"after {timing.end_ms * 1e-3:g} s", "detail": FALLS},
@@ -186,19 +186,19 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
     if gripper.kind == "sim":
         return replay.run(job, params, force=force, progress=progress)
     check(job, params, force=force)
-    timing = timing_of(params)
+    timing = make_timing(params)
     if gripper.kind == "port" and job.choice["trial"]:
         console.wait_for_enter(f"trial {job.choice['trial']}: put the object in place, then press Enter")
     with ExitStack() as opened:
         world, servo = _virtual_peers(job, params, camera, gripper, seeds, opened)  # Ctrl-C breaks this off
         came = opened.enter_context(signals_counted())
         sensor = _sensor(params, camera, world)
-        feeling = Feeling(camera, seeds, sensor, grasp_setup.model_of(params), params.tracker, timing.end_ms)
+        feeling = Feeling(camera, seeds, sensor, grasp_setup.model_path_for(params), params.tracker, timing.end_ms)
         commanding = Commanding(
             servo.port if servo is not None else gripper.port,
             gripper.baud,
             settings_of(params, gripper),
-            grasp_setup.law_of(params),
+            grasp_setup.make_law(params),
             timing,
             (VIRTUAL_PATIENCE if world is not None else 1) * params.watchdog_ms,  # a late world holds up its camera
             params.max_seconds,
@@ -206,7 +206,7 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
         loops = Loops(feeling, commanding, world)
         opened.callback(loops.close)
         if servo is not None and servo.pid is not None:
-            hurry(SERVO_RANK, servo.pid)
+            set_realtime_priority(SERVO_RANK, servo.pid)
         seen, ready = loops.begin(came)
         for note in seen.notes:
             console.say(note)
@@ -224,7 +224,10 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
             writer.leave()
             raise with_hint(error, writer) from None
         loops.close()
-        figures = {**recorded.figures(), "capture/urgency": f"detector {seen.urgency}, controller {ready.urgency}"}
+        figures = {
+            **recorded.figures(),
+            "capture/scheduling": f"detector {seen.scheduling}, controller {ready.scheduling}",
+        }
         if world is not None:
             figures |= {f"{LOST}world.{why}": np.int64(count) for why, count in world.counted.items()}
         became = _keep(writer, recipe, recorded, figures, world)
@@ -280,12 +283,12 @@ def _recipe(job: Job, params: Grasp, camera: CameraName, setup: Mapping[str, Any
     """What is known of a grasp beforehand; its content stands in for the rest."""
     calibrated = {name: np.asarray(value).tolist() for name, value in sensor.items() if name.startswith("sensor/")}
     parameters = {
-        **grasp_setup.parameters_of(job, params, Control(grasp_setup.law_of(params), params.control_hz)),
+        **grasp_setup.grasp_parameters(job, params, Control(grasp_setup.make_law(params), params.control_hz)),
         "setup": dict(setup),
         "sensor": without_nan(calibrated),
         "watchdog_ms": params.watchdog_ms,
     }
-    parents: tuple[Header, ...] = grasp_setup.parents_of(grasp_setup.model_of(params))
+    parents: tuple[Header, ...] = grasp_setup.model_headers(grasp_setup.model_path_for(params))
     if camera.kind == "replay":
         with open_recording(Path(camera.which or "")) as recording:
             parents += (recording.header,)
@@ -302,8 +305,8 @@ def _keep(
     late = dict(figures)
     became = None
     if world is not None and (truth := recorded.truth_arrays()):
-        late |= {**truth, "truth/drawn": world.drawn}
-        became = recorded.what_became(recipe.parameters["individual_row"]["mm_per_px"])
+        late |= {**truth, "truth/sampled_parameters": world.drawn}
+        became = recorded.what_became(recipe.parameters["sensor_row"]["mm_per_px"])
     if became is not None:
         late["control/outcome"] = json.dumps(became)
     finish(writer, recipe, late)
@@ -318,11 +321,11 @@ def _tell(
     what = f"{recorded.slices:,} slices in {job.output}" if kept else "nothing was recorded"
     result = _row(job, recipe, recorded, figures, became) if kept else None
     if recorded.ended == INTERRUPTED:
-        raise carry(KeyboardInterrupt(f"interrupted, torque is off: {what}"), result)
+        raise attach_outcome(KeyboardInterrupt(f"interrupted, torque is off: {what}"), result)
     if recorded.error is not None:
         error = recorded.error if isinstance(recorded.error, EvetacError) else DeviceError(str(recorded.error))
         error.kept = what
-        raise carry(error, result)
+        raise attach_outcome(error, result)
     if result is None:
         raise DeviceError("the grasp ended before its first step", found=recorded.ended)
     return result
@@ -353,7 +356,7 @@ def _row(
         **timing,
         command_misses=int(figures["capture/command_misses"]),
         latencies=len(recorded.latency_us),
-        urgency=figures["capture/urgency"],
+        scheduling=figures["capture/scheduling"],
         lost="; ".join(f"{name} {count}" for name, count in lost.items()) or None,
         **became,
     )

@@ -1,6 +1,6 @@
 """The loop of a grasp: read a slice, feel, and at the controller's rate read the gripper and command it.
 
-What happens goes into a `Kept`: in memory, because a simulated grasp can be made again, and writing it once costs a
+What happens goes into a `TrialBuffer`: in memory, because a simulated grasp can be made again, and writing it once costs a
 third of writing it in segments.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
-from evetac_cli.kernels.grip.control import Control, Felt
+from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.store import schema
 
@@ -22,13 +22,13 @@ SLICES_S = 1_000_000 // SLICE_US
 
 
 class Sense(Protocol):
-    """What feels: a `SlipSense`, or what a test puts in its place."""
+    """What feels: a `OnlineSlipDetector`, or what a test puts in its place."""
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice."""
 
     @property
-    def felt(self) -> Felt:
+    def felt(self) -> SlipSignal:
         """What a controller may know after the last slice."""
 
 
@@ -70,7 +70,7 @@ class Timing:
 
 
 @dataclass
-class Kept:
+class TrialBuffer:
     """Slices and rows of a grasp, by their paths in a recording."""
 
     events: list[Events] = field(default_factory=list)
@@ -105,7 +105,7 @@ class Kept:
 
 
 def row_of(
-    control: Control, phase: Phase, felt: Felt, reading: GripperReading, goal: int, now_us: int
+    control: Control, phase: Phase, felt: SlipSignal, reading: GripperReading, goal: int, now_us: int
 ) -> dict[str, Any]:
     """What is recorded of a step of the controller."""
     return {
@@ -120,11 +120,11 @@ def row_of(
         "control/goal_ticks": goal,
         "control/slip": control.slip,
         "control/phase": phase,
-        "control/drag_px": (felt.drag_x_px, felt.drag_y_px),
+        "control/mean_displacement_px": (felt.mean_displacement_x_px, felt.mean_displacement_y_px),
     }
 
 
-def hold(
+def run_grasp(
     devices: Rig,
     sense: Sense | None,
     control: Control,
@@ -136,7 +136,7 @@ def hold(
     gripper = devices.gripper
     assert gripper is not None
     every_ms = timing.every_ms
-    heard: deque[Felt] = deque([Felt()] * timing.latency_ms, maxlen=timing.latency_ms + 1)
+    heard: deque[SlipSignal] = deque([SlipSignal()] * timing.latency_ms, maxlen=timing.latency_ms + 1)
     slices = 0
     while (events := devices.camera.read()) is not None:
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
@@ -144,7 +144,7 @@ def hold(
         if sense is not None and (timing.latency_ms or slices % every_ms == 0):
             heard.append(sense.felt)
         if slices % every_ms == 0:
-            felt = heard[0] if heard else Felt()
+            felt = heard[0] if heard else SlipSignal()
             phase = timing.phase(slices)
             reading = gripper.read()
             goal = control.step(phase, felt, reading.position_ticks)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.kernels.grip.control import Felt
+from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.stages.slip_detectors import detector_of
+from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 
 
@@ -46,7 +46,7 @@ def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.boo
 
 
 @dataclass
-class SlipSense:
+class OnlineSlipDetector:
     """The detector: what it has felt so far."""
 
     tracking: tracker.TrackerState
@@ -64,11 +64,11 @@ class SlipSense:
         dot_xy_px: NDArray[np.float64],
         window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
         constants: tracker.TrackerConstants,
-    ) -> "SlipSense":
+    ) -> "OnlineSlipDetector":
         """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid."""
         known = dots_for(model, dot_xy_px)
         rest = dot_xy_px.reshape(-1, 2)
-        live = Live(detector_of(model), rest[known], window_px)
+        live = Live(load_detector(model), rest[known], window_px)
         missing = np.isnan(rest[:, 0])
         return cls(
             tracker.start(rest, constants),
@@ -90,8 +90,8 @@ class SlipSense:
         return self.probability
 
     @property
-    def felt(self) -> Felt:
+    def felt(self) -> SlipSignal:
         """What a controller may know after the last slice: also how far all dots have been dragged, in the mean."""
         dragged = self.tracking.dot_xy_px - self.tracking.rest_xy_px
         x_px, y_px = (dragged if self.missing is None else dragged[~self.missing]).mean(axis=0).tolist()
-        return Felt(self.count, self.probability, x_px, y_px)
+        return SlipSignal(self.count, self.probability, x_px, y_px)

@@ -21,12 +21,12 @@ from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.realtime import starting
 from evetac_cli.realtime.message_pipe import Inbox
-from evetac_cli.realtime.shared_status import Board
+from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages.grasp import controller_process, detector_process
 from evetac_cli.stages.grasp.controller_process import OVER, Commanding, CommandingEnded, Ready
 from evetac_cli.stages.grasp.detector_process import Feeling, FeelingEnded, Piece, Seen
-from evetac_cli.stages.grasp.loop import Kept
+from evetac_cli.stages.grasp.loop import TrialBuffer
 from evetac_cli.stages.record.capture import INTERRUPTED, LOST, spread
 from evetac_cli.store.segments import RecordingWriter
 
@@ -49,7 +49,7 @@ class Loops:
     def __init__(self, feeling: Feeling, commanding: Commanding, world: "VirtualWorld | None") -> None:
         """Start both; they load, and wait for `begin`."""
         context = multiprocessing.get_context("spawn")
-        self.board = Board()
+        self.board = SharedStatus()
         self._orders = []  # to the detector and to the controller
         theirs = []
         for _ in range(2):
@@ -147,8 +147,8 @@ class Recorded:
     slice_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     step_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     latency_us: "array[float]" = field(default_factory=lambda: array("d"))
-    steps: Kept = field(default_factory=Kept)  # of the controller: what tells what became of it
-    truth: Kept = field(default_factory=Kept)  # of a virtual world
+    steps: TrialBuffer = field(default_factory=TrialBuffer)  # of the controller: what tells what became of it
+    truth: TrialBuffer = field(default_factory=TrialBuffer)  # of a virtual world
     truths: int = 0  # slices whose truth is known
     world_over: bool = False
     died: bool = False  # the detector

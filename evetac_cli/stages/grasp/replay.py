@@ -18,7 +18,7 @@ from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.sim import scene
 from evetac_cli.stages.grasp import setup
-from evetac_cli.stages.grasp.loop import Kept, Timing, hold
+from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.online_detector import dots_for
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -59,24 +59,24 @@ class RecordedGripper:
 def check(job: Job, params: Grasp, *, force: bool) -> None:
     """InputError for what a run would refuse; only files are looked at."""
     with open_recording(job.inputs[0]) as recording:
-        timing = timing_of(params, recording.header["parameters"])
-        control = Control(setup.law_of(params), params.control_hz)
+        timing = make_timing(params, recording.header["parameters"])
+        control = Control(setup.make_law(params), params.control_hz)
         if not up_to_date(job.output, _recipe(job, params, recording, timing, control), force=force):
             _refuse_unknown_dots(params, recording)
 
 
 def _recipe(job: Job, params: Grasp, recording: Recording, timing: Timing, control: Control) -> Recipe:
     parameters = {
-        **setup.parameters_of(job, params, control),
+        **setup.grasp_parameters(job, params, control),
         "replayed": True,
         "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
     }
-    parents = (*setup.parents_of(setup.model_of(params)), recording.header)
+    parents = (*setup.model_headers(setup.model_path_for(params)), recording.header)
     return Recipe("recording", METHOD, parameters, parents=parents)
 
 
 def _refuse_unknown_dots(params: Grasp, recording: Recording) -> None:
-    model_path, dot_xy_px = setup.model_of(params), recording.dot_xy_px
+    model_path, dot_xy_px = setup.model_path_for(params), recording.dot_xy_px
     if model_path is None:
         return
     if dot_xy_px is None:
@@ -87,9 +87,9 @@ def _refuse_unknown_dots(params: Grasp, recording: Recording) -> None:
 
 def run(job: Job, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
     """Feel and decide on a recording, and write events and decisions."""
-    model_path, control = setup.model_of(params), Control(setup.law_of(params), params.control_hz)
+    model_path, control = setup.model_path_for(params), Control(setup.make_law(params), params.control_hz)
     with open_recording(job.inputs[0]) as recording:
-        timing = timing_of(params, recording.header["parameters"])
+        timing = make_timing(params, recording.header["parameters"])
         recipe = _recipe(job, params, recording, timing, control)
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
@@ -99,12 +99,14 @@ def run(job: Job, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
         sense = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:
-                sense = setup.sense_of(model, sensor, params.tracker)
+                sense = setup.open_detector(model, sensor, params.tracker)
         camera = ReplayCamera(job.inputs[0])
         devices = Rig(camera, RecordedGripper(recording, camera), camera)
-        kept = Kept()
+        kept = TrialBuffer()
         try:
-            slices = hold(devices, sense, control, timing, kept.append, lambda done: progress(done, len(recording)))
+            slices = run_grasp(
+                devices, sense, control, timing, kept.append, lambda done: progress(done, len(recording))
+            )
         finally:
             devices.close()
     if not slices:
@@ -122,12 +124,12 @@ def run(job: Job, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
     )
 
 
-def timing_of(params: Grasp, recorded: Mapping[str, Any]) -> Timing:
+def make_timing(params: Grasp, recorded: Mapping[str, Any]) -> Timing:
     """When phases ended in a recording that is a grasp itself, else when they would by the flags."""
     if {"scene", "lift_s", "balance_s"} <= set(recorded):
         touch_s, lift_s, balance_s = recorded["scene"]["time"]["touch_s"], recorded["lift_s"], recorded["balance_s"]
     else:
-        planned = scene.plan(params.scene, params.objects, params.individual, ("lift",), params.gel, params.readout)
+        planned = scene.plan(params.scene, params.objects, params.sensor, ("lift",), params.gel, params.readout)
         touch_s, lift_s, balance_s = planned[0]["scene"]["time"]["touch_s"], params.lift_s, params.balance_s
     touch_ms, lift_ms, balance_ms = (round(1000 * seconds) for seconds in (touch_s, lift_s, balance_s))
     return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)

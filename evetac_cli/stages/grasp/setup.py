@@ -13,28 +13,28 @@ from evetac_cli.kernels.grip.control import Control
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params import Grasp
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
-from evetac_cli.stages.grasp.online_detector import SlipSense
+from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
 
-def law_of(params: Grasp) -> Any:
+def make_law(params: Grasp) -> Any:
     """The controller's law; InputError if there is none of that name, or none with that gain."""
     try:
-        return grip_control.law_of(params.controller, params.gain)
+        return grip_control.make_law(params.controller, params.gain)
     except ValueError as error:
         where = "--controller" if params.gain == 1.0 else "--controller, --gain"
         raise InputError("unknown value", where=where, expected=str(error).removeprefix("expected ")) from None
 
 
-def model_of(params: Grasp) -> Path | None:
+def model_path_for(params: Grasp) -> Path | None:
     """The model file that a grasp feels with: the one named, else the package's; None without a detector."""
-    if not grip_control.feels(law_of(params)):
+    if not grip_control.feels(make_law(params)):
         return None
     return params.model if params.model is not None else resources.MODEL
 
 
-def timing_of(params: Grasp, scene: dict[str, Any]) -> Timing:
+def make_timing(params: Grasp, scene: dict[str, Any]) -> Timing:
     """When the phases of a scene end, and how the controller is timed."""
     touch_ms, lift_ms, balance_ms = (
         round(SLICES_S * seconds) for seconds in (scene["time"]["touch_s"], params.lift_s, params.balance_s)
@@ -42,13 +42,13 @@ def timing_of(params: Grasp, scene: dict[str, Any]) -> Timing:
     return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)
 
 
-def sense_of(model: StageFile, sensor: Mapping[str, Any], preset: str) -> SlipSense:
+def open_detector(model: StageFile, sensor: Mapping[str, Any], preset: str) -> OnlineSlipDetector:
     """The detector of a model, for a sensor with these datasets `sensor/...`."""
     constants = tracker.PRESETS[preset].for_dots(float(sensor["sensor/dot_radius_px"]))
-    return SlipSense.start(model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants)
+    return OnlineSlipDetector.start(model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants)
 
 
-def parameters_of(job: Job, params: Grasp, control: Control) -> dict[str, Any]:
+def grasp_parameters(job: Job, params: Grasp, control: Control) -> dict[str, Any]:
     """The parameters of a grasp's recipe."""
     feeling = {"preset": params.tracker, "constants": asdict(tracker.PRESETS[params.tracker])}
     return {
@@ -65,7 +65,7 @@ def parameters_of(job: Job, params: Grasp, control: Control) -> dict[str, Any]:
     }
 
 
-def parents_of(model_path: Path | None) -> tuple[Header, ...]:
+def model_headers(model_path: Path | None) -> tuple[Header, ...]:
     """The model that a grasp feels with, if it does."""
     if model_path is None:
         return ()

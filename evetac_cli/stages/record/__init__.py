@@ -24,7 +24,7 @@ from evetac_cli.stages import one_file
 from evetac_cli.stages.record import capture, capture_plan, live
 from evetac_cli.stages.record.capture_series import as_series
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
-from evetac_cli.stages.unused_options import refuse_idle_options
+from evetac_cli.stages.unused_options import refuse_unused_options
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import output_path, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
@@ -39,7 +39,7 @@ CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: on
 
 def jobs(files: list[Path], params: Record, out: Path | None) -> list[Job]:
     """One recording for every object and trajectory, or for the imported file; InputError for options of another."""
-    refuse_idle_options(params)
+    refuse_unused_options(params)
     if params.source is not None:
         if params.source.is_dir() and not is_bag_folder(params.source):
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
@@ -87,11 +87,11 @@ def trials(
     They are named <prefix><scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
     """
     found = []
-    for plan in scene.plan(params.scene, params.objects, params.individual, kinds, params.gel, params.readout, tones):
-        thing = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
-        thing += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
+    for plan in scene.plan(params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones):
+        object_params = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
+        object_params += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
         for trial in range(params.count):
-            name = f"{prefix}{plan['scene']['name']}{thing}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
+            name = f"{prefix}{plan['scene']['name']}{object_params}-s{params.seed}-{trial:03d}.{OUTPUT}.h5"
             output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
             built = scene.for_trial(plan, (params.seed, plan["object"] or 0, trial))
             found.append(Job((), output, {"plan": built, "trial": trial}))
@@ -161,7 +161,7 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     devices = rig(recipe.parameters, drawing)
     scene_ = recipe.parameters["scene"]
     longest_ms = round(1000 * _longest_s(scene_["time"]))
-    known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/drawn": devices.drawn}
+    known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.drawn}
     writer = RecordingWriter(job.output, known, discard_leftover=True)
     try:
         slices, events = _follow(devices, writer, Handling.of(scene_), ramp, lambda done: progress(done, longest_ms))
@@ -252,7 +252,7 @@ def _import(job: Job, params: Record, force: bool) -> Outcome:
         "ms_to_idx": slice_starts(events.t, imported.slices),
         "t_offset": np.int64(imported.t_offset_us),
         "sensor/frame_px": np.array(imported.frame_px, np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
     }
     if params.calibration is not None:
         arrays |= read_calibration(params.calibration, imported.frame_px).arrays()

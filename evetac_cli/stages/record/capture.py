@@ -26,7 +26,7 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.devices.naming import GripperName, open_rig
-from evetac_cli.errors import DeviceError, EvetacError, carry
+from evetac_cli.errors import DeviceError, EvetacError, attach_outcome
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.params import Record
@@ -335,9 +335,9 @@ def _tell(job: Job, takings: Sequence[Taking], figures: Sequence[Mapping[str, An
     if captured.error is not None:
         error = captured.error if isinstance(captured.error, EvetacError) else DeviceError(str(captured.error))
         error.kept = kept
-        raise carry(error, result)
+        raise attach_outcome(error, result)
     if captured.ended == INTERRUPTED:
-        raise carry(KeyboardInterrupt(f"interrupted: {kept}"), result)
+        raise attach_outcome(KeyboardInterrupt(f"interrupted: {kept}"), result)
     return result
 
 

@@ -59,7 +59,7 @@ def check(job: Job, params: Record, *, force: bool) -> None:
         return
     refuse_taken(job, again="a recording from a device", hint=TAKEN, force=force, resume=params.resume)
     needed = needed_bytes(params) * len(cameras)
-    require_room(job.output.parent, needed, "--expect EVENTS_PER_S and --seconds say what is needed")
+    require_room(job.output.parent, needed, "--expected-event-rate and --seconds say what is needed")
 
 
 def is_there(job: Job, params: Record, *, force: bool) -> bool:
@@ -101,7 +101,7 @@ def dry_run(jobs: list[Job], params: Record, *, force: bool = False) -> Outcome:
         {
             "part": "end",
             "what": f"after {params.seconds:g} s" if params.seconds is not None else _end(cameras, gripper),
-            "detail": f"room for {needed_bytes(params) / 1e6:,.0f} MB is asked for, {params.expect:,.0f} events/s"
+            "detail": f"room for {needed_bytes(params) / 1e6:,.0f} MB is asked for, {params.expected_event_rate:,.0f} events/s"
             f" for {seconds:g} s",
         },
         *(
@@ -140,4 +140,4 @@ def settings(params: Record) -> CameraSettings:
 def needed_bytes(params: Record) -> float:
     """Room that a recording may need on its disk."""
     seconds = params.seconds if params.seconds is not None else SECONDS
-    return params.expect * seconds * BYTES_AN_EVENT
+    return params.expected_event_rate * seconds * BYTES_AN_EVENT

@@ -18,7 +18,7 @@ from evetac_cli.store.segments import refuse_leftover
 
 OUTPUT = "recording"
 METHOD = 1  # of recordings from devices
-OF_A_TRIAL = ("trial", "trajectory", "object", "object_row", "individual_row", "drawn_holding_ma")  # may differ
+OF_A_TRIAL = ("trial", "trajectory", "object", "object_row", "sensor_row", "drawn_holding_ma")  # may differ
 
 
 def as_series(jobs: list[Job]) -> list[Job]:

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from evetac_cli.devices import Clock, EventCamera
 from evetac_cli.devices.dvxplorer import camera as dvxplorer
 from evetac_cli.devices.dvxplorer import event_words, protocol, usb_reader
-from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera, look
+from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera, find_cameras
 from evetac_cli.devices.dvxplorer.protocol import READOUT_RATES, DvxplorerSettings
 from evetac_cli.devices.virtual.virtual_dvxplorer import STORE_TO_FLASH, PreparedWords, VirtualDvxplorer
-from evetac_cli.devices.virtual.word_sources import rain
+from evetac_cli.devices.virtual.word_sources import random_event_words
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.events import SLICE_US, Events, concatenate
 
 
 def few(seconds: float, events_per_s: float = 20_000) -> NDArray[np.uint32]:
-    return rain(events_per_s, seconds, np.random.default_rng(0))
+    return random_event_words(events_per_s, seconds, np.random.default_rng(0))
 
 
 def all_of(words: NDArray[np.uint32]) -> Events:
@@ -98,7 +98,7 @@ for _name in (
 @pytest.mark.parametrize(("firmware", "slices"), [(9, 200), (10, 1000)])
 def test_no_event_is_lost(firmware: int, slices: int) -> None:
     """Assert that every event of a second comes at a million a second, in 1000 slices; and so with firmware 9."""
-    words = rain(1e6, (slices + 10) / 1000, np.random.default_rng(0))
+    words = random_event_words(1e6, (slices + 10) / 1000, np.random.default_rng(0))
     expected = all_of(words)
     device = VirtualDvxplorer(PreparedWords(words), firmware=firmware)
     with closing(DvxplorerCamera(backend=device)) as camera:
@@ -310,10 +310,10 @@ def test_no_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_cameras_are_told_apart_by_serial() -> None:
     """Assert that each of two cameras on a bus gives its own events, and that no name, or a wrong one, is refused."""
-    streams = [rain(20_000, 0.3, np.random.default_rng(seed)) for seed in range(2)]
+    streams = [random_event_words(20_000, 0.3, np.random.default_rng(seed)) for seed in range(2)]
     devices = [VirtualDvxplorer(PreparedWords(words), serial=f"CAM{k}") for k, words in enumerate(streams)]
     bus = VirtualBus(*devices)
-    assert [camera.serial for camera in look(bus)] == ["CAM0", "CAM1"]
+    assert [camera.serial for camera in find_cameras(bus)] == ["CAM0", "CAM1"]
     with pytest.raises(DeviceError, match="several cameras") as error:
         DvxplorerCamera(backend=bus)
     assert "CAM0, CAM1" in str(error.value)
@@ -331,12 +331,12 @@ def test_cameras_are_told_apart_by_serial() -> None:
 
 
 def test_looking_changes_nothing() -> None:
-    """Assert that a look tells serial, model, firmware and link without a request to the camera."""
+    """Assert that a find_cameras tells serial, model, firmware and link without a request to the camera."""
     device = VirtualDvxplorer(Nothing(), firmware=9, faults=("usb2", "busy"))
-    (found,) = look(device)
+    (found,) = find_cameras(device)
     assert (found.serial, found.board, found.firmware, found.speed) == ("DXM00042", 4, 9, 3)
     assert device.log == []
-    (found,) = look(VirtualDvxplorer(Nothing(), faults=("no-permission",)))
+    (found,) = find_cameras(VirtualDvxplorer(Nothing(), faults=("no-permission",)))
     assert found.serial is None
 
 

@@ -25,7 +25,7 @@ import usb.core
 from evetac_cli.devices.dvxplorer import event_words
 from evetac_cli.devices.dvxplorer.protocol import DVS, RUN, DvxplorerSettings, Generation, configure
 from evetac_cli.devices.virtual.virtual_dvxplorer import PreparedWords, VirtualDvxplorer
-from evetac_cli.devices.virtual.word_sources import rain
+from evetac_cli.devices.virtual.word_sources import random_event_words
 from evetac_cli.events import Events
 
 pytestmark = pytest.mark.skipif(
@@ -61,7 +61,7 @@ print(camera.getCameraName())
 OURS = """
 import sys
 import numpy as np
-from evetac_cli.devices.dvxplorer import DvxplorerCamera
+from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import concatenate
 
@@ -174,7 +174,7 @@ def test_the_makers_driver_sees_what_we_see(tmp_path: Path) -> None:
     """Assert that the maker's driver starts our camera, and makes of our words the events that we make of them."""
     pytest.importorskip("dv_processing")
     decoder = event_words.start()
-    events = event_words.step(decoder, rain(100_000, 0.3, np.random.default_rng(0)).tobytes())
+    events = event_words.step(decoder, random_event_words(100_000, 0.3, np.random.default_rng(0)).tobytes())
     words = event_words.encode(events, first_ms=2**22 - 100)  # so that the milliseconds wrap on the way
     device = VirtualDvxplorer(PreparedWords(words))
     seen, said = run(MAKERS, device, tmp_path, 1.0)
@@ -191,7 +191,7 @@ def test_the_makers_driver_sees_what_we_see(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("firmware", "faults", "lost"), [(9, (), {}), (10, ("stall@0.1",), {"usb_errors": 1})])
 def test_our_driver_over_libusb(firmware: int, faults: tuple[str, ...], lost: dict[str, int], tmp_path: Path) -> None:
     """Assert that the driver finds, starts and reads a camera through the real libusb; a stall costs no event."""
-    words = rain(100_000, 0.6, np.random.default_rng(0))
+    words = random_event_words(100_000, 0.6, np.random.default_rng(0))
     device = VirtualDvxplorer(PreparedWords(words), firmware=firmware, faults=faults)
     seen, said = run(OURS, device, tmp_path, 0.5)
     assert said == str(lost)
@@ -205,7 +205,9 @@ def test_our_driver_over_libusb(firmware: int, faults: tuple[str, ...], lost: di
 
 def test_unplugged_over_libusb(tmp_path: Path) -> None:
     """Assert that the real libusb says of an unplugged camera what our virtual bus says."""
-    device = VirtualDvxplorer(PreparedWords(rain(20_000, 0.5, np.random.default_rng(0))), faults=("unplug@0.2",))
+    device = VirtualDvxplorer(
+        PreparedWords(random_event_words(20_000, 0.5, np.random.default_rng(0))), faults=("unplug@0.2",)
+    )
     seen, said = run(OURS, device, tmp_path, 0.4)
     assert seen.size > 0
     assert "no longer on the bus" in said

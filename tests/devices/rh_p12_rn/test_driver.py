@@ -17,9 +17,9 @@ from tests.conftest import SLOW, is_off
 def test_current_mode_is_set_up(fresh: VirtualGripper) -> None:
     """Assert mode, torque and a goal of 0 while open, all off afterwards, and the EEPROM written at need only."""
     with RhP12Rn(fresh.port, settings=SLOW) as driver:
-        assert fresh.look("Operating Mode") == 0
-        assert (fresh.look("Torque Enable"), fresh.look("Goal Current")) == (1, 0)
-        assert fresh.look("Return Delay Time") == 0
+        assert fresh.read_register("Operating Mode") == 0
+        assert (fresh.read_register("Torque Enable"), fresh.read_register("Goal Current")) == (1, 0)
+        assert fresh.read_register("Return Delay Time") == 0
         assert driver.described["current_limit_ma"] == 661
         assert driver.described["firmware"] == 14
         assert set(driver.counted.values()) == {0}
@@ -32,9 +32,13 @@ def test_position_mode_is_set_up(fresh: VirtualGripper) -> None:
     """Assert mode 5, the P gain, the limit as goal current, and that it stays where it is."""
     with RhP12Rn(fresh.port, mode="position", settings=RhP12RnSettings(answer_ms=2000, max_current_ma=200)) as driver:
         assert driver.described["eeprom_written"] == {"Operating Mode": [0, 5]}
-        assert (fresh.look("Operating Mode"), fresh.look("Position P Gain")) == (5, 50)
-        assert fresh.look("Goal Current") == 200
-        assert fresh.look("Goal Position") == fresh.look("Present Position") == driver.read().position_ticks
+        assert (fresh.read_register("Operating Mode"), fresh.read_register("Position P Gain")) == (5, 50)
+        assert fresh.read_register("Goal Current") == 200
+        assert (
+            fresh.read_register("Goal Position")
+            == fresh.read_register("Present Position")
+            == driver.read().position_ticks
+        )
         with pytest.raises(DeviceError, match="opened in position mode"):
             driver.write_current(5)
     assert is_off(fresh)
@@ -46,7 +50,7 @@ def test_what_another_program_left_behind_is_cleared() -> None:
     with VirtualGripper(registers=left) as gripper:
         with RhP12Rn(gripper.port, settings=SLOW) as driver:
             driver.write_current(20)
-            assert gripper.look("Goal Current") == 20
+            assert gripper.read_register("Goal Current") == 20
             assert driver.described["eeprom_written"] == {"Operating Mode": [5, 0], "Return Delay Time": [250, 0]}
         assert is_off(gripper)
 
@@ -62,11 +66,11 @@ def test_return_delay_may_be_left_alone() -> None:
             driver.write_current(500)
             driver.write_current(-500)
             assert driver.counted["commands_clamped"] == 2
-            assert gripper.look("Goal Current") == -300
+            assert gripper.read_register("Goal Current") == -300
         with RhP12Rn(gripper.port, mode="position", settings=settings) as driver:
             assert driver.described["range_ticks"] == [100, 600]
             driver.write_position(0)
-            assert gripper.look("Goal Position") == 100
+            assert gripper.read_register("Goal Position") == 100
             driver.write_position(650)
             assert driver.counted["commands_clamped"] == 2
         narrow = RhP12RnSettings(answer_ms=2000, first_tick=620)
@@ -83,8 +87,8 @@ def test_other_models_are_refused(registers: dict[str, int], words: str) -> None
     with VirtualGripper(registers=registers) as gripper:
         with pytest.raises(DeviceError, match=words):
             RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=2000))
-        assert gripper.look("Operating Mode") == 5
-        assert gripper.look("Return Delay Time") == 250
+        assert gripper.read_register("Operating Mode") == 5
+        assert gripper.read_register("Return Delay Time") == 250
 
 
 @pytest.mark.parametrize(
@@ -121,7 +125,7 @@ def test_one_answered_transaction_a_cycle(fresh: VirtualGripper) -> None:
         assert spent[Instruction.READ] == 201
         assert spent[Instruction.SYNC_WRITE] == 198
         assert spent[Instruction.WRITE] == 3 + 1  # and the watchdog's start
-        assert fresh.look("Goal Current") == 200 % 7
+        assert fresh.read_register("Goal Current") == 200 % 7
 
 
 def test_readings_are_signed(fresh: VirtualGripper) -> None:
@@ -151,10 +155,10 @@ def test_watchdog_runs_from_the_first_command_on(fresh: VirtualGripper) -> None:
     driver.read()
     driver.write_current(12)
     time.sleep(0.5)
-    assert fresh.look("Bus Watchdog") == -1
+    assert fresh.read_register("Bus Watchdog") == -1
     with pytest.raises(DeviceError, match=r"bus watchdog has tripped(.|\n)*every 100 ms(.|\n)*torque is off"):
         driver.write_current(12)
-    assert fresh.look("Torque Enable") == 0
+    assert fresh.read_register("Torque Enable") == 0
     with pytest.raises(DeviceError, match="is closed"):
         driver.read()
     driver.close()

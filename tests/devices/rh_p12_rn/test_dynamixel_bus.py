@@ -48,7 +48,7 @@ def test_a_question_damaged_on_its_way_is_asked_again(gripper: VirtualGripper, m
 
         monkeypatch.setattr(bus._port, "writePort", damaged)
         bus.write("LED Red", 77)
-        assert gripper.look("LED Red") == 77
+        assert gripper.read_register("LED Red") == 77
         assert bus.counted == {"answers_lost": 0, "answers_damaged": 1, "answers_stray": 0}
 
 
@@ -96,7 +96,7 @@ def test_baud_rate_is_changed_and_found() -> None:
     """Assert that the rate changes at both ends, that the same rate again writes nothing, and that a scan finds it."""
     with VirtualGripper(baud=57_600, registers={"Torque Enable": 1}) as gripper:
         change_baud(gripper.port, 57_600, 1_000_000, answer_ms=1000)
-        assert gripper.look("Baud Rate") == 3
+        assert gripper.read_register("Baud Rate") == 3
         writes = gripper.instructions()[Instruction.WRITE]
         change_baud(gripper.port, 1_000_000, 1_000_000, answer_ms=1000)
         assert gripper.instructions()[Instruction.WRITE] == writes + 1  # torque off

@@ -51,7 +51,7 @@ def test_many_spoiled_answers(fault: str) -> None:
         gripper.inject(fault)
         with pytest.raises(DeviceError, match="answer"):
             cycles(driver, 2000)
-        assert gripper.look("Torque Enable") == 0
+        assert gripper.read_register("Torque Enable") == 0
         assert driver.counted["answers_lost"] + driver.counted["answers_damaged"] >= 2
 
 
@@ -70,7 +70,7 @@ def test_set_up_gives_up_on_a_bad_line() -> None:
     with VirtualGripper(faults=["lost-answer%20"], seed=1) as gripper:
         with pytest.raises(DeviceError, match="answer"):
             RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=20, watchdog_ms=1000))
-        assert gripper.look("Torque Enable") == 0
+        assert gripper.read_register("Torque Enable") == 0
 
 
 def test_overload_is_named(fresh: VirtualGripper) -> None:
@@ -96,7 +96,7 @@ def test_watchdog_fault_is_found_though_commands_are_not_answered(fresh: Virtual
     fresh.inject("watchdog")
     with pytest.raises(DeviceError, match="bus watchdog has tripped"):
         cycles(driver, 120)
-    assert fresh.look("Torque Enable") == 0
+    assert fresh.read_register("Torque Enable") == 0
 
 
 def test_unplugging_is_said_and_stops_the_gripper() -> None:
@@ -108,11 +108,11 @@ def test_unplugging_is_said_and_stops_the_gripper() -> None:
                 cycles(driver, 1)
         driver.close()
         deadline_s = time.monotonic() + 20
-        while gripper.look("Bus Watchdog") != -1 and time.monotonic() < deadline_s:
+        while gripper.read_register("Bus Watchdog") != -1 and time.monotonic() < deadline_s:
             time.sleep(0.05)
-        assert gripper.look("Bus Watchdog") == -1
+        assert gripper.read_register("Bus Watchdog") == -1
         time.sleep(0.05)
-        assert gripper.look("Present Current") == 0
+        assert gripper.read_register("Present Current") == 0
 
 
 def test_a_dead_gripper_is_a_timeout() -> None:
@@ -124,7 +124,7 @@ def test_a_dead_gripper_is_a_timeout() -> None:
         with pytest.raises(DeviceTimeout, match=r"no answer(.|\n)*could not be switched off; its watchdog stops it"):
             cycles(driver, 1)
         driver.close()
-        assert gripper.look("Torque Enable") == 0  # it heard, but could not say so
+        assert gripper.read_register("Torque Enable") == 0  # it heard, but could not say so
 
 
 # Every way out
@@ -132,7 +132,7 @@ def test_a_dead_gripper_is_a_timeout() -> None:
 
 PROGRAM = """
 import sys, time
-from evetac_cli.devices.rh_p12_rn import RhP12Rn, RhP12RnSettings
+from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 driver = RhP12Rn(sys.argv[1], settings=RhP12RnSettings(answer_ms=200, watchdog_ms=500))
 driver.write_current(30)
 driver.write_current(30)
@@ -156,17 +156,17 @@ def test_torque_is_off_when_the_program_has_ended(fresh: VirtualGripper, way: An
     """Assert that a program that never closes the gripper leaves no torque, however it ends."""
     assert run_program(fresh, way) == code
     assert is_off(fresh)
-    assert fresh.look("Bus Watchdog") == 0
+    assert fresh.read_register("Bus Watchdog") == 0
 
 
 def test_watchdog_stops_the_gripper_of_a_killed_program(fresh: VirtualGripper) -> None:
     """Assert that a program that is killed loses the gripper to the watchdog."""
     assert run_program(fresh, signal.SIGKILL) == -signal.SIGKILL
     deadline_s = time.monotonic() + 20
-    while fresh.look("Bus Watchdog") != -1 and time.monotonic() < deadline_s:
+    while fresh.read_register("Bus Watchdog") != -1 and time.monotonic() < deadline_s:
         time.sleep(0.05)
     time.sleep(0.05)
-    assert (fresh.look("Bus Watchdog"), fresh.look("Present Current")) == (-1, 0)
+    assert (fresh.read_register("Bus Watchdog"), fresh.read_register("Present Current")) == (-1, 0)
 
 
 def run_program(gripper: VirtualGripper, way: Any) -> int:
@@ -179,7 +179,7 @@ def run_program(gripper: VirtualGripper, way: Any) -> int:
         assert program.stdout is not None
         assert program.stdout.readline() == b"ready\n"
         if not isinstance(way, str):
-            assert gripper.look("Goal Current") == 30
+            assert gripper.read_register("Goal Current") == 30
             time.sleep(0.05)
             program.send_signal(way)
         program.communicate(timeout=30)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from evetac_cli.devices.dvxplorer import event_words
 from evetac_cli.devices.virtual.camera_faults import FAULTS, fault
 from evetac_cli.devices.virtual.virtual_dvxplorer import STORE_TO_FLASH, PreparedWords, VirtualDvxplorer
-from evetac_cli.devices.virtual.word_sources import due_us, rain
+from evetac_cli.devices.virtual.word_sources import due_us, random_event_words
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate
 
@@ -25,7 +25,7 @@ SIZE = {9: 4, 10: 8}
 
 
 def words_of(seconds: float, events_per_s: float = 20_000) -> NDArray[np.uint32]:
-    return rain(events_per_s, seconds, np.random.default_rng(0))
+    return random_event_words(events_per_s, seconds, np.random.default_rng(0))
 
 
 def plugged(device: VirtualDvxplorer) -> Any:
@@ -334,7 +334,7 @@ def test_paced_words_come_in_time() -> None:
 @settings(max_examples=20, deadline=None)
 def test_rain_has_as_many_events_as_asked(events_per_s: float, frames: int) -> None:
     """Assert the same number in every frame, no pixel twice in one, and nothing that the decoder drops."""
-    words = rain(events_per_s, frames / 5000, np.random.default_rng(1))
+    words = random_event_words(events_per_s, frames / 5000, np.random.default_rng(1))
     events, missing = decoded(words.tobytes())
     each = round(events_per_s * 200e-6)
     assert events.size == each * frames
@@ -348,6 +348,6 @@ def test_rain_beyond_the_frame() -> None:
     """Assert a ValueError for more events than pixels, and for none."""
     for rate in (1e9, 10.0):
         with pytest.raises(ValueError, match="expected 5000"):
-            rain(rate, 0.01, np.random.default_rng(0))
+            random_event_words(rate, 0.01, np.random.default_rng(0))
     with pytest.raises(ValueError, match="seconds"):
-        rain(1e5, 0.0, np.random.default_rng(0))
+        random_event_words(1e5, 0.0, np.random.default_rng(0))

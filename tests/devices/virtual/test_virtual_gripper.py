@@ -80,7 +80,7 @@ def test_sdk_reads_and_writes(gripper: VirtualGripper, port: Port) -> None:
     assert packets.regWriteTxRx(port, 1, 550, 2, [46, 0]) == (ok, 0)
     assert packets.action(port, 1) == ok
     time.sleep(0.2)  # the library does not wait for the answer, and would take it for the next one's
-    assert gripper.look("Goal Current") == 46
+    assert gripper.read_register("Goal Current") == 46
     assert packets.clearMultiTurn(port, 1) == (ok, 0)
 
 
@@ -92,7 +92,7 @@ def test_sdk_is_told_errors(gripper: VirtualGripper, port: Port) -> None:
     assert packets.write1ByteTxRx(port, 1, 9, 0) == (ok, Fault.ACCESS)
     assert packets.write2ByteTxRx(port, 1, 550, 700) == (ok, Fault.DATA_LIMIT)
     assert packets.factoryReset(port, 1, 2) == (ok, Fault.RESULT)
-    assert gripper.look("Torque Enable") == 1
+    assert gripper.read_register("Torque Enable") == 1
 
 
 def test_another_rate_is_noise(gripper: VirtualGripper, port: Port) -> None:
@@ -115,7 +115,7 @@ def test_a_stopped_servo_does_not_blame_the_host(gripper: VirtualGripper, port: 
     gripper._process.send_signal(signal.SIGSTOP)
     time.sleep(1.2)
     gripper._process.send_signal(signal.SIGCONT)
-    assert gripper.look("Bus Watchdog") == 50
+    assert gripper.read_register("Bus Watchdog") == 50
 
 
 def test_process_ends_with_its_parent() -> None:
@@ -149,7 +149,7 @@ def running(process: int) -> bool:
 def test_close_ends_the_process(gripper: VirtualGripper) -> None:
     """Assert that closing twice is as closing once, and that the port is gone with it."""
     other = VirtualGripper(registers={"Model Number": 35073})
-    assert other.look("Model Number") == 35073
+    assert other.read_register("Model Number") == 35073
     other.close()
     assert other._process.returncode == 0
     other.close()

@@ -134,7 +134,7 @@ def test_scenes_that_cannot_be_built(made: Made) -> None:
     """Assert that what the world's process refuses is raised here in its own words."""
     with pytest.raises(DeviceError, match="needs a scene with a gripper"):
         VirtualWorld(scene.for_trial(scene.plan("press", "8", "evetac", ("press",))[0], (0, 8, 0)), seeds())
-    broken = plan_of(made) | {"individual_row": {}}
+    broken = plan_of(made) | {"sensor_row": {}}
     with pytest.raises((DeviceError, SceneError)):
         VirtualWorld(broken, seeds())
 

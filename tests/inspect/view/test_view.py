@@ -28,9 +28,9 @@ from evetac_cli.events import slice_starts
 from evetac_cli.inspect import view
 from evetac_cli.inspect.view import lines, pictures
 from evetac_cli.inspect.view import page as view_page
-from evetac_cli.inspect.view.collect import look
+from evetac_cli.inspect.view.collect import collect_view
 from evetac_cli.inspect.view.trial_files import open_trial
-from evetac_cli.inspect.view.view_data import Look
+from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.kernels.slip.slip import ARCHITECTURES
 from evetac_cli.params import View
@@ -45,7 +45,7 @@ REST = np.stack(np.meshgrid([10.0, 25.0, 40.0], [12.0, 32.0]), axis=-1)
 NASTY = "</script><script>document.title='owned'</script><!-- \"quoted\" 'single' & ünïcode \u2028"
 SENSOR = {
     "sensor/frame_px": np.array([WIDTH, HEIGHT], np.int32),
-    "sensor/individual": "evetac",
+    "sensor/name": "evetac",
     "sensor/dot_xy_px": REST,
     "sensor/dot_radius_px": np.float64(3.0),
     "sensor/window_px": np.array([50, 0, WIDTH, HEIGHT], np.int32),
@@ -83,9 +83,9 @@ def write_recording(
             "truth/slip_fraction": np.zeros(slices, np.float32),
             "truth/normal_force_n": np.linspace(2.0, 1.0, slices).astype(np.float32),
             "truth/shear_force_n": np.ones((slices, 2), np.float32),
-            "truth/drawn": "{}",
+            "truth/sampled_parameters": "{}",
         }
-    parameters = {"scene": {"name": scene, "summary": scene}, "object": 8, "individual": "evetac", "slices": slices}
+    parameters = {"scene": {"name": scene, "summary": scene}, "object": 8, "sensor": "evetac", "slices": slices}
     return write_stage(path, Recipe("recording", 1, parameters, seed=1, simulated_source=truth), arrays)
 
 
@@ -114,7 +114,7 @@ def write_labels(path: Path, parent: Header, onset: int = ONSET + 3, slices: int
         "relative_flow_px": np.where(label < 0, np.nan, 0.1 + label).astype(np.float32),
         "onset_slice": np.int64(onset),
         "confidence": np.float64(1.0),
-        "pairs_computed": np.int64(9),
+        "flow_pairs_computed": np.int64(9),
     }
     return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), arrays)
 
@@ -142,11 +142,11 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recording.with_name("a.html")
 
 
-def shown(path: Path, **chosen: Any) -> Look:
+def shown(path: Path, **chosen: Any) -> ViewData:
     """What would be drawn."""
     params = View(**chosen)
     with open_trial([path]) as trial:
-        return look(trial, params, view._span(trial, params), lambda done, total: None)
+        return collect_view(trial, params, view._span(trial, params), lambda done, total: None)
 
 
 def data_of(page: Path) -> dict[str, Any]:
@@ -263,26 +263,26 @@ def test_everything_of_a_trial(trial: Path) -> None:
     truth, label = found.lanes
     assert truth.slip == [(0.2, 0.3)]
     assert (label.slip, label.unknown) == ([(0.203, 0.3)], [(0.0, 0.05)])
-    assert found.moments.tolist() == list(range(SLICES - 4))
+    assert found.frame_times.tolist() == list(range(SLICES - 4))
     assert found.dot_xy_px is not None
     np.testing.assert_allclose(found.dot_xy_px, moving()[4:].astype(np.float32))
 
 
-def test_moments_are_bounded_and_dense_near_slip(trial: Path) -> None:
+def test_images_are_bounded_and_dense_near_slip(trial: Path) -> None:
     """Assert that there are no more images than asked for, over the whole span, closest around the onsets."""
-    found = shown(trial, moments=60)
-    assert len(found.moments) <= 60
-    assert (found.moments[0], found.moments[-1]) == (0, SLICES - 5)
-    gaps = np.diff(found.moments)
-    assert gaps[(found.moments[:-1] > 192) & (found.moments[:-1] < 204)].max() <= 2 < gaps.max()
-    assert len(shown(trial, moments=1).moments) == 1
+    found = shown(trial, images=60)
+    assert len(found.frame_times) <= 60
+    assert (found.frame_times[0], found.frame_times[-1]) == (0, SLICES - 5)
+    gaps = np.diff(found.frame_times)
+    assert gaps[(found.frame_times[:-1] > 192) & (found.frame_times[:-1] < 204)].max() <= 2 < gaps.max()
+    assert len(shown(trial, images=1).frame_times) == 1
 
 
 def test_a_part(trial: Path) -> None:
     """Assert that --start-s and --stop-s bound images and series, and that nothing is found before the start."""
     found = shown(trial, start_s=0.22, stop_s=0.25)
     assert found.span == (220, 250)
-    assert (found.moments[0], found.moments[-1]) == (220, 245)
+    assert (found.frame_times[0], found.frame_times[-1]) == (220, 245)
     assert all(0.22 <= t < 0.25 for panel in found.panels for line in panel.lines for t in line.t_s)
     assert found.onsets == {"truth": 220, "label": 220}
     assert shown(trial, stop_s=99.0).span == (0, SLICES)
@@ -297,7 +297,7 @@ def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
     with open_recording(trial) as recording:
         header = recording.header
     write_labels(trial.with_name("a.labels.h5"), header, method=method)
-    found = shown(trial, moments=1)
+    found = shown(trial, images=1)
     assert found.panels[-1].title == f"Flow that labels slip, {method}"
     assert len(found.panels[-1].levels) == levels
     assert ("The labels were copied from the truth (simulated)." in found.notes) == (method == "truth")
@@ -314,7 +314,7 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             mean = np.convolve(series[:, 0, 0], np.full(10, 0.1), "valid")
             return np.concatenate((np.full(min(9, len(series)), np.nan), mean)).astype(np.float32)
 
-    monkeypatch.setattr("evetac_cli.stages.slip_detectors.detector_of", lambda model: Fake())
+    monkeypatch.setattr("evetac_cli.stages.slip_detectors.load_detector", lambda model: Fake())
     displacement = np.linspace(0, 1, SLICES, dtype=np.float32)[:, None]
     features = SimpleNamespace(
         length=lambda path: SLICES,
@@ -326,7 +326,7 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         real.features, real.model = features, model  # type: ignore[assignment]
         real_files = [file for file in real.files if file not in (features, model)]
         monkeypatch.setattr(type(real), "files", real_files)
-        whole = look(real, View(), (0, SLICES), lambda done, total: None)
+        whole = collect_view(real, View(), (0, SLICES), lambda done, total: None)
         monkeypatch.setattr(lines, "BLOCK_ROWS", 7)
         part = lines.model_output(real, (40, 90))
     (panel,) = [panel for panel in whole.panels if panel.title == "Slip probability, model"]
@@ -402,7 +402,7 @@ def test_tracks_that_are_short_or_not_finite(trial: Path) -> None:
     assert np.isfinite(found.dot_xy_px[100:116]).all()
     (panel,) = [panel for panel in found.panels if panel.title == "Dots, distance from rest"]
     assert np.isnan(panel.lines[0].value[10:20]).all()
-    outcome = view.run([trial], View(film=trial.with_name("a.gif"), moments=30), None)
+    outcome = view.run([trial], View(film=trial.with_name("a.gif"), images=30), None)
     assert outcome.rows[0]["images"] > 10
 
 
@@ -437,7 +437,7 @@ def test_nothing_long_is_read_at_once(trial: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(StageFile, "read", spy)
     for name, value in {"BINS": 20, "BLOCK_ROWS": 40}.items():
         monkeypatch.setattr(lines, name, value)
-    found = shown(trial, moments=5)
+    found = shown(trial, images=5)
     assert all(len(line.value) <= 40 for panel in found.panels for line in panel.lines)
     for path in ("recording truth/normal_force_n", "labels relative_flow_px", "recording gripper/current_ma"):
         assert asked[path] <= 60, path
@@ -452,7 +452,7 @@ def evetac(*arguments: str | Path) -> Any:
 
 def test_command(trial: Path) -> None:
     """Assert that the command writes NAME.html beside the file, says so in the one shape, and keeps what exists."""
-    few = ("--moments", "5")
+    few = ("--images", "5")
     result = evetac("view", trial, "--json", "--film", trial.with_name("film.gif"), *few)
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
@@ -466,7 +466,7 @@ def test_command(trial: Path) -> None:
     assert result.exit_code == 2
     assert "the output exists" in result.stderr
     assert page.read_bytes() == before
-    assert evetac("view", trial, "--force", "-q", "--moments", "4").output == ""
+    assert evetac("view", trial, "--force", "-q", "--images", "4").output == ""
     assert page.read_bytes() != before
     assert sorted(path.name for path in trial.parent.glob(".*")) == []
 
@@ -523,7 +523,7 @@ def test_text_from_files_is_escaped(tmp_path: Path) -> None:
     assert "document.title='owned'" not in text
     assert "<img" not in text
     assert html.escape(path.name) in text
-    assert len(data_of(tmp_path / "p.html")["moments"]) == 16
+    assert len(data_of(tmp_path / "p.html")["frame_times"]) == 16
 
 
 def test_page_is_bounded(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -533,12 +533,12 @@ def test_page_is_bounded(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pictures, "IMAGE_BYTES", size // 3)
     found = shown(trial)
     assert sum(map(len, found.pictures)) <= size // 3
-    assert found.moments.tolist() == whole.moments.tolist()[::4]
+    assert found.frame_times.tolist() == whole.frame_times.tolist()[::4]
     assert "only every 4th" in found.notes[-1]
-    assert len(found.events) == len(found.pictures) == len(found.moments)
+    assert len(found.events) == len(found.pictures) == len(found.frame_times)
     monkeypatch.setattr(view_page, "LARGEST_BYTES", 1_000_000)
     with pytest.raises(EvetacError, match="too large"):
-        view.run([trial], View(moments=1), None)
+        view.run([trial], View(images=1), None)
 
 
 def test_page_says_what_it_shows(page: Path) -> None:
@@ -557,7 +557,7 @@ def test_page_says_what_it_shows(page: Path) -> None:
 def test_film(trial: Path) -> None:
     """Assert that the animation has at most 300 frames that differ, in the width promised."""
     film = trial.with_name("a.gif")
-    outcome = view.run([trial], View(film=film, moments=20), None)
+    outcome = view.run([trial], View(film=film, images=20), None)
     with Image.open(film) as image:
         assert image.size[0] == 480
         assert 2 < image.n_frames <= 20  # type: ignore[attr-defined]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.grip.paper import PAPER, RELATCH, GripLaw, GripState, Phase, start, step
+from evetac_cli.kernels.grip.paper import PAPER, PAPER_RESET, GripLaw, GripState, Phase, start, step
 
 CONTACT, LIFT, BALANCE = Phase.CONTACT, Phase.LIFT, Phase.BALANCE
 
@@ -233,8 +233,8 @@ def test_bounds(contact: list[tuple[bool, int]], lift: list[tuple[bool, int]], b
                 assert state.u_ff <= 0.0
 
 
-def test_relatch_takes_every_beginning_of_slip() -> None:
-    """Assert that with relatch each beginning of slip sets x_ref = x_g(t - 1), and slip that goes on does not."""
+def test_paper_reset_takes_every_beginning_of_slip() -> None:
+    """Assert that with paper-reset each beginning of slip sets x_ref = x_g(t - 1), and slip that goes on does not."""
     state = balancing(100)
     for slip, position, reference in (
         (False, 99, math.nan),
@@ -245,13 +245,13 @@ def test_relatch_takes_every_beginning_of_slip() -> None:
         (False, 104, 101.0),
         (True, 90, 104.0),
     ):
-        step(state, BALANCE, slip, position, RELATCH)
+        step(state, BALANCE, slip, position, PAPER_RESET)
         assert state.x_ref == pytest.approx(reference, nan_ok=True)
 
 
 @given(st.lists(steps, min_size=1, max_size=20), st.lists(steps, max_size=40), st.lists(steps, max_size=40))
 @settings(deadline=None)
-def test_relatch_is_the_paper_until_slip_begins_twice(
+def test_paper_reset_is_the_paper_until_slip_begins_twice(
     contact: list[tuple[bool, int]], lift: list[tuple[bool, int]], balance: list[tuple[bool, int]]
 ) -> None:
     """Assert that both readings of the latch say the same until slip begins for the second time in balance."""
@@ -262,7 +262,7 @@ def test_relatch_is_the_paper_until_slip_begins_twice(
             if beginnings > 1:
                 return
             before = slip
-            assert step(once, phase, slip, position) == step(every, phase, slip, position, RELATCH)
+            assert step(once, phase, slip, position) == step(every, phase, slip, position, PAPER_RESET)
 
 
 def test_a_gain_moves_the_goal_away_from_the_fingers_in_balance_alone() -> None:

@@ -16,11 +16,11 @@ RATE = 500  # events of the window a pixel, as long as it has not moved
 LOAD_MS = 300  # the object takes the gel along until then
 
 
-def rims(rng: np.random.Generator, centres: np.ndarray, moved: np.ndarray) -> list[np.ndarray]:
+def contact_edges(rng: np.random.Generator, centres: np.ndarray, moved: np.ndarray) -> list[np.ndarray]:
     """x, y, p of the events that dark dots' rims make on a small way: crossings a pixel along the normal."""
     if not moved.any():
         return [np.empty(0)] * 3
-    angle = rng.uniform(0, 2 * np.pi, (len(centres), round(2 * np.pi * RADIUS_PX * CONSTANTS.crossings)))
+    angle = rng.uniform(0, 2 * np.pi, (len(centres), round(2 * np.pi * RADIUS_PX * CONSTANTS.edge_events)))
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     along = (normal * moved[:, None]).sum(axis=-1)
     seen = rng.random(along.shape) < np.abs(along)
@@ -34,7 +34,7 @@ def scene(dot_px: np.ndarray, object_px: Sequence[float], rate: float = RATE, se
     slices = []
     gone = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(object_px)))])
     for k, travelled in enumerate(CONSTANTS.fading_px * np.diff(np.log1p(gone / CONSTANTS.fading_px))):
-        parts = [rims(rng, DOTS + dot_px[k], dot_px[k + 1] - dot_px[k])]
+        parts = [contact_edges(rng, DOTS + dot_px[k], dot_px[k + 1] - dot_px[k])]
         many = rng.poisson(rate * travelled)
         parts.append([rng.integers(565, 640, many), rng.integers(0, 480, many), rng.integers(0, 2, many)])
         x, y, p = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -71,9 +71,9 @@ def test_dots_are_followed_both_ways(way: tuple[float, float]) -> None:
     path = np.concatenate([out, out[-2::-1]])
     dot_px = np.repeat(path[:, None], len(DOTS), axis=1)
     between = scene(dot_px, np.zeros(len(path)))
-    motion = event_flow.follow(between, len(path) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS.crossings)
+    motion = event_flow.follow(between, len(path) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS.edge_events)
     error = np.hypot(*(motion.dot_px - dot_px).transpose(2, 0, 1))
-    per_px = np.pi * RADIUS_PX * CONSTANTS.crossings
+    per_px = np.pi * RADIUS_PX * CONSTANTS.edge_events
     assert error[100].mean() < 0.05 * np.hypot(*way) + 2 * np.sqrt(np.hypot(*way) / per_px)
     assert error[-1].mean() < 2 * np.sqrt(2 * np.hypot(*way) / per_px)
     assert motion.window_events.max() == 0
@@ -85,8 +85,8 @@ def test_onset_is_when_half_a_pixel_is_slid(speed: float, angle: float) -> None:
     """Assert that the onset is where 0.5 px is slid, to 2 ms and a fifth of the way, however slow, along x or y."""
     begin = 600
     found = labels(*slide(0.02, speed, begin, 700, angle))
-    wanted = begin + CONSTANTS.slide_px / speed
-    assert abs(found.onset - wanted) <= 2 + 0.2 * CONSTANTS.slide_px / speed
+    wanted = begin + CONSTANTS.slip_distance_px / speed
+    assert abs(found.onset - wanted) <= 2 + 0.2 * CONSTANTS.slip_distance_px / speed
     assert (found.label[:LOAD_MS] == -1).all()
     assert (found.label[LOAD_MS : found.onset] == 0).all()
     assert found.label[found.onset] == 1
@@ -160,8 +160,8 @@ def test_hot_pixels_change_nothing() -> None:
         return Events(*(c[order].astype(d) for c, d in zip(joined, (np.int64, "u2", "u2", "u1"), strict=True)))
 
     given = (len(object_px) - 1, WINDOW, GEL, DOTS, RADIUS_PX)
-    plain = event_flow.follow(quiet, *given, CONSTANTS.crossings)
-    noisy = event_flow.follow(hot, *given, CONSTANTS.crossings)
+    plain = event_flow.follow(quiet, *given, CONSTANTS.edge_events)
+    noisy = event_flow.follow(hot, *given, CONSTANTS.edge_events)
     assert abs(int(noisy.window_events[-1]) - int(plain.window_events[-1])) < 5
     assert np.abs(noisy.dot_px - plain.dot_px).max() < 0.2
 
@@ -188,7 +188,7 @@ def test_nothing_happens(slices: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"slide_px": 0.0}, {"crossings": float("nan")}, {"hidden_px": -1.0}, {"follow_share": 1.0}]
+    "wrong", [{"slip_distance_px": 0.0}, {"edge_events": float("nan")}, {"hidden_px": -1.0}, {"follow_share": 1.0}]
 )
 def test_impossible_constants(wrong: dict[str, float]) -> None:
     """Assert that constants out of range are refused by name."""

@@ -76,7 +76,7 @@ def test_down5_predicts_every_fifth_slice_and_holds() -> None:
         assert said[t] == pytest.approx(alone[0], abs=1e-6)
 
 
-@pytest.mark.parametrize("name", ["hist10", "down5", "creep"])
+@pytest.mark.parametrize("name", ["hist10", "down5", "disp-xy"])
 @pytest.mark.parametrize("first", [1, 4, 17])
 def test_a_part_is_judged_as_in_the_whole(name: str, first: int) -> None:
     """Assert that a part of a trajectory, told where it begins, has the whole's probabilities once history is full."""

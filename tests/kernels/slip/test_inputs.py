@@ -56,7 +56,7 @@ def by_the_paper(name: str, series: NDArray[np.float32], t: int) -> NDArray[np.f
     return np.stack(columns[name], axis=-1)
 
 
-@pytest.mark.parametrize("name", [name for name in DOTS if name != "creep"])
+@pytest.mark.parametrize("name", [name for name in DOTS if name != "disp-xy"])
 def test_inputs_are_the_papers(name: str) -> None:
     """Assert that each dot model sees what the paper's table of model configurations says, in its order."""
     series = dots(60)
@@ -135,7 +135,7 @@ def test_what_does_not_fit_is_refused() -> None:
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_directions_turn_with_the_grid(turns: int) -> None:
     """Assert that rotating inputs is what turning the gel would give: dots change places, displacements direction."""
-    row = ARCHITECTURES["creep"]
+    row = ARCHITECTURES["disp-xy"]
     assert isinstance(row, DotArchitecture)
     series = dots(100)
     found = inputs.rotate(row, inputs.at(row, series, np.array([99])), 7, 8, turns)
@@ -157,7 +157,7 @@ def test_right_turns_up() -> None:
     assert grid[4, 4].tolist() == [0, -1]
 
 
-@pytest.mark.parametrize("name", ["hist10", "creep", "hist10-img-6x6"])
+@pytest.mark.parametrize("name", ["hist10", "disp-xy", "hist10-img-6x6"])
 def test_quarter_turns_add_up_to_the_crop(name: str) -> None:
     """Assert that four quarter turns give back the middle square, and nothing beside it."""
     row = ARCHITECTURES[name]

@@ -93,9 +93,9 @@ def test_inputs_are_those_of_the_trajectory() -> None:
 def test_ahead_relabels_the_same_slices() -> None:
     """Assert that predicting 10 ms ahead trains on the same slices, of which 10 more are slip."""
     now = sampling.gather([trajectory(100, 50)], HIST10)
-    ahead = sampling.gather([trajectory(100, 50)], HIST10, ahead_ms=10)
-    np.testing.assert_array_equal(ahead.slip, np.arange(40, 65))
-    np.testing.assert_array_equal(np.sort([*now.slip, *now.busy]), np.sort([*ahead.slip, *ahead.busy]))
+    horizon_ms = sampling.gather([trajectory(100, 50)], HIST10, horizon_ms=10)
+    np.testing.assert_array_equal(horizon_ms.slip, np.arange(40, 65))
+    np.testing.assert_array_equal(np.sort([*now.slip, *now.busy]), np.sort([*horizon_ms.slip, *horizon_ms.busy]))
 
 
 def test_empty_pools_are_named() -> None:
@@ -215,5 +215,5 @@ def test_each_sample_is_turned_as_drawn() -> None:
 def test_shifted_trajectories_are_checked() -> None:
     """Assert that a shift into the past is refused with the trajectory's place."""
     with pytest.raises(ValueError, match="trajectory 0: ahead_ms: expected at least 0"):
-        sampling.gather([trajectory(50, 30)], HIST10, ahead_ms=-1)
+        sampling.gather([trajectory(50, 30)], HIST10, horizon_ms=-1)
     assert slip.shift(trajectory(50, 30).label, 5).sum() == 25

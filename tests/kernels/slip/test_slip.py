@@ -114,16 +114,16 @@ def test_labels_shifted_by_hand() -> None:
         slip.shift(label, -1)
 
 
-@given(onset=st.integers(0, 80), ahead=st.integers(0, 30), after=st.integers(1, 40), start=st.integers(0, 40))
-def test_shift_moves_the_onset_alone(onset: int, ahead: int, after: int, start: int) -> None:
+@given(onset=st.integers(0, 80), horizon_ms=st.integers(0, 30), after=st.integers(1, 40), start=st.integers(0, 40))
+def test_shift_moves_the_onset_alone(onset: int, horizon_ms: int, after: int, start: int) -> None:
     """Assert that of labels with one onset, it comes ahead by the shift, as far as slices are examined."""
     slices = np.arange(120)
     label = np.where(slices < start, -1, np.where(slices < onset, 0, 1)).astype(np.int8)
     label[onset + after :] = -1
-    shifted = slip.shift(label, ahead)
+    shifted = slip.shift(label, horizon_ms)
     np.testing.assert_array_equal(shifted == -1, label == -1)
-    expected = (label >= 0) & (slices >= onset - ahead)
-    if ahead <= after:  # else the labels end before slices that far ahead of slip see it
+    expected = (label >= 0) & (slices >= onset - horizon_ms)
+    if horizon_ms <= after:  # else the labels end before slices that far ahead of slip see it
         np.testing.assert_array_equal(shifted == 1, expected | (label == 1))
 
 

@@ -1,4 +1,4 @@
-"""Training: that something is learned, as the recipe says, the same for the same seed."""
+"""Training: that something is learned, as the preset says, the same for the same seed."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,12 +15,12 @@ from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.networks import from_weights
 from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.kernels.slip.slip import ARCHITECTURES
-from evetac_cli.kernels.slip.training import RECIPES, Training
+from evetac_cli.kernels.slip.training import PRESETS, Training
 
 HIST10 = ARCHITECTURES["hist10"]
-PAPER = RECIPES["paper"]
-ADAM = RECIPES["adam"]
-STEADY = RECIPES["steady"]
+PAPER = PRESETS["paper"]
+ADAM = PRESETS["adam"]
+ADAMW = PRESETS["adamw"]
 
 
 @pytest.fixture(autouse=True)
@@ -61,13 +61,13 @@ def same(first: Training, second: Training) -> bool:
     return all(np.array_equal(one[name], other[name]) for name in one)
 
 
-@pytest.mark.parametrize("recipe", RECIPES.values(), ids=RECIPES)
-def test_same_seed_same_network(problem: Samples, recipe: training.Recipe) -> None:
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+def test_same_seed_same_network(problem: Samples, preset: training.Preset) -> None:
     """Assert that the generator's seed fixes all weights and losses, whatever torch's own generator did before."""
-    first = training.train(problem, recipe, np.random.default_rng(4), max_steps=20)
+    first = training.train(problem, preset, np.random.default_rng(4), max_steps=20)
     torch.rand(3)
-    second = training.train(problem, recipe, np.random.default_rng(4), max_steps=20)
-    other = training.train(problem, recipe, np.random.default_rng(5), max_steps=20)
+    second = training.train(problem, preset, np.random.default_rng(4), max_steps=20)
+    other = training.train(problem, preset, np.random.default_rng(5), max_steps=20)
     assert same(first, second)
     np.testing.assert_array_equal(first.curve_loss, second.curve_loss)
     assert not same(first, other)
@@ -87,10 +87,10 @@ def test_global_generators_are_left_alone(problem: Samples) -> None:
     assert torch.equal(torch.random.get_rng_state(), before)
 
 
-@pytest.mark.parametrize(("recipe", "factor"), [(PAPER, 1.5), (ADAM, 100)], ids=["paper", "adam"])
-def test_separable_problem_is_learned(problem: Samples, recipe: training.Recipe, factor: float) -> None:
-    """Assert that 500 steps bring the loss down by a factor of 1.5 with the paper's recipe, of 100 with Adam."""
-    result = training.train(problem, recipe, np.random.default_rng(6), max_steps=500)
+@pytest.mark.parametrize(("preset", "factor"), [(PAPER, 1.5), (ADAM, 100)], ids=["paper", "adam"])
+def test_separable_problem_is_learned(problem: Samples, preset: training.Preset, factor: float) -> None:
+    """Assert that 500 steps bring the loss down by a factor of 1.5 with the paper's preset, of 100 with Adam."""
+    result = training.train(problem, preset, np.random.default_rng(6), max_steps=500)
     assert loss_falls(result) > factor
     network = from_weights(HIST10, result.checkpoints[-1].weights)
     with torch.no_grad():
@@ -106,7 +106,7 @@ def test_checkpoints_follow_the_epochs(problem: Samples) -> None:
     result = training.train(problem, every_two, np.random.default_rng(7), epochs=5)
     assert [checkpoint.step for checkpoint in result.checkpoints] == [2 * steps, 4 * steps, 5 * steps]
     assert (result.steps, result.steps_planned, result.cut) == (5 * steps, 5 * steps, False)
-    assert result.recipe == every_two
+    assert result.preset == every_two
 
 
 def test_cut_run_spreads_its_checkpoints_and_says_so(problem: Samples) -> None:
@@ -154,7 +154,7 @@ def test_loss_curve_covers_the_run(problem: Samples) -> None:
 
 
 def test_paper_leaves_the_inputs_alone(problem: Samples) -> None:
-    """Assert that the paper's recipe is plain SGD at 0.001 for 70 epochs on inputs as they are."""
+    """Assert that the paper's preset is plain SGD at 0.001 for 70 epochs on inputs as they are."""
     assert (PAPER.optimiser, PAPER.learning_rate, PAPER.epochs, PAPER.checkpoint_every) == ("sgd", 0.001, 70, 10)
     arrays = training.train(problem, PAPER, np.random.default_rng(12), max_steps=1).checkpoints[0].weights
     assert np.all(arrays["input_scale"] == 1)
@@ -201,9 +201,9 @@ def test_adam_normalises_from_the_training_samples() -> None:
 
 
 def test_diverging_training_stops(problem: Samples) -> None:
-    """Assert that a loss that is not finite ends the run with the recipe's name instead of weights of NaN."""
+    """Assert that a loss that is not finite ends the run with the preset's name instead of weights of NaN."""
     wild = replace(PAPER, name="wild", learning_rate=1e30)
-    with pytest.raises(ValueError, match="recipe wild: expected a finite loss"):
+    with pytest.raises(ValueError, match="preset wild: expected a finite loss"):
         training.train(problem, wild, np.random.default_rng(16), max_steps=50)
 
 
@@ -218,8 +218,8 @@ def test_training_without_quiet_slices(problem: Samples) -> None:
     """Assert that both recipes train where the quiet pool is empty."""
     assert len(problem.quiet) > 0
     noisy = replace(problem, quiet=np.empty(0, np.int64))
-    for recipe in RECIPES.values():
-        result = training.train(noisy, recipe, np.random.default_rng(17), max_steps=5)
+    for preset in PRESETS.values():
+        result = training.train(noisy, preset, np.random.default_rng(17), max_steps=5)
         assert np.all(np.isfinite(result.curve_loss))
 
 
@@ -227,9 +227,9 @@ class Interruption(Exception):
     """Ctrl-C, or a machine that is switched off."""
 
 
-def run_and_stop(samples: Samples, recipe: training.Recipe, after: int, steps: int) -> training.Kept:
+def run_and_stop(samples: Samples, preset: training.Preset, after: int, steps: int) -> training.TrainingState:
     """Train, and stop when a run of `after` steps is kept."""
-    states: list[training.Kept] = []
+    states: list[training.TrainingState] = []
 
     def keep(state: Any) -> None:
         found = state()
@@ -238,18 +238,18 @@ def run_and_stop(samples: Samples, recipe: training.Recipe, after: int, steps: i
             raise Interruption
 
     with pytest.raises(Interruption):
-        training.train(samples, recipe, np.random.default_rng(20), max_steps=steps, on_keep=keep)
+        training.train(samples, preset, np.random.default_rng(20), max_steps=steps, on_keep=keep)
     return states[0]
 
 
-@pytest.mark.parametrize("recipe", RECIPES.values(), ids=RECIPES)
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
 @pytest.mark.parametrize("after", [50, 100])
-def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, recipe: training.Recipe, after: int) -> None:
+def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, preset: training.Preset, after: int) -> None:
     """Assert that a run broken off and taken up again ends with the same checkpoints and curve, bit for bit."""
-    whole = training.train(problem, recipe, np.random.default_rng(20), max_steps=140)
-    kept = run_and_stop(problem, recipe, after, 140)
+    whole = training.train(problem, preset, np.random.default_rng(20), max_steps=140)
+    kept = run_and_stop(problem, preset, after, 140)
     assert all(array.dtype != object for array in kept.values())
-    resumed = training.train(problem, recipe, np.random.default_rng(20), max_steps=140, kept=kept)
+    resumed = training.train(problem, preset, np.random.default_rng(20), max_steps=140, kept=kept)
     assert [one.step for one in resumed.checkpoints] == [one.step for one in whole.checkpoints]
     for one, other in zip(resumed.checkpoints, whole.checkpoints, strict=True):
         assert one.weights.keys() == other.weights.keys()
@@ -259,20 +259,20 @@ def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, recipe:
 
 
 def test_a_kept_run_of_another_network_is_refused(problem: Samples) -> None:
-    """Assert that what was kept of one architecture or recipe does not slip into another."""
+    """Assert that what was kept of one architecture or preset does not slip into another."""
     kept = run_and_stop(problem, PAPER, 50, 60)
     other = replace(problem, architecture=ARCHITECTURES["no-hist"])
-    for samples, recipe in ((other, PAPER), (problem, STEADY)):
+    for samples, preset in ((other, PAPER), (problem, ADAMW)):
         with pytest.raises(ValueError, match="expected a kept run of this network"):
-            training.train(samples, recipe, np.random.default_rng(20), max_steps=60, kept=kept)
+            training.train(samples, preset, np.random.default_rng(20), max_steps=60, kept=kept)
 
 
 def test_steady_keeps_the_running_mean(problem: Samples) -> None:
     """Assert that its checkpoints are the mean of the weights on the way, in which early weights are soon forgotten."""
-    plain = replace(STEADY, average=0.0)
+    plain = replace(ADAMW, average=0.0)
     idle = replace(plain, learning_rate=0.0)
     start, way, found = (
-        training.train(problem, recipe, np.random.default_rng(1), max_steps=7) for recipe in (idle, plain, STEADY)
+        training.train(problem, preset, np.random.default_rng(1), max_steps=7) for preset in (idle, plain, ADAMW)
     )
     mean = start.checkpoints[0].weights["fc3.weight"].astype(np.float64)
     for step in range(1, 8):
@@ -283,11 +283,11 @@ def test_steady_keeps_the_running_mean(problem: Samples) -> None:
 
 def test_steady_slows_down(problem: Samples) -> None:
     """Assert that the learning rate is 0.002 in the first step, half of it in the middle and nearly 0 in the last."""
-    flat = replace(STEADY, average=0.0, cosine=False, weight_decay=0.0)
+    flat = replace(ADAMW, average=0.0, cosine=False, weight_decay=0.0)
     falling = replace(flat, cosine=True)
     start, *runs = (
-        training.train(problem, recipe, np.random.default_rng(2), max_steps=7)
-        for recipe in (replace(flat, learning_rate=0.0), flat, falling)
+        training.train(problem, preset, np.random.default_rng(2), max_steps=7)
+        for preset in (replace(flat, learning_rate=0.0), flat, falling)
     )
     first, other = (run.checkpoints[0].weights["fc3.weight"] for run in runs)
     np.testing.assert_array_equal(first, other)
@@ -301,10 +301,10 @@ def test_steady_slows_down(problem: Samples) -> None:
 
 
 def test_factors_are_drawn_log_uniformly() -> None:
-    """Assert that steady makes samples 0.3 to 2 times as strong, and the other recipes leave them as they are."""
-    for recipe in (PAPER, ADAM):
-        np.testing.assert_array_equal(training.factors(recipe, 72, np.random.default_rng(0)), 1)
-    logarithm = np.log(training.factors(STEADY, 3000, np.random.default_rng(0)))
+    """Assert that adamw makes samples 0.3 to 2 times as strong, and the other recipes leave them as they are."""
+    for preset in (PAPER, ADAM):
+        np.testing.assert_array_equal(training.factors(preset, 72, np.random.default_rng(0)), 1)
+    logarithm = np.log(training.factors(ADAMW, 3000, np.random.default_rng(0)))
     shares, _ = np.histogram(logarithm, bins=4, range=(np.log(0.3), np.log(2)))
     assert shares.sum() == 3000
     assert np.all(np.abs(shares / 3000 - 0.25) < 0.04)  # five standard deviations
@@ -312,7 +312,7 @@ def test_factors_are_drawn_log_uniformly() -> None:
 
 def test_the_first_step_sees_the_varied_samples(problem: Samples) -> None:
     """Assert that a batch is turned, then multiplied sample by sample: the loss of step 1 is that of such a batch."""
-    idle = replace(STEADY, learning_rate=0.0, weight_decay=0.0, average=0.0)
+    idle = replace(ADAMW, learning_rate=0.0, weight_decay=0.0, average=0.0)
     result = training.train(problem, idle, np.random.default_rng(13), max_steps=1)
     _, draws, turns, gains = np.random.default_rng(13).spawn(4)
     batch = next(sampling.batches(problem, draws))

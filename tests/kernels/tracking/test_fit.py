@@ -24,7 +24,7 @@ def grid() -> NDArray[np.float64]:
     return np.stack([x, y], axis=-1).reshape(-1, 2)
 
 
-def rims(
+def contact_edges(
     rng: np.random.Generator,
     before: NDArray[np.float64],
     way: NDArray[np.float64],
@@ -36,8 +36,10 @@ def rims(
     dot = np.repeat(np.arange(len(before)), rng.poisson(a_px * length, len(before)))
     side = rng.choice([-1.0, 1.0], len(dot))
     sine = rng.uniform(-1, 1, len(dot))
-    ahead = way / max(length, 1e-12)
-    normal = (side * np.sqrt(1 - sine**2))[:, None] * ahead + sine[:, None] * np.array([-ahead[1], ahead[0]])
+    horizon_ms = way / max(length, 1e-12)
+    normal = (side * np.sqrt(1 - sine**2))[:, None] * horizon_ms + sine[:, None] * np.array(
+        [-horizon_ms[1], horizon_ms[0]]
+    )
     lag_px = -STABLE.rim_lag_px * np.sign(side)  # found behind the motion, on either side
     radius_px = dot_radius_px + lag_px + 0.5 * rng.standard_normal(len(dot))
     place = before[dot] + rng.random(len(dot))[:, None] * way + radius_px[:, None] * normal
@@ -100,7 +102,7 @@ def test_agrees_with_plain_reference(changes: dict[str, float]) -> None:
     rng = np.random.default_rng(1)
     state = tracker.start(grid(), replace(STABLE, **changes))  # type: ignore[arg-type]
     for _ in range(6):
-        slice_ = rims(rng, state.dot_xy_px + rng.uniform(-2, 2, (30, 2)), np.array([0.03, -0.02]), 250.0)
+        slice_ = contact_edges(rng, state.dot_xy_px + rng.uniform(-2, 2, (30, 2)), np.array([0.03, -0.02]), 250.0)
         expected = reference(state, slice_)
         assert np.abs(expected - state.dot_xy_px).max() > 1e-3
         tracker.step(state, *slice_)
@@ -113,7 +115,7 @@ def test_agrees_with_plain_reference_in_a_crowd() -> None:
     dense = 50.0 + (grid() - 50.0) / 2.5
     state = tracker.start(dense, STABLE.for_dots(8.0))
     for _ in range(3):
-        slice_ = rims(rng, state.dot_xy_px + rng.uniform(-1, 1, (30, 2)), np.array([0.03, -0.02]), 400.0, 8.0)
+        slice_ = contact_edges(rng, state.dot_xy_px + rng.uniform(-1, 1, (30, 2)), np.array([0.03, -0.02]), 400.0, 8.0)
         assert len(slice_[0]) > 300
         expected = reference(state, slice_)
         tracker.step(state, *slice_)
@@ -123,7 +125,7 @@ def test_agrees_with_plain_reference_in_a_crowd() -> None:
 def test_hot_pixels_say_nothing() -> None:
     """Assert that events of hot pixels anywhere among the others, and some outside the frame, change no bit."""
     rng = np.random.default_rng(8)
-    cool = rims(rng, grid() + rng.uniform(-1, 1, (30, 2)), np.array([0.05, 0.02]))
+    cool = contact_edges(rng, grid() + rng.uniform(-1, 1, (30, 2)), np.array([0.05, 0.02]))
     hot_xy = np.round(grid()[:20] + (15, 4)).astype(np.uint16)
     more_x, more_y = np.concatenate([hot_xy, [(640, 100), (300, 480), (65535, 65535)]]).astype(np.uint16).T
     kept = ~(np.stack(cool[:2], axis=1)[:, None] == hot_xy).all(axis=2).any(axis=1)
@@ -153,7 +155,7 @@ def follow(
     state = tracker.start(grid(), constants)
     errors, still = [], []
     for before, after in zip(way_px, way_px[1:], strict=False):
-        tracker.step(state, *rims(rng, grid() + before, after - before, a_px, dot_radius_px))
+        tracker.step(state, *contact_edges(rng, grid() + before, after - before, a_px, dot_radius_px))
         errors.append(state.dot_xy_px - grid() - after)
         still.append(np.broadcast_to(-after, (30, 2)))
     return np.array(errors), np.array(still)
@@ -225,7 +227,7 @@ def test_a_still_dot_among_moving_ones_stays() -> None:
     state = tracker.start(grid(), STABLE)
     others = np.delete(np.arange(30), 14)
     for k in range(30):
-        tracker.step(state, *rims(rng, grid()[others] + (0.1 * k, 0), np.array([0.1, 0.0])))
+        tracker.step(state, *contact_edges(rng, grid()[others] + (0.1 * k, 0), np.array([0.1, 0.0])))
     assert state.dot_xy_px[14].tolist() == grid()[14].tolist()
     assert np.abs(state.dot_xy_px[others] - grid()[others] - (3.0, 0)).max() < 0.5
 
@@ -311,7 +313,7 @@ def test_a_lost_dot_stays_lost(why: str) -> None:
     others = np.delete(grid(), 14, axis=0)
     for k in range(3 * STABLE.rest_slices):
         way = np.array([0.02 * (-1) ** k, 0.0])
-        slice_ = rims(rng, others, way) if why == "events" else nothing()
+        slice_ = contact_edges(rng, others, way) if why == "events" else nothing()
         tracker.step(state, *slice_)
     assert np.flatnonzero(state.lost).tolist() == [14]
 

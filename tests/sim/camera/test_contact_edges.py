@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import Events, concatenate
 from evetac_cli.numerics.simulator.camera_cost import FineEvents, fine, match
 from evetac_cli.sim.camera import contact_edges, optics
-from evetac_cli.sim.camera.contact_edges import Place, Rims
+from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.ideal import ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
@@ -52,7 +52,7 @@ def touch(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]
 MOTIONS: dict[str, tuple[Motion, int]] = {"slide": (slide, 24), "touch": (touch, 26)}
 
 
-def lines_for(motion: Motion) -> Rims:
+def lines_for(motion: Motion) -> ContactEdges:
     return contact_edges.start(FRAME, motion(0)[2], FINGER, *CUT)
 
 
@@ -67,16 +67,18 @@ def play(step: Any, state: Any, motion: Motion, slices: int) -> Events:
     rng = np.random.default_rng(1)
     parts = []
     for k in range(slices):
-        (dots, thing, begin), (dots_end, thing_end, end) = motion(k), motion(k + 1)
-        given = (state, dots, dots_end, thing, thing_end, 1.0, 1000 * k, rng, None, begin, end)
+        (dots, object_params, begin), (dots_end, thing_end, end) = motion(k), motion(k + 1)
+        given = (state, dots, dots_end, object_params, thing_end, 1.0, 1000 * k, rng, None, begin, end)
         parts.append(step(*given))
     return concatenate(parts)
 
 
 def between(motion: Motion, k: int, part: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
     """What a camera is told within a slice: all moves evenly."""
-    (dots, thing, begin), (dots_end, thing_end, end) = motion(k), motion(k + 1)
-    mixed = [a + part * (b - a) for a, b in zip((dots, thing, *begin), (dots_end, thing_end, *end), strict=True)]
+    (dots, object_params, begin), (dots_end, thing_end, end) = motion(k), motion(k + 1)
+    mixed = [
+        a + part * (b - a) for a, b in zip((dots, object_params, *begin), (dots_end, thing_end, *end), strict=True)
+    ]
     return mixed[0], mixed[1], Place(*mixed[2:])
 
 
@@ -101,12 +103,12 @@ def lines_level(where: Place) -> NDArray[np.float64]:
 
 def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[np.float64]:
     """Dots or texture, and lines, of the whole frame."""
-    dots, thing, where = between(motion, k, part)
+    dots, object_params, where = between(motion, k, part)
     level = optics.gel_level(FRAME, dots, state.profile).astype(float)
     if state.strip_level.size:
         x0, y0, x1, y1 = STRIP
         strip = np.empty((y1 - y0, x1 - x0), np.float32)
-        optics.sample_texture(TEXTURE, x0, y0, thing[0], thing[1], 1.0, strip)
+        optics.sample_texture(TEXTURE, x0, y0, object_params[0], object_params[1], 1.0, strip)
         level[y0:y1, x0:x1] = strip
     return level + lines_level(where)
 
@@ -221,8 +223,8 @@ def test_still_lines_are_silent(step: Any) -> None:
     state = start(motion)
     used = state if step is camera.step else ideal.from_references(state)
     assert play(step, used, motion, 5).size == 0
-    assert state.rims is not None
-    assert state.rims.events == 0
+    assert state.contact_edges is not None
+    assert state.contact_edges.events == 0
 
 
 @pytest.mark.parametrize("step", [camera.step, ideal.step])
@@ -233,12 +235,12 @@ def test_dots_under_a_still_line(step: Any) -> None:
         return DOTS + [0.6 * t_ms, 0.2 * t_ms], np.zeros(2), place(50.0, 45.0)
 
     with_lines, without = start(under, window=False), start(under, window=False)
-    without.rims = None
+    without.contact_edges = None
     events = []
     for state in (with_lines, without):
         used = state if step is camera.step else ideal.from_references(state)
         rng, where = np.random.default_rng(1), under(0)[2]
-        places = () if state.rims is None else (None, where, where)
+        places = () if state.contact_edges is None else (None, where, where)
         parts = [step(used, under(k)[0], under(k + 1)[0], STILL, STILL, 0.0, 1000 * k, rng, *places) for k in range(10)]
         events.append(concatenate(parts))
     assert events[0].size > 1000
@@ -259,12 +261,12 @@ def test_cut_edge_shows_on_both_sides(step: Any) -> None:
     rng = np.random.default_rng(1)
     in_gel = in_window = 0
     for k in range(25):
-        (dots, thing, begin), end = swing(k), swing(k + 1)[2]
-        found = step(used, dots, dots, thing, thing, 1.0, 1000 * k, rng, None, begin, end)
+        (dots, object_params, begin), end = swing(k), swing(k + 1)[2]
+        found = step(used, dots, dots, object_params, object_params, 1.0, 1000 * k, rng, None, begin, end)
         in_window += int((found.x >= STRIP[0]).sum())
         in_gel += int((found.x < STRIP[0]).sum())
-        assert state.rims is not None
-        assert step is ideal.step or state.rims.events == found.size
+        assert state.contact_edges is not None
+        assert step is ideal.step or state.contact_edges.events == found.size
     assert min(in_gel, in_window) > 500
 
 
@@ -373,7 +375,7 @@ def test_step_refuses(step: Any, where: Place | None) -> None:
     used = state if step is camera.step else ideal.from_references(state)
     before = state.reference.copy()
     dots = touch(0)[0]
-    with pytest.raises(ValueError, match="rims_end"):
+    with pytest.raises(ValueError, match="contact_edges_end"):
         step(used, dots, dots + 1.0, STILL, STILL, 1.0, 0, np.random.default_rng(0), None, touch(0)[2], where)
     np.testing.assert_array_equal(state.reference, before)
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import concatenate
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.camera.ideal import ideal
 from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass
 from evetac_cli.sim.camera.scanning import camera
-from evetac_cli.sim.scene import individual_row
+from evetac_cli.sim.scene import sensor_row
 
 Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]
@@ -156,17 +156,19 @@ def test_motion_stands_for_levels(
 
 def test_an_individual_with_a_bandwidth_sees_less_and_later() -> None:
     """Assert that a row's bandwidth_hz delays what the eye sees, leaves the truth alone, and that 0 is none."""
-    row = individual_row("evetac") | {"noise_hz": 0.0, "hot_pixels": 0}
+    row = sensor_row("evetac") | {"noise_hz": 0.0, "hot_pixels": 0}
     made = {}
     for bandwidth_hz in (None, 0.0, 100.0):
         named = row if bandwidth_hz is None else row | {"bandwidth_hz": bandwidth_hz}
-        eye = Eye(named, cut=False, texture=None, rng=np.random.default_rng(0))
-        shift_m = np.zeros_like(eye.rest_m)
+        gel_camera = GelCamera(named, cut=False, texture=None, rng=np.random.default_rng(0))
+        shift_m = np.zeros_like(gel_camera.rest_m)
         slices = []
         for k in range(30):
             shift_m = shift_m + [2e-5, 0.0] if k < 3 else shift_m
-            slices.append(eye.see(shift_m, np.zeros(2), 0.0, k * 1000))
-        assert eye.dot_xy_px == pytest.approx(eye.grid_xy_px.reshape(-1, 2) + [6e-2 / eye.mm_per_px, 0.0])
+            slices.append(gel_camera.see(shift_m, np.zeros(2), 0.0, k * 1000))
+        assert gel_camera.dot_xy_px == pytest.approx(
+            gel_camera.grid_xy_px.reshape(-1, 2) + [6e-2 / gel_camera.mm_per_px, 0.0]
+        )
         made[bandwidth_hz] = slices
     times = {key: concatenate(slices) for key, slices in made.items()}
     assert all((one == other).all() for one, other in zip(times[None], times[0.0], strict=True))

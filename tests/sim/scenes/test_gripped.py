@@ -17,24 +17,24 @@ from evetac_cli.sim import gripper, scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.scene import plan
-from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, World, material
+from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation, material
 from evetac_cli.stages import record
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made, as_toml
 
 
-def world(object_number: int, seed: int = 0, name: str = "slip", individual: str = "evetac") -> World:
+def world(object_number: int, seed: int = 0, name: str = "slip", sensor: str = "evetac") -> GraspSimulation:
     """A trial of an object touched in its middle: off it, a hanging object swings for seconds, as a pendulum does."""
     kind = "lift" if name == "lift" else "ramp"
     rngs = [np.random.default_rng([seed, part]) for part in range(2)]
-    built = plan(name, str(object_number), individual, (kind,))[0]
+    built = plan(name, str(object_number), sensor, (kind,))[0]
     for key in ("touch_mm", "lever_mm"):
         built["scene"]["randomise"].pop(key, None)
     built["object_row"].pop("lever_mm", None)
-    return World(built, *rngs, lift_s=1.5, balance_s=0.0)
+    return GraspSimulation(built, *rngs, lift_s=1.5, balance_s=0.0)
 
 
-def run(one: World, slices: int) -> list[dict[str, object]]:
+def run(one: GraspSimulation, slices: int) -> list[dict[str, object]]:
     rows = []
     for _ in range(slices):
         if one.finished:
@@ -53,15 +53,15 @@ def test_object_hangs_still(number: int) -> None:
     assert held.finger.force_n > held.drawn.mass_kg * GRAVITY_M_S2 / (2 * held.drawn.static_friction)
     dots = np.array([rows[at]["truth/dot_xy_px"] for at in (1000, 1099)])
     assert np.abs(dots[1] - dots[0]).max() < 0.01
-    assert dots[1][:, 0].max() - held.eye.grid_xy_px[..., 0].max() >= 0  # hangs along +x
-    assert (dots[1] - held.eye.grid_xy_px.reshape(-1, 2))[:, 0].max() > 0.5
+    assert dots[1][:, 0].max() - held.gel_camera.grid_xy_px[..., 0].max() >= 0  # hangs along +x
+    assert (dots[1] - held.gel_camera.grid_xy_px.reshape(-1, 2))[:, 0].max() > 0.5
 
 
 def test_quasi_static_onset(made: Made) -> None:
     """Assert that slip begins within 40 ms of the moment when twice the friction limit no longer carries the weight."""
     for path in made.recordings:
         with open_recording(path) as recording:
-            drawn = json.loads(recording.read("truth/drawn"))
+            drawn = json.loads(recording.read("truth/sampled_parameters"))
             force = recording.read("truth/normal_force_n")
             slip = np.flatnonzero(recording.read("truth/slip"))
         limit_n = drawn["mass_kg"] * GRAVITY_M_S2 / (2 * drawn["static_friction"])
@@ -112,7 +112,7 @@ def test_seeds_are_enough() -> None:
 
 def test_window_dots_do_not_exist() -> None:
     """Assert that the cut gel keeps 7 rows of 8 dots, all outside the window."""
-    row = scene.individual_row("evetac")
+    row = scene.sensor_row("evetac")
     grid = dot_grid(row, cut=True)
     assert grid.shape == (7, 8, 2)
     assert grid[..., 0].max() < row["window_px"][0]
@@ -127,7 +127,7 @@ def test_scene_of_the_wrong_kind_is_refused() -> None:
 @pytest.mark.parametrize("tangent", [0.08, 0.12, 0.2])
 def test_loss_tangent(tangent: float) -> None:
     """Assert that a gel's complex stiffness at 100 Hz has the named loss tangent, and that none named is the usual."""
-    row = scene.individual_row("evetac")
+    row = scene.sensor_row("evetac")
     assert material(row) == gel.GelMaterial(shear_modulus_pa=row["shear_modulus_pa"])
     made = material({**row, "loss_tangent": tangent})
     turn = 2j * np.pi * 100
@@ -138,9 +138,9 @@ def test_loss_tangent(tangent: float) -> None:
 
 def test_gripper_of_an_individual() -> None:
     """Assert that a drawn gripper pushes with its servo's stiffness, at two ticks as hard as named."""
-    assert gripper.drive_of(scene.individual_row("evetac")) == gripper.Drive()
+    assert gripper.drive_of(scene.sensor_row("evetac")) == gripper.Drive()
     for number in range(20):
-        row = scene.individual_row(f"drawn:{number}")
+        row = scene.sensor_row(f"randomized:{number}")
         drive = gripper.drive_of(row)
         servo_n_tick = drive.gain_ma_tick * drive.force_per_current_n_ma
         assert servo_n_tick == pytest.approx(row["gripper"]["servo_n_tick"])
@@ -151,20 +151,20 @@ def test_gripper_of_an_individual() -> None:
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_drawn_individuals_hold(number: int) -> None:
     """Assert that a drawn sensor and gripper hold an object, whose weight moves a softer gel farther."""
-    held = world(8, individual=f"drawn:{number}")
+    held = world(8, sensor=f"randomized:{number}")
     rows = run(held, 900)
     assert not any(row["truth/slip"] for row in rows)
     assert rows[-1]["truth/shear_force_n"][0] == pytest.approx(held.drawn.mass_kg * GRAVITY_M_S2 / 2, rel=1e-3)  # type: ignore[index]
-    row = scene.individual_row(f"drawn:{number}")
+    row = scene.sensor_row(f"randomized:{number}")
     sinks_px = rows[-1]["truth/object_xy_px"][0] * row["mm_per_px"] * row["shear_modulus_pa"]  # type: ignore[index]
     assert 100 < sinks_px / held.drawn.mass_kg / 1e3 < 1e4
-    assert held.eye.grid_xy_px.shape == (7, 8, 2)
+    assert held.gel_camera.grid_xy_px.shape == (7, 8, 2)
 
 
 def test_every_drawn_grid_is_whole() -> None:
     """Assert that the cut gel of 50 drawn individuals keeps 7 rows of 8 dots, in the frame and off the window."""
     for number in range(50):
-        row = scene.individual_row(f"drawn:{number}")
+        row = scene.sensor_row(f"randomized:{number}")
         grid = dot_grid(row, cut=True)
         assert grid.shape == (7, 8, 2)
         assert grid[..., 0].max() + row["dot_radius_px"] < 540
@@ -172,7 +172,7 @@ def test_every_drawn_grid_is_whole() -> None:
         assert grid[..., 1].max() + row["dot_radius_px"] < 480
 
 
-def off_middle(monkeypatch: pytest.MonkeyPatch, number: int, **changes: Any) -> World:
+def off_middle(monkeypatch: pytest.MonkeyPatch, number: int, **changes: Any) -> GraspSimulation:
     """A held object with one draw replaced."""
     drawing = scene.draw
     with monkeypatch.context() as patch:
@@ -200,15 +200,15 @@ def test_touched_beside_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
     nearest = held._gel.node_xy_m[np.unravel_index(held._gap.argmin(), held._gap.shape)]
     assert nearest[1] == pytest.approx(3e-3, abs=0.5e-3)
     rows = run(held, 900)
-    sunk_px = rows[-1]["truth/dot_xy_px"][:, 0] - held.eye.grid_xy_px[..., 0].ravel()  # type: ignore[index, call-overload]
-    weighted_m = (sunk_px * held.eye.rest_m[:, 1]).sum() / sunk_px.sum()
+    sunk_px = rows[-1]["truth/dot_xy_px"][:, 0] - held.gel_camera.grid_xy_px[..., 0].ravel()  # type: ignore[index, call-overload]
+    weighted_m = (sunk_px * held.gel_camera.rest_m[:, 1]).sum() / sunk_px.sum()
     assert weighted_m == pytest.approx(3e-3, abs=1e-3)
 
 
 def test_pushes_and_grip_of_the_data_rate_scene() -> None:
     """Assert that a push is a half sine of its force, and that the grip holds by the named force beyond the limit."""
     (planned,) = plan("data-rate", "18", "evetac", ("hold",))
-    pushed = World(planned, *[np.random.default_rng(part) for part in range(2)])
+    pushed = GraspSimulation(planned, *[np.random.default_rng(part) for part in range(2)])
     push, drive = planned["scene"]["push"], pushed.drive
     for after_s, share in ((-1e-3, 0.0), (0.02, np.sqrt(0.5)), (0.04, 1.0), (0.081, 0.0)):
         for at_s, force_n in zip(push["at_s"], push["force_n"], strict=True):
@@ -258,7 +258,7 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
     assert most_kb < 25
     with open_recording(job.output) as recording:
         x_mm = recording.read("truth/object_xy_px")[:, 0] * 0.0329
-        floor_mm = json.loads(recording.read("truth/drawn"))["floor_m"] * 1e3
+        floor_mm = json.loads(recording.read("truth/sampled_parameters"))["floor_m"] * 1e3
     assert floor_mm <= x_mm[-1] < floor_mm + 1.1  # a step of 1 ms at 1 m/s
     assert x_mm[-1] == x_mm[-50]
 

@@ -9,9 +9,9 @@ import pytest
 from evetac_cli.events import concatenate
 from evetac_cli.formats.imports import read_events
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.camera.gel_camera import Eye
+from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scene import individual_row, plan
+from evetac_cli.sim.scene import plan, sensor_row
 from evetac_cli.sim.scenes.pressing import Pressing
 from tests.conftest import DATA, as_toml
 
@@ -48,7 +48,7 @@ def test_shear_sticks_and_stays_in_its_disc(tmp_path: Path) -> None:
     assert column(rows, "normal_force_n").max() == pytest.approx(20)
     still = np.linalg.norm(np.diff(column(rows, "object_xy_px"), axis=0), axis=1) < 1e-9
     settled = np.flatnonzero(np.convolve(still, np.ones(150), "valid") == 150)
-    place = column(rows, "object_xy_px")[settled + 150] * trial.eye.mm_per_px
+    place = column(rows, "object_xy_px")[settled + 150] * trial.gel_camera.mm_per_px
     stiffness = -(force[settled + 150] * place).sum() / (place**2).sum()
     assert abs(stiffness) > 10  # N/mm: that of the layer alone is 10.9 for 20 x 15 mm
     assert force[settled + 150] == pytest.approx(-stiffness * place, abs=0.5)
@@ -58,7 +58,7 @@ def test_strokes_move_every_dot(tmp_path: Path) -> None:
     """Assert that strokes over the gel move every dot by 3 px at least twice, and leave all of them at rest."""
     trial = pressing("press", tmp_path, motion={"speed_mm_s": 80.0, "lines": 5}, gel={"nodes": [20, 15]})
     rows = run(trial)
-    moved = np.linalg.norm(column(rows, "dot_xy_px") - trial.eye.grid_xy_px.reshape(-1, 2), axis=2)
+    moved = np.linalg.norm(column(rows, "dot_xy_px") - trial.gel_camera.grid_xy_px.reshape(-1, 2), axis=2)
     times = ((moved[1:] >= 3) & (moved[:-1] < 3)).sum(axis=0)
     assert times.min() >= 2
     assert moved[-1].max() < 0.2
@@ -88,14 +88,14 @@ def test_lens_and_nothing() -> None:
 @pytest.mark.parametrize("name", ["evetac", "second", "bare-dvxplorer"])
 def test_individual_is_the_same_in_every_trial(name: str) -> None:
     """Assert that dots, thresholds and hot pixels belong to the individual, and phases to the trial."""
-    row = individual_row(name)
-    one, other = (Eye(row, cut=True, texture=None, rng=np.random.default_rng(seed)) for seed in (1, 2))
+    row = sensor_row(name)
+    one, other = (GelCamera(row, cut=True, texture=None, rng=np.random.default_rng(seed)) for seed in (1, 2))
     assert (one.grid_xy_px == other.grid_xy_px).all()
     assert (one._camera.threshold == other._camera.threshold).all()
     assert (one._camera.hot_pixel == other._camera.hot_pixel).all()
     assert (one._camera.reference != other._camera.reference).any()
     assert one.grid_xy_px.shape == (7, 8, 2)
-    assert Eye(row, cut=False, texture=None, rng=np.random.default_rng(1)).grid_xy_px.shape == (7, 9, 2)
+    assert GelCamera(row, cut=False, texture=None, rng=np.random.default_rng(1)).grid_xy_px.shape == (7, 9, 2)
 
 
 def test_bare_camera_is_as_noisy_as_the_real_one() -> None:
@@ -104,9 +104,9 @@ def test_bare_camera_is_as_noisy_as_the_real_one() -> None:
     pytest.importorskip("dv_processing")
     if not real.exists():
         pytest.skip("the real recording is not here")
-    eye = Eye(individual_row("bare-dvxplorer"), cut=True, texture=None, rng=np.random.default_rng(0))
-    still = np.zeros_like(eye.rest_m)
-    made = concatenate([eye.see(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])
+    gel_camera = GelCamera(sensor_row("bare-dvxplorer"), cut=True, texture=None, rng=np.random.default_rng(0))
+    still = np.zeros_like(gel_camera.rest_m)
+    made = concatenate([gel_camera.see(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])
     measured = read_events(real).events
     rate, share, peak = zip(*(figures(events.t, events.x, events.y) for events in (made, measured)), strict=True)
     assert rate[0] == pytest.approx(rate[1], rel=0.05)

@@ -11,10 +11,10 @@ from evetac_cli.sim.scene import parts, plan
 from evetac_cli.sim.scenes.rubbing import Rubbing
 
 
-def rubbing(thing: str, individual: str = "evetac", gel: str = "cut", seed: int = 0, **rub: Any) -> Rubbing:
+def rubbing(object_name: str, sensor: str = "evetac", gel: str = "cut", seed: int = 0, **rub: Any) -> Rubbing:
     """A trial of the scene with an object, and a coarse gel."""
-    made = plan("edge", "8", individual, ("rub",), gel)[0]
-    made["scene"]["rub"] |= {"objects": [thing], **rub}
+    made = plan("edge", "8", sensor, ("rub",), gel)[0]
+    made["scene"]["rub"] |= {"objects": [object_name], **rub}
     made["scene"]["gel"]["nodes"] = [16, 12]
     return Rubbing(made, *(np.random.default_rng([seed, part]) for part in range(2)))
 
@@ -31,13 +31,15 @@ def column(rows: list[dict[str, Any]], name: str) -> np.ndarray:
     return np.array([row[f"truth/{name}"] for row in rows])
 
 
-@pytest.mark.parametrize(("thing", "individual", "gel"), [("finger", "evetac", "cut"), ("handle", "second", "closed")])
-def test_most_events_are_not_from_dots(thing: str, individual: str, gel: str) -> None:
+@pytest.mark.parametrize(
+    ("object_name", "sensor", "gel"), [("finger", "evetac", "cut"), ("handle", "second", "closed")]
+)
+def test_most_events_are_not_from_dots(object_name: str, sensor: str, gel: str) -> None:
     """Assert that lines make most events of a rub, that dots end where they began, and forces are as planned."""
-    trial = rubbing(thing, individual, gel, count=[3, 3], length_mm=[18.0, 18.0], speed_mm_s=[100.0, 100.0])
+    trial = rubbing(object_name, sensor, gel, count=[3, 3], length_mm=[18.0, 18.0], speed_mm_s=[100.0, 100.0])
     sizes, rows = run(trial)
-    lines = column(rows, "line_events")
-    moved = np.linalg.norm(column(rows, "dot_xy_px") - trial.eye.grid_xy_px.reshape(-1, 2), axis=2)
+    lines = column(rows, "contact_edge_events")
+    moved = np.linalg.norm(column(rows, "dot_xy_px") - trial.gel_camera.grid_xy_px.reshape(-1, 2), axis=2)
     rubs = slice(2090, len(sizes) - 1300)
     noise = np.median(sizes[50:450])
     assert (lines <= sizes).all()
@@ -50,15 +52,15 @@ def test_most_events_are_not_from_dots(thing: str, individual: str, gel: str) ->
     assert lines[:490].max() == lines[-900:].max() == 0
     way = np.linalg.norm(np.diff(column(rows, "object_xy_px"), axis=0), axis=1)
     assert way[820:1780].sum() == pytest.approx(32.0, rel=0.02)
-    assert way[rubs].sum() * trial.eye.mm_per_px == pytest.approx(3 * 18.0, rel=0.01)
-    assert way.max() * trial.eye.mm_per_px == pytest.approx(0.1, rel=0.01)  # mm in a ms at the peak
+    assert way[rubs].sum() * trial.gel_camera.mm_per_px == pytest.approx(3 * 18.0, rel=0.01)
+    assert way.max() * trial.gel_camera.mm_per_px == pytest.approx(0.1, rel=0.01)  # mm in a ms at the peak
 
 
 def test_drawn_and_dry() -> None:
     """Assert that the truth tells what was drawn, that both objects come up, and that the parts name the rims."""
     made = plan("edge", "8", "evetac", ("rub",))[0]
     drawn = [json.loads(str(rig(made, np.random.SeedSequence(seed)).drawn)) for seed in range(8)]
-    assert {one["thing"] for one in drawn} == {"finger", "handle"}
+    assert {one["object_name"] for one in drawn} == {"finger", "handle"}
     assert all(0.55 <= one["rim_log"] <= 0.8 and 1.5 <= one["rim_width_px"] <= 3 for one in drawn)
     built = {row["part"]: row["built"] for row in parts(made)}
     assert built["object rims"]
@@ -80,5 +82,5 @@ def test_directions_keep_the_object_in_view() -> None:
     """Assert that the middle of the object stays within the frame, or nearly, whatever is drawn."""
     for seed in range(20):
         trial = rubbing("handle", seed=seed, count=[6, 6])
-        place_px = trial._starts_px + trial.timeline.xy_m * 1e3 / trial.eye.mm_per_px
+        place_px = trial._starts_px + trial.timeline.xy_m * 1e3 / trial.gel_camera.mm_per_px
         assert (np.abs(place_px) < [420.0, 330.0]).all()

@@ -37,10 +37,8 @@ def changed(tmp_path: Path, time: dict[str, Any], **tone: Any) -> str:
     return str(path)
 
 
-def vibration(
-    scene_name: str, hz: float, *, seed: int = 0, individual: str = "evetac", gel: str = "closed"
-) -> Vibration:
-    plan = scene.plan(scene_name, "8", individual, ("tone",), gel, "dvxplorer", f"{hz:g}")[0]
+def vibration(scene_name: str, hz: float, *, seed: int = 0, sensor: str = "evetac", gel: str = "closed") -> Vibration:
+    plan = scene.plan(scene_name, "8", sensor, ("tone",), gel, "dvxplorer", f"{hz:g}")[0]
     return Vibration(plan, *map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2)))
 
 
@@ -118,14 +116,14 @@ def test_dots_move_as_far_as_the_table_says(hz: float, motion_px: float, tmp_pat
     """Assert that a pure tone is a sine at its frequency with the table's amplitude (rms over the dots), no jumps."""
     name = changed(tmp_path, {"tone_s": 10.0}, dot_motion_px=[motion_px] * 5, amplitude_factor=[1.0, 1.0], **PURE)
     trial = vibration(name, hz)
-    trial.eye.see = lambda *given: slices.append(given[4])
+    trial.gel_camera.see = lambda *given: slices.append(given[4])
     slices: list[np.ndarray] = []
     while trial.slices < 240:
         trial.step()
     pieces = len(slices[0]) - 1
     assert pieces * 1000 >= 16 * hz
     assert all((one[-1] == other[0]).all() for one, other in zip(slices, slices[1:], strict=False))
-    path_px = np.concatenate([piece[:-1] for piece in slices[200:]]) / trial.eye.mm_per_px * 1e3
+    path_px = np.concatenate([piece[:-1] for piece in slices[200:]]) / trial.gel_camera.mm_per_px * 1e3
     since_s = 0.2 + np.arange(len(path_px)) / (1000 * pieces)
     basis = np.stack(
         [np.sin(2 * np.pi * hz * since_s), np.cos(2 * np.pi * hz * since_s), np.ones(len(since_s))], axis=1
@@ -170,7 +168,7 @@ def test_drawn_from_the_seed(tmp_path: Path) -> None:
 
     first = made(hz=300)
     assert made(hz=300) == first
-    others = made(hz=300, seed=1), made(hz=301), made(hz=300, individual="second"), made(hz=300, gel="cut")
+    others = made(hz=300, seed=1), made(hz=301), made(hz=300, sensor="second"), made(hz=300, gel="cut")
     assert len({first, *others}) == 5
     assert all(0.2 <= json.loads(drawn)["tangential_share"] <= 0.6 for drawn, _ in others)
 

@@ -36,7 +36,7 @@ def recording_file(
         "ms_to_idx": starts.astype(np.int64),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
     }
     if truth:
         at = np.arange(slices)
@@ -50,7 +50,7 @@ def recording_file(
             "truth/slip_fraction": zeros,
             "truth/normal_force_n": np.where(loaded, 2.0, 0.0).astype(np.float32),
             "truth/shear_force_n": np.zeros((slices, 2), np.float32),
-            "truth/drawn": "{}",
+            "truth/sampled_parameters": "{}",
         }
     recipe = Recipe("recording", 1, {}, content=content_digest(arrays), simulated_source=truth)
     write_stage(path, recipe, arrays)
@@ -65,7 +65,7 @@ def labels_file(recording: Path, onset: int, *, of: Path | None = None) -> None:
         "relative_flow_px": np.zeros(slices, np.float32),
         "onset_slice": np.int64(onset),
         "confidence": np.float64("nan"),
-        "pairs_computed": np.int64(0),
+        "flow_pairs_computed": np.int64(0),
     }
     path = recording.with_name(recording.name.replace(".recording.", ".labels."))
     write_stage(path, Recipe("labels", 1, {}, parents=(header,)), arrays)

@@ -9,9 +9,9 @@ import pytest
 
 from evetac_cli import params
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.grip.control import Felt
+from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.numerics import cost, grasp_cost, grasp_stability, stability
-from evetac_cli.numerics.grasp_trials import Held, Says, Short, grasp, truthful
+from evetac_cli.numerics.grasp_trials import GraspResult, Says, Short, grasp, truthful
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate import grasp_picture
@@ -23,7 +23,7 @@ PLANNED = {
     "gain": 1.0,
     "latency_ms": 0,
     "control_hz": 500.0,
-    "individual": "evetac",
+    "sensor": "evetac",
     "scene": {"name": "lift", "gel": {"cut": True}},
 }
 
@@ -35,11 +35,11 @@ def trial(setting: str = "paper", number: int = 11, *, lifted: bool = True, held
         "balanced": lifted and held,
         "moved_lift_mm": 0.1,
         "moved_mm": 0.4,
-        "opening_lift_ticks": -8,
-        "opening_end_ticks": -6,
-        "opening_lift_mm": -1.3,
-        "opening_end_mm": -1.0,
-        "reduction": 0.25,
+        "opening_after_lift_ticks": -8,
+        "opening_after_balance_ticks": -6,
+        "opening_after_lift_mm": -1.3,
+        "opening_after_balance_mm": -1.0,
+        "reopened_share": 0.25,
         "force_touch_n": 0.1,
         "force_lift_n": 1.4,
         "force_end_n": 1.0,
@@ -68,43 +68,53 @@ def test_balance_counts_trials_that_lifted() -> None:
 
 def test_figures_are_over_what_was_held() -> None:
     """Assert that an object that fell counts for no distance, force or opening; medians and means by hand."""
-    trials = [trial(moved_mm=moved, opening_end_ticks=end) for moved, end in ((1.0, -5), (2.0, -6), (12.0, -10))]
-    trials.append(trial(held=False, moved_mm=300.0, opening_end_ticks=-99))
+    trials = [
+        trial(moved_mm=moved, opening_after_balance_ticks=end) for moved, end in ((1.0, -5), (2.0, -6), (12.0, -10))
+    ]
+    trials.append(trial(held=False, moved_mm=300.0, opening_after_balance_ticks=-99))
     ((whole,), _, _) = split(tables(trials)[0])
     assert whole["moved_mm_median"] == 2.0
     assert whole["moved_mm_mean"] == 5.0
     assert whole["moved_below_10_mm"] == pytest.approx(2 / 3)
-    assert whole["opening_end_ticks"] == -7.0
+    assert whole["opening_after_balance_ticks"] == -7.0
     assert whole["force_end_n"] == 1.0
 
 
 def test_every_column_counts_the_same() -> None:
     """Assert that reduction over objects is the mean of their means, and that a gain is a column of its own."""
-    trials = [trial(number=10, reduction=0.8), *[trial(number=11, reduction=0.2)] * 3]
-    trials.append(trial("paper, gain 2", 14, reduction=0.2))
+    trials = [trial(number=10, reopened_share=0.8), *[trial(number=11, reopened_share=0.2)] * 3]
+    trials.append(trial("paper, gain 2", 14, reopened_share=0.2))
     ((whole,), objects, _) = split(tables(trials)[0])
     assert whole["setting"] == "paper"
     assert whole["columns"] == 3
-    assert whole["reduction"] == pytest.approx(0.4)
+    assert whole["reopened_share"] == pytest.approx(0.4)
     assert [(row["setting"], row["object"]) for row in objects] == [("paper", 10), ("paper", 11), ("paper, gain 2", 14)]
 
 
 def test_the_paper_s_figures_stand_beside_their_own() -> None:
     """Assert that the paper's law stands beside its figures, object by object, and other controllers beside none."""
     trials = [trial(number=number) for number in (12, 14, 17, 18)]
-    trials += [trial("paper, gain 2", 20), trial("by-load", 18), trial("by-load", 17), trial("none", 17, lifted=False)]
+    trials += [
+        trial("paper, gain 2", 20),
+        trial("load-proportional", 18),
+        trial("load-proportional", 17),
+        trial("none", 17, lifted=False),
+    ]
     trials += [trial("paper, gain 2, drop-100g", 16), trial("paper, drop-20g", 16), trial("paper, second", 16)]
     whole, objects, _ = split(tables(trials)[0])
-    said = {(row["setting"], row["object"]): (row["paper_success"], row["paper_opening_end_ticks"]) for row in objects}
+    said = {
+        (row["setting"], row["object"]): (row["paper_success"], row["paper_opening_after_balance_ticks"])
+        for row in objects
+    }
     assert said["paper", 12] == (0.9, None)
     assert said["paper", 14] == (0.6, None)
     assert said["paper", 17] == (1.0, -7.6)
     assert said["paper", 18] == (1.0, -13.4)
     assert said["paper, gain 2", 20] == (1.0, None)
-    assert said["by-load", 18] == (None, None)
-    over = {row["setting"]: (row["paper_success"], row["paper_reduction"]) for row in whole}
+    assert said["load-proportional", 18] == (None, None)
+    over = {row["setting"]: (row["paper_success"], row["paper_reopened_share"]) for row in whole}
     assert over["paper"] == (0.93, 0.43)
-    assert over["by-load"] == (None, None)
+    assert over["load-proportional"] == (None, None)
     assert over["none"] == (0.0, None)
     assert over["paper, drop-100g"] == (1.0, None)
     assert over["paper, drop-20g"] == (0.9, None)
@@ -124,10 +134,10 @@ def test_the_paper_s_failures_make_its_93_percent() -> None:
     ("changes", "setting"),
     [
         ({}, "paper"),
-        ({"controller": "by-load"}, "by-load"),
+        ({"controller": "load-proportional"}, "load-proportional"),
         ({"gain": 2.0}, "paper, gain 2"),
         ({"scene": {"name": "drop-20g", "gel": {"cut": True}}}, "paper, drop-20g"),
-        ({"individual": "second", "scene": {"name": "lift", "gel": {"cut": False}}}, "paper, second, closed gel"),
+        ({"sensor": "second", "scene": {"name": "lift", "gel": {"cut": False}}}, "paper, second, closed gel"),
         ({"latency_ms": 20, "control_hz": 100.0}, "paper, 20 ms late, 100 Hz"),
     ],
 )
@@ -158,12 +168,12 @@ def test_the_picture() -> None:
 
 
 @pytest.fixture(scope="module")
-def short() -> Held:
+def short() -> GraspResult:
     """A short grasp with the package's detector."""
-    return grasp(Short(11, "by-load", lift_s=1.0, balance_s=0.1), 3)
+    return grasp(Short(11, "load-proportional", lift_s=1.0, balance_s=0.1), 3)
 
 
-def test_a_short_grasp(short: Held) -> None:
+def test_a_short_grasp(short: GraspResult) -> None:
     """Assert that it lifts, that the rows are those of a recording, and that every slice was timed."""
     assert short.rows["truth/table_gap_mm"][-1] > 5.0
     assert len(short.feel_us) == len(short.rows["truth/table_gap_mm"]) == 1500 + 1000 + 100
@@ -180,7 +190,7 @@ def test_a_lost_object_ends_it() -> None:
     assert not held.figures["lifted"]
 
 
-def test_what_is_not_ok(short: Held) -> None:
+def test_what_is_not_ok(short: GraspResult) -> None:
     """Assert that numbers that are not finite, a goal out of range, too much current and swinging fingers are not."""
     assert grasp_stability.judged("as it is", short)["ok"]
     swings = short.rows["gripper/position_ticks"].copy()
@@ -200,7 +210,7 @@ class Counts:
     """A detector that counts the slices it is given."""
 
     def __init__(self) -> None:
-        self.slices, self.felt = 0, Felt(drag_x_px=1.5)
+        self.slices, self.felt = 0, SlipSignal(mean_displacement_x_px=1.5)
 
     def step(self, events) -> float:
         self.slices += 1
@@ -218,7 +228,7 @@ def test_detectors_that_are_lied_to() -> None:
     for says in (True, False):
         sense = Says(Counts(), lambda says=says: says)
         assert [sense.step(None) for _ in range(3)] == [float(says)] * 3
-        assert sense.felt == Felt(3 * says, drag_x_px=1.5)
+        assert sense.felt == SlipSignal(3 * says, mean_displacement_x_px=1.5)
 
 
 def test_every_case_is_another() -> None:
@@ -236,7 +246,7 @@ def test_every_case_is_another() -> None:
 def test_refusals_are_said(monkeypatch) -> None:
     """Assert that a case that cannot be simulated is ok, and says why."""
 
-    def refuse(*_: Any, **__: Any) -> Held:
+    def refuse(*_: Any, **__: Any) -> GraspResult:
         raise ValueError("mass_kg must be > 0")
 
     monkeypatch.setattr(grasp_stability, "grasp", refuse)
@@ -245,10 +255,10 @@ def test_refusals_are_said(monkeypatch) -> None:
     assert row["outcome"].startswith("refused: mass_kg")
 
 
-def fake(short: Short, seed: int, *_: Any, **__: Any) -> Held:
+def fake(short: Short, seed: int, *_: Any, **__: Any) -> GraspResult:
     """A grasp that is lost the later the detector is."""
     lost = short.latency_ms > 10
-    return Held(trial(held=not lost, moved_mm=0.1 * short.latency_ms, force_end_n=1.0), {}, np.full(100, 90.0))
+    return GraspResult(trial(held=not lost, moved_mm=0.1 * short.latency_ms, force_end_n=1.0), {}, np.full(100, 90.0))
 
 
 def test_cost_of_a_late_detector(tmp_path, monkeypatch) -> None:
@@ -261,9 +271,9 @@ def test_cost_of_a_late_detector(tmp_path, monkeypatch) -> None:
     assert len(made.rows) == 2 * (1 + 4 + 3 + 1) == made.summary["settings"]
     rows = {row["setting"]: row for row in made.rows}
     assert rows["paper, latency 5 ms"]["error_mm_moved"] == pytest.approx(0.5)
-    assert rows["by-load, latency 50 ms"]["error_share_lost"] == 1.0
-    assert rows["by-load, latency 50 ms"]["error_mm_moved"] is None
-    assert rows["by-load, detector truth"]["time_us_median"] == 90.0
+    assert rows["load-proportional, latency 50 ms"]["error_share_lost"] == 1.0
+    assert rows["load-proportional, latency 50 ms"]["error_mm_moved"] is None
+    assert rows["load-proportional, detector truth"]["time_us_median"] == 90.0
     assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
     assert made.simulated
 
@@ -280,7 +290,7 @@ def test_the_truth_as_a_detector() -> None:
 
     sense = truthful(Counts(), Devices())
     assert [sense.step(None) for _ in range(8)] == [0, 1, 1, 0, 0, 0, 1, 0]
-    assert sense.felt == Felt(3, drag_x_px=1.5)
+    assert sense.felt == SlipSignal(3, mean_displacement_x_px=1.5)
 
 
 def test_stability_is_a_report(tmp_path, monkeypatch) -> None:
@@ -296,7 +306,7 @@ def test_stability_is_a_report(tmp_path, monkeypatch) -> None:
     chosen = params.EvaluateStability(part="grasp")
     (job,) = stability.jobs([], chosen, tmp_path)
     made = stability.run(job, chosen)
-    assert [row["case"] for row in made.rows] == ["paper: as usual", "by-load: as usual"]
+    assert [row["case"] for row in made.rows] == ["paper: as usual", "load-proportional: as usual"]
     assert made.summary["current_most_ma"] == 50.0
     assert made.summary["ok"] == 2
 

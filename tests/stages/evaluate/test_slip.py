@@ -49,7 +49,7 @@ def features_file(
 
 
 def trained(files: list[Path], folder: Path, **values: Any) -> list[Path]:
-    params = Train(**({"model": "no-hist", "epochs": 1000, "max_steps": 20, "recipe": "adam"} | values))
+    params = Train(**({"model": "no-hist", "epochs": 1000, "max_steps": 20, "preset": "adam"} | values))
     jobs = train.jobs(files, params, folder)
     for job in jobs:
         train.run(job, params)
@@ -67,9 +67,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "known": [features_file(folder, 100 + number, object_=1 + number % 2) for number in range(4)],
         "unseen": [features_file(folder, 200 + number, object_=10) for number in range(2)],
         "seeds": trained(learn, folder / "now", seeds=2),
-        "ahead": trained(learn, folder / "ahead", ahead=10),
+        "ahead": trained(learn, folder / "ahead", horizon_ms=10),
         "truth": trained(truth, folder / "truth"),
-        "fast-slow": trained(learn, folder / "fast", model="fast-slow", ahead=10),
+        "fast-slow": trained(learn, folder / "fast", model="fast-slow", horizon_ms=10),
     }
 
 
@@ -203,9 +203,9 @@ def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:
     (row,) = table_of(known, "seeds")
     assert (row["paper_slip_correct"], row["paper_f1"]) == (0.87, 0.59)
     unseen, _ = evaluated([*world["unseen"], *world["fast-slow"]], tmp_path / "unseen")
-    (row,), (moments,) = table_of(unseen, "seeds"), table_of(unseen, "never")
+    (row,), (timing_bins,) = table_of(unseen, "seeds"), table_of(unseen, "never")
     assert (row["paper_slip_correct"], row["paper_f1"]) == (0.88, None)
-    assert moments["paper_10_to_0_ms_ahead"] == 0.57
+    assert timing_bins["paper_10_to_0_ms_ahead"] == 0.57
     both, _ = evaluated([*world["known"], *world["unseen"], *world["seeds"]], tmp_path / "both")
     assert table_of(both, "seeds")[0]["paper_slip_correct"] is None
 
@@ -222,9 +222,9 @@ def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:
         (21, "later"),
     ],
 )
-def test_moments_at_their_borders(late_by: int, name: str) -> None:
+def test_timing_bins_at_their_borders(late_by: int, name: str) -> None:
     """Assert that each first detection is counted in one place, and those without one are never."""
-    shares = slip_tables._moments([late_by, None])
+    shares = slip_tables._timing_bins([late_by, None])
     assert shares[name] == 0.5
     assert shares["never"] == 0.5
     assert sum(value for key, value in shares.items() if key != "t_m_minus_t_c_ms_median") == 1

@@ -53,7 +53,7 @@ def recording(
         "ms_to_idx": slice_starts(t_us, slices),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array(FRAME_PX, np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
     }
     assert t_us[-1] < slices * SLICE_US
     if truth:
@@ -76,7 +76,7 @@ def _truth(slices: int, tone_hz: float, silent_s: float) -> dict[str, Any]:
     }
     still = {f"truth/{name}": np.zeros((slices, *shape), np.float32) for name, shape in shapes.items()}
     tone = np.where(sounds, tone_hz, 0.0).astype(np.float32)
-    return {**still, "truth/slip": np.zeros(slices, np.uint8), "truth/tone_hz": tone, "truth/drawn": "{}"}
+    return {**still, "truth/slip": np.zeros(slices, np.uint8), "truth/tone_hz": tone, "truth/sampled_parameters": "{}"}
 
 
 def evaluated(path: Path | list[Path], out: Path | None = None, **chosen: Any) -> Outcome:
@@ -87,7 +87,7 @@ def evaluated(path: Path | list[Path], out: Path | None = None, **chosen: Any) -
 
 def test_a_tone_without_dots(tmp_path: Path) -> None:
     """Assert that the default finds the tone where the paper's method takes twice of it, and that rows say so."""
-    outcome = evaluated(recording(tmp_path, 140.5), windows="1,0.25", expect=140.5)
+    outcome = evaluated(recording(tmp_path, 140.5), windows="1,0.25", true_hz=140.5)
     first, second, *windows = outcome.rows
     assert (first["method"], second["method"]) == ("default", "paper")
     assert first["frequency_hz"] == pytest.approx(140.5, abs=4 * first["uncertainty_hz"] + 1e-3)
@@ -104,7 +104,7 @@ def test_a_tone_without_dots(tmp_path: Path) -> None:
 
 def test_the_papers_preset(tmp_path: Path) -> None:
     """Assert that the preset `paper` gives the paper's rows alone, with the paper's share beside them."""
-    outcome = evaluated(recording(tmp_path, 100.0), preset="paper", windows="2,1", expect=100.0)
+    outcome = evaluated(recording(tmp_path, 100.0), preset="paper", windows="2,1", true_hz=100.0)
     assert {row["method"] for row in outcome.rows} == {"paper"}
     assert [row["paper_share"] for row in outcome.rows[1:]] == [0.98, 0.96]
     assert outcome.summary["published_share_1_s"] == 0.924
@@ -138,7 +138,7 @@ def test_truth_tells_when_the_tone_sounds(tmp_path: Path) -> None:
     assert outcome.rows[0]["seconds"] == 2.0
     assert outcome.rows[0]["expected_hz"] == 120.0 and outcome.rows[0]["correct"]
     assert outcome.rows[2]["correct"] == outcome.rows[2]["windows"] == 2
-    assert evaluated(path, windows="1", expect=240.0).rows[2]["at_half"] == 2
+    assert evaluated(path, windows="1", true_hz=240.0).rows[2]["at_half"] == 2
 
 
 def test_beyond_the_band(tmp_path: Path) -> None:
@@ -156,10 +156,10 @@ def test_short_windows_are_judged_by_what_they_resolve(tmp_path: Path) -> None:
     """Assert that a window of 0.25 s, whose frequencies are 4 Hz apart, is right within 2 Hz, and 1 s within 1 Hz."""
     path = recording(tmp_path, 140.0)
     for expected_hz, right in ((141.5, [0.0, 1.0]), (143.0, [0.0, 0.0])):
-        rows = evaluated(path, windows="1,0.25", expect=expected_hz, preset="default").rows[2:4]
+        rows = evaluated(path, windows="1,0.25", true_hz=expected_hz, preset="default").rows[2:4]
         assert [row["tolerance_hz"] for row in rows] == [1.0, 2.0]
         assert [row["share"] for row in rows] == right
-    wider = evaluated(path, windows="1,0.25", expect=142.5, tolerance_hz=3.0).rows[2:4]
+    wider = evaluated(path, windows="1,0.25", true_hz=142.5, tolerance_hz=3.0).rows[2:4]
     assert [row["share"] for row in wider] == [1.0, 1.0]
 
 

@@ -18,13 +18,13 @@ from evetac_cli.store.provenance import Recipe
 
 N_PX = 0.4  # shear force for each px of mean displacement
 SLICES = 2400
-FIT = params.Fit(samples=40, epochs=5)
+FIT = params.TrainForce(samples=40, epochs=5)
 
 
 def trial(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, truth: bool = True) -> Path:
     """A recording without events and the tracks of its dots, all of which move as one; the tracks' path.
 
-    `softer`: how many times as far the dots move under the same force, on another individual.
+    `softer`: how many times as far the dots move under the same force, on another sensor_name.
     """
     rng = np.random.default_rng(number)
     knots = rng.uniform(-10, 10, (9, 2))
@@ -36,7 +36,7 @@ def trial(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, t
     dots = (rest.reshape(1, -1, 2) + force_n[:, None] * softer / N_PX).astype(np.float32)
     sensor = {
         "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/individual": "evetac" if softer == 1 else "soft-gel",
+        "sensor/name": "evetac" if softer == 1 else "soft-gel",
         "sensor/dot_xy_px": rest,
         "sensor/dot_radius_px": np.float64(15.0),
     }
@@ -58,7 +58,7 @@ def trial(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, t
             "truth/slip_fraction": np.zeros(SLICES, np.float32),
             "truth/normal_force_n": 20 * pressed.astype(np.float32),
             "truth/shear_force_n": force_n.astype(np.float32),
-            "truth/drawn": "{}",
+            "truth/sampled_parameters": "{}",
         }
     made = Recipe("recording", 1, {"softer": softer, "columns": columns}, seed=number, simulated_source=truth)
     header = write_stage(folder / f"trial{number}.recording.h5", made, recording)
@@ -85,7 +85,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three trials to fit on and one apart, their tracks from events and from frames, and a model for each sensor."""
     folder = tmp_path_factory.mktemp("force")
     tracks = [trial(folder, number) for number in range(4)]
-    frames = [run(track_rgb, [folder / f"trial{number}.recording.h5"], params.Rgb())[0] for number in range(4)]
+    frames = [run(track_rgb, [folder / f"trial{number}.recording.h5"], params.TrackRgb())[0] for number in range(4)]
     run(train_force, tracks[:3], FIT, folder / "events.force-model.h5")
     run(train_force, frames[:3], FIT, folder / "frames.force-model.h5")
     return folder
@@ -130,7 +130,7 @@ def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
     rows = []
     for seed in (1, 2):
         model = tmp_path / f"{seed}.force-model.h5"
-        run(train_force, learn, params.Fit(samples=40, epochs=2, seed=seed), model)
+        run(train_force, learn, params.TrainForce(samples=40, epochs=2, seed=seed), model)
         chosen = params.EvaluateForce(model=str(model), samples=45)
         rows.append(run(evaluate_force, judged, chosen, tmp_path / f"{seed}.report.h5")[1].rows[1])
     chosen = params.EvaluateForce(model=str(tmp_path), samples=45)
@@ -149,14 +149,14 @@ def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
     _, outcome = run(evaluate_force, [soft], chosen, tmp_path / "out")
     regression = outcome.rows[0]
     assert regression["gain"] == pytest.approx(1.3, abs=0.01)
-    assert regression["individual"] == "soft-gel"
+    assert regression["sensor_name"] == "soft-gel"
     assert not regression["fitted"]
     assert regression["paper_mae_n_x"] is None
 
 
 def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
     """Assert that force tells every slice what the model says of it, also of tracks without a recording."""
-    chosen = params.Force(model=made / "events.force-model.h5")
+    chosen = params.PredictForce(model=made / "events.force-model.h5")
     output, _ = run(predict_force, [made / "trial3.tracks.h5"], chosen, tmp_path)
     with StageFile(output) as told, StageFile(made / "trial3.recording.h5") as recording:
         regression, network = told.read("regression_n"), told.read("network_n")
@@ -200,7 +200,7 @@ def test_another_grid_is_refused(made: Path, tmp_path: Path) -> None:
     """Assert that a cut gel's tracks do not fit a closed gel's model, in all three commands."""
     cut = trial(tmp_path, 8, columns=8)
     model = made / "events.force-model.h5"
-    refused(predict_force, [cut], params.Force(model=model), "another dot grid", tmp_path)
+    refused(predict_force, [cut], params.PredictForce(model=model), "another dot grid", tmp_path)
     refused(evaluate_force, [cut], params.EvaluateForce(model=str(model)), "another dot grid", tmp_path)
     refused(train_force, [made / "trial0.tracks.h5", cut], FIT, "different dot grids", tmp_path)
 
@@ -211,10 +211,10 @@ def test_what_cannot_be_answered(made: Path, tmp_path: Path) -> None:
     refused(train_force, [made / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
     refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(model=model), "too short", tmp_path)
     refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(), "no force model", tmp_path)
-    refused(predict_force, [made / "trial3.tracks.h5"], params.Force(), "no force model", tmp_path)
+    refused(predict_force, [made / "trial3.tracks.h5"], params.PredictForce(), "no force model", tmp_path)
     real = trial(tmp_path, 9, truth=False)
     refused(evaluate_force, [real], params.EvaluateForce(model=model), "without truth", tmp_path)
-    refused(track_rgb, [tmp_path / "trial9.recording.h5"], params.Rgb(), "only a simulation", tmp_path)
+    refused(track_rgb, [tmp_path / "trial9.recording.h5"], params.TrackRgb(), "only a simulation", tmp_path)
 
 
 def test_damaged_network_is_refused(made: Path, tmp_path: Path) -> None:
@@ -223,4 +223,4 @@ def test_damaged_network_is_refused(made: Path, tmp_path: Path) -> None:
         arrays = {name: file.read(name) for name in file.contents()} | {"dot_shape": np.array([7, 8], np.int32)}
     path = tmp_path / "wrong.force-model.h5"
     write_stage(path, Recipe("force-model", 1, {}), arrays)
-    refused(predict_force, [made / "trial3.tracks.h5"], params.Force(model=path), "does not fit", tmp_path)
+    refused(predict_force, [made / "trial3.tracks.h5"], params.PredictForce(model=path), "does not fit", tmp_path)

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError
-from evetac_cli.kernels.grip.control import Control, Felt
+from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
 from evetac_cli.realtime.message_pipe import Inbox, Outbox
-from evetac_cli.realtime.shared_status import Board, Sign
+from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.controller_process import (
     COMMAND_BYTES,
     FRESH_US,
@@ -104,7 +104,7 @@ def test_steps_follow_the_news(age_us: float) -> None:
 def test_watch() -> None:
     """Assert that silence of detector and camera are told apart, and that time counts only while one was awake."""
     watch = Watch(60)
-    sign = Sign(Felt(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
+    sign = DetectorStatus(SlipSignal(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
     assert watch.wrong(sign, 1.059e6)[0] == ""
     reason, alive_us = watch.wrong(sign, 1.061e6)
     assert ("detector" in reason, alive_us) == (True, 1e6)
@@ -152,7 +152,7 @@ class Bench:
 
     def __init__(self, timing: Timing, slips: Callable[[int], bool] = lambda k: False) -> None:
         self.clock = Clock()
-        self.board, self.hand = Board(), Hand(self.clock)
+        self.board, self.hand = SharedStatus(), Hand(self.clock)
         self.zero_s = self.clock.now_s
         self.dies_at = self.silent_at = self.stops_at = 10**9
         self._slips, self._told, self._known, self._heard_us = slips, 0, list[float](), 0.0
@@ -168,8 +168,10 @@ class Bench:
             self._heard_us = at_us if slice_ < self.silent_at else self._heard_us
             if self._slips(slice_):
                 self._known.append((self.zero_s + slice_ * 1e-3) * 1e6 + 50.0)
-            felt = Felt(len(self._known), 0.5, 0.0, 0.0)
-            self.board.tell(Sign(felt, self._told, at_us, self._heard_us, self.zero_s * 1e6, tuple(self._known[-20:])))
+            felt = SlipSignal(len(self._known), 0.5, 0.0, 0.0)
+            self.board.publish(
+                DetectorStatus(felt, self._told, at_us, self._heard_us, self.zero_s * 1e6, tuple(self._known[-20:]))
+            )
             if slice_ == self.stops_at:
                 self.board.stop()
 
@@ -210,10 +212,10 @@ def test_a_grasp_that_is_over(bench: Callable[..., Bench]) -> None:
     assert sorted(phases) == phases
     assert set(phases) == set(Phase)
     law, position = Control(PAPER), 400
-    slips = [sum(150 <= k < 160 or 320 <= k < 330 for k in range(row["control/slices_felt"])) for row in rows]
+    slips = [sum(150 <= k < 160 or 320 <= k < 330 for k in range(row["control/slices_processed"])) for row in rows]
     for row, felt, goal in zip(rows, slips, at.hand.goals, strict=False):
         assert row["gripper/position_ticks"] == position
-        assert row["control/goal_ticks"] == goal == law.step(row["control/phase"], Felt(felt), position)
+        assert row["control/goal_ticks"] == goal == law.step(row["control/phase"], SlipSignal(felt), position)
         position += (goal > position) - (goal < position)
     assert sum(row["control/slip"] for row in rows) == pytest.approx(10, abs=2)
     times = [row["control/t_us"] for row in rows]

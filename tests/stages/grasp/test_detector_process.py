@@ -10,10 +10,10 @@ import pytest
 
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events, empty
-from evetac_cli.kernels.grip.control import Felt
+from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime import scheduling
 from evetac_cli.realtime.message_pipe import Inbox, Outbox
-from evetac_cli.realtime.shared_status import Board, Sign
+from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.detector_process import PIECE_MS, Piece, feel, noise
 
 
@@ -53,19 +53,19 @@ class Sense:
         return 0.25 * (self.steps % 3)
 
     @property
-    def felt(self) -> Felt:
-        return Felt(self.slips, 0.25 * (self.steps % 3), 1.0, -2.0)
+    def felt(self) -> SlipSignal:
+        return SlipSignal(self.slips, 0.25 * (self.steps % 3), 1.0, -2.0)
 
 
-class Spied(Board):
+class Spied(SharedStatus):
     """A board that remembers all that it was told."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.told: list[Sign] = []
+        self.told: list[DetectorStatus] = []
 
-    def tell(self, sign: Sign) -> None:
-        super().tell(sign)
+    def publish(self, sign: DetectorStatus) -> None:
+        super().publish(sign)
         self.told.append(sign)
 
 
@@ -148,11 +148,11 @@ def test_urgency_as_far_as_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     monkeypatch.setattr(scheduling, "os", permitted)
     monkeypatch.setattr(scheduling, "sys", SimpleNamespace(platform="linux"))
-    assert scheduling.hurry(20) == "real-time 20"
+    assert scheduling.set_realtime_priority(20) == "real-time 20"
     permitted.sched_setscheduler = refuse
-    assert scheduling.hurry(20, 4711) == "nice -10"
+    assert scheduling.set_realtime_priority(20, 4711) == "nice -10"
     assert asked[-1] == ("nice", (0, 4711, -10))
     permitted.setpriority = refuse
-    assert scheduling.hurry(20) == "as usual"
+    assert scheduling.set_realtime_priority(20) == "as usual"
     monkeypatch.setattr(scheduling, "sys", SimpleNamespace(platform="darwin"))
-    assert scheduling.hurry(20) == "as usual"
+    assert scheduling.set_realtime_priority(20) == "as usual"

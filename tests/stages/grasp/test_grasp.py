@@ -11,15 +11,15 @@ from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.errors import InputError
 from evetac_cli.events import empty
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.grip.control import Control, Felt, law_of
+from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.params import Grasp
 from evetac_cli.resources import MODEL
 from evetac_cli.sim import gripper
 from evetac_cli.stages import grasp
-from evetac_cli.stages.grasp.loop import Kept, Timing, hold
+from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.online_detector import known_dots
-from evetac_cli.stages.slip_detectors import ahead_of, detector_of
+from evetac_cli.stages.slip_detectors import horizon_ms_of, load_detector
 from evetac_cli.store.files import StageFile
 
 SHORT = {"lift_s": 1.0, "balance_s": 0.1}
@@ -33,12 +33,12 @@ def made(tmp_path: Path, name: str = "a", **chosen):
 
 def test_the_package_has_a_detector() -> None:
     """Assert that a grasp needs no --model: the package's is whole, runs, and its report is of this very file."""
-    assert grasp.model_of(Grasp()) == MODEL
+    assert grasp.model_path_for(Grasp()) == MODEL
     assert [row["faults"] for row in validate.run([MODEL]).rows] == [None]
     made = json.loads(MODEL.with_name("fast-slow-10ms.json").read_text())
     with StageFile(MODEL, "model") as model:
-        assert detector_of(model).architecture.name == made["model"] == "fast-slow"
-        assert ahead_of(model) == made["ahead_ms"] == 10
+        assert load_detector(model).architecture.name == made["model"] == "fast-slow"
+        assert horizon_ms_of(model) == made["horizon_ms"] == 10
         assert float(model.read("threshold")) == made["threshold"]
         assert model.header["id"] == made["id"]
     assert made["simulated"]
@@ -48,7 +48,7 @@ def test_the_package_has_a_detector() -> None:
 @pytest.mark.parametrize("controller", ["none", "fixed:6"])
 def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
     """Assert that a model is refused where none is used, and that none is taken then."""
-    assert grasp.model_of(Grasp(controller=controller)) is None
+    assert grasp.model_path_for(Grasp(controller=controller)) is None
     with pytest.raises(InputError, match="no detector is used"):
         grasp.jobs([], Grasp(controller=controller, model=tmp_path / "slip.model.h5"), tmp_path)
 
@@ -56,7 +56,7 @@ def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
 @pytest.mark.parametrize(
     ("chosen", "said"),
     [({"controller": "papers"}, "--controller"), ({"controller": "fixed:x"}, "fixed:1"),
-     ({"controller": "by-load", "gain": 2.0}, "--gain"), ({"control_hz": 300.0}, "--control-hz")],
+     ({"controller": "load-proportional", "gain": 2.0}, "--gain"), ({"control_hz": 300.0}, "--control-hz")],
 )  # fmt: skip
 def test_refusals(tmp_path: Path, chosen, said: str) -> None:
     """Assert that a controller, gain or rate that cannot be is refused before anything is made, naming its flag."""
@@ -100,19 +100,22 @@ def test_a_fixed_grip_closes_by_its_ticks(tmp_path: Path) -> None:
     for ticks in (5, 9):
         _, row = made(tmp_path, str(ticks), controller=f"fixed:{ticks}", lift_s=1.0)
         band_ticks = gripper.Drive().friction_n / 2.0
-        assert ticks - band_ticks - 2 <= -row["opening_lift_ticks"] <= ticks
+        assert ticks - band_ticks - 2 <= -row["opening_after_lift_ticks"] <= ticks
         forces.append(row["force_lift_n"])
     assert forces[1] > forces[0] + 0.3
 
 
 def test_by_load_grips_as_the_object_pulls(tmp_path: Path) -> None:
     """Assert that ours lifts off with a grip that holds, and that what it heard of the drag is in the file."""
-    path, row = made(tmp_path, controller="by-load", lift_s=1.2, balance_s=0.0)
+    path, row = made(tmp_path, controller="load-proportional", lift_s=1.2, balance_s=0.0)
     with StageFile(path, "recording") as recording:
-        drag_px, gap_mm = recording.read("control/drag_px"), recording.read("truth/table_gap_mm")
+        mean_displacement_px, gap_mm = (
+            recording.read("control/mean_displacement_px"),
+            recording.read("truth/table_gap_mm"),
+        )
         shear_n = recording.read("truth/shear_force_n")
     assert gap_mm[-1] > 5.0
-    load_px = np.linalg.norm(drag_px[-1] - drag_px[700])
+    load_px = np.linalg.norm(mean_displacement_px[-1] - mean_displacement_px[700])
     assert load_px == pytest.approx(2.8 * np.linalg.norm(shear_n[-1]), rel=0.25)  # H / G over the gel, in px/N
     assert row["force_lift_n"] > 0.5
 
@@ -181,20 +184,20 @@ class SlipsAt:
     """A detector that feels slip in one slice."""
 
     def __init__(self, at: int) -> None:
-        self.at, self.slices, self.felt = at, 0, Felt()
+        self.at, self.slices, self.felt = at, 0, SlipSignal()
 
     def step(self, events) -> float:
         self.slices += 1
-        self.felt = Felt(int(self.slices >= self.at), 1.0)
+        self.felt = SlipSignal(int(self.slices >= self.at), 1.0)
         return float(self.slices == self.at)
 
 
 def held(timing: Timing, slips_at: int) -> list[tuple[int, int]]:
     camera = Silence(timing.end_ms)
     still = Still(camera)
-    kept = Kept()
-    control = Control(law_of("paper"), timing.control_hz)
-    slices = hold(Rig(camera, still, camera), SlipsAt(slips_at), control, timing, kept.append, lambda _: None)
+    kept = TrialBuffer()
+    control = Control(make_law("paper"), timing.control_hz)
+    slices = run_grasp(Rig(camera, still, camera), SlipsAt(slips_at), control, timing, kept.append, lambda _: None)
     assert slices == timing.end_ms == len(kept.events)
     assert len(kept.rows["control/t_us"]) == len(still.goals)
     return still.goals

@@ -18,7 +18,7 @@ from evetac_cli.devices import GripperReading
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Job
-from evetac_cli.kernels.grip.control import Control, Felt
+from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
 from evetac_cli.params import Grasp
 from evetac_cli.resources import PACKAGE
@@ -165,7 +165,7 @@ class Loops:
 
     def begin(self, came: list[int]) -> tuple[Seen, Ready]:
         print("ready", file=sys.stderr)
-        sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/individual": "dvxplorer:T1"}
+        sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "dvxplorer:T1"}
         return Seen(sensor, {"serial": "T1"}, (), "as usual"), Ready({"mode": "position"}, "as usual")
 
     def go(self) -> None:
@@ -193,8 +193,8 @@ def some(writer: RecordingWriter, ended: str, error: Exception | None = None, st
     piece = Piece(noise(np.random.default_rng(0), 0), [3000], [0.5], [1.0], [600.0])
     recorded.take_slices(piece, writer)
     control = Control(PAPER)
-    row = row_of(control, Phase.LIFT, Felt(), GripperReading(5.0, 400), 402, 1000)
-    late = {"control/late_us": 5.0, "control/missed": 1, "control/latency_us": 2500.0, "control/slices_felt": 1}
+    row = row_of(control, Phase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
+    late = {"control/late_us": 5.0, "control/missed": 1, "control/latency_us": 2500.0, "control/slices_processed": 1}
     recorded.take_steps([{**row, **late}] * steps, writer)
     cycle_us = array("d", [700.0] * steps)
     recorded.commanding = CommandingEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
@@ -224,7 +224,7 @@ def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, Job], recorder_is: Ca
         assert file.read("capture/latency_us").tolist() == [2500.0] * 3
         assert file.read("capture/slice_late_us").tolist() == [600.0] * 3
         assert not file.has("capture/released_us")
-        assert "as usual" in file.read("capture/urgency")
+        assert "as usual" in file.read("capture/scheduling")
         assert file.header["parameters"]["setup"]["camera"] == {"serial": "T1"}
 
 
@@ -305,8 +305,8 @@ def test_a_virtual_grasp(tmp_path: Path) -> None:
         latency, slip = file.read("control/latency_us"), file.read("control/slip")
         assert (np.isfinite(latency) == (slip > 0)).all()
         assert (latency[slip > 0] > 0).all()
-        assert (np.diff(file.read("control/slices_felt")) >= 0).all()
-        assert "controller" in file.read("capture/urgency")
+        assert (np.diff(file.read("control/slices_processed")) >= 0).all()
+        assert "controller" in file.read("capture/scheduling")
         assert int(file.read("capture/lost/camera.late_events")) == 0
         assert json.loads(file.read("control/outcome"))["lifted"] == row["lifted"]
         header = file.header

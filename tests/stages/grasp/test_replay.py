@@ -7,16 +7,16 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.grip.control import Control, Felt
+from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
 from evetac_cli.params import Featurize, Grasp, Record, Track
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, grasp, record, track
-from evetac_cli.stages.slip_detectors import detector_of, series_of
+from evetac_cli.stages.slip_detectors import load_detector, series_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 
-ROWS = ("goal_ticks", "u_ff_ticks", "x_ref_ticks", "slip", "phase", "drag_px", "t_us", "probability")
+ROWS = ("goal_ticks", "u_ff_ticks", "x_ref_ticks", "slip", "phase", "mean_displacement_px", "t_us", "probability")
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
     (job,) = featurize.jobs([grasped], features, tmp_path)
     featurize.run(job, features)
     with StageFile(MODEL, "model") as model, StageFile(job.output, "features") as file:
-        detector, threshold = detector_of(model), float(model.read("threshold"))
+        detector, threshold = load_detector(model), float(model.read("threshold"))
         probability = detector.over(series_of(file, detector.architecture))
     slips = np.cumsum(probability >= threshold)
     law = Control(PAPER)
@@ -68,7 +68,7 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
         np.testing.assert_array_equal(now.read("control/probability"), probability)
         position, phase = now.read("gripper/position_ticks"), now.read("control/phase")
         for step, goal in enumerate(now.read("control/goal_ticks")):
-            assert law.step(Phase(phase[step]), Felt(int(slips[2 * step])), int(position[step])) == goal
+            assert law.step(Phase(phase[step]), SlipSignal(int(slips[2 * step])), int(position[step])) == goal
 
 
 def test_another_law_and_another_recording(grasped: Path, short_scene: Path, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ class Camera:
     def __init__(self, slices: int = 10**9, fails_at: int = 10**9) -> None:
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array([640, 480], np.int32),
-            "sensor/individual": "dvxplorer:T1",
+            "sensor/name": "dvxplorer:T1",
         }
         self.counted = {"late_events": 3, "usb_errors": 0}
         self._slices, self._fails_at = slices, fails_at
@@ -104,7 +104,7 @@ def rig_is(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Rig]:
 
 def recording(out: Path, **flags: Any) -> tuple[Path, Any]:
     """Record with `--camera dvxplorer` and these flags; returns the file and the outcome."""
-    params = Record(camera="dvxplorer", expect=1e4, **flags)
+    params = Record(camera="dvxplorer", expected_event_rate=1e4, **flags)
     jobs = record.jobs([], params, out)
     for job in jobs:
         made = record.run(job, params)
@@ -242,7 +242,7 @@ def test_existing_recording_is_not_replaced(rig_is: Callable[..., Rig], tmp_path
     with pytest.raises(InputError, match="cannot be made again"):
         recording(tmp_path, seconds=0.05)
     assert path.read_bytes() == before
-    params = Record(camera="dvxplorer", expect=1e4, seconds=0.07)
+    params = Record(camera="dvxplorer", expected_event_rate=1e4, seconds=0.07)
     (job,) = record.jobs([], params, tmp_path)
     record.run(job, params, force=True)
     with open_recording(path) as file:
@@ -290,7 +290,7 @@ def test_changed_setup_is_refused(
 ) -> None:
     """Assert that a series is not continued with another camera or other settings, and the difference is named."""
     rig_is(Camera(), Hand())
-    params = Record(camera="dvxplorer", expect=1e4, seconds=0.05, count=1, gripper="/dev/ttyUSB0")
+    params = Record(camera="dvxplorer", expected_event_rate=1e4, seconds=0.05, count=1, gripper="/dev/ttyUSB0")
     (job,) = record.jobs([], params, tmp_path)
     record.run(job, params)
     rig = rig_is(Camera(), Hand(), change.pop("serial", "T1"))
@@ -315,7 +315,7 @@ def test_drawn_current_is_the_trials(rig_is: Callable[..., Rig], tmp_path: Path)
 
     def trials(count: int, drawn_ma: float, **flags: Any) -> list[Path]:
         rig_is(Camera(), Hand(), holding_ma=drawn_ma)
-        params = Record(camera="virtual", expect=1e4, seconds=0.05, count=count, **flags)
+        params = Record(camera="virtual", expected_event_rate=1e4, seconds=0.05, count=count, **flags)
         jobs = record.jobs([], params, tmp_path)
         for job in jobs:
             record.run(job, params)
@@ -336,7 +336,7 @@ def test_series_is_not_begun_in_part(there: str, rig_is: Callable[..., Rig], tmp
     (tmp_path / there).parent.mkdir(exist_ok=True)
     (tmp_path / there).touch()
     rig = rig_is(Camera())
-    params = Record(camera="dvxplorer", expect=1e4, seconds=0.05, count=3)
+    params = Record(camera="dvxplorer", expected_event_rate=1e4, seconds=0.05, count=3)
     job = record.jobs([], params, tmp_path)[2]
     with pytest.raises(InputError, match=f"-002.*others of the series(.|\n)*{there[:16]}(.|\n)*--resume"):
         record.run(job, params)
@@ -352,7 +352,7 @@ def test_series_is_not_begun_in_part(there: str, rig_is: Callable[..., Rig], tmp
         ({"camera": "dvxplorer", "calibration": Path("nope.json")}, "", "nope.json: cannot be read"),
         ({"camera": "dvxplorer"}, "there.recording.h5", "the output exists"),
         ({"camera": "dvxplorer"}, "there.recording.h5/new.recording.h5", "the output folder is a file"),
-        ({"camera": "dvxplorer", "expect": 1e9, "seconds": 80000.0}, "", "not enough room"),
+        ({"camera": "dvxplorer", "expected_event_rate": 1e9, "seconds": 80000.0}, "", "not enough room"),
         ({"camera": "dvxplorer", "gripper": "/dev/ttyUSB0", "lowest_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
         ({"camera": "virtual", "lowest_ma": 500.0, "holding_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
         ({"camera": "dvxplorer", "calibration": Path("nope.json"), "live": False}, "", "nope.json: cannot be read"),
@@ -365,7 +365,7 @@ def test_dry_run_refuses_what_a_run_does(
     """Assert that a dry run and a run refuse in the same words what can be known before a device is opened."""
     monkeypatch.setattr(capture, "open_rig", lambda *named, **more: pytest.fail("opened"))
     (tmp_path / "there.recording.h5").touch()
-    params = Record(**{"expect": 1e4, **flags} if flags else {})
+    params = Record(**{"expected_event_rate": 1e4, **flags} if flags else {})
     (job,) = record.jobs([], params, tmp_path / out)
     words = []
     for try_ in (lambda: record.dry_run([job], params), lambda: record.run(job, params)):
@@ -378,7 +378,7 @@ def test_dry_run_refuses_what_a_run_does(
 def test_drawn_current_below_the_lowest(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     """Assert that a current that a world draws has to have somewhere to fall, too."""
     rig_is(Camera(), Hand(), holding_ma=10.0)
-    params = Record(camera="virtual", expect=1e4, lowest_ma=12.0)
+    params = Record(camera="virtual", expected_event_rate=1e4, lowest_ma=12.0)
     (job,) = record.jobs([], params, tmp_path)
     record.dry_run([job], params)
     with pytest.raises(InputError, match="--lowest-ma: .*(.|\n)*less than the holding current, 10 mA"):
@@ -396,7 +396,7 @@ def test_drawn_current_below_the_lowest(rig_is: Callable[..., Rig], tmp_path: Pa
 )
 def test_plan_says_what_ends_it(flags: dict[str, Any], end: str, tmp_path: Path) -> None:
     """Assert that nothing is said to let go where there is no gripper."""
-    params = Record(camera="dvxplorer", expect=1e4, **flags)
+    params = Record(camera="dvxplorer", expected_event_rate=1e4, **flags)
     shown = record.dry_run(record.jobs([], params, tmp_path), params)
     assert [row["what"] for row in shown.rows if row["part"] == "end"] == [end]
 
@@ -406,7 +406,7 @@ def test_room_is_asked_for_before(rig_is: Callable[..., Rig], tmp_path: Path, mo
     rig = rig_is(Camera())
     free = 10_000_000
     monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
-    params = Record(camera="dvxplorer", expect=1e6, seconds=10.0)
+    params = Record(camera="dvxplorer", expected_event_rate=1e6, seconds=10.0)
     (job,) = record.jobs([], params, tmp_path / "new" / "folder")
     with pytest.raises(InputError, match="not enough room") as refused:
         record.run(job, params)
@@ -447,7 +447,7 @@ def test_what_does_not_fit_is_refused(flags: dict[str, Any], tmp_path: Path) -> 
 
 def test_replay_is_recorded_as_it_was(made: Made, tmp_path: Path) -> None:
     """Assert that a replayed recording is recorded event by event, knows its dots, its parent, and is simulated too."""
-    params = Record(camera=f"replay:{made.recordings[0]}", expect=1e4)
+    params = Record(camera=f"replay:{made.recordings[0]}", expected_event_rate=1e4)
     (job,) = record.jobs([], params, tmp_path)
     assert job.inputs == (made.recordings[0],)
     result = record.run(job, params)
@@ -488,7 +488,9 @@ def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(capture, "open_rig", open_and_count)
     monkeypatch.setattr(capture, "_release", release_and_count)
     camera = "virtual:prepared=1e5"
-    params = Record(camera=camera, gripper="virtual", seconds=0.7, hold_s=0.05, holding_ma=30.0, expect=1e5)
+    params = Record(
+        camera=camera, gripper="virtual", seconds=0.7, hold_s=0.05, holding_ma=30.0, expected_event_rate=1e5
+    )
     (job,) = record.jobs([], params, tmp_path)
     shown = record.run(job, params)
     assert shown.simulated
@@ -509,7 +511,7 @@ def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize("fault", ["overload@1.2", "unplug@1.2"])
 def test_gripper_fault(fault: str, tmp_path: Path) -> None:
     """Assert that a gripper that fails ends the recording with its error, and what was recorded is valid."""
-    params = Record(camera="virtual:prepared=1e4", gripper=f"virtual:{fault}", seconds=30.0, expect=1e3)
+    params = Record(camera="virtual:prepared=1e4", gripper=f"virtual:{fault}", seconds=30.0, expected_event_rate=1e3)
     (job,) = record.jobs([], params, tmp_path)
     with pytest.raises(DeviceError):
         record.run(job, params)
@@ -522,7 +524,7 @@ def test_gripper_fault(fault: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("fault", ["unplug@0.3", "stall-for-good@0.3"])
 def test_camera_fault(fault: str, tmp_path: Path) -> None:
     """Assert that a camera that fails ends the recording with its error, and what was recorded is valid."""
-    params = Record(camera=f"virtual:prepared=1e4+{fault}", gripper="none", seconds=30.0, expect=1e3)
+    params = Record(camera=f"virtual:prepared=1e4+{fault}", gripper="none", seconds=30.0, expected_event_rate=1e3)
     (job,) = record.jobs([], params, tmp_path)
     with pytest.raises(DeviceError, match="slices in"):
         record.run(job, params)
@@ -533,7 +535,7 @@ def test_two_cameras_of_one_trial(made: Made, tmp_path: Path) -> None:
     """Assert that each camera fills a file, with its own events, one trajectory id, and how their clocks lie."""
     both = made.recordings[:2]
     camera = ",".join(f"replay:{path}" for path in both)
-    params = Record(camera=camera, expect=1e4, seconds=0.4, count=2)
+    params = Record(camera=camera, expected_event_rate=1e4, seconds=0.4, count=2)
     jobs = record.jobs([], params, tmp_path)
     assert jobs[0].inputs == tuple(both)
     first = record.run(jobs[0], params)
@@ -563,7 +565,7 @@ def test_two_cameras_end_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     rigs = [Rig(Camera(), hand, Camera()), Rig(Camera(fails_at=50), None, Camera())]
     monkeypatch.setattr(capture, "open_rig", lambda *named, **more: rigs.pop(0))
     opened = list(rigs)
-    params = Record(camera="dvxplorer:A,dvxplorer:B", gripper="/dev/ttyUSB0", expect=1e4)
+    params = Record(camera="dvxplorer:A,dvxplorer:B", gripper="/dev/ttyUSB0", expected_event_rate=1e4)
     (job,) = record.jobs([], params, tmp_path)
     assert [path.name for path in job.choice["outputs"]] == [
         "dvxplorer-A-s0-000.recording.h5",
@@ -596,7 +598,9 @@ def evetac(*arguments: str, **more: Any) -> "subprocess.Popen[str]":
 def test_interrupted_recording_is_complete(number: int, made: Made, tmp_path: Path) -> None:
     """Assert that Ctrl-C ends a recording with exit code 130, a valid file of what there is, and no folder."""
     output = tmp_path / "a.recording.h5"
-    run = evetac("record", "--camera", f"replay:{made.recordings[0]}", "--expect", "1e5", "-o", str(output))
+    run = evetac(
+        "record", "--camera", f"replay:{made.recordings[0]}", "--expected-event-rate", "1e5", "-o", str(output)
+    )
     while not (output.with_suffix(".part") / "000000.h5").exists():
         assert run.poll() is None, run.stderr.read()
         time.sleep(0.01)
@@ -622,7 +626,7 @@ def quiet_then_busy(path: Path) -> Path:
         "ms_to_idx": slice_starts(t, 1000),
         "t_offset": np.int64(0),
         "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/individual": "unknown",
+        "sensor/name": "unknown",
     }
     write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)
     return path
@@ -636,7 +640,7 @@ def test_full_disk(tmp_path: Path) -> None:
     played = quiet_then_busy(tmp_path / "played.recording.h5")
     output = tmp_path / "a.recording.h5"
     run = evetac(
-        "record", "--camera", f"replay:{played}", "--expect", "1e5", "-o", str(output),
+        "record", "--camera", f"replay:{played}", "--expected-event-rate", "1e5", "-o", str(output),
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY)),
     )  # fmt: skip
     _, said = run.communicate(timeout=60)

@@ -1,0 +1,1 @@
+"""An event camera without scans: every event at the time at which its threshold is crossed."""

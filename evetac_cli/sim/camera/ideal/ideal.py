@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import camera_input, leak, optics
-from evetac_cli.sim.camera.contact_edges import Place, Rims
+from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.ideal.ideal_dots import find_all_radii, solve_dots
 from evetac_cli.sim.camera.ideal.ideal_lines import LINE_STEP_PX, line_steps, solve_line_pixels
@@ -64,15 +64,15 @@ def start(
     window_px: tuple[int, int, int, int] | None,
     texture: NDArray[np.float32] | None,
     rng: np.random.Generator,
-    individual: np.random.Generator | None = None,
-    rims: Rims | None = None,
+    camera_rng: np.random.Generator | None = None,
+    contact_edges: ContactEdges | None = None,
     line_step_px: float = LINE_STEP_PX,
 ) -> IdealState:
     """Switch the camera on; arguments, draws and errors are those of `camera.start`.
 
     Equal generators give both cameras the same thresholds, phases and hot pixels.
     """
-    shared = camera.start(model, dot_xy_px, dot_radius_px, window_px, texture, rng, individual, rims)
+    shared = camera.start(model, dot_xy_px, dot_radius_px, window_px, texture, rng, camera_rng, contact_edges)
     return from_references(shared, line_step_px)
 
 
@@ -110,15 +110,15 @@ def step(
     t0_us: int,
     rng: np.random.Generator,
     dot_path_px: ArrayLike | None = None,
-    rims_start: Place | None = None,
-    rims_end: Place | None = None,
+    contact_edges_start: Place | None = None,
+    contact_edges_end: Place | None = None,
 ) -> Events:
     """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
 
     Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end, in px, the contrast
     holds for the whole slice. Dots on curved paths come with `dot_path_px` (k + 1, dots, 2): where they are at k + 1
-    equally spaced times, from their start to their end. A camera with rims needs `rims_start` and
-    `rims_end`, between which they move and fade evenly. What lies elsewhere than at the end of the last slice, or has
+    equally spaced times, from their start to their end. A camera with rims needs `contact_edges_start` and
+    `contact_edges_end`, between which they move and fade evenly. What lies elsewhere than at the end of the last slice, or has
     another contrast, has jumped there at t0_us. ValueError on values that are not finite, farther than 1e6 px, of
     another shape than at `start`, or a path with other ends; the state is then as before.
     """
@@ -132,7 +132,7 @@ def step(
         object_xy_px_end,
     )
     camera_input.check_range("texture_contrast", texture_contrast, 0.0, 1e3)
-    lines = camera_input.line_places(shared.rims, rims_start, rims_end)
+    lines = camera_input.line_places(shared.contact_edges, contact_edges_start, contact_edges_end)
 
     t0_us = int(t0_us)
     refractory_us = shared.model.refractory_us
@@ -154,12 +154,12 @@ def step(
     )
     gel = (*shared.profile, state.level_index, shared.reference, shared.threshold, state.lower2_px2, state.upper2_px2)
     solved = (state.solved_in, state.slices, refractory_us, state.release_us, t0_us, shared.keys)
-    if shared.rims is not None and lines is not None:
-        made = _solve_lines(state, shared.rims, *lines, path, window, when, gel, solved)
+    if shared.contact_edges is not None and lines is not None:
+        made = _solve_lines(state, shared.contact_edges, *lines, path, window, when, gel, solved)
     elif shared.strip_level.size:
         made = solve_window(*window, NO_LINES, *when, made)
-    if shared.rims is not None and lines is None:
-        shared.rims.events = 0
+    if shared.contact_edges is not None and lines is None:
+        shared.contact_edges.events = 0
     made = solve_dots(path, shared.seen_dot_xy_px, *gel, *solved, made)
     if shared.model.leak_hz > 0.0:
         made = _leak(state, t0_us, made)
@@ -172,7 +172,7 @@ def step(
 
 def _solve_lines(
     state: IdealState,
-    rims: Rims,
+    contact_edges: ContactEdges,
     start: Place,
     end: Place,
     path: NDArray[np.float64],
@@ -185,15 +185,23 @@ def _solve_lines(
 
     `window` and `when`, `gel` and `solved` are arguments of `solve_window` and `solve_dots`.
     """
-    steps = line_steps(rims, start, end, path, state.line_step_px)
-    edge = (rims.cut_contrast, rims.cut_half_px)
+    steps = line_steps(contact_edges, start, end, path, state.line_step_px)
+    edge = (contact_edges.cut_contrast, contact_edges.cut_half_px)
     made = 0
     if state.shared.strip_level.size:
-        lines = (steps, rims.outline, *edge, start, end, rims.seen_level, rims.seen_cut_level)
+        lines = (
+            steps,
+            contact_edges.outline,
+            *edge,
+            start,
+            end,
+            contact_edges.seen_level,
+            contact_edges.seen_cut_level,
+        )
         made = solve_window(*window, lines, *when, made)
-    seen = (rims.seen_corner, rims.seen_cut_x, rims.seen_level, rims.seen_cut_level)
-    given = (steps, rims.outline, *edge, start, end, seen, path, gel, solved)
-    total, rims.events = solve_line_pixels(*given, made)
+    seen = (contact_edges.seen_corner, contact_edges.seen_cut_x, contact_edges.seen_level, contact_edges.seen_cut_level)
+    given = (steps, contact_edges.outline, *edge, start, end, seen, path, gel, solved)
+    total, contact_edges.events = solve_line_pixels(*given, made)
     return int(total)
 
 

@@ -77,7 +77,7 @@ def solve_dots(
     near_path = np.empty((dots, vertices, 2))
     near_box = np.empty((dots, 4))
     travelled = np.empty(vertices)
-    awake = np.empty(reference.size, np.int64)
+    active = np.empty(reference.size, np.int64)
     for dot in range(dots):
         centre_x = box[dot, 0]
         centre_y = box[dot, 1]
@@ -111,11 +111,11 @@ def solve_dots(
                         if nearest2 >= lower2[y, x] and farthest2 <= upper2[y, x]:
                             continue
                         solved_in[y, x] = this_slice
-                    awake[wakes] = y * width + x
+                    active[wakes] = y * width + x
                     wakes += 1
         _travel(near_path[:near], travelled)
         made = _solve_pixels(
-            awake[:wakes],
+            active[:wakes],
             near_path[:near],
             travelled,
             inner,
@@ -152,7 +152,7 @@ def _travel(near_path: NDArray[np.float64], travelled: NDArray[np.float64]) -> N
 
 @njit(cache=True)
 def _solve_pixels(
-    awake: NDArray[np.int64],
+    active: NDArray[np.int64],
     near_path: NDArray[np.float64],
     travelled: NDArray[np.float64],
     inner: float,
@@ -176,7 +176,7 @@ def _solve_pixels(
     width = reference.shape[1]
     pieces = len(travelled) - 1
     piece_us = SLICE_US / pieces
-    for pixel in awake:
+    for pixel in active:
         y, x = divmod(pixel, width)
         step = np.float64(threshold[y, x])
         level = np.float64(reference[y, x])

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import (
+    ContactEdges,
     Outline,
     Place,
-    Rims,
     cut_run,
     outline_rows,
     outline_runs,
@@ -33,9 +33,11 @@ DOT_STEP_PX = 0.05
 MOST_LINE_STEPS = 64
 
 
-def line_steps(rims: Rims, start: Place, end: Place, path: NDArray[np.float64], line_step_px: float) -> int:
+def line_steps(
+    contact_edges: ContactEdges, start: Place, end: Place, path: NDArray[np.float64], line_step_px: float
+) -> int:
     """Into how many sub-steps a slice is cut in which lines move, and dots along paths (dots, k + 1, 2)."""
-    way_px = np.hypot(*(end.corner_px - start.corner_px)) if rims.outline.picture.size else 0.0
+    way_px = np.hypot(*(end.corner_px - start.corner_px)) if contact_edges.outline.picture.size else 0.0
     way_px = max(way_px, np.abs(end.cut_x_px - start.cut_x_px).max(initial=0.0))
     dots_px = np.hypot(*np.moveaxis(np.diff(path, axis=1), -1, 0)).sum(axis=1).max(initial=0.0)
     way_px = max(way_px, dots_px * LINE_STEP_PX / DOT_STEP_PX)

@@ -26,10 +26,10 @@ from numpy.typing import ArrayLike, NDArray
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import check_range, check_whole
-from evetac_cli.sim.camera.contact_edges import Place, Rims
+from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import add_noise, hot_rates
-from evetac_cli.sim.camera.scanning.pixel_culling import Sleep, sleeping_gel
+from evetac_cli.sim.camera.scanning.pixel_culling import CandidatePixels, sleeping_gel
 from evetac_cli.sim.camera.scanning.scan_dots import scan_dots
 from evetac_cli.sim.camera.scanning.scan_lines import scan_lines
 from evetac_cli.sim.camera.scanning.scan_window import StripSleep, scan_window, sleeping_strip
@@ -40,7 +40,7 @@ LOWEST_THRESHOLD = 0.25
 
 @dataclass(frozen=True)
 class CameraModel:
-    """One camera individual; ValueError where a value is out of range.
+    """The constants of one camera; ValueError where a value is out of range.
 
     Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. The noise rate
     is per pixel; every hot pixel has a rate of its own, whose distribution has the evenly spaced quantiles
@@ -110,9 +110,9 @@ class CameraState:
     # Until when a pixel is blind; their rows are empty without a refractory time that scans can tell.
     release_us: NDArray[np.float64]
     strip_release_us: NDArray[np.float64]
-    sleep: Sleep
+    sleep: CandidatePixels
     strip_sleep: StripSleep
-    rims: Rims | None = None
+    contact_edges: ContactEdges | None = None
     slices: int = 0
     dropped: int = 0
 
@@ -124,8 +124,8 @@ def start(
     window_px: tuple[int, int, int, int] | None,
     texture: NDArray[np.float32] | None,
     rng: np.random.Generator,
-    individual: np.random.Generator | None = None,
-    rims: Rims | None = None,
+    camera_rng: np.random.Generator | None = None,
+    contact_edges: ContactEdges | None = None,
 ) -> CameraState:
     """Switch the camera on before dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
 
@@ -133,7 +133,7 @@ def start(
     fire at once. `dot_radius_px` None takes the model's. `window_px` is x0, y0, x1, y1, ends excluded: its pixels see
     the texture (sides powers of two, from `optics.texture`) and no dots. Their first level is the one from which the
     first `step` starts, so an object that is there already makes no flash. Without texture they see nothing.
-    `individual` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
+    `camera_rng` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
     `rims`, from `rims.start` for this frame, are lines that are not dots; the camera owns them from now on.
     ValueError on non-finite positions, a window outside the frame, a texture that cannot be used or has no window.
     """
@@ -145,7 +145,7 @@ def start(
     x0, y0, x1, y1 = camera_input.window_corners(window_px, model.frame_px)
     pattern = camera_input.window_texture(texture, window_px)
 
-    built = rng if individual is None else individual
+    built = rng if camera_rng is None else camera_rng
     nominal = model.threshold * (1.0 + model.mismatch * built.standard_normal((height, width)))
     threshold: NDArray[np.float32] = np.maximum(nominal, LOWEST_THRESHOLD * model.threshold).astype(np.float32)
     phase: NDArray[np.float32] = threshold * rng.uniform(-1.0, 1.0, (height, width)).astype(np.float32)
@@ -154,8 +154,8 @@ def start(
     threshold[y0:y1, x0:x1] = np.inf
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
     level = optics.gel_level(model.frame_px, dots, profile)
-    if rims is not None and rims.frame_px != (width, height):
-        raise ValueError(f"rims: expected those of a frame {model.frame_px}, found one of {rims.frame_px}")
+    if contact_edges is not None and contact_edges.frame_px != (width, height):
+        raise ValueError(f"rims: expected those of a frame {model.frame_px}, found one of {contact_edges.frame_px}")
     blind = model.refractory_us > SLICE_US / model.scans_per_ms
     return CameraState(
         model=model,
@@ -177,7 +177,7 @@ def start(
         strip_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
         sleep=sleeping_gel((height, width), len(dots), profile),
         strip_sleep=sleeping_strip(strip_reference.shape, pattern),
-        rims=rims,
+        contact_edges=contact_edges,
     )
 
 
@@ -191,15 +191,15 @@ def step(
     t0_us: int,
     rng: np.random.Generator,
     dot_path_px: ArrayLike | None = None,
-    rims_start: Place | None = None,
-    rims_end: Place | None = None,
+    contact_edges_start: Place | None = None,
+    contact_edges_end: Place | None = None,
 ) -> Events:
     """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
 
     Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end, in px; the contrast
     (1: the texture as drawn, 0: out of sight) holds for the whole slice. Dots on curved paths come with `dot_path_px`
     (k + 1, dots, 2): where they are at k + 1 equally spaced times, from their start to their end. A camera with rims
-    needs `rims_start` and `rims_end`, between which they move and fade evenly. ValueError on values that are not
+    needs `contact_edges_start` and `contact_edges_end`, between which they move and fade evenly. ValueError on values that are not
     finite, farther than 1e6 px, of another shape than at `start`, or a path with other ends; the state is then as
     before.
     """
@@ -212,7 +212,7 @@ def step(
         object_xy_px_end,
     )
     check_range("texture_contrast", texture_contrast, 0.0, 1e3)
-    lines = camera_input.line_places(state.rims, rims_start, rims_end, coarsely=True)
+    lines = camera_input.line_places(state.contact_edges, contact_edges_start, contact_edges_end, coarsely=True)
 
     t0_us = int(t0_us)
     model = state.model
@@ -231,18 +231,25 @@ def step(
         state.strip_release_us,
         state.strip_sleep,
     )
-    if state.rims is not None and lines is not None:
-        rims = state.rims
-        seen = (rims.seen_corner, rims.seen_cut_x, rims.seen_level, rims.seen_cut_level)
-        edge = (rims.cut_contrast, rims.cut_half_px)
-        made, rims.events = scan_lines(*lines, rims.outline, *edge, seen, path, gel, window, *scanned, state.keys)
+    if state.contact_edges is not None and lines is not None:
+        contact_edges = state.contact_edges
+        seen = (
+            contact_edges.seen_corner,
+            contact_edges.seen_cut_x,
+            contact_edges.seen_level,
+            contact_edges.seen_cut_level,
+        )
+        edge = (contact_edges.cut_contrast, contact_edges.cut_half_px)
+        made, contact_edges.events = scan_lines(
+            *lines, contact_edges.outline, *edge, seen, path, gel, window, *scanned, state.keys
+        )
     else:
         scans = (0, model.scans_per_ms)
         made = scan_dots(path, *gel, *scanned, *scans, state.keys, 0)
         if state.strip_reference.size:
             made = scan_window(*window, *scanned, *scans, state.keys, made)
-        if state.rims is not None:
-            state.rims.events = 0
+        if state.contact_edges is not None:
+            state.contact_edges.events = 0
     if model.leak_hz > 0.0:
         made = _leak(state, t0_us, made)
     state.slices += 1

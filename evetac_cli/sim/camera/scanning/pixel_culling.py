@@ -32,7 +32,7 @@ PIXEL_SHIFT = 16
 COLUMN_MASK = 0xFFFF
 
 
-class Sleep(NamedTuple):
+class CandidatePixels(NamedTuple):
     """A memory of what follows from references and paths, to be dropped at any time.
 
     Between the square roots of `lower2_px2` and `upper2_px2` (height, width) from the nearest dot a pixel surely does
@@ -49,14 +49,14 @@ class Sleep(NamedTuple):
     watched: NDArray[np.int32]
     watched_px2: NDArray[np.float32]
     watching: NDArray[np.int64]
-    awake: NDArray[np.int32]
+    active: NDArray[np.int32]
     entry: NDArray[np.int64]
 
 
-def sleeping_gel(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> Sleep:
+def sleeping_gel(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> CandidatePixels:
     """All pixels of a frame (height, width) awake."""
     height, width = shape
-    return Sleep(
+    return CandidatePixels(
         level_index=optics.level_index(profile),
         lower2_px2=np.full(shape, np.inf, np.float32),
         upper2_px2=np.full(shape, np.inf, np.float32),
@@ -64,7 +64,7 @@ def sleeping_gel(shape: tuple[int, int], dots: int, profile: optics.DotProfile) 
         watched=np.empty((dots, MOST_WATCHED), np.int32),
         watched_px2=np.empty((dots, 2, MOST_WATCHED), np.float32),
         watching=np.zeros(dots, np.int64),
-        awake=np.empty(max(height * width, MOST_WATCHED) + 1, np.int32),
+        active=np.empty(max(height * width, MOST_WATCHED) + 1, np.int32),
         entry=np.empty(MOST_WATCHED + 1, np.int64),
     )
 
@@ -88,7 +88,7 @@ def make_list(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: Sleep,
+    sleep: CandidatePixels,
 ) -> None:
     """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot."""
     sleep.watch_box[dot] = np.nan
@@ -101,7 +101,7 @@ def make_list(
     wider[0, 2:] += SKIN_PX * math.sqrt(way)
     found = ring_pixels(wider[0], inner, outer, True, sleep)
     found = keep_awake(
-        sleep.awake[:found],
+        sleep.active[:found],
         wider,
         inner,
         outer,
@@ -115,7 +115,7 @@ def make_list(
     )
     if found <= sleep.watched.shape[1]:
         for k in range(found):
-            pixel = sleep.awake[k]
+            pixel = sleep.active[k]
             sleep.watched[dot, k] = pixel
             sleep.watched_px2[dot, 0, k] = sleep.lower2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
             sleep.watched_px2[dot, 1, k] = sleep.upper2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
@@ -130,7 +130,7 @@ def keep_listed(
     pixels: int,
     watched: NDArray[np.int32],
     watched_px2: NDArray[np.float32],
-    awake: NDArray[np.int32],
+    active: NDArray[np.int32],
     entry: NDArray[np.int64],
 ) -> int:
     """As `keep_awake`, of a dot's list, for its box of (dots, 4); `entry` gets the kept ones' places in the list."""
@@ -149,7 +149,7 @@ def keep_listed(
         farthest_down = down + half_y
         least2 = nearest_across * nearest_across + nearest_down * nearest_down
         greatest2 = farthest_across * farthest_across + farthest_down * farthest_down
-        awake[kept] = pixel
+        active[kept] = pixel
         entry[kept] = k
         kept += int(not ((least2 >= watched_px2[dot, 0, k]) & (greatest2 <= watched_px2[dot, 1, k])))
     return kept
@@ -167,11 +167,11 @@ def renew_listed(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: Sleep,
+    sleep: CandidatePixels,
 ) -> None:
     """Find new radii for the kept pixels of a dot's list that have fired; not yet for blind ones."""
     for k in range(kept):
-        pixel = sleep.awake[k]
+        pixel = sleep.active[k]
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
         if sleep.lower2_px2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
@@ -185,14 +185,14 @@ def renew_listed(
 
 
 @njit(cache=True)
-def ring_pixels(own: NDArray[np.float64], inner: float, outer: float, awake_only: bool, sleep: Sleep) -> int:
+def ring_pixels(own: NDArray[np.float64], inner: float, outer: float, awake_only: bool, sleep: CandidatePixels) -> int:
     """Collect the pixels of a dot's ring in `sleep.awake`, those that no place in its box (4,) lets fire left out.
 
     They are not unless `awake_only`. Without a branch for each pixel, which would cost more than the rest. Returns
     their number.
     """
     height, width = sleep.lower2_px2.shape
-    awake = sleep.awake
+    active = sleep.active
     found = 0
     first_row, end_row = rings.ring_rows(own, outer, height)
     half_x = np.float32(own[2])
@@ -211,18 +211,18 @@ def ring_pixels(own: NDArray[np.float64], inner: float, outer: float, awake_only
                 sleeps = (nearest_across * nearest_across + nearest_down2 >= lower2[x]) & (
                     farthest_across * farthest_across + farthest_down2 <= upper2[x]
                 )
-                awake[found] = y << PIXEL_SHIFT | x
+                active[found] = y << PIXEL_SHIFT | x
                 found += int(not (sleeps & awake_only))
     return found
 
 
 @njit(cache=True)
-def keep_own(dot: int, found: int, box: NDArray[np.float64], inner: float, outer: float, sleep: Sleep) -> int:
+def keep_own(dot: int, found: int, box: NDArray[np.float64], inner: float, outer: float, sleep: CandidatePixels) -> int:
     """Leave pixels that are also in the ring of an earlier dot that moves to that one; returns the number kept."""
     height, width = sleep.lower2_px2.shape
     kept = 0
     for k in range(found):
-        pixel = sleep.awake[k]
+        pixel = sleep.active[k]
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
         taken = False
@@ -234,7 +234,7 @@ def keep_own(dot: int, found: int, box: NDArray[np.float64], inner: float, outer
                 left, left_end, right, right_end = rings.ring_runs(box[other], inner, outer, y, width)
                 taken = taken or left <= x < left_end or right <= x < right_end
         if not taken:
-            sleep.awake[kept] = pixel
+            sleep.active[kept] = pixel
             kept += 1
     return kept
 
@@ -251,13 +251,13 @@ def keep_awake(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: Sleep,
+    sleep: CandidatePixels,
 ) -> int:
     """Collect in `sleep.awake` the given pixels that may fire while dots are in their boxes; returns how many.
 
     Blind pixels have no radii and are kept: their references follow what they are shown.
     """
-    awake = sleep.awake
+    active = sleep.active
     lower2 = sleep.lower2_px2
     upper2 = sleep.upper2_px2
     alone = len(near_box) == 1
@@ -281,6 +281,6 @@ def keep_awake(
             greatest2 = (across + half_x) * (across + half_x) + (down + half_y) * (down + half_y)
         else:
             least2, greatest2 = rings.bounds(x, y, near_box)
-        awake[kept] = pixel
+        active[kept] = pixel
         kept += int(not ((least2 >= lower2[y, x]) & (greatest2 <= upper2[y, x])))
     return kept

@@ -20,7 +20,7 @@ from evetac_cli.sim.camera.scanning.pixel_culling import (
     PIXEL_SHIFT,
     RESOLUTION_PX,
     RUSH_PX,
-    Sleep,
+    CandidatePixels,
     is_within,
     keep_awake,
     keep_listed,
@@ -42,7 +42,7 @@ def scan_dots(
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
-    sleep: Sleep,
+    sleep: CandidatePixels,
     readout_us: NDArray[np.int64],
     t0_us: float,
     refractory_us: float,
@@ -76,23 +76,23 @@ def scan_dots(
             sleep.watch_box[dot] = np.nan
             found = ring_pixels(box[dot], inner, outer, False, sleep)
             found = keep_own(dot, found, box, inner, outer, sleep)
-            found = keep_awake(sleep.awake[:found], near_box[:near], *table, *pixels, now_us, sleep)
+            found = keep_awake(sleep.active[:found], near_box[:near], *table, *pixels, now_us, sleep)
         else:
             if not is_within(box, sleep.watch_box, dot):
                 make_list(dot, box[dot], *table, *pixels, now_us, sleep)
             if sleep.watching[dot] >= 0:
                 found = keep_listed(
-                    dot, box, sleep.watching[dot], sleep.watched, sleep.watched_px2, sleep.awake, sleep.entry
+                    dot, box, sleep.watching[dot], sleep.watched, sleep.watched_px2, sleep.active, sleep.entry
                 )
             else:
                 rushes = max(box[dot, 2], box[dot, 3]) > RUSH_PX
                 found = ring_pixels(box[dot], inner, outer, not rushes, sleep)
                 if not rushes:
-                    found = keep_awake(sleep.awake[:found], box[dot : dot + 1], *table, *pixels, now_us, sleep)
+                    found = keep_awake(sleep.active[:found], box[dot : dot + 1], *table, *pixels, now_us, sleep)
         if found > 0:
             seen_by = near_xy[:near] if crowded[dot] else at_xy[dot : dot + 1]
             made = _compare_pixels(
-                sleep.awake[:found],
+                sleep.active[:found],
                 seen_by,
                 inner,
                 steps_per_px,
@@ -129,7 +129,7 @@ def at_scans(path: NDArray[np.float64], scans: int, first_scan: int, at_xy: NDAr
 
 @njit(cache=True)
 def _compare_pixels(
-    awake: NDArray[np.int32],
+    active: NDArray[np.int32],
     near_xy: NDArray[np.float64],
     inner: float,
     steps_per_px: float,
@@ -153,7 +153,7 @@ def _compare_pixels(
     near, shots, _ = near_xy.shape
     scan_us = SLICE_US / len(readout_us)
     blinding = release_us.size > 0
-    for pixel in awake:
+    for pixel in active:
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
         lower2 = lower2_px2[y, x]
