@@ -43,8 +43,8 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
     plan = scene.plan(name, str(number), "evetac", (kind,))[0]
     for slices in (100, 100_000):  # the first compiles
         world = GraspSimulation(plan, *(np.random.default_rng([1, part]) for part in range(2)))
-        mechanics, camera = Stopwatch(world._move), Stopwatch(world.gel_camera.see)
-        world._move, world.gel_camera.see = mechanics, camera  # type: ignore[method-assign, assignment]
+        mechanics, camera = Stopwatch(world._move), Stopwatch(world.gel_camera.render)
+        world._move, world.gel_camera.render = mechanics, camera  # type: ignore[method-assign, assignment]
         held_ma, law = world.command[1], paper.start()
         started = time.thread_time()
         while not world.finished and world.slices < slices:

@@ -135,7 +135,7 @@ class GelCamera:
         """How many events of the last slice rims and cut edge made alone."""
         return 0 if self._lines is None else self._lines.events
 
-    def see(
+    def render(
         self,
         shift_m: Floats,
         object_m: Floats,

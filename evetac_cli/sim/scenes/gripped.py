@@ -209,7 +209,7 @@ class GraspSimulation:
         self._move()
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
-        events = self.gel_camera.see(shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, cut_m=cut_m)
+        events = self.gel_camera.render(shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, cut_m=cut_m)
         self.slices += 1
         self.finished = self.slices >= self._last_slice or self._over()
         return events

@@ -155,7 +155,7 @@ class Pressing:
         self._account.follow(info, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated(weights)
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
-        events = self.gel_camera.see(
+        events = self.gel_camera.render(
             shift_m, self._xy_m, 0.0, self.slices * SLICE_US, cut_m=cut_m, strength=self._strength()
         )
         self.slices += 1

@@ -200,7 +200,7 @@ class Vibration:
             self._start_block()
         end = first + self._pieces
         path_m = self._paths(slice(first, end + 1))
-        events = self.gel_camera.see(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
+        events = self.gel_camera.render(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
         self._now = Motion(*(column[end] for column in self._block))
         self.slices += 1
         self.finished = self.slices >= self._slices_in_all

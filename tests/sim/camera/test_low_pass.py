@@ -165,7 +165,7 @@ def test_an_individual_with_a_bandwidth_sees_less_and_later() -> None:
         slices = []
         for k in range(30):
             shift_m = shift_m + [2e-5, 0.0] if k < 3 else shift_m
-            slices.append(gel_camera.see(shift_m, np.zeros(2), 0.0, k * 1000))
+            slices.append(gel_camera.render(shift_m, np.zeros(2), 0.0, k * 1000))
         assert gel_camera.dot_xy_px == pytest.approx(
             gel_camera.grid_xy_px.reshape(-1, 2) + [6e-2 / gel_camera.mm_per_px, 0.0]
         )

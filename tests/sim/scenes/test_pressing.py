@@ -106,7 +106,7 @@ def test_bare_camera_is_as_noisy_as_the_real_one() -> None:
         pytest.skip("the real recording is not here")
     gel_camera = GelCamera(sensor_row("bare-dvxplorer"), cut=True, texture=None, rng=np.random.default_rng(0))
     still = np.zeros_like(gel_camera.rest_m)
-    made = concatenate([gel_camera.see(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])
+    made = concatenate([gel_camera.render(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])
     measured = read_events(real).events
     rate, share, peak = zip(*(figures(events.t, events.x, events.y) for events in (made, measured)), strict=True)
     assert rate[0] == pytest.approx(rate[1], rel=0.05)
