@@ -26,7 +26,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "realtime": frozenset({"errors", "events", "kernels"}),
     "kernels": frozenset({"errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
-    "params": frozenset({"errors"}),
+    "params": frozenset(),
     "resources": frozenset({"errors"}),
     "jobs": frozenset({"errors"}),
     "events": frozenset({"errors"}),

@@ -8,9 +8,10 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from evetac_cli import params
+from evetac_cli.cli.config import COMMANDS, resolve
 from evetac_cli.cli.main import EVALUATE, PIPELINE
 from evetac_cli.errors import InputError
-from evetac_cli.params import Label, Record, Track, Train, flag_of, recipe_of, resolve
+from evetac_cli.params import Label, Record, Track, Train, flag_of, recipe_of
 
 EVERY = {command.name: command.params for command in PIPELINE}
 EVERY |= {f"evaluate {command.name}": command.params for command in EVALUATE}
@@ -44,7 +45,7 @@ def test_defaults_are_valid(command: str) -> None:
 
 def test_every_command_has_a_table() -> None:
     """Assert that a config file can have a table for each command, and for no other."""
-    assert set(EVERY) == set(params.COMMANDS)
+    assert set(EVERY) == set(COMMANDS)
 
 
 def test_flag_beats_config_beats_default(tmp_path: Path) -> None:

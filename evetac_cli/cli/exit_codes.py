@@ -1,7 +1,6 @@
-"""How a command ends: an error in words on stderr, its exit code, and with --json one object on stdout in any case.
+"""Exit codes: an error is printed in words on stderr, and with --json as one object on stdout.
 
-So that a program that calls `evetac ... --json` can always read what it gets: the rows of what was made, and what went
-wrong.
+A program that calls `evetac ... --json` can always parse what it gets: the rows of what was made, and the error.
 """
 
 from collections.abc import Iterator
@@ -20,22 +19,22 @@ UsageError: Any = typer.BadParameter.__base__  # which typer does not name; it l
 
 
 class Commands(TyperGroup):
-    """Commands of which a usage error, too, is one JSON object on stdout where --json was given."""
+    """The group of all commands: with --json, a wrong flag too is reported as one JSON object on stdout."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Flags of `evetac` itself."""
+        """Note whether --json was given before any flag is read, then read the flags of `evetac` itself."""
         ctx.meta["as_json"] = "--json" in args
-        with _usage_errors_told(ctx):
+        with _usage_errors_as_json(ctx):
             return list(super().parse_args(ctx, args))
 
     def invoke(self, ctx: Any) -> Any:
         """Find the command, read its flags, call it."""
-        with _usage_errors_told(ctx):
+        with _usage_errors_as_json(ctx):
             return super().invoke(ctx)
 
 
 @contextmanager
-def _usage_errors_told(ctx: Any) -> Iterator[None]:
+def _usage_errors_as_json(ctx: Any) -> Iterator[None]:
     try:
         yield
     except UsageError as error:
@@ -46,7 +45,7 @@ def _usage_errors_told(ctx: Any) -> Iterator[None]:
         raise
 
 
-class Ending:
+class CommandExit:
     """End the program with an error in words and the exit code of its kind; Ctrl-C exits 130.
 
     With --json the error is on stdout too, in one object with the rows of all that was made.
@@ -58,17 +57,17 @@ class Ending:
         self.results: dict[Path, Outcome | EvetacError] = {}  # of the jobs, by their outputs
 
     def outcomes(self) -> list[Outcome]:
-        """What was made; also by what failed in the end, if it took that along."""
-        found = (
+        """What the jobs made, including what a job made before it failed (errors.attach_outcome)."""
+        outcomes = (
             result if isinstance(result, Outcome) else attached_outcome(result) for result in self.results.values()
         )
-        return [outcome for outcome in found if outcome is not None]
+        return [outcome for outcome in outcomes if outcome is not None]
 
     def errors(self) -> list[EvetacError]:
-        """What failed."""
+        """The errors of the jobs that failed."""
         return [result for result in self.results.values() if isinstance(result, EvetacError)]
 
-    def __enter__(self) -> "Ending":
+    def __enter__(self) -> "CommandExit":
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
@@ -86,6 +85,6 @@ class Ending:
                 import traceback
 
                 traceback.print_exception(error)
-            data = error_dict(error)  # of a disk or a path that failed where nobody looked, as much as there is
+            data = error_dict(error)  # an OSError that no stage turned into words still names its path
             console.say(f"error: {error if isinstance(error, EvetacError) else '{where}: {message}'.format(**data)}")
             raise typer.Exit(data["exit_status"]) from None

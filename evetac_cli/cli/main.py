@@ -17,8 +17,8 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from evetac_cli import __version__, console, params
-from evetac_cli.cli import workers
-from evetac_cli.cli.exit_codes import Commands, Ending
+from evetac_cli.cli import config, workers
+from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome
 
@@ -27,7 +27,7 @@ MOST_ROWS = 100  # of one table on a terminal
 
 @dataclass(frozen=True)
 class Command:
-    """A command that makes files: its parameters, its module, what it eats, and how its progress is counted."""
+    """A command that makes files: its parameters, its module, its input files, and what its progress counts."""
 
     name: str
     params: type
@@ -147,10 +147,10 @@ def _add(
         unit = f" \\[{item.metadata['unit']}]" if item.metadata["unit"] else ""
         choices = f" ({', '.join(item.metadata['choices'])})" if len(item.metadata["choices"]) > 1 else ""
         flag = params.flag_of(item)
-        told = item.default is not None and item.default is not False and item.default != ""
-        default = f" \\[default: {item.default}]" if told else ""
-        told_of = item.metadata["help"].replace("[", "\\[")  # text, not markup
-        help_ = told_of + choices + unit + default
+        has_default = item.default is not None and item.default is not False and item.default != ""
+        default = f" \\[default: {item.default}]" if has_default else ""
+        text = item.metadata["help"].replace("[", "\\[")  # text, not markup
+        help_ = text + choices + unit + default
         option: Any  # typer's own types of arguments and options
         if flag.startswith("--"):
             option = typer.Option(flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}", help=help_)
@@ -175,8 +175,8 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
     """Run all jobs of a command and print what came out of them."""
     running = {name: given.pop(name) for name in _RUNNING}
     files = given.pop("files", [])
-    with Ending(title, running) as ending:
-        chosen = params.resolve(command.params, title, given, running["config"])
+    with CommandExit(title, running) as run:
+        chosen = config.resolve(command.params, title, given, running["config"])
         stage = importlib.import_module(f"evetac_cli.{command.module}")
         jobs: list[Job] = stage.jobs(files, chosen, running["out"])
         _check_outputs(jobs, files, chosen, force=running["force"])
@@ -190,9 +190,9 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
             return
         started = time.monotonic()
-        _run(command, jobs, chosen, running, ending.results)
-        ending.results = {job.output: ending.results[job.output] for job in jobs}
-        outcomes, errors = ending.outcomes(), ending.errors()
+        _run(command, jobs, chosen, running, run.results)
+        run.results = {job.output: run.results[job.output] for job in jobs}
+        outcomes, errors = run.outcomes(), run.errors()
         if outcomes and not (errors and running["as_json"]):
             summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else console.count(outcomes)
             simulated = any(outcome.simulated for outcome in outcomes)
@@ -212,11 +212,11 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
 
 
 def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> None:
-    """Make what is not a stage file, for people or other programs, and say where it is."""
+    """Run a command whose output is no stage file (a page, an export), and print where it was written."""
     running = {name: given.pop(name) for name in _VIEWING}
     files = given.pop("files")
-    with Ending(title, running):
-        chosen = params.resolve(command.params, title, given, None)
+    with CommandExit(title, running):
+        chosen = config.resolve(command.params, title, given, None)
         module = importlib.import_module(f"evetac_cli.{command.module}")
         with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
             result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
@@ -225,10 +225,10 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
 
 
 def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
-    """Say how the devices are; exit code 3 if one of them is not well."""
+    """Examine cameras and grippers; exit code 3 if something is wrong with one of them."""
     running = {name: given.pop(name) for name in _EXAMINING}
-    with Ending(title, running):
-        chosen = params.resolve(command.params, title, given, None)
+    with CommandExit(title, running):
+        chosen = config.resolve(command.params, title, given, None)
         module = importlib.import_module(f"evetac_cli.{command.module}")
         if chosen.print_udev:
             if running["as_json"]:
@@ -259,7 +259,7 @@ def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bo
 
 
 def _first(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows that a terminal shows: of a table of very many the first, and how many more there are is said."""
+    """The first MOST_ROWS rows of each table, for a terminal; how many more there are is printed."""
     shown = []
     for _, group in itertools.groupby(rows, key=tuple):
         table = list(group)
@@ -288,15 +288,15 @@ def _run(
                 results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
 
 
-def _inspector(name: str, help_: str, eats: str = "Stage files.") -> Callable[..., None]:
+def _inspector(name: str, help_: str, files_help: str = "Stage files.") -> Callable[..., None]:
     """A command of inspect/: files in, a table or JSON out."""
 
     def call(
-        files: Annotated[list[Path], typer.Argument(help=eats, show_default=False)],
+        files: Annotated[list[Path], typer.Argument(help=files_help, show_default=False)],
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
         verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
     ) -> None:
-        with Ending(name, {"as_json": as_json, "verbose": verbose}):
+        with CommandExit(name, {"as_json": as_json, "verbose": verbose}):
             module = importlib.import_module(f"evetac_cli.inspect.{name}")
             result: Outcome = module.run(files)
             if as_json:

@@ -1,0 +1,118 @@
+"""Parameters of a command from its flags, from `--config FILE.toml` and from defaults, in this order, all checked."""
+
+import dataclasses
+import math
+import sys
+import tomllib
+import typing
+from collections.abc import Mapping
+from dataclasses import fields
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.errors import InputError
+from evetac_cli.params import flag_of
+
+# A table of a config file for each: [track], [evaluate.slip].
+COMMANDS = (
+    "record",
+    "trim",
+    "calibrate",
+    "label",
+    "track",
+    "featurize",
+    "train",
+    "track-rgb",
+    "train-force",
+    "predict-force",
+    "evaluate slip",
+    "evaluate vibration",
+    "evaluate data-rate",
+    "evaluate labels",
+    "evaluate tracking",
+    "evaluate grasp",
+    "evaluate force",
+    "evaluate cost",
+    "evaluate stability",
+    "grasp",
+)
+
+
+def resolve(cls: type, command: str, given: Mapping[str, Any], config: Path | None) -> Any:
+    """Build the parameters of a command from flags that were given, a config file, and defaults; all checked."""
+    table = _read_config(config, cls, command) if config else {}
+    values = {**table, **{name: value for name, value in given.items() if value is not None}}
+    params = cls(**values)
+    for item in fields(cls):
+        _check(item, getattr(params, item.name))
+    return params
+
+
+def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError, and so is a number too long
+        raise InputError(f"not valid TOML: {error}", where=str(path)) from None
+    words = command.split()
+    for depth, word in enumerate(words):
+        tables = {name.split()[depth] for name in COMMANDS if name.split()[:depth] == words[:depth]}
+        for key in table:
+            if key not in tables:
+                raise _unknown("table", key, sorted(tables), where=str(path))
+        table = table.get(word, {})
+        if not isinstance(table, dict):
+            raise InputError(f"`{word}` is not a table", where=str(path), expected=f"[{command.replace(' ', '.')}]")
+    known = [item.name for item in fields(cls)]
+    hints = typing.get_type_hints(cls)
+    values = {}
+    for key, value in table.items():
+        if key not in known:
+            raise _unknown("key", key, known, where=f"{path}: [{command.replace(' ', '.')}]")
+        values[key] = _coerce(value, hints[key], f"{path}: {command}.{key}")
+    return values
+
+
+def _unknown(what: str, name: str, known: list[str], where: str) -> InputError:
+    near = get_close_matches(name, known, n=1)
+    hint = f"did you mean `{near[0]}`?" if near else ""
+    return InputError(f"unknown {what} `{name}`", where=where, expected=", ".join(known), hint=hint)
+
+
+def _coerce(value: Any, hint: Any, where: str) -> Any:
+    """A TOML value as the type of its field; bool is no int, int is a float, a str may be a path."""
+    wanted = [option for option in (typing.get_args(hint) or (hint,)) if option is not type(None)]
+    for option in wanted:
+        if option is Path and isinstance(value, str):
+            return Path(value)
+        if option is float and type(value) is int and abs(value) < sys.float_info.max:
+            return float(value)
+        if type(value) is option:
+            return value
+    names = " or ".join(option.__name__ for option in wanted)
+    raise InputError("wrong type", where=where, expected=names, found=repr(value))
+
+
+def _check(item: "dataclasses.Field[Any]", value: Any) -> None:
+    about, where = item.metadata, flag_of(item)
+    if value is None:
+        return
+    unit = f" {about['unit']}" if about["unit"] else ""
+    if about["choices"] and value not in about["choices"]:
+        near = get_close_matches(str(value), about["choices"], n=1)
+        raise InputError(
+            "unknown value",
+            where=where,
+            expected=", ".join(about["choices"]),
+            found=str(value),
+            hint=f"did you mean {near[0]}?" if near else "",
+        )
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError("not a finite number", where=where, expected=f"a number{unit}", found=str(value))
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        low, high = about["low"], about["high"]
+        if (low is not None and value < low) or (high is not None and value > high):
+            limits = f"{low} to {high}" if high is not None and low is not None else f"at least {low}"
+            raise InputError("out of range", where=where, expected=f"{limits}{unit}", found=str(value))
