@@ -291,7 +291,7 @@ def perform(
         made = result(table, chosen, (" ".join(commands[name]) for name in chosen))
         print(f"\n{text(made)}")
         try:
-            keep(made, results if experiment.published else folder, replace=replace)
+            keep(made, results, replace=replace)
         except Refusal as refusal:  # the experiment's other tables are kept all the same
             refusals.append(str(refusal))
     files = {kind: len(list(folder.rglob(f"*.{kind}.h5"))) for kind in KINDS}
@@ -351,13 +351,15 @@ def main(arguments: list[str] | None = None) -> None:
         if unknown:
             raise Refusal(f"no experiment chosen has the size {', '.join(unknown)}; --list prints them")
         out = chosen.out / "small" if chosen.small else chosen.out
-        results = chosen.results or (out / "results" if chosen.small else RESULTS)
+        results = out / "results" if chosen.small else RESULTS
         for experiment in experiments:
             sizes = sizes_for(experiment, small=chosen.small, given=given)
             if chosen.dry_run:
                 print_commands(experiment, sizes, out, chosen.jobs)
             else:
-                perform(experiment, sizes, out, results, jobs=chosen.jobs, replace=chosen.replace)
+                usual = results if experiment.published else out / experiment.folder
+                kept_in = chosen.results or usual
+                perform(experiment, sizes, out, kept_in, jobs=chosen.jobs, replace=chosen.replace)
     except Refusal as refusal:
         raise SystemExit(f"error: {refusal}") from None
 

@@ -6,8 +6,8 @@ A page says where a table belongs by two comments, `<!-- table NAME -->` and `<!
 docs/results/NAME.json is put between them. A page that names a table without a file is left as it is.
 
 A file holds flat rows, and says how they are shown: `columns` (heading and cell, Python format strings over a row),
-and, where rows are spread over columns, `across` (one column for each heading). A figure of the paper stands in brackets
-with its mark: `same method`, `other method`, or `fitted` (the scene was adjusted until the two agreed).
+and, where rows are spread over columns, `across` (one column for each heading). A figure of the paper stands in
+brackets with its mark: `same method`, `other method`, or `fitted` (the scene was adjusted until the two agreed).
 """
 
 import argparse
