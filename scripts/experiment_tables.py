@@ -72,7 +72,7 @@ def demo_rows(evaluations: Evaluations) -> Rows:
 
 
 def having(evaluations: Evaluations, *columns: str) -> Rows:
-    """The rows of all evaluations that have these columns: tables of one report are told apart so."""
+    """The rows of all evaluations that have these columns: each table of a report has its own."""
     return [row for each in evaluations.values() for row in each.rows if all(column in row for column in columns)]
 
 
@@ -222,7 +222,7 @@ MODEL_COST = Table(
         Column("F1", "{f1:.2f}"),
         Column("Pareto front", "{pareto}"),
     ),
-    notes=("The front is drawn over tasks of 0, 10 and 20 ms ahead together.",),
+    notes=("The front is over detectors that warn 0, 10 and 20 ms ahead together.",),
 )
 
 LABELS = Table(
@@ -305,13 +305,13 @@ VIBRATION = Table(
 
 VIBRATION_RANDOMIZED = Table(
     "vibration-randomized",
-    "Vibration, {tone_s:g} s a tone, loudness, place and harmonics drawn anew: windows whose tone is right"
+    "Vibration, {tone_s:g} s a tone, random loudness, place and harmonics: windows whose tone is right"
     " within 1 Hz (2 Hz in 0.25 s; paper)",
     ("vibration-randomized",),
     window_rows,
     VIBRATION_COLUMNS,
     replace(VIBRATION_ACROSS, mark="same method"),
-    notes=("Drawn about the adjusted amplitudes of the table above; the paper's figures are for its one set-up.",),
+    notes=("Random about the adjusted amplitudes of the table above; the paper's figures are for its one set-up.",),
 )
 
 FORCE = Table(

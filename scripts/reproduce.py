@@ -253,7 +253,7 @@ def evaluate(name: str, words: Command, folder: Path, run: Run, header: Callable
     """Run an evaluation, or read its report if that is up to date; a report of other files is made anew."""
     command = [*expand(words, folder), "--out", f"{name}.report.h5", "--json"]
     code, printed = run(command, folder)
-    if code == 2:  # the usual reason is a report of fewer or other files; any other is told a second time
+    if code == 2:  # the usual reason is a report of fewer or other files; any other error is printed twice
         code, printed = run([*command, "--force"], folder)
     if code:
         raise Refusal(f"{' '.join(words)} ended with exit code {code}")
