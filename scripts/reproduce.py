@@ -186,17 +186,17 @@ def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
     """The figures that the table shows, and beside each of the paper's how it compares."""
     columns = [*table.columns, *([table.across] if table.across else [])]
     wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
-    kept = []
+    shown = []
     for row in rows:
         marks = {
             column.heading: column.mark if isinstance(column.mark, str) else column.mark(row)
             for column in columns
             if column.paper and all(row.get(key) is not None for key in keys(column.paper))
         }
-        kept.append(
+        shown.append(
             {**{key: value for key, value in row.items() if key in wanted}, **({"marks": marks} if marks else {})}
         )
-    return kept
+    return shown
 
 
 def layout(column: Column) -> Row:
@@ -358,8 +358,8 @@ def main(arguments: list[str] | None = None) -> None:
                 print_commands(experiment, sizes, out, chosen.jobs)
             else:
                 usual = results if experiment.published else out / experiment.folder
-                kept_in = chosen.results or usual
-                perform(experiment, sizes, out, kept_in, jobs=chosen.jobs, replace=chosen.replace)
+                table_folder = chosen.results or usual
+                perform(experiment, sizes, out, table_folder, jobs=chosen.jobs, replace=chosen.replace)
     except Refusal as refusal:
         raise SystemExit(f"error: {refusal}") from None
 

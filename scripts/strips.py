@@ -20,7 +20,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.store.read import Recording, open_recording
 
 SHOWN_MS = 5  # the paper's images show 5 ms
-MOMENTS = 4
+IMAGES = 4
 INK, QUIET, WARM, COOL = "#22303f", "#8a95a1", "#b5502a", "#2f6690"
 
 
@@ -30,7 +30,7 @@ def frame_times(recording: Recording) -> list[int]:
     if len(slip) and recording.header["parameters"]["scene"]["kind"] == "ramp":
         return [max(int(slip[0]) + away, 0) for away in (-200, -20, 8, 40)]
     per_slice = np.convolve(np.diff(recording.starts), np.ones(SHOWN_MS), "valid")
-    return [int(part[np.argmax(per_slice[part])]) for part in np.array_split(np.arange(len(per_slice)), MOMENTS)]
+    return [int(part[np.argmax(per_slice[part])]) for part in np.array_split(np.arange(len(per_slice)), IMAGES)]
 
 
 def image(recording: Recording, start: int) -> np.ndarray:
@@ -44,7 +44,7 @@ def strip(path: Path, out: Path) -> Path:
     with open_recording(path) as recording:
         chosen = frame_times(recording)
         figure = plt.figure(figsize=(11, 5.6), dpi=110, layout="constrained")
-        grid = figure.add_gridspec(3, MOMENTS, height_ratios=(2.6, 1, 1))
+        grid = figure.add_gridspec(3, IMAGES, height_ratios=(2.6, 1, 1))
         for place, start in enumerate(chosen):
             axes = figure.add_subplot(grid[0, place])
             axes.imshow(image(recording, start), cmap="gray", vmin=-1, vmax=1, interpolation="nearest")

@@ -8,11 +8,16 @@ from typing import Any
 import pytest
 import typer
 
+from evetac_cli import params
 from evetac_cli.cli.main import app
+from evetac_cli.stages.evaluate import grasp, labels, slip, tracking
+from tests.conftest import Made
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import experiment_tables
 import reproduce
 import results
+from experiment_tables import Evaluation
 from experiments import EXPERIMENTS
 from reproduce import Refusal
 
@@ -32,7 +37,7 @@ def header(objects: list[int], *, id_: str = "r") -> Row:
 
 
 class FakeEvetac:
-    """Stands in for the program: keeps the commands, and answers evaluations with as many labels as it is told."""
+    """Stands in for the program: keeps the commands, and answers evaluations with as many labels as it is made for."""
 
     def __init__(self, objects: list[int]) -> None:
         self.objects, self.commands = objects, []
@@ -62,14 +67,14 @@ def run_labels(tmp_path: Path, objects: list[int], *, replace: bool = False) -> 
 def test_a_table_says_what_its_reports_say(tmp_path: Path) -> None:
     """Assert that title, sizes and seeds come from the headers, not from the sizes asked for."""
     run_labels(tmp_path, [1, 2, 3, 8])
-    kept = json.loads((tmp_path / "results" / "labels.json").read_text())
-    assert kept["title"] == "Slip labels against truth, 4 trajectories of objects 1-3, 8"
-    assert kept["sizes"]["recordings"] == 4
-    assert kept["sizes"]["recording_seeds"] == [300]
-    assert kept["recipe_ids"] == ["r"]
-    assert kept["commands"] == ["evetac evaluate labels *.labels.h5"]
-    assert {"commit", "uncommitted_changes"} <= set(kept)
-    assert "| 4 of 4 | 1 | 2 | 0.50 | 0 |" in results.text(kept)
+    table = json.loads((tmp_path / "results" / "labels.json").read_text())
+    assert table["title"] == "Slip labels against truth, 4 trajectories of objects 1-3, 8"
+    assert table["sizes"]["recordings"] == 4
+    assert table["sizes"]["recording_seeds"] == [300]
+    assert table["recipe_ids"] == ["r"]
+    assert table["commands"] == ["evetac evaluate labels *.labels.h5"]
+    assert {"commit", "uncommitted_changes"} <= set(table)
+    assert "| 4 of 4 | 1 | 2 | 0.50 | 0 |" in results.text(table)
 
 
 def test_jobs_are_handed_on(tmp_path: Path) -> None:
@@ -213,3 +218,32 @@ def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
     assert results.fill_page(filled, tmp_path / "results") == filled
     with pytest.raises(FileNotFoundError):
         results.fill_page(page.replace("labels", "lost"), tmp_path / "results")
+
+
+def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
+    """Assert figures and facts of the demo's table, from real reports on one trial and one grasp."""
+    trial = made.folder / "apart.recording.h5"  # no model is trained on it
+    stages: list[tuple[str, Any, Any, Path]] = [
+        ("labels", labels, params.EvaluateLabels(), made.beside(trial, "labels")),
+        ("tracking", tracking, params.EvaluateTracking(), made.beside(trial, "tracks")),
+        ("slip", slip, params.EvaluateSlip(model=made.model), made.beside(trial, "features")),
+        ("grasp", grasp, params.EvaluateGrasp(), made.grasp),
+    ]
+    evaluations = {}
+    for name, stage, chosen, file in stages:
+        (job,) = stage.jobs([file], chosen, tmp_path / f"{name}.report.h5")
+        outcome = stage.run(job, chosen)
+        header = reproduce.report_header(job.output)
+        evaluations[name] = Evaluation(outcome.rows, outcome.summary, outcome.simulated, header)
+    table = reproduce.result(experiment_tables.DEMO, evaluations, ["evetac evaluate labels"])
+    figures = {row["what"]: row["figure"] for row in table["rows"]}
+    (grasped,) = (row for row in evaluations["grasp"].rows if "file" in row)
+    assert figures["... onsets that have a label"].endswith("of 1")
+    timing = evaluations["slip"].summary["slip_correct"]
+    assert figures["slip timing correct, unseen trajectories"] == f"{timing:.3g}"
+    lifted = next(figure for what, figure in figures.items() if what.endswith("with the detector"))
+    assert lifted.startswith("lifted" if grasped["lifted"] else "not lifted")
+    assert table["simulated"]
+    assert (table["sizes"]["recordings"], table["sizes"]["models"]) == (2, 1)  # the trial and the grasp; their model
+    assert table["sizes"]["training_recordings"] == len(made.recordings)
+    assert table["sizes"]["training_steps"] == 20
