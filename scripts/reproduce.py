@@ -175,10 +175,12 @@ def words_for(known: Row) -> Row:
 
 
 def commit() -> tuple[str, bool]:
-    """The commit, and whether the tree differs from it."""
+    """The commit, and whether the tree differs from it but for the tables themselves."""
     git = ["git", "-C", str(ROOT)]
     head = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    changes = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True, check=False)
+    changes = subprocess.run(
+        [*git, "status", "--porcelain", "--", ":!docs/results"], capture_output=True, text=True, check=False
+    )
     return head.stdout.strip() or "unknown", bool(changes.stdout.strip())
 
 
@@ -204,7 +206,7 @@ def layout(column: Column) -> Row:
     return {"heading": column.heading, "cell": column.cell, **({"paper": column.paper} if column.paper else {})}
 
 
-def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[str], *, made: str = "now") -> Row:
+def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[str]) -> Row:
     """A table as it is kept: everything that it says of itself comes from the reports."""
     known = facts(evaluation.header for evaluation in evaluations.values())
     head, changed = commit()
@@ -212,7 +214,7 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
         "name": table.name,
         "title": table.title.format(**words_for(known)),
         "simulated": any(evaluation.simulated for evaluation in evaluations.values()),
-        "made": made,
+        "made": f"commit {head}" + (", with uncommitted changes" if changed else ""),
         "commit": head,
         "uncommitted_changes": changed,
         "commands": list(commands),

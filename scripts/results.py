@@ -62,8 +62,7 @@ def text(result: Result) -> str:
     heads, *rows = lines(result)
     table = "\n".join("| " + " | ".join(line) + " |" for line in (heads, ["---"] * len(heads), *rows))
     title = ("Simulated. " if result["simulated"] else "") + result["title"]
-    made = "" if result["made"] == "now" else f" ({result['made']})"
-    return "\n\n".join([f"{title}{made}:", table, *result["notes"]]) + "\n"
+    return "\n\n".join([f"{title} ({result['made']}):", table, *result["notes"]]) + "\n"
 
 
 def fill_page(page: str, results: Path) -> str:
