@@ -89,7 +89,11 @@ QUOTES: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("grasps", {"setting": "paper"}, "that {success:.2f} stands beside the paper's {paper_success:.2f}"),
     ("grasps-by-object", {"setting": "paper", "object": 12}, "object 12 (38 g) is held with {force_end_n:.1f} N"),
     ("grasps-by-object", {"setting": "paper", "object": 18}, "the filled bottle (18) with {force_end_n:.1f} N"),
-    ("grasps-by-object", {"setting": "load-proportional", "object": 18}, "objects 18 to 20 with more (object 18 with {force_end_n:.1f} N)"),
+    (
+        "grasps-by-object",
+        {"setting": "load-proportional", "object": 18},
+        "objects 18 to 20 with more (object 18 with {force_end_n:.1f} N)",
+    ),
     ("grasp-robustness", {"setting": "load-proportional, second, closed gel"}, "gel it keeps {success:.2f}"),
     ("grasp-robustness", {"setting": "load-proportional, drop-100g"}, "slides by {moved_mm_median:.1f} mm"),
 )
