@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from film_picture import Picture, palette
-from film_story import PICTURE_MS, Story, frame_times, tell_story
+from film_story import PICTURE_MS, Story, frame_times, read_story
 from PIL import Image
 
 from evetac_cli.errors import EvetacError
@@ -27,8 +27,8 @@ def pictures(trial: Trial, story: Story) -> Iterator[Image.Image]:
     assert recording is not None and tracks is not None
     picture = Picture(story)
     shown = -1
-    for moment in frame_times(story.acts):
-        at = int(moment)
+    for time_ms in frame_times(story.acts):
+        at = int(time_ms)
         # All events since the picture before, so that no burst is missed, and at least as many ms as the paper shows.
         first = max(min(shown if shown >= 0 else at, at - SHOWN_MS) + 1, 0)
         yield picture.draw(
@@ -65,7 +65,7 @@ def main() -> None:
     chosen = parser.parse_args()
     try:
         with open_trial([chosen.recording]) as trial:
-            count, seconds = save(pictures(trial, tell_story(trial)), chosen.out)
+            count, seconds = save(pictures(trial, read_story(trial)), chosen.out)
     except EvetacError as error:
         parser.exit(error.exit_code, f"{error}\n")
     print(f"{chosen.out}: {count} pictures, {seconds:.1f} s, {chosen.out.stat().st_size / 1e6:.2f} MB")

@@ -1,4 +1,4 @@
-"""What the film tells (scripts/film.py): which catch, which stretches of time, and how fast each is shown."""
+"""What the film shows (scripts/film.py): which catch, which stretches of time, and how fast each is shown."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ from evetac_cli.inspect.view.trial_files import Trial
 
 PICTURE_MS = 50  # of the film: 20 pictures a second
 BALANCE = 2  # control/phase
-KEPT_MS = 300  # an object that hangs so long after a slide was caught
+HELD_MS = 300  # an object that hangs so long after a slide was caught
 
 
 class Act(NamedTuple):
@@ -34,7 +34,7 @@ class Catch(NamedTuple):
 
 @dataclass(frozen=True)
 class Story:
-    """What a recording and its tracks tell_story, slice by slice; lengths in mm upwards are those of the object."""
+    """What the film needs of a recording and its tracks, slice by slice; heights in mm are those of the object."""
 
     title: str
     catch: Catch
@@ -57,14 +57,14 @@ class Story:
 def farthest_catch(
     slip: NDArray[np.integer], down_mm: NDArray[np.floating], height_mm: NDArray[np.floating]
 ) -> Catch | None:
-    """The farthest slide of an object that still hangs KEPT_MS later; None if nothing slid, or all was dropped."""
+    """The farthest slide of an object that still hangs HELD_MS later; None if nothing slid, or all was dropped."""
     edges = np.flatnonzero(np.diff(np.r_[0, np.asarray(slip) > 0, 0]))
-    found = [
+    catches = [
         Catch(onset, stuck, float(down_mm[stuck] - down_mm[onset]))
         for onset, stuck in edges.reshape(-1, 2).tolist()
-        if stuck + KEPT_MS < len(slip) and height_mm[stuck + KEPT_MS] > 1.0 and height_mm[onset] > 1.0
+        if stuck + HELD_MS < len(slip) and height_mm[stuck + HELD_MS] > 1.0 and height_mm[onset] > 1.0
     ]
-    return max(found, key=lambda catch: catch.slid_mm, default=None)
+    return max(catches, key=lambda catch: catch.slid_mm, default=None)
 
 
 def acts(catch: Catch, rise_ms: int, slices: int) -> list[Act]:
@@ -90,7 +90,7 @@ def frame_times(plan: list[Act]) -> list[float]:
     return [float(at) for act in plan for at in np.arange(act.start_ms, act.stop_ms, act.speed * PICTURE_MS)]
 
 
-def tell_story(trial: Trial) -> Story:
+def read_story(trial: Trial) -> Story:
     """Read all but the events; InputError if the recording is no simulated grasp, has no tracks, or shows no catch."""
     recording, tracks = trial.recording, trial.tracks
     if recording is None or not (recording.has("control") and recording.has("truth/table_gap_mm")):
@@ -99,7 +99,7 @@ def tell_story(trial: Trial) -> Story:
         raise InputError("there are no tracks beside the recording", where=str(recording.path), hint="evetac track")
 
     def held(clock: str, path: str) -> NDArray[Any]:
-        """What has a clock of its own, at every slice: the latest value."""
+        """The latest value at every slice of what has a clock of its own."""
         rows = np.searchsorted(recording.read(clock), np.arange(len(recording)) * SLICE_US, side="right") - 1
         values: NDArray[Any] = recording.read(path)[np.maximum(rows, 0)]
         return values

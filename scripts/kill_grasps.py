@@ -1,8 +1,8 @@
-"""Kill the detector of grasps in real time at random moments, and say how long torque stayed on.
+"""Kill the detector of grasps in real time at random times, and print how long torque stayed on.
 
     python scripts/kill_grasps.py [--count 10] [--how kill|stop] [--watchdog-ms 60]
 
-The grasps are virtual. Torque is looked at from outside: in the memory in which the virtual servo shows its registers
+The grasps are virtual. Torque is read from outside: in the memory in which the virtual servo shows its registers
 to the world, every half millisecond, by the clock by which the detector was killed (or stopped, as if it hung).
 """
 
@@ -22,7 +22,7 @@ from evetac_cli.devices.virtual.servo_plant import SharedPlant
 from evetac_cli.inspect import validate
 from evetac_cli.store.read import open_recording
 
-LOOK_S = 5e-4
+POLL_S = 5e-4
 LONGEST_S = 5.0
 
 
@@ -34,7 +34,7 @@ def spawned(process: int) -> list[int]:
     return sorted(int(pid) for pid in children if "multiprocessing-fork" in Path(f"/proc/{pid}/cmdline").read_text())
 
 
-def plants_of(process: int) -> Iterator[str]:
+def plant_files(process: int) -> Iterator[str]:
     """Files of a virtual plant that a process has mapped."""
     for line in Path(f"/proc/{process}/maps").read_text().splitlines():
         if "evetac-plant-" in line:
@@ -50,14 +50,14 @@ def one(out: Path, how: signal.Signals, watchdog_ms: int, after_s: float) -> flo
                 raise SystemExit(f"the grasp did not start: {grasp.communicate()[1]}")
             time.sleep(0.01)
         world, detector, _ = spawned(grasp.pid)
-        plant = SharedPlant(next(plants_of(world)))
+        plant = SharedPlant(next(plant_files(world)))
         time.sleep(after_s)
         if not plant.goals().torque:
             raise SystemExit(f"it ended by itself: {grasp.communicate()[1]}")
         os.kill(detector, how)
         struck_s = time.monotonic()
         while plant.goals().torque and time.monotonic() < struck_s + LONGEST_S:
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         passed_s = time.monotonic() - struck_s
         if how is signal.SIGSTOP:
             os.kill(detector, signal.SIGCONT)
@@ -66,7 +66,7 @@ def one(out: Path, how: signal.Signals, watchdog_ms: int, after_s: float) -> flo
 
 
 def main() -> None:
-    """Kill, look, validate, tell."""
+    """Kill, wait for torque off, validate, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")

@@ -1,4 +1,4 @@
-"""Kill recordings with SIGKILL at random moments, repair what they left, and say how much was lost.
+"""Kill recordings with SIGKILL at random times, repair what they left, and print how much was lost.
 
     python scripts/kill_recordings.py RECORDING [--count 40] [--gripper none|virtual] [--camera NAME]
 
@@ -22,7 +22,8 @@ LONGEST_START_S = 60.0
 
 def killed_after(seconds: float, camera: str, gripper: str, output: Path) -> float:
     """Start a recording, kill it so long after its first file appeared; returns how long it really ran, in s."""
-    arguments = ["record", "--camera", camera, "--gripper", gripper, "--seconds", "60", "--expect", "1e5", "-q"]
+    arguments = ["record", "--camera", camera, "--gripper", gripper, "--seconds", "60"]
+    arguments += ["--expected-event-rate", "1e5", "-q"]
     run = subprocess.Popen([sys.executable, "-m", "evetac_cli", *arguments, "-o", str(output)])
     first = output.with_suffix(".part") / "static.h5"
     deadline = time.monotonic() + LONGEST_START_S
@@ -40,7 +41,7 @@ def killed_after(seconds: float, camera: str, gripper: str, output: Path) -> flo
 
 
 def main() -> None:
-    """Kill, repair, validate, tell."""
+    """Kill, repair, validate, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("recording", type=Path)
     parser.add_argument("--count", type=int, default=40)
@@ -62,9 +63,9 @@ def main() -> None:
             good = done.returncode == 0 and row["status"] == "repaired" and output.exists()
             repaired += good
             lost_s.append(ran_s - (row["slices_kept"] or 0) / 1000)
-            kept = f"{row['slices_kept']} slices, {row['gripper_rows_kept']} gripper rows"
+            saved = f"{row['slices_kept']} slices, {row['gripper_rows_kept']} gripper rows"
             print(
-                f"{trial + 1:3d}: ran {ran_s:.3f} s, {row['status']}, kept {kept}, lost {lost_s[-1]:.3f} s", flush=True
+                f"{trial + 1:3d}: ran {ran_s:.3f} s, {row['status']}, kept {saved}, lost {lost_s[-1]:.3f} s", flush=True
             )
     print(f"repaired {repaired} of {chosen.count}, lost at most {max(lost_s):.3f} s")
 

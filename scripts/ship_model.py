@@ -1,9 +1,9 @@
 """Put the slip detector into the package that `grasp` uses by default, and beside it how it was made.
 
-    python scripts/ship_model.py MODELS/fast-slow-10ms-s*.model.h5 reports/slip-unseen-objects.json
+    python scripts/ship_model.py MODELS/fast-slow-10ms-s*.model.h5 slip-unseen-objects.report.h5
 
-Of the seeds it takes the one that was best on the validation trajectories; what it does on objects never seen is told
-from the report, and has no part in the choice.
+Of the seeds it takes the one that was best on the validation trajectories. Its figures on objects never seen are copied
+from the report; they have no part in the choice.
 """
 
 import json
@@ -27,13 +27,14 @@ def main() -> None:
     *paths, report = map(Path, sys.argv[1:])
     best = max(paths, key=validation_score)
     model = Model.read(best)
-    judged = json.loads(report.read_text())
+    with StageFile(report, "report") as file:
+        rows = json.loads(file.read("rows"))
     chosen = model.header["parameters"]
-    traits = {key: chosen[key] for key in ("model", "recipe", "max_steps", "folds")}
+    traits = {key: chosen[key] for key in ("model", "preset", "max_steps", "folds")}
     traits |= {"horizon_ms": model.horizon_ms, "labels": model.labels}
-    (setting,) = [row["setting"] for row in judged["rows"] if "seeds" in row and traits.items() <= row.items()]
+    (setting,) = [row["setting"] for row in rows if "seeds" in row and traits.items() <= row.items()]
     one = {"setting": setting, "seed": chosen["seed"]}
-    (found,) = [row for row in judged["rows"] if "threshold" in row and one.items() <= row.items()]
+    (figures,) = [row for row in rows if "threshold" in row and one.items() <= row.items()]
     made = {
         "model": model.architecture.name,
         "horizon_ms": model.horizon_ms,
@@ -44,7 +45,7 @@ def main() -> None:
         "objects_trained_and_validated_on": sorted(map(int, model.objects)),
         "validation_score": validation_score(best),
         "best_of_seeds": len(paths),
-        "unseen_objects": {key: found[key] for key in FIGURES},
+        "unseen_objects": {key: figures[key] for key in FIGURES},
         "simulated": model.header["simulated"],
         "id": model.header["id"],
     }

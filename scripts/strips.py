@@ -1,9 +1,12 @@
-"""Make a PNG strip of a simulated recording: 5 ms event images at telling moments, events, forces and slip below.
+"""Draw a simulated recording as a strip: event images of 5 ms, then events, forces and slip over time, as a PNG.
 
-python scripts/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]; `make strips` draws every scene.
+    python scripts/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]
+
+`make strips` draws every scene. The scene `vibration` is made short for it by --short-vibration.
 """
 
 import argparse
+import re
 from pathlib import Path
 
 import matplotlib
@@ -13,20 +16,21 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from evetac_cli.kernels.slip.features import event_image
+from evetac_cli.resources import PACKAGE
 from evetac_cli.store.read import Recording, open_recording
 
 SHOWN_MS = 5  # the paper's images show 5 ms
-MOMENTS = 4
+IMAGES = 4
 INK, QUIET, WARM, COOL = "#22303f", "#8a95a1", "#b5502a", "#2f6690"
 
 
 def frame_times(recording: Recording) -> list[int]:
-    """Slices worth seeing: about the onset where there is one, else the busiest of each quarter."""
+    """Slices to show: about the onset where slip is forced, else the busiest of each quarter."""
     slip = np.flatnonzero(recording.read("truth/slip")) if recording.has("truth") else []
     if len(slip) and recording.header["parameters"]["scene"]["kind"] == "ramp":
         return [max(int(slip[0]) + away, 0) for away in (-200, -20, 8, 40)]
     per_slice = np.convolve(np.diff(recording.starts), np.ones(SHOWN_MS), "valid")
-    return [int(part[np.argmax(per_slice[part])]) for part in np.array_split(np.arange(len(per_slice)), MOMENTS)]
+    return [int(part[np.argmax(per_slice[part])]) for part in np.array_split(np.arange(len(per_slice)), IMAGES)]
 
 
 def image(recording: Recording, start: int) -> np.ndarray:
@@ -40,7 +44,7 @@ def strip(path: Path, out: Path) -> Path:
     with open_recording(path) as recording:
         chosen = frame_times(recording)
         figure = plt.figure(figsize=(11, 5.6), dpi=110, layout="constrained")
-        grid = figure.add_gridspec(3, MOMENTS, height_ratios=(2.6, 1, 1))
+        grid = figure.add_gridspec(3, IMAGES, height_ratios=(2.6, 1, 1))
         for place, start in enumerate(chosen):
             axes = figure.add_subplot(grid[0, place])
             axes.imshow(image(recording, start), cmap="gray", vmin=-1, vmax=1, interpolation="nearest")
@@ -83,9 +87,15 @@ def strip(path: Path, out: Path) -> Path:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("recordings", nargs="+", type=Path)
+    parser.add_argument("recordings", nargs="*", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs"))
+    parser.add_argument(
+        "--short-vibration", type=Path, metavar="TOML", help="write the scene vibration with 3 s of tone"
+    )
     chosen = parser.parse_args()
+    if chosen.short_vibration:
+        scene = (PACKAGE / "data" / "scenes" / "vibration.toml").read_text()
+        chosen.short_vibration.write_text(re.sub(r"(?m)^tone_s = .*", "tone_s = 3.0", scene))
     for path in chosen.recordings:
         print(strip(path, chosen.out))
 

@@ -1,17 +1,25 @@
-"""What the README shows exists: commands with their flags, make targets, files, the Python interface."""
+"""The README: commands, flags, make targets and files that it shows exist; its figures are those of docs/results/."""
 
+import json
 import re
 import shlex
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
 
 from evetac_cli.cli.main import app
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+import results
+from experiments import EXPERIMENTS
+
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 INDENTED = [line[4:].split("   #")[0].strip() for line in README.splitlines() if line.startswith("    ")]
+RESULTS = sorted((ROOT / "docs" / "results").glob("*.json"), key=lambda path: path.stem)
 COMMANDS = [line for line in INDENTED if line.startswith("evetac ")]
 
 
@@ -48,3 +56,52 @@ def test_python_interface_is_there() -> None:
     for module, names in re.findall(r"from (evetac_cli\S*) import (.+)", README):
         loaded = __import__(module, fromlist=["_"])
         assert all(hasattr(loaded, name.strip()) for name in names.split(","))
+
+
+def test_tables_say_what_results_say() -> None:
+    """Assert that every table is what its file in docs/results/ says: `make results` would change nothing."""
+    assert results.fill_page(README, ROOT / "docs" / "results") == README
+
+
+def test_every_table_has_a_file_and_a_place() -> None:
+    """Assert that experiments, files and README name the same tables."""
+    names = sorted(table.name for experiment in EXPERIMENTS for table in experiment.tables)
+    assert [path.stem for path in RESULTS] == names
+    assert sorted(re.findall(r"<!-- table ([\w-]+) -->", README)) == names
+
+
+@pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
+def test_figures_of_the_paper_are_marked(path: Path) -> None:
+    """Assert that a file says how it was made, and that beside each figure of the paper stands how it compares."""
+    result = json.loads(path.read_text())
+    assert result["name"] == path.stem
+    assert result["commands"] and result["commit"] and result["made"]
+    assert result["recipe_ids"] or result["made"].startswith("first edition, c80c948")
+    for row in result["rows"]:
+        for column in (*result["columns"], *([result["across"]] if result["across"] else [])):
+            if "paper" in column and results.fill(column["paper"], row):
+                assert row["marks"][column["heading"]] in results.MARKS
+
+
+# What sentences of the README say, filled from a row of a table: the table, what names the row, the words.
+QUOTES: tuple[tuple[str, dict[str, Any], str], ...] = (
+    ("grasps", {"setting": "paper"}, "the detector never saw in {success:.0%} of trials"),
+    ("grasps", {"setting": "paper"}, "that {success:.2f} stands beside the paper's {paper_success:.2f}"),
+    ("grasps-by-object", {"setting": "paper", "object": 12}, "object 12 (38 g) is held with {force_end_n:.1f} N"),
+    ("grasps-by-object", {"setting": "paper", "object": 18}, "the filled bottle (18) with {force_end_n:.1f} N"),
+    (
+        "grasps-by-object",
+        {"setting": "load-proportional", "object": 18},
+        "objects 18 to 20 with more (object 18 with {force_end_n:.1f} N)",
+    ),
+    ("grasp-robustness", {"setting": "load-proportional, second, closed gel"}, "gel it keeps {success:.2f}"),
+    ("grasp-robustness", {"setting": "load-proportional, drop-100g"}, "slides by {moved_mm_median:.1f} mm"),
+)
+
+
+@pytest.mark.parametrize(("table", "names", "words"), QUOTES)
+def test_sentences_say_what_results_say(table: str, names: dict[str, Any], words: str) -> None:
+    """Assert that a figure quoted in a sentence is that of the table."""
+    rows = json.loads((ROOT / "docs" / "results" / f"{table}.json").read_text())["rows"]
+    (row,) = [row for row in rows if names.items() <= row.items()]
+    assert words.format(**row) in " ".join(README.replace(" %", "%").split())

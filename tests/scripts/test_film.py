@@ -49,9 +49,9 @@ def story() -> film_story.Story:
 
 def near(image: Image.Image, place: tuple[float, float], colour: str) -> bool:
     """Whether a pixel has a colour but for rounding."""
-    found = image.getpixel((round(place[0]), round(place[1])))
-    assert isinstance(found, tuple)
-    return all(abs(a - b) <= 2 for a, b in zip(found, ImageColor.getrgb(colour), strict=True))
+    pixel = image.getpixel((round(place[0]), round(place[1])))
+    assert isinstance(pixel, tuple)
+    return all(abs(a - b) <= 2 for a, b in zip(pixel, ImageColor.getrgb(colour), strict=True))
 
 
 def test_the_farthest_slide_that_was_kept_is_the_catch() -> None:
@@ -126,9 +126,11 @@ def test_the_film_is_the_same_every_time(story: film_story.Story, tmp_path: Path
     with Image.open(first) as written:
         assert written.info["loop"] == 0
         assert written.size == (film_picture.WIDE, film_picture.TALL)
-        kept = [np.asarray(frame.convert("RGB")).astype(np.int16) for frame in ImageSequence.Iterator(written)]
-    assert len(kept) == 4
-    for frame, drawn in zip(kept, some(), strict=True):
+        written_frames = [
+            np.asarray(frame.convert("RGB")).astype(np.int16) for frame in ImageSequence.Iterator(written)
+        ]
+    assert len(written_frames) == 4
+    for frame, drawn in zip(written_frames, some(), strict=True):
         in_palette = drawn.quantize(palette=film_picture.palette(), dither=Image.Dither.NONE).convert("RGB")
         assert np.array_equal(frame, np.asarray(in_palette))
         flat = np.abs(frame - np.asarray(drawn, np.int16)).max(axis=2) == 0

@@ -1,0 +1,109 @@
+"""Every experiment of the paper as a row of one table; scripts/reproduce.py runs it."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import experiment_steps as steps
+import experiment_tables as tables
+from experiment_steps import SLIP, SMALL_SLIP, Command, Sizes, evetac
+from experiment_tables import Table
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is done, at which sizes, and what comes out of it."""
+
+    name: str
+    shows: str
+    folder: str  # of its files; experiments that build on each other share one
+    hours: float  # at full size on two cores: an estimate
+    full: Sizes
+    small: Sizes  # those that differ
+    steps: Callable[[Sizes], Iterator[Command]]
+    evaluations: Callable[[Sizes], dict[str, Command]] = lambda sizes: {}
+    tables: tuple[Table, ...] = ()
+    after: tuple[str, ...] = ()  # experiments that come first
+    published: bool = True  # its tables go to docs/results/; else they stay in its folder
+
+
+EXPERIMENTS: tuple[Experiment, ...] = (
+    Experiment(
+        "demo", "from touch to grasp on a simulated sensor", "demo", 0.1,
+        full={"seed": 0, "learn": 5, "unseen": 3, "epochs": 30},
+        small={"learn": 1, "unseen": 1, "epochs": 2},
+        steps=steps.demo_steps, evaluations=steps.demo_evaluations, published=False,
+        tables=(tables.DEMO,),
+    ),
+    Experiment(
+        "slip-data", "simulated slips to learn from and to be judged on", "data/slip", 1.0,
+        full=SLIP, small=SMALL_SLIP, steps=steps.slip_data_steps,
+    ),
+    Experiment(
+        "slip-models", "slip detectors, by architecture, training and how far ahead they warn", "data/slip", 4.0,
+        full=SLIP, small=SMALL_SLIP, steps=steps.slip_model_steps, after=("slip-data",),
+    ),
+    Experiment(
+        "slip-images", "slip detectors that see images, the slowest part", "data/slip", 2.0,
+        full=SLIP, small=SMALL_SLIP, steps=steps.slip_image_steps, after=("slip-data",),
+    ),
+    Experiment(
+        "slip-table", "all slip detectors judged on unseen slips", "data/slip", 1.0,
+        full=SLIP, small=SMALL_SLIP, steps=lambda sizes: iter(()), evaluations=steps.slip_evaluations,
+        after=("slip-models", "slip-images"),
+        tables=(tables.SLIP_TRAINING_OBJECTS, tables.SLIP_UNSEEN_OBJECTS, tables.MODEL_COST),
+    ),
+    Experiment(
+        "ship", "the best fast-slow detector, 10 ms ahead, put into the package", "data/slip", 0.0,
+        full=SLIP, small=SMALL_SLIP, steps=steps.ship_steps, after=("slip-table",),
+    ),
+    Experiment(
+        "labels", "slip labels against truth", "data/labels", 0.5,
+        full={"seed": 0, "objects": "1-20", "each": 5}, small={"objects": "3,11", "each": 1},
+        steps=steps.label_steps,
+        evaluations=lambda sizes: {"labels": evetac("evaluate", "labels", "*.labels.h5")},
+        tables=(tables.LABELS,),
+    ),
+    Experiment(
+        "tracking", "presets of the tracker on edges, slip and shear", "data/tracking", 2.0,
+        full={"seed": 0, "edges": 50, "presets": ("unregularised", "paper", "official", "stable")},
+        small={"edges": 1, "presets": ("paper", "stable")},
+        steps=steps.tracking_steps, evaluations=steps.tracking_evaluations,
+        tables=(tables.TRACKING_EDGE, tables.TRACKING_DISTANCE),
+    ),
+    Experiment(
+        "data-rate", "bytes a second against an RGB sensor", "data/data-rate", 0.1,
+        full={"seed": 0, "trajectories": 5}, small={"trajectories": 1},
+        steps=steps.data_rate_steps, evaluations=steps.data_rate_evaluations,
+        tables=(tables.DATA_RATE,),
+    ),
+    Experiment(
+        "vibration", "which tone the gel feels", "data/vibration", 1.0,
+        full={"seed": 0, "tones": (), "randomized": 20}, small={"tones": ("200",), "randomized": 1},
+        steps=steps.vibration_steps, evaluations=steps.vibration_evaluations,
+        tables=(tables.VIBRATION, tables.VIBRATION_RANDOMIZED),
+    ),
+    Experiment(
+        "force", "shear force from dots in events and in frames", "data/force", 1.0,
+        full={"seed": 0, "tracker": "stable", "seeds": 3, "judged": 3, "others": ("second", "soft-gel", "stiff-gel")},
+        small={"seeds": 1, "judged": 1, "others": ("second",)},
+        steps=steps.force_steps, evaluations=steps.force_evaluations,
+        tables=(tables.FORCE,),
+    ),
+    Experiment(
+        "grasp-table", "lift and balance by feel, all controllers side by side", "data/grasps", 3.0,
+        full={
+            "seed": 0, "objects": "10-18", "trials": 10, "alone": 5,
+            "controllers": ("paper", "paper-reset", "load-proportional"),
+        },
+        small={"objects": "11", "trials": 1, "alone": 1, "controllers": ("paper", "load-proportional")},
+        steps=steps.grasp_steps, evaluations=steps.grasp_evaluations,
+        tables=(tables.GRASPS, tables.GRASPS_BY_OBJECT, tables.GRASP_ROBUSTNESS),
+    ),
+    Experiment(
+        "strips", "a picture of every scene: events, forces and slip", "strips", 0.2,
+        full={"seed": 0}, small={}, steps=steps.strip_steps, after=("demo",),
+    ),
+    Experiment(
+        "film", "a short film of a catch", "film", 0.1, full={}, small={}, steps=steps.film_steps,
+    ),
+)  # fmt: skip

@@ -1,0 +1,370 @@
+"""Run the experiments of the paper (scripts/experiments.py) and keep their tables, one small JSON each.
+
+    python scripts/reproduce.py --list
+    python scripts/reproduce.py --only labels [--small] [--size each=2] [--jobs 4] [--dry-run]
+
+Each command skips what is up to date, so that an experiment goes on where it was stopped. Its files lie in a folder of
+their own (demo/, data/slip/, ...), those of `--small` in small/. Tables go to docs/results/NAME.json, of small runs to
+small/results/: rows, how they are shown, commands, recipe ids of the reports, seeds, sizes, and the commit. All of it
+comes from the headers of the reports that were read, so a table says what was run. A table of more trajectories,
+objects or models is not replaced by one of fewer unless --replace is given; other experiments' tables are not touched.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from experiment_steps import Command, Sizes
+from experiment_tables import Column, Evaluation, Row, Table
+from experiments import EXPERIMENTS, Experiment
+from results import keys, text
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "docs" / "results"
+IN_PARALLEL = ("record", "track", "label", "featurize", "train", "grasp", "track-rgb")  # commands given --jobs
+KINDS = ("recording", "labels", "tracks", "features", "model", "report")
+COUNTS = ("recordings", "objects", "models", "training_steps")  # what makes one run larger than another
+
+# Run a command in a folder; what it printed, and its exit code.
+Run = Callable[[Command, Path], tuple[int, str]]
+
+
+class Refusal(Exception):
+    """What cannot be done, as a sentence for the user."""
+
+
+def run_command(words: Command, folder: Path) -> tuple[int, str]:
+    """Run evetac or a script of this folder; progress and messages go straight to the terminal."""
+    first, *rest = words
+    if first == "evetac":
+        program = [sys.executable, "-m", "evetac_cli", *rest, "--quiet"]
+    else:
+        program = [sys.executable, str(ROOT / rest[0]), *rest[1:]]
+    done = subprocess.run(program, cwd=folder, stdout=subprocess.PIPE, text=True, check=False)
+    return done.returncode, done.stdout
+
+
+def report_header(path: Path) -> Row:
+    """The header of a report, with its history."""
+    from evetac_cli.store.files import StageFile
+
+    with StageFile(path, "report") as file:
+        header: Row = file.header
+        return header
+
+
+def expand(words: Command, folder: Path) -> Command:
+    """The command with its globs replaced by the files that they match, in order."""
+    expanded: Command = []
+    for word in words:
+        expanded += sorted(str(path.relative_to(folder)) for path in folder.glob(word)) if "*" in word else [word]
+    return expanded
+
+
+def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> Sizes:
+    """An experiment's sizes; those given as text replace the table's."""
+    sizes = {**experiment.full, **(experiment.small if small else {})}
+    for name, value in given.items():
+        if name not in sizes:
+            continue
+        usual = sizes[name]
+        try:
+            sizes[name] = tuple(filter(None, value.split(","))) if isinstance(usual, tuple) else type(usual)(value)
+        except ValueError as error:
+            raise Refusal(f"--size {name}={value}: expected {type(usual).__name__}, as in {usual}") from error
+    return sizes
+
+
+def with_jobs(words: Command, jobs: int) -> Command:
+    return [*words, "--jobs", str(jobs)] if words[0] == "evetac" and words[1] in IN_PARALLEL else words
+
+
+def in_order(names: Iterable[str]) -> list[Experiment]:
+    """The experiments named, each after those that it builds on."""
+    by_name = {experiment.name: experiment for experiment in EXPERIMENTS}
+    ordered: dict[str, Experiment] = {}
+
+    def add(name: str) -> None:
+        if name not in by_name:
+            raise Refusal(f"there is no experiment {name}; choose from {', '.join(by_name)}")
+        for earlier in by_name[name].after:
+            add(earlier)
+        ordered[name] = by_name[name]
+
+    for name in names:
+        add(name)
+    return list(ordered.values())
+
+
+# --- what the headers of reports say ----------------------------------------------------------------------------------
+
+
+def ancestors(header: Row, history: Row) -> Iterator[Row]:
+    """A header's parents of the kinds recording and model, looking through the files in between."""
+    for parent_id in header["parents"]:
+        parent = history[parent_id]
+        if parent["kind"] in ("recording", "model", "force-model"):
+            yield parent
+            if parent["kind"] == "recording":  # of a grasp: the detector's model
+                yield from (model for model in ancestors(parent, history) if model["kind"] != "recording")
+        else:
+            yield from ancestors(parent, history)
+
+
+def ranges(values: Iterable[int]) -> str:
+    """Numbers as in `1-3, 8`."""
+    ordered = sorted(set(values))
+    parts: list[list[int]] = []
+    for value in ordered:
+        if parts and value == parts[-1][-1] + 1:
+            parts[-1].append(value)
+        else:
+            parts.append([value])
+    return ", ".join(f"{part[0]}-{part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)
+
+
+def facts(headers: Iterable[Row]) -> Row:
+    """What was judged and what was trained on, from the headers of the reports of a table."""
+    judged: dict[str, Row] = {}
+    models: dict[str, Row] = {}
+    training: dict[str, Row] = {}
+    for header in headers:
+        history = {id_: {**entry, "id": id_} for id_, entry in header["history"].items()}
+        for node in ancestors(header, history):
+            (judged if node["kind"] == "recording" else models)[node["id"]] = node
+        for model in list(models.values()):
+            for node in ancestors(model, history) if model["id"] in history else ():
+                training[node["id"]] = node
+
+    def parameters(nodes: dict[str, Row], name: str) -> list[Any]:
+        values = {json.dumps(node["parameters"].get(name)) for node in nodes.values()} - {"null"}
+        return sorted(map(json.loads, values))
+
+    tones = {node["parameters"].get("scene", {}).get("time", {}).get("tone_s", 0.0) for node in judged.values()}
+    return {
+        "recordings": len(judged),
+        "objects": parameters(judged, "object"),
+        "sensors": parameters(judged, "sensor"),
+        "recording_seeds": sorted({node["seed"] for node in judged.values() if node["seed"] is not None}),
+        "models": len(models),
+        "training_seeds": sorted(set(parameters(models, "seed"))),
+        "training_steps": max(parameters(models, "max_steps"), default=0),
+        "training_recordings": len(training),
+        "training_objects": parameters(training, "object"),
+        "training_sensors": parameters(training, "sensor"),
+        "tone_s": max(tones, default=0.0),
+    }
+
+
+def words_for(known: Row) -> Row:
+    """The facts as they stand in a title."""
+    shown = {name: value for name, value in known.items() if not isinstance(value, list)}
+    for name, value in known.items():
+        if isinstance(value, list):
+            whole = all(isinstance(entry, int) for entry in value)
+            shown[name] = ranges(value) if whole else ", ".join(map(str, value))
+    return shown
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def commit() -> tuple[str, bool]:
+    """The commit, and whether the tree differs from it but for the tables themselves."""
+    git = ["git", "-C", str(ROOT)]
+    head = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    changes = subprocess.run(
+        [*git, "status", "--porcelain", "--", ":!docs/results"], capture_output=True, text=True, check=False
+    )
+    return head.stdout.strip() or "unknown", bool(changes.stdout.strip())
+
+
+def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
+    """The figures that the table shows, and beside each of the paper's how it compares."""
+    columns = [*table.columns, *([table.across] if table.across else [])]
+    wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
+    shown = []
+    for row in rows:
+        marks = {
+            column.heading: column.mark if isinstance(column.mark, str) else column.mark(row)
+            for column in columns
+            if column.paper and all(row.get(key) is not None for key in keys(column.paper))
+        }
+        shown.append(
+            {**{key: value for key, value in row.items() if key in wanted}, **({"marks": marks} if marks else {})}
+        )
+    return shown
+
+
+def layout(column: Column) -> Row:
+    """How a column is shown, as JSON."""
+    return {"heading": column.heading, "cell": column.cell, **({"paper": column.paper} if column.paper else {})}
+
+
+def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[str]) -> Row:
+    """A table as it is kept: everything that it says of itself comes from the reports."""
+    known = facts(evaluation.header for evaluation in evaluations.values())
+    head, changed = commit()
+    return {
+        "name": table.name,
+        "title": table.title.format(**words_for(known)),
+        "simulated": any(evaluation.simulated for evaluation in evaluations.values()),
+        "made": f"commit {head}" + (", with uncommitted changes" if changed else ""),
+        "commit": head,
+        "uncommitted_changes": changed,
+        "commands": list(commands),
+        "recipe_ids": [evaluation.header["id"] for evaluation in evaluations.values()],
+        "sizes": known,
+        "columns": [layout(column) for column in table.columns],
+        "across": layout(table.across) if table.across else None,
+        "notes": list(table.notes),
+        "rows": shown_rows(table, table.rows(evaluations)),
+    }
+
+
+def extent(value: Any) -> int:
+    return len(value) if isinstance(value, list) else int(value)
+
+
+def smaller(new: Row, old: Row) -> list[str]:
+    """In what a new table is smaller than the one there is, in words."""
+    counts = ((name, extent(new["sizes"][name]), extent(old["sizes"].get(name, 0))) for name in COUNTS)
+    return [f"{name.replace('_', ' ')} {ours} (there {theirs})" for name, ours, theirs in counts if ours < theirs]
+
+
+def keep(table: Row, folder: Path, *, replace: bool) -> None:
+    """Write a table as JSON; Refusal if that would replace a larger run's."""
+    path = folder / f"{table['name']}.json"
+    if path.exists() and not replace and (less := smaller(table, json.loads(path.read_text()))):
+        raise Refusal(f"{path} is kept, for this run is smaller: {', '.join(less)}. --replace replaces it.")
+    folder.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_suffix(".json.part")
+    unfinished.write_text(json.dumps(table, indent=1) + "\n")
+    unfinished.replace(path)
+
+
+# --- running ----------------------------------------------------------------------------------------------------------
+
+
+def evaluate(name: str, words: Command, folder: Path, run: Run, header: Callable[[Path], Row]) -> Evaluation:
+    """Run an evaluation, or read its report if that is up to date; a report of other files is made anew."""
+    command = [*expand(words, folder), "--out", f"{name}.report.h5", "--json"]
+    code, printed = run(command, folder)
+    if code == 2:  # the usual reason is a report of fewer or other files; any other error is printed twice
+        code, printed = run([*command, "--force"], folder)
+    if code:
+        raise Refusal(f"{' '.join(words)} ended with exit code {code}")
+    answer = json.loads(printed)
+    return Evaluation(answer["rows"], answer["summary"], answer["simulated"], header(folder / f"{name}.report.h5"))
+
+
+def perform(
+    experiment: Experiment,
+    sizes: Sizes,
+    out: Path,
+    results: Path,
+    *,
+    jobs: int,
+    replace: bool,
+    run: Run = run_command,
+    header: Callable[[Path], Row] = report_header,
+) -> None:
+    """Run an experiment's commands and evaluations, print its tables and keep them."""
+    folder, started = out / experiment.folder, time.time()
+    folder.mkdir(parents=True, exist_ok=True)
+    for step in experiment.steps(sizes):
+        print("+", *step, flush=True)
+        code, _ = run(with_jobs(expand(step, folder), jobs), folder)
+        if code:
+            raise Refusal(f"{' '.join(step)} ended with exit code {code}")
+    commands = experiment.evaluations(sizes)
+    evaluations = {}
+    for name, words in commands.items():
+        print("+", *words, flush=True)
+        evaluations[name] = evaluate(name, words, folder, run, header)
+    refusals = []
+    for table in experiment.tables:
+        chosen = {name: evaluations[name] for name in table.evaluations}
+        made = result(table, chosen, (" ".join(commands[name]) for name in chosen))
+        print(f"\n{text(made)}")
+        try:
+            keep(made, results, replace=replace)
+        except Refusal as refusal:  # the experiment's other tables are kept all the same
+            refusals.append(str(refusal))
+    files = {kind: len(list(folder.rglob(f"*.{kind}.h5"))) for kind in KINDS}
+    new = sum(path.stat().st_mtime >= started for path in folder.rglob("*.h5"))
+    print(f"{experiment.folder}/ holds " + ", ".join(f"{count} {kind}" for kind, count in files.items()), end="; ")
+    print(f"{new} made in {time.time() - started:.0f} s" if new else "all up to date, nothing to do")
+    if refusals:
+        raise Refusal("\n".join(refusals))
+
+
+def print_list() -> None:
+    for experiment in EXPERIMENTS:
+        names = ", ".join(table.name for table in experiment.tables)
+        print(
+            f"{experiment.name:12} {experiment.shows}; estimated {experiment.hours:g} h at full size"
+            + (f"; {names}" * bool(names))
+        )
+        print(f"{'':12} " + " ".join(f"{name}={','.join(value) if isinstance(value, tuple) else value}"
+                                     for name, value in experiment.full.items()))  # fmt: skip
+
+
+def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int) -> None:
+    print(f"mkdir -p {out / experiment.folder}; cd {out / experiment.folder}")
+    for step in experiment.steps(sizes):
+        print(*with_jobs(step, jobs))
+    for name, words in experiment.evaluations(sizes).items():
+        print(*words, "--out", f"{name}.report.h5", "--json")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Read the flags, run the experiments."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--only", action="append", default=[], metavar="NAME", help="this experiment and those before it"
+    )
+    parser.add_argument("--small", action="store_true", help="sizes that take minutes, in folders of their own")
+    parser.add_argument(
+        "--size", action="append", default=[], metavar="NAME=VALUE", help="another size; lists by commas"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="files worked on at the same time")
+    parser.add_argument("--out", type=Path, default=ROOT, help="where the experiments' folders are")
+    parser.add_argument("--results", type=Path, default=None, help="where tables are kept")
+    parser.add_argument("--replace", action="store_true", help="replace tables of larger runs too")
+    parser.add_argument("--list", action="store_true", help="print the experiments with their sizes")
+    parser.add_argument("--dry-run", action="store_true", help="print the commands, run nothing")
+    chosen = parser.parse_args(arguments)
+    if chosen.list:
+        print_list()
+        return
+    try:
+        given = dict(entry.split("=", 1) for entry in chosen.size)
+    except ValueError:
+        parser.error("--size takes NAME=VALUE, as in --size each=2")
+    try:
+        experiments = in_order(chosen.only or [experiment.name for experiment in EXPERIMENTS])
+        unknown = [name for name in given if not any(name in experiment.full for experiment in experiments)]
+        if unknown:
+            raise Refusal(f"no experiment chosen has the size {', '.join(unknown)}; --list prints them")
+        out = chosen.out / "small" if chosen.small else chosen.out
+        results = out / "results" if chosen.small else RESULTS
+        for experiment in experiments:
+            sizes = sizes_for(experiment, small=chosen.small, given=given)
+            if chosen.dry_run:
+                print_commands(experiment, sizes, out, chosen.jobs)
+            else:
+                usual = results if experiment.published else out / experiment.folder
+                table_folder = chosen.results or usual
+                perform(experiment, sizes, out, table_folder, jobs=chosen.jobs, replace=chosen.replace)
+    except Refusal as refusal:
+        raise SystemExit(f"error: {refusal}") from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,249 @@
+"""scripts/reproduce.py: tables say what was run, and no run destroys what another has kept."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from evetac_cli import params
+from evetac_cli.cli.main import app
+from evetac_cli.stages.evaluate import grasp, labels, slip, tracking
+from tests.conftest import Made
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import experiment_tables
+import reproduce
+import results
+from experiment_tables import Evaluation
+from experiments import EXPERIMENTS
+from reproduce import Refusal
+
+Row = dict[str, Any]
+BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
+SMALLNESS = pytest.mark.parametrize("small", [False, True])
+
+
+def header(objects: list[int], *, id_: str = "r") -> Row:
+    """Of a report on labels of one recording of each object, made with seed 300."""
+    history: Row = {}
+    for number in objects:
+        recording = {"kind": "recording", "seed": 300, "parents": [], "parameters": {"object": number}}
+        labels = {"kind": "labels", "seed": None, "parents": [f"recording-{number}"], "parameters": {}}
+        history |= {f"recording-{number}": recording, f"labels-{number}": labels}
+    return {"id": id_, "parents": [f"labels-{number}" for number in objects], "history": history}
+
+
+class FakeEvetac:
+    """Stands in for the program: keeps the commands, and answers evaluations with as many labels as it is made for."""
+
+    def __init__(self, objects: list[int]) -> None:
+        self.objects, self.commands = objects, []
+
+    def run(self, words: list[str], folder: Path) -> tuple[int, str]:
+        self.commands.append(words)
+        summary = {"trajectories": len(self.objects), "onsets_found": len(self.objects), "onset_error_ms_median": 1.0,
+                   "onset_error_ms_worst": 2.0, "within_minus4_plus3_ms": 0.5,
+                   "earlier_than_4_ms_before_gross_slip": 0}  # fmt: skip
+        return 0, json.dumps({"rows": [], "summary": summary, "simulated": True})
+
+    def header(self, path: Path) -> Row:
+        return header(self.objects)
+
+
+def run_labels(tmp_path: Path, objects: list[int], *, replace: bool = False) -> FakeEvetac:
+    """The experiment `labels`, whose program labels these objects whatever it is asked."""
+    fake = FakeEvetac(objects)
+    experiment = BY_NAME["labels"]
+    reproduce.perform(
+        experiment, dict(experiment.full), tmp_path, tmp_path / "results",
+        jobs=3, replace=replace, run=fake.run, header=fake.header,
+    )  # fmt: skip
+    return fake
+
+
+def test_a_table_says_what_its_reports_say(tmp_path: Path) -> None:
+    """Assert that title, sizes and seeds come from the headers, not from the sizes asked for."""
+    run_labels(tmp_path, [1, 2, 3, 8])
+    table = json.loads((tmp_path / "results" / "labels.json").read_text())
+    assert table["title"] == "Slip labels against truth, 4 trajectories of objects 1-3, 8"
+    assert table["sizes"]["recordings"] == 4
+    assert table["sizes"]["recording_seeds"] == [300]
+    assert table["recipe_ids"] == ["r"]
+    assert table["commands"] == ["evetac evaluate labels *.labels.h5"]
+    assert {"commit", "uncommitted_changes"} <= set(table)
+    assert "| 4 of 4 | 1 | 2 | 0.50 | 0 |" in results.text(table)
+
+
+def test_jobs_are_handed_on(tmp_path: Path) -> None:
+    """Assert that commands which work on several files are given --jobs, and evaluations are not."""
+    record, _, evaluation = run_labels(tmp_path, [1]).commands
+    assert record[-2:] == ["--jobs", "3"]
+    assert "--jobs" not in evaluation
+
+
+def test_a_smaller_run_replaces_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that a table of more trajectories stays, that the refusal says why, and that --replace overrides it."""
+    path = tmp_path / "results" / "labels.json"
+    run_labels(tmp_path, [1, 2, 3])
+    before = path.read_text()
+    with pytest.raises(Refusal, match=r"recordings 1 \(there 3\).*--replace"):
+        run_labels(tmp_path, [1])
+    assert path.read_text() == before
+    assert "1 trajectories of objects 1" in capsys.readouterr().out  # it is printed all the same
+    run_labels(tmp_path, [1], replace=True)
+    assert json.loads(path.read_text())["sizes"]["recordings"] == 1
+    run_labels(tmp_path, [1, 2])  # a larger one needs no flag
+    assert json.loads(path.read_text())["sizes"]["recordings"] == 2
+
+
+def test_other_tables_stay(tmp_path: Path) -> None:
+    """Assert that a run touches no table but its own."""
+    other = tmp_path / "results" / "grasps.json"
+    other.parent.mkdir()
+    other.write_text("{}")
+    run_labels(tmp_path, [1, 2])
+    assert other.read_text() == "{}"
+    assert {path.name for path in other.parent.iterdir()} == {"grasps.json", "labels.json"}
+
+
+def test_a_command_that_fails_ends_the_run(tmp_path: Path) -> None:
+    """Assert that the refusal names the command and its exit code, and that no table is written."""
+    experiment = BY_NAME["labels"]
+    with pytest.raises(Refusal, match="evetac record .* exit code 3"):
+        reproduce.perform(
+            experiment, dict(experiment.full), tmp_path, tmp_path / "results",
+            jobs=1, replace=False, run=lambda words, folder: (3, ""), header=lambda path: {},
+        )  # fmt: skip
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_report_of_other_files_is_made_anew(tmp_path: Path) -> None:
+    """Assert that an evaluation which refuses the report that lies there is run again with --force."""
+    commands = []
+
+    def run(words: list[str], folder: Path) -> tuple[int, str]:
+        commands.append(words)
+        return (0, '{"rows": [], "summary": {}, "simulated": true}') if "--force" in words else (2, "")
+
+    reproduce.evaluate("labels", ["evetac", "evaluate", "labels"], tmp_path, run, lambda path: header([1]))
+    assert [words[-1] for words in commands] == ["--json", "--force"]
+
+
+def test_facts_keep_training_apart() -> None:
+    """Assert that trajectories judged, detectors, and trajectories trained on are counted each for itself."""
+    trained = {"kind": "recording", "seed": 0, "parents": [], "parameters": {"object": 9, "sensor": "evetac"}}
+    model = {"kind": "model", "seed": None, "parents": ["t"], "parameters": {"seed": 4, "max_steps": 200}}
+    grasped = {"kind": "recording", "seed": 7, "parents": ["m"], "parameters": {"object": 11, "sensor": "second"}}
+    known = reproduce.facts([{"parents": ["g"], "history": {"t": trained, "m": model, "g": grasped}}])
+    assert (known["recordings"], known["objects"], known["sensors"]) == (1, [11], ["second"])
+    assert (known["models"], known["training_seeds"], known["training_steps"]) == (1, [4], 200)
+    assert (known["training_recordings"], known["training_objects"]) == (1, [9])
+
+
+def test_dry_run_prints_and_runs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Assert that the commands of an experiment and of those before it are printed in order, at the sizes asked for."""
+    monkeypatch.setattr("subprocess.run", lambda *a, **k: pytest.fail("something was run"))
+    reproduce.main(["--only", "slip-table", "--small", "--size", "steps=7", "--dry-run", "--out", str(tmp_path)])
+    printed = capsys.readouterr().out
+    assert f"cd {tmp_path}/small/data/slip" in printed
+    commands = [line.split()[1] for line in printed.splitlines() if line.startswith("evetac")]
+    assert list(dict.fromkeys(commands)) == ["record", "label", "track", "featurize", "train", "evaluate"]
+    assert "--max-steps 7" in printed
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [["--only", "nothing"], ["--only", "labels", "--size", "steps=7"],
+                                   ["--only", "labels", "--size", "each=many"]])  # fmt: skip
+def test_wrong_names_and_sizes_are_refused(words: list[str]) -> None:
+    """Assert that an experiment or size that does not exist, and a size of another type, end with an error."""
+    with pytest.raises(SystemExit, match="error: "):
+        reproduce.main([*words, "--dry-run"])
+
+
+@SMALLNESS
+@pytest.mark.parametrize("name", BY_NAME)
+def test_commands_exist(name: str, *, small: bool) -> None:
+    """Assert that every command of every experiment parses: commands, flags and values are those of today."""
+    experiment = BY_NAME[name]
+    sizes = reproduce.sizes_for(experiment, small=small, given={})
+    for program, *words in (*experiment.steps(sizes), *experiment.evaluations(sizes).values()):
+        if program == "python":
+            assert (reproduce.ROOT / words[0]).exists()
+            continue
+        command = typer.main.get_command(app)
+        while hasattr(command, "commands"):
+            command = command.commands[words.pop(0)]
+        command.make_context(name, words)
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_experiments_fit_together(name: str) -> None:
+    """Assert that tables are made of evaluations that there are, and that experiments to come first exist."""
+    experiment = BY_NAME[name]
+    assert set(experiment.after) <= set(BY_NAME)
+    assert set(experiment.small) <= set(experiment.full)
+    evaluations = set(experiment.evaluations(dict(experiment.full)))
+    assert {name for table in experiment.tables for name in table.evaluations} <= evaluations
+
+
+def test_rows_are_spread_and_marked() -> None:
+    """Assert that figures lie under their headings, the paper's in brackets with their mark."""
+    across = {"heading": "{gel}", "cell": "{error:.1f}, {worst:.0f}", "paper": "{paper_error:.1f}"}
+    rows = [
+        {"preset": "a", "gel": "cut", "error": 1.04, "worst": 3.0, "paper_error": 2.0, "marks": {"{gel}": "fitted"}},
+        {"preset": "a", "gel": "closed", "error": 2.0, "worst": None, "paper_error": None},
+        {"preset": "b", "gel": "closed", "error": 0.5, "worst": 1.0, "paper_error": None},
+    ]
+    made = {"columns": [{"heading": "preset", "cell": "{preset}"}], "across": across, "rows": rows}
+    assert results.lines(made) == [
+        ["preset", "cut", "closed"],
+        ["a", "1.0, 3 (2.0, fitted)", "2.0"],
+        ["b", "", "0.5, 1"],
+    ]
+
+
+def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
+    """Assert that a table is replaced and the rest of the page is not, and that a table without a file is an error."""
+    run_labels(tmp_path, [1])
+    page = "before\n<!-- table labels -->\nold\n<!-- end of labels -->\nafter\n"
+    filled = results.fill_page(page, tmp_path / "results")
+    assert "old" not in filled
+    assert filled.startswith("before\n<!-- table labels -->\n\nSimulated. Slip labels")
+    assert filled.endswith("<!-- end of labels -->\nafter\n")
+    assert results.fill_page(filled, tmp_path / "results") == filled
+    with pytest.raises(FileNotFoundError):
+        results.fill_page(page.replace("labels", "lost"), tmp_path / "results")
+
+
+def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
+    """Assert figures and facts of the demo's table, from real reports on one trial and one grasp."""
+    trial = made.folder / "apart.recording.h5"  # no model is trained on it
+    stages: list[tuple[str, Any, Any, Path]] = [
+        ("labels", labels, params.EvaluateLabels(), made.beside(trial, "labels")),
+        ("tracking", tracking, params.EvaluateTracking(), made.beside(trial, "tracks")),
+        ("slip", slip, params.EvaluateSlip(model=made.model), made.beside(trial, "features")),
+        ("grasp", grasp, params.EvaluateGrasp(), made.grasp),
+    ]
+    evaluations = {}
+    for name, stage, chosen, file in stages:
+        (job,) = stage.jobs([file], chosen, tmp_path / f"{name}.report.h5")
+        outcome = stage.run(job, chosen)
+        header = reproduce.report_header(job.output)
+        evaluations[name] = Evaluation(outcome.rows, outcome.summary, outcome.simulated, header)
+    table = reproduce.result(experiment_tables.DEMO, evaluations, ["evetac evaluate labels"])
+    figures = {row["what"]: row["figure"] for row in table["rows"]}
+    (grasped,) = (row for row in evaluations["grasp"].rows if "file" in row)
+    assert figures["... onsets that have a label"].endswith("of 1")
+    timing = evaluations["slip"].summary["slip_correct"]
+    assert figures["slip timing correct, unseen trajectories"] == f"{timing:.3g}"
+    lifted = next(figure for what, figure in figures.items() if what.endswith("with the detector"))
+    assert lifted.startswith("lifted" if grasped["lifted"] else "not lifted")
+    assert table["simulated"]
+    assert (table["sizes"]["recordings"], table["sizes"]["models"]) == (2, 1)  # the trial and the grasp; their model
+    assert table["sizes"]["training_recordings"] == len(made.recordings)
+    assert table["sizes"]["training_steps"] == 20
