@@ -67,7 +67,7 @@ class Drive:
             raise ValueError(f"open_ticks must be < closed_ticks, found {self.open_ticks} and {self.closed_ticks}")
 
 
-def drive_of(sensor_row: Mapping[str, Any], friction_factor: float = 1.0) -> Drive:
+def make_drive(sensor_row: Mapping[str, Any], friction_factor: float = 1.0) -> Drive:
     """The drive of an sensor: `Drive` but for what its row's `gripper` names, friction times a factor.
 
     servo_n_tick (force_per_current * gain) and two_ticks_n (what two ticks push beyond the friction) stand for

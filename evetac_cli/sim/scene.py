@@ -1,6 +1,6 @@
-"""Scenes: what is simulated, in TOML, and what is drawn from their ranges for one trajectory.
+"""Scenes: what is simulated, in TOML, and the plan of each trial that follows from it.
 
-A scene names the parts that exist and the ranges from which a trajectory's parameters are drawn (scenes/*.toml, checked
+A scene names the parts that exist and the ranges from which a trial's parameters are sampled (scenes/*.toml, checked
 against schemas/scene.v1.json). Objects are rows of the paper's table (objects.toml), sensors rows of sensors.toml.
 """
 
@@ -8,8 +8,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -19,12 +18,11 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
-from evetac_cli.sim import randomized
+from evetac_cli.sim import sampling
 
-OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
-SENSOR_SEED = 104729  # with those of a trial: keeps what draws its sensor apart from what draws the trial
+FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
+SENSOR_SEED = 104729  # with the seeds of a trial: keeps what samples its sensor apart from what samples the trial
 NUMBERED_SEED = 1299709  # with the number of a sensor
-FLOOR_MM = (250.0, 250.0)
 LOWEST_TONE_HZ = 1.0
 HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
 
@@ -164,12 +162,12 @@ def object_row(number: int) -> dict[str, Any]:
 
 
 def sensor_row(name: str) -> dict[str, Any]:
-    """The row of a sensor, `randomized:7` drawn by its number; InputError if there is no such sensor."""
+    """The row of a sensor, `randomized:7` sampled by its number; InputError if there is no such sensor."""
     rows = table("sensors")
-    number = re.fullmatch(f"{randomized.FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
+    number = re.fullmatch(f"{FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
     if number is not None:
         rng = np.random.default_rng([NUMBERED_SEED, int(number[1])])
-        return randomized.draw(rows[randomized.FOR_EACH_TRIAL], rng)
+        return sampling.sample_sensor(rows[FOR_EACH_TRIAL], rng)
     if name not in rows:
         near = get_close_matches(name, rows, n=1)
         raise InputError(
@@ -183,11 +181,11 @@ def sensor_row(name: str) -> dict[str, Any]:
 
 
 def for_trial(plan: dict[str, Any], seeds: Sequence[int]) -> dict[str, Any]:
-    """The plan of one trial: where each has a sensor of its own, that is drawn; its ranges stay beside it."""
-    if plan["sensor"] != randomized.FOR_EACH_TRIAL:
+    """The plan of one trial: where each has a sensor of its own, that is sampled; its ranges stay beside it."""
+    if plan["sensor"] != FOR_EACH_TRIAL:
         return plan
     ranges = plan["sensor_row"]
-    row = randomized.draw(ranges, np.random.default_rng([SENSOR_SEED, *seeds]))
+    row = sampling.sample_sensor(ranges, np.random.default_rng([SENSOR_SEED, *seeds]))
     return {**plan, "sensor_row": row, "sensor_ranges": ranges}
 
 
@@ -216,79 +214,6 @@ def tones_hz(text: str) -> list[float]:
             raise InputError("not a list of tones", where="--tone", expected=expected, found=text[:60])
         found.append(tone)
     return list(dict.fromkeys(found))
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """What was drawn for one trajectory from the ranges of its scene."""
-
-    mass_kg: float
-    static_friction: float
-    kinetic_friction: float
-    stribeck_m_s: float
-    tilt_rad: float
-    gear_friction_factor: float
-    start_factor: float
-    texture_log_sd: float
-    texture_half_correlation_px: float
-    touch_m: tuple[float, float]  # middle of the object from that of the pad where it is touched: along gravity, across
-    lever_m: float  # centre of mass from there, across gravity
-    floor_m: float  # where an object that fell comes to rest, below where it was held
-
-    def as_json(self) -> str:
-        """For the truth of a recording."""
-        return json.dumps(asdict(self))
-
-
-def draw(
-    scene: Mapping[str, Any],
-    object_params: Mapping[str, Any],
-    rng: np.random.Generator,
-    sensor_row: Mapping[str, Any] | None = None,
-    number: int | None = None,
-) -> Drawn:
-    """Draw a trajectory's parameters; always in the same order, so that a key of one scene does not shift another's.
-
-    Where the scene names kinetic_share_spread, an object (by its number) has a kinetic share of its own, about which
-    its trajectories spread; else the share is drawn for each trajectory from the whole range.
-    """
-    place = rng.spawn(1)[0]  # a stream of its own, so that scenes without these keys stay as they were
-
-    def between(group: str, key: str, default: tuple[float, float]) -> float:
-        low, high = scene.get(group, {}).get(key, default)
-        return float(rng.uniform(low, high))
-
-    factor = float((sensor_row or {}).get("static_friction_factor", 1.0))
-    static = factor * float(object_params["static_friction"]) * between("randomise", "static_friction", (1, 1))
-    tilt_deg = between("randomise", "tilt_deg", (0, 0))
-    if "tilt_deg" in object_params:  # the shape itself is slanted, so a finger's misalignment hardly matters
-        tilt_deg = float(rng.uniform(*object_params["tilt_deg"]))
-    mass_kg = float(object_params["mass_g"]) * 1e-3 * between("randomise", "mass", (1, 1))
-    kinetic_share = between("randomise", "kinetic_share", (1, 1))
-    varied = scene["randomise"]
-    off_share = place.uniform(-1, 1) * varied.get("kinetic_share_spread", 0.0)
-    if "kinetic_share_spread" in varied and number is not None:
-        own = np.random.default_rng([OBJECT_SEED, number]).uniform(*varied["kinetic_share"])
-        kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
-    touch_m = place.uniform(-1e-3, 1e-3, 2) * varied.get("touch_mm", 0.0)
-    lever_m = float(place.normal()) * varied.get("lever_mm", 0.0) * 1e-3
-    if object_params.get("shape") != "flat":
-        lever_m = 0.0  # the weight of a round object acts on its axis, and there it is touched
-    lever_m += float(object_params.get("lever_mm", 0.0)) * 1e-3
-    return Drawn(
-        mass_kg=mass_kg,
-        static_friction=static,
-        kinetic_friction=static * kinetic_share,
-        stribeck_m_s=between("randomise", "stribeck_mm_s", (10, 10)) * 1e-3,
-        tilt_rad=float(np.deg2rad(tilt_deg)),
-        gear_friction_factor=between("gripper", "friction_factor", (1, 1)),
-        start_factor=between("gripper", "start_factor", (2, 2)),
-        texture_log_sd=between("texture", "log_sd", (0.06, 0.06)),
-        texture_half_correlation_px=between("texture", "half_correlation_px", (12, 12)),
-        touch_m=(float(touch_m[0]), float(touch_m[1])),
-        lever_m=lever_m,
-        floor_m=float(place.uniform(*scene.get("floor", {}).get("below_mm", FLOOR_MM))) * 1e-3,
-    )
 
 
 def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:

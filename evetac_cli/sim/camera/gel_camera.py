@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
-from evetac_cli.sim.camera.ideal import ideal
-from evetac_cli.sim.camera.ideal.ideal import IdealState
+from evetac_cli.sim.camera.ideal import camera as ideal
+from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.low_pass import LowPass
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraState

@@ -15,7 +15,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import CandidatePixels
-from evetac_cli.sim.camera.scanning.scan_window import StripSleep
+from evetac_cli.sim.camera.scanning.window import CandidateRuns
 
 # Slices in which leak visits every row of pixels once: a divisor of 480, so that all slices visit equally many.
 LEAK_SLICES = 40
@@ -38,15 +38,15 @@ def leak_in_scans(
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
-    sleep: CandidatePixels,
+    candidates: CandidatePixels,
     object_seen: NDArray[np.float64],
     texture: NDArray[np.float32],
     first_x: int,
     first_y: int,
-    strip_reference: NDArray[np.float32],
-    strip_threshold: NDArray[np.float32],
-    strip_release_us: NDArray[np.float64],
-    strip_sleep: StripSleep,
+    window_reference: NDArray[np.float32],
+    window_threshold: NDArray[np.float32],
+    window_release_us: NDArray[np.float64],
+    candidate_runs: CandidateRuns,
     readout_us: NDArray[np.int64],
     t0_us: float,
     refractory_us: float,
@@ -55,24 +55,24 @@ def leak_in_scans(
 ) -> int:
     """Lower the references of every LEAK_SLICES-th row of a scanning camera, and compare them where they are."""
     height, width = reference.shape
-    strip_rows, strip_columns = strip_reference.shape
+    window_rows, window_columns = window_reference.shape
     scans = len(readout_us)
     line = np.empty(width, np.float32)
-    sleep.watch_box[:] = np.nan
+    candidates.watch_box[:] = np.nan
     for row in range(first_row, height, LEAK_SLICES):
         scan = (row // LEAK_SLICES) % scans
         when = (drift, row, readout_us[scan], t0_us + scan * SLICE_US / scans, refractory_us, keys)
         optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, 0, width, line)
         made = _leak_row(line, reference[row], threshold[row], release_us[row], 0, *when, made)
-        sleep.lower2_px2[row] = np.inf
+        candidates.lower2_px2[row] = np.inf
         own = row - first_y
-        if 0 <= own < strip_rows:
+        if 0 <= own < window_rows:
             place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], object_seen[2])
-            optics.sample_texture_run(texture, *place, own, 0, strip_columns, line)
-            strip = (strip_reference[own], strip_threshold[own], strip_release_us[own])
+            optics.sample_texture_run(texture, *place, own, 0, window_columns, line)
+            strip = (window_reference[own], window_threshold[own], window_release_us[own])
             made = _leak_row(line, *strip, first_x, *when, made)
-            strip_sleep.wake_at[own] = -np.inf
-            strip_sleep.row_wakes_at[own] = -np.inf
+            candidate_runs.due_at[own] = -np.inf
+            candidate_runs.row_due_at[own] = -np.inf
     return made
 
 

@@ -135,7 +135,7 @@ def squared_radius(
 
 
 @njit(cache=True)
-def sleeping_radii(
+def quiet_radii(
     reference: float,
     threshold: float,
     inner_px: float,

@@ -32,7 +32,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import cell_area
-from evetac_cli.sim.gel.step import Layer, spring, step_nodes
+from evetac_cli.sim.gel.time_step import Layer, spring, step_nodes
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

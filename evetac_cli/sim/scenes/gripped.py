@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.sim import gripper, scene
+from evetac_cli.sim import gripper, sampling
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
@@ -116,7 +116,7 @@ class GraspSimulation:
         self._kind = self._scene["kind"]
         self._drop = self._scene.get("drop")
         object_params, sensor_row = plan["object_row"], plan["sensor_row"]
-        self.drawn = scene.draw(self._scene, object_params, mechanics, sensor_row, plan["object"])
+        self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
         self.gel_camera = GelCamera(
             sensor_row,
@@ -128,7 +128,7 @@ class GraspSimulation:
         self._build_mechanics(object_params, sensor_row)
         self.slices = 0
         self.finished = False
-        self._mass_kg = self.drawn.mass_kg
+        self._mass_kg = self.sampled.mass_kg
         self._lost_for = 0
         self._account = GroundTruthSlip(self.gel_camera.mm_per_px)
         self._shear_n = (0.0, 0.0)
@@ -152,11 +152,11 @@ class GraspSimulation:
         if "texture" not in self._scene or not self._scene["gel"]["cut"]:
             return None
         rng = np.random.default_rng([TEXTURE_SEED, number])
-        return optics.texture(rng, TEXTURE_PX, self.drawn.texture_half_correlation_px, self.drawn.texture_log_sd)
+        return optics.texture(rng, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
 
     def _build_mechanics(self, object_params: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> None:
         nodes = pad(self._scene, sensor_row)
-        drawn = self.drawn
+        drawn = self.sampled
         width_m = float(object_params.get("grasped_width_mm", object_params["width_mm"])) * 1e-3
         upright = nodes if self._down == 0 else np.ascontiguousarray(nodes[..., ::-1])
         radius_m = float(object_params["width_mm"]) * 0.5e-3
@@ -170,7 +170,7 @@ class GraspSimulation:
             float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
         )
-        self.drive = gripper.drive_of(sensor_row, drawn.gear_friction_factor)
+        self.drive = gripper.make_drive(sensor_row, drawn.gear_friction_factor)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
         self.command: tuple[gripper.Mode, float]
         if self._kind == "ramp":
@@ -199,8 +199,8 @@ class GraspSimulation:
 
     def holding_ma(self) -> float:
         """The current that closes to the drawn multiple of the force at the slip limit, and a little more if named."""
-        limit_n = self.drawn.mass_kg * GRAVITY_M_S2 / (2 * self.drawn.static_friction)
-        force_n = self.drawn.start_factor * limit_n + float(self._scene.get("gripper", {}).get("start_more_n", 0.0))
+        limit_n = self.sampled.mass_kg * GRAVITY_M_S2 / (2 * self.sampled.static_friction)
+        force_n = self.sampled.start_factor * limit_n + float(self._scene.get("gripper", {}).get("start_more_n", 0.0))
         push_n = force_n * (1 + self.drive.friction_share) + self.drive.friction_n
         return float(np.ceil(push_n / self.drive.force_per_current_n_ma))
 
@@ -258,7 +258,7 @@ class GraspSimulation:
             self._catch_weight()
         if self._kind == "lift":
             info = self._move_over_table(nodal_n)
-        elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.drawn.floor_m):
+        elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.sampled.floor_m):
             info = self._solve(nodal_n, 0.0, held=True)  # something else still carries the object, or the floor does
         else:
             info = self._solve(nodal_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim import scene
+from evetac_cli.sim import sampling
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
@@ -65,12 +65,12 @@ class Pressing:
             outline=outline,
             outline_at_px=outline_at_px,
         )
-        self.drawn = scene.draw(self._scene, plan["object_row"], mechanics, sensor_row)
+        self.sampled = sampling.sample_trial(self._scene, plan["object_row"], mechanics, sensor_row)
         nodes = pad(self._scene, sensor_row)
         self._material = material(sensor_row)
         self._stiffness_n_m3 = float(sensor_row["normal_modulus_pa"]) / self._material.height_m
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
-        drawn = self.drawn
+        drawn = self.sampled
         self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
         self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)

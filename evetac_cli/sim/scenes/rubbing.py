@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
-from evetac_cli.sim.scene import Drawn
+from evetac_cli.sim.sampling import SampledTrial
 from evetac_cli.sim.scenes.gripped import STEP_S
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
 
@@ -28,7 +28,7 @@ SEEN_FROM_N = 0.2  # pressed with this much or more an object is in full view
 
 
 @dataclass(frozen=True)
-class DrawnRub(Drawn):
+class SampledRub(SampledTrial):
     """What was drawn for one trajectory: frictions as in all scenes, and the object."""
 
     object_name: str
@@ -57,8 +57,8 @@ class Rubbing(Pressing):
         )  # to one side: the first rub crosses the view
         self._starts_px: Floats = far_px * mechanics.choice([-1.0, 1.0], 2)
         super().__init__(plan, mechanics, optics_rng, outline, np.array(FRAME_PX) / 2 + self._starts_px)
-        base: dict[str, Any] = asdict(self.drawn)
-        self.drawn = DrawnRub(
+        base: dict[str, Any] = asdict(self.sampled)
+        self.sampled = SampledRub(
             **base, object_name=object_name, normal_n=self._normal_n, rim_log=log, rim_width_px=width_px
         )
 

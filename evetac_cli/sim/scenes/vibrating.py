@@ -111,7 +111,7 @@ class Drift(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DrawnTone:
+class SampledTone:
     """What was drawn for one tone from the ranges of its scene; h2 and m are in the truth of every slice."""
 
     tone_hz: float
@@ -174,7 +174,7 @@ class Vibration:
         self._second_harmonic = Drift.draw(low, high, hold_s, self._time["tone_s"], mechanics)
         most = _table(tone, "modulation_most", self._hz)
         self._modulation = Drift.draw(0.0, most, hold_s, self._time["tone_s"], mechanics)
-        self.drawn = DrawnTone(
+        self.sampled = SampledTone(
             tone_hz=self._hz,
             amplitude_um=self._amplitude_m * 1e6,
             tangential_share=share,
@@ -224,7 +224,7 @@ class Vibration:
             np.where(sounding > 0.0, drift.at(since_s), 0.0) for drift in (self._second_harmonic, self._modulation)
         )
         turns = np.exp(2j * np.pi * self._hz * ORDERS * since_s[:, None])
-        moving = waves(h2, m, self.drawn.subharmonic_phase_rad) * turns * amplitude_m[:, None]
+        moving = waves(h2, m, self.sampled.subharmonic_phase_rad) * turns * amplitude_m[:, None]
         depth_m = force_n * self._depth_m_n + moving.sum(axis=1).real
         return Motion(force_n, depth_m, (moving @ self._along).real, amplitude_m, h2, m)
 

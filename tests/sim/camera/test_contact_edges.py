@@ -14,7 +14,7 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.numerics.simulator.camera_cost import FineEvents, fine, match
 from evetac_cli.sim.camera import contact_edges, optics
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
-from evetac_cli.sim.camera.ideal import ideal
+from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 
@@ -105,7 +105,7 @@ def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[
     """Dots or texture, and lines, of the whole frame."""
     dots, object_params, where = between(motion, k, part)
     level = optics.gel_level(FRAME, dots, state.profile).astype(float)
-    if state.strip_level.size:
+    if state.window_level.size:
         x0, y0, x1, y1 = STRIP
         strip = np.empty((y1 - y0, x1 - x0), np.float32)
         optics.sample_texture(TEXTURE, x0, y0, object_params[0], object_params[1], 1.0, strip)
@@ -116,12 +116,12 @@ def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[
 def references(state: CameraState, motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Absolute references and thresholds of all pixels when the camera is switched on."""
     reference, threshold = state.reference.astype(float), state.threshold.astype(float)
-    if state.strip_level.size:
+    if state.window_level.size:
         x0, y0, x1, y1 = STRIP
         strip = np.empty((y1 - y0, x1 - x0), np.float32)
         optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, strip)
-        reference[y0:y1, x0:x1] = state.strip_reference + strip
-        threshold[y0:y1, x0:x1] = state.strip_threshold
+        reference[y0:y1, x0:x1] = state.window_reference + strip
+        threshold[y0:y1, x0:x1] = state.window_threshold
     return reference + lines_level(motion(0)[2]), threshold
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import concatenate
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.camera.ideal import ideal
+from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.scene import sensor_row

@@ -8,8 +8,8 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from evetac_cli.sim.gel.balance import shrink
 from evetac_cli.sim.gel.contact import cell_area, gap_profile, pad_nodes, pressure
+from evetac_cli.sim.gel.force_balance import shrink
 from evetac_cli.sim.gel.gel import Friction, GelMaterial, displacement_at, energy, interpolation, start, step
 
 GRAVITY = 9.81

@@ -59,7 +59,7 @@ def test_most_events_are_not_from_dots(object_name: str, sensor: str, gel: str) 
 def test_drawn_and_dry() -> None:
     """Assert that the truth tells what was drawn, that both objects come up, and that the parts name the rims."""
     made = plan("edge", "8", "evetac", ("rub",))[0]
-    drawn = [json.loads(str(rig(made, np.random.SeedSequence(seed)).drawn)) for seed in range(8)]
+    drawn = [json.loads(str(rig(made, np.random.SeedSequence(seed)).sampled)) for seed in range(8)]
     assert {one["object_name"] for one in drawn} == {"finger", "handle"}
     assert all(0.55 <= one["rim_log"] <= 0.8 and 1.5 <= one["rim_width_px"] <= 3 for one in drawn)
     built = {row["part"]: row["built"] for row in parts(made)}

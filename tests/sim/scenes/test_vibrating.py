@@ -164,7 +164,7 @@ def test_drawn_from_the_seed(tmp_path: Path) -> None:
         parts = []
         while not trial.finished:
             parts.append(b"".join(column.tobytes() for column in trial.step()))
-        return trial.drawn.as_json(), b"".join(parts)
+        return trial.sampled.as_json(), b"".join(parts)
 
     first = made(hz=300)
     assert made(hz=300) == first

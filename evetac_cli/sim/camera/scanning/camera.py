@@ -29,10 +29,10 @@ from evetac_cli.sim.camera.camera_input import check_range, check_whole
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import add_noise, hot_rates
-from evetac_cli.sim.camera.scanning.pixel_culling import CandidatePixels, sleeping_gel
-from evetac_cli.sim.camera.scanning.scan_dots import scan_dots
-from evetac_cli.sim.camera.scanning.scan_lines import scan_lines
-from evetac_cli.sim.camera.scanning.scan_window import StripSleep, scan_window, sleeping_strip
+from evetac_cli.sim.camera.scanning.dots import scan_dots
+from evetac_cli.sim.camera.scanning.lines import scan_lines
+from evetac_cli.sim.camera.scanning.pixel_culling import CandidatePixels, all_pixels
+from evetac_cli.sim.camera.scanning.window import CandidateRuns, all_runs, scan_window
 
 # No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
 LOWEST_THRESHOLD = 0.25
@@ -99,9 +99,9 @@ class CameraState:
     seen_dot_xy_px: NDArray[np.float64]
     window_px: tuple[int, int, int, int]  # x0, y0, x1, y1; all 0 without a window
     texture: NDArray[np.float32]
-    strip_reference: NDArray[np.float32]
-    strip_threshold: NDArray[np.float32]
-    strip_level: NDArray[np.float32]  # scratch
+    window_reference: NDArray[np.float32]
+    window_threshold: NDArray[np.float32]
+    window_level: NDArray[np.float32]  # scratch
     seen_object: NDArray[np.float64]  # x, y in px, contrast; NaN before the first slice
     hot_pixel: NDArray[np.int64]  # y * width + x
     hot_cumulative_hz: NDArray[np.float64]  # summed rates before each hot pixel, and of all
@@ -109,9 +109,9 @@ class CameraState:
     keys: NDArray[np.int64]  # as long as a slice may be, so nothing grows; memory is taken only as far as it is written
     # Until when a pixel is blind; their rows are empty without a refractory time that scans can tell.
     release_us: NDArray[np.float64]
-    strip_release_us: NDArray[np.float64]
-    sleep: CandidatePixels
-    strip_sleep: StripSleep
+    window_release_us: NDArray[np.float64]
+    candidates: CandidatePixels
+    candidate_runs: CandidateRuns
     contact_edges: ContactEdges | None = None
     slices: int = 0
     dropped: int = 0
@@ -149,8 +149,8 @@ def start(
     nominal = model.threshold * (1.0 + model.mismatch * built.standard_normal((height, width)))
     threshold: NDArray[np.float32] = np.maximum(nominal, LOWEST_THRESHOLD * model.threshold).astype(np.float32)
     phase: NDArray[np.float32] = threshold * rng.uniform(-1.0, 1.0, (height, width)).astype(np.float32)
-    strip_threshold = threshold[y0:y1, x0:x1].copy()
-    strip_reference = phase[y0:y1, x0:x1].copy()
+    window_threshold = threshold[y0:y1, x0:x1].copy()
+    window_reference = phase[y0:y1, x0:x1].copy()
     threshold[y0:y1, x0:x1] = np.inf
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
     level = optics.gel_level(model.frame_px, dots, profile)
@@ -165,18 +165,18 @@ def start(
         seen_dot_xy_px=dots.copy(),
         window_px=(x0, y0, x1, y1),
         texture=pattern,
-        strip_reference=strip_reference,
-        strip_threshold=strip_threshold,
-        strip_level=np.zeros_like(strip_reference),
+        window_reference=window_reference,
+        window_threshold=window_threshold,
+        window_level=np.zeros_like(window_reference),
         seen_object=np.full(3, np.nan),
         hot_pixel=built.choice(width * height, model.hot_pixels, replace=False),
         hot_cumulative_hz=np.append(0.0, np.cumsum(hot_rates(model.hot_rate_hz, model.hot_pixels, built))),
         readout_us=columns * SLICE_US // columns.size,
         keys=np.empty(model.max_events, np.int64),
         release_us=np.zeros((height, width if blind else 0)),
-        strip_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
-        sleep=sleeping_gel((height, width), len(dots), profile),
-        strip_sleep=sleeping_strip(strip_reference.shape, pattern),
+        window_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
+        candidates=all_pixels((height, width), len(dots), profile),
+        candidate_runs=all_runs(window_reference.shape, pattern),
         contact_edges=contact_edges,
     )
 
@@ -216,7 +216,7 @@ def step(
 
     t0_us = int(t0_us)
     model = state.model
-    gel = (state.seen_dot_xy_px, *state.profile, state.reference, state.threshold, state.release_us, state.sleep)
+    gel = (state.seen_dot_xy_px, *state.profile, state.reference, state.threshold, state.release_us, state.candidates)
     scanned = (state.readout_us, float(t0_us), float(model.refractory_us))
     window = (
         object_start,
@@ -226,10 +226,10 @@ def step(
         state.texture,
         state.window_px[0],
         state.window_px[1],
-        state.strip_reference,
-        state.strip_threshold,
-        state.strip_release_us,
-        state.strip_sleep,
+        state.window_reference,
+        state.window_threshold,
+        state.window_release_us,
+        state.candidate_runs,
     )
     if state.contact_edges is not None and lines is not None:
         contact_edges = state.contact_edges
@@ -246,7 +246,7 @@ def step(
     else:
         scans = (0, model.scans_per_ms)
         made = scan_dots(path, *gel, *scanned, *scans, state.keys, 0)
-        if state.strip_reference.size:
+        if state.window_reference.size:
             made = scan_window(*window, *scanned, *scans, state.keys, made)
         if state.contact_edges is not None:
             state.contact_edges.events = 0
@@ -271,15 +271,15 @@ def _leak(state: CameraState, t0_us: int, made: int) -> int:
             state.reference,
             state.threshold,
             state.release_us,
-            state.sleep,
+            state.candidates,
             state.seen_object,
             state.texture,
             state.window_px[0],
             state.window_px[1],
-            state.strip_reference,
-            state.strip_threshold,
-            state.strip_release_us,
-            state.strip_sleep,
+            state.window_reference,
+            state.window_threshold,
+            state.window_release_us,
+            state.candidate_runs,
             state.readout_us,
             float(t0_us),
             float(state.model.refractory_us),

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera import dot_rings, optics
 
 # A dot that has moved by no more, on either axis, since it was last looked at rests: no level has changed by more than
 # 0.0008, and tremor below it is not seen. It saves the looking where nothing but creep goes on.
@@ -53,7 +53,7 @@ class CandidatePixels(NamedTuple):
     entry: NDArray[np.int64]
 
 
-def sleeping_gel(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> CandidatePixels:
+def all_pixels(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> CandidatePixels:
     """All pixels of a frame (height, width) awake."""
     height, width = shape
     return CandidatePixels(
@@ -88,20 +88,20 @@ def make_list(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: CandidatePixels,
+    candidates: CandidatePixels,
 ) -> None:
     """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot."""
-    sleep.watch_box[dot] = np.nan
-    sleep.watching[dot] = -1
+    candidates.watch_box[dot] = np.nan
+    candidates.watching[dot] = -1
     way = 2.0 * max(box[2], box[3])
     if way >= FAST_PX:
         return
     wider = np.empty((1, 4))
     wider[0] = box
     wider[0, 2:] += SKIN_PX * math.sqrt(way)
-    found = ring_pixels(wider[0], inner, outer, True, sleep)
-    found = keep_awake(
-        sleep.active[:found],
+    found = ring_pixels(wider[0], inner, outer, True, candidates)
+    found = select_active(
+        candidates.active[:found],
         wider,
         inner,
         outer,
@@ -111,20 +111,20 @@ def make_list(
         threshold,
         release_us,
         now_us,
-        sleep,
+        candidates,
     )
-    if found <= sleep.watched.shape[1]:
+    if found <= candidates.watched.shape[1]:
         for k in range(found):
-            pixel = sleep.active[k]
-            sleep.watched[dot, k] = pixel
-            sleep.watched_px2[dot, 0, k] = sleep.lower2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
-            sleep.watched_px2[dot, 1, k] = sleep.upper2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
-        sleep.watching[dot] = found
-        sleep.watch_box[dot] = wider[0]
+            pixel = candidates.active[k]
+            candidates.watched[dot, k] = pixel
+            candidates.watched_px2[dot, 0, k] = candidates.lower2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
+            candidates.watched_px2[dot, 1, k] = candidates.upper2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
+        candidates.watching[dot] = found
+        candidates.watch_box[dot] = wider[0]
 
 
 @njit(cache=True)
-def keep_listed(
+def select_listed(
     dot: int,
     box: NDArray[np.float64],
     pixels: int,
@@ -133,7 +133,7 @@ def keep_listed(
     active: NDArray[np.int32],
     entry: NDArray[np.int64],
 ) -> int:
-    """As `keep_awake`, of a dot's list, for its box of (dots, 4); `entry` gets the kept ones' places in the list."""
+    """As `select_active`, of a dot's list, for its box of (dots, 4); `entry` gets the kept ones' places in the list."""
     centre_x = box[dot, 0]
     centre_y = box[dot, 1]
     half_x = np.float32(box[dot, 2])
@@ -167,42 +167,44 @@ def renew_listed(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: CandidatePixels,
+    candidates: CandidatePixels,
 ) -> None:
     """Find new radii for the kept pixels of a dot's list that have fired; not yet for blind ones."""
     for k in range(kept):
-        pixel = sleep.active[k]
+        pixel = candidates.active[k]
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
-        if sleep.lower2_px2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
-            radii = optics.sleeping_radii(
-                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, sleep.level_index
+        if candidates.lower2_px2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
+            radii = optics.quiet_radii(
+                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, candidates.level_index
             )
-            sleep.lower2_px2[y, x] = radii[0]
-            sleep.upper2_px2[y, x] = radii[1]
-        sleep.watched_px2[dot, 0, sleep.entry[k]] = sleep.lower2_px2[y, x]
-        sleep.watched_px2[dot, 1, sleep.entry[k]] = sleep.upper2_px2[y, x]
+            candidates.lower2_px2[y, x] = radii[0]
+            candidates.upper2_px2[y, x] = radii[1]
+        candidates.watched_px2[dot, 0, candidates.entry[k]] = candidates.lower2_px2[y, x]
+        candidates.watched_px2[dot, 1, candidates.entry[k]] = candidates.upper2_px2[y, x]
 
 
 @njit(cache=True)
-def ring_pixels(own: NDArray[np.float64], inner: float, outer: float, awake_only: bool, sleep: CandidatePixels) -> int:
-    """Collect the pixels of a dot's ring in `sleep.awake`, those that no place in its box (4,) lets fire left out.
+def ring_pixels(
+    own: NDArray[np.float64], inner: float, outer: float, active_only: bool, candidates: CandidatePixels
+) -> int:
+    """Collect the pixels of a dot's ring in `candidates.awake`, those that no place in its box (4,) lets fire left out.
 
-    They are not unless `awake_only`. Without a branch for each pixel, which would cost more than the rest. Returns
+    They are not unless `active_only`. Without a branch for each pixel, which would cost more than the rest. Returns
     their number.
     """
-    height, width = sleep.lower2_px2.shape
-    active = sleep.active
+    height, width = candidates.lower2_px2.shape
+    active = candidates.active
     found = 0
-    first_row, end_row = rings.ring_rows(own, outer, height)
+    first_row, end_row = dot_rings.ring_rows(own, outer, height)
     half_x = np.float32(own[2])
     for y in range(first_row, end_row):
         down = abs(y - own[1])
         nearest_down2 = np.float32(max(down - own[3], 0.0) ** 2)
         farthest_down2 = np.float32((down + own[3]) ** 2)
-        left, left_end, right, right_end = rings.ring_runs(own, inner, outer, y, width)
-        lower2 = sleep.lower2_px2[y]
-        upper2 = sleep.upper2_px2[y]
+        left, left_end, right, right_end = dot_rings.ring_runs(own, inner, outer, y, width)
+        lower2 = candidates.lower2_px2[y]
+        upper2 = candidates.upper2_px2[y]
         for first, end in ((left, left_end), (right, right_end)):
             for x in range(first, end):
                 across = np.float32(abs(x - own[0]))
@@ -212,35 +214,37 @@ def ring_pixels(own: NDArray[np.float64], inner: float, outer: float, awake_only
                     farthest_across * farthest_across + farthest_down2 <= upper2[x]
                 )
                 active[found] = y << PIXEL_SHIFT | x
-                found += int(not (sleeps & awake_only))
+                found += int(not (sleeps & active_only))
     return found
 
 
 @njit(cache=True)
-def keep_own(dot: int, found: int, box: NDArray[np.float64], inner: float, outer: float, sleep: CandidatePixels) -> int:
+def select_own(
+    dot: int, found: int, box: NDArray[np.float64], inner: float, outer: float, candidates: CandidatePixels
+) -> int:
     """Leave pixels that are also in the ring of an earlier dot that moves to that one; returns the number kept."""
-    height, width = sleep.lower2_px2.shape
+    height, width = candidates.lower2_px2.shape
     kept = 0
     for k in range(found):
-        pixel = sleep.active[k]
+        pixel = candidates.active[k]
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
         taken = False
         for other in range(dot):
             if max(box[other, 2], box[other, 3]) <= 0.5 * RESOLUTION_PX:
                 continue
-            first_row, end_row = rings.ring_rows(box[other], outer, height)
+            first_row, end_row = dot_rings.ring_rows(box[other], outer, height)
             if first_row <= y < end_row:
-                left, left_end, right, right_end = rings.ring_runs(box[other], inner, outer, y, width)
+                left, left_end, right, right_end = dot_rings.ring_runs(box[other], inner, outer, y, width)
                 taken = taken or left <= x < left_end or right <= x < right_end
         if not taken:
-            sleep.active[kept] = pixel
+            candidates.active[kept] = pixel
             kept += 1
     return kept
 
 
 @njit(cache=True)
-def keep_awake(
+def select_active(
     given: NDArray[np.int32],
     near_box: NDArray[np.float64],
     inner: float,
@@ -251,15 +255,15 @@ def keep_awake(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: CandidatePixels,
+    candidates: CandidatePixels,
 ) -> int:
-    """Collect in `sleep.awake` the given pixels that may fire while dots are in their boxes; returns how many.
+    """Collect in `candidates.awake` the given pixels that may fire while dots are in their boxes; returns how many.
 
     Blind pixels have no radii and are kept: their references follow what they are shown.
     """
-    active = sleep.active
-    lower2 = sleep.lower2_px2
-    upper2 = sleep.upper2_px2
+    active = candidates.active
+    lower2 = candidates.lower2_px2
+    upper2 = candidates.upper2_px2
     alone = len(near_box) == 1
     centre_x, centre_y, half_x, half_y = near_box[0]
     kept = 0
@@ -267,8 +271,8 @@ def keep_awake(
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
         if lower2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
-            radii = optics.sleeping_radii(
-                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, sleep.level_index
+            radii = optics.quiet_radii(
+                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, candidates.level_index
             )
             lower2[y, x] = radii[0]
             upper2[y, x] = radii[1]
@@ -280,7 +284,7 @@ def keep_awake(
             least2 = nearest_across * nearest_across + nearest_down * nearest_down
             greatest2 = (across + half_x) * (across + half_x) + (down + half_y) * (down + half_y)
         else:
-            least2, greatest2 = rings.bounds(x, y, near_box)
+            least2, greatest2 = dot_rings.bounds(x, y, near_box)
         active[kept] = pixel
         kept += int(not ((least2 >= lower2[y, x]) & (greatest2 <= upper2[y, x])))
     return kept

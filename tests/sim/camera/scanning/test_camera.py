@@ -340,13 +340,13 @@ def test_window_against_every_pixel(velocity: tuple[float, float], slices: int) 
     fresh = start([[30.0, 30.0]], window=STRIP, texture=TEXTURE)
     level = np.empty((y1 - y0, x1 - x0), np.float32)
     optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, level)
-    reference, expected = fresh.strip_reference + level, set()
+    reference, expected = fresh.window_reference + level, set()
     for k in range(slices):
         for scan in range(5):
             at = [k * v + scan / 5 * ((k + 1) * v - k * v) for v in velocity]
             optics.sample_texture(TEXTURE, x0, y0, at[0], at[1], 1.0, level)
             change = level - reference
-            fired = np.abs(change) >= fresh.strip_threshold
+            fired = np.abs(change) >= fresh.window_threshold
             reference[fired] = level[fired]
             for y, x in np.argwhere(fired).tolist():
                 t_us = 1000 * k + 200 * scan + (x + x0) * 200 // FRAME[0]
@@ -366,10 +366,10 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
     shaken = 3.0 * np.exp(-np.arange(401) / 60)[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=-1)
     events = 0
     for k in range(400):
-        states[0].sleep.lower2_px2[:] = np.inf
-        states[0].sleep.watch_box[:] = np.nan
-        states[0].strip_sleep.wake_at[:] = -np.inf
-        states[0].strip_sleep.row_wakes_at[:] = -np.inf
+        states[0].candidates.lower2_px2[:] = np.inf
+        states[0].candidates.watch_box[:] = np.nan
+        states[0].candidate_runs.due_at[:] = -np.inf
+        states[0].candidate_runs.row_due_at[:] = -np.inf
         dots = np.array([[30.0, 30.0], [52.0, 60.0]]) + shaken[k : k + 2, None]
         parts = [
             camera.step(state, *dots, *shaken[k : k + 2], 1.0, 1000 * k, np.random.default_rng(k)) for state in states
@@ -379,7 +379,7 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
         events += parts[0].size
     assert events > 3000
     np.testing.assert_array_equal(states[0].reference, states[1].reference)
-    np.testing.assert_array_equal(states[0].strip_reference, states[1].strip_reference)
+    np.testing.assert_array_equal(states[0].window_reference, states[1].window_reference)
 
 
 def test_texture_density() -> None:
@@ -566,11 +566,11 @@ GOOD: dict[str, Any] = {
 def test_step_refuses(named: str, value: Any) -> None:
     """Assert that a value that is not finite or of the wrong shape is named, and the camera is as it was before."""
     state = start(GOOD["dot_xy_px_start"], window=STRIP, texture=TEXTURE)
-    before = state.reference.copy(), state.strip_reference.copy(), state.seen_dot_xy_px.copy()
+    before = state.reference.copy(), state.window_reference.copy(), state.seen_dot_xy_px.copy()
     given = {**GOOD, named: value, "t0_us": 0, "rng": np.random.default_rng(0)}
     with pytest.raises(ValueError, match=named):
         camera.step(state, **given)
-    for now, then in zip((state.reference, state.strip_reference, state.seen_dot_xy_px), before, strict=True):
+    for now, then in zip((state.reference, state.window_reference, state.seen_dot_xy_px), before, strict=True):
         np.testing.assert_array_equal(now, then)
     assert np.isnan(state.seen_object).all()
 

@@ -20,9 +20,9 @@ from evetac_cli.events import Events
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
-from evetac_cli.sim.camera.ideal.ideal_dots import find_all_radii, solve_dots
-from evetac_cli.sim.camera.ideal.ideal_lines import LINE_STEP_PX, line_steps, solve_line_pixels
-from evetac_cli.sim.camera.ideal.ideal_window import NO_LINES, solve_window
+from evetac_cli.sim.camera.ideal.dots import find_all_radii, solve_dots
+from evetac_cli.sim.camera.ideal.lines import LINE_STEP_PX, line_steps, solve_line_pixels
+from evetac_cli.sim.camera.ideal.window import NO_LINES, solve_window
 from evetac_cli.sim.camera.noise import add_noise
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
@@ -47,7 +47,7 @@ class IdealState:
     upper2_px2: NDArray[np.float32]
     solved_in: NDArray[np.int64]
     release_us: NDArray[np.float64]
-    strip_release_us: NDArray[np.float64]
+    window_release_us: NDArray[np.float64]
     line_step_px: float
     slices: int = 0
 
@@ -78,7 +78,7 @@ def start(
 
 def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> IdealState:
     """An ideal camera that goes on from the references in `shared`, which it owns from now on; ValueError on NaN."""
-    if np.isnan(shared.reference).any() or np.isnan(shared.strip_reference).any():
+    if np.isnan(shared.reference).any() or np.isnan(shared.window_reference).any():
         raise ValueError("reference: expected finite levels, found those of refractory pixels")
     if not 1e-3 <= line_step_px <= 10.0:
         raise ValueError(f"line_step_px: expected 0.001 to 10, found {line_step_px}")
@@ -91,7 +91,7 @@ def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> 
         upper2_px2=np.empty(shape, np.float32),
         solved_in=np.zeros(shape, np.int64),
         release_us=np.zeros(shape if blind else (0, 0)),
-        strip_release_us=np.zeros(shared.strip_reference.shape if blind else (0, 0)),
+        window_release_us=np.zeros(shared.window_reference.shape if blind else (0, 0)),
         line_step_px=float(line_step_px),
     )
     inner, _, steps_per_px, profile = shared.profile
@@ -139,7 +139,7 @@ def step(
 
     state.slices += 1
     made = 0
-    when = (refractory_us, state.strip_release_us, t0_us, shared.keys)
+    when = (refractory_us, state.window_release_us, t0_us, shared.keys)
     window = (
         object_start,
         object_end,
@@ -148,15 +148,15 @@ def step(
         shared.texture,
         shared.window_px[0],
         shared.window_px[1],
-        shared.strip_level,
-        shared.strip_reference,
-        shared.strip_threshold,
+        shared.window_level,
+        shared.window_reference,
+        shared.window_threshold,
     )
     gel = (*shared.profile, state.level_index, shared.reference, shared.threshold, state.lower2_px2, state.upper2_px2)
     solved = (state.solved_in, state.slices, refractory_us, state.release_us, t0_us, shared.keys)
     if shared.contact_edges is not None and lines is not None:
         made = _solve_lines(state, shared.contact_edges, *lines, path, window, when, gel, solved)
-    elif shared.strip_level.size:
+    elif shared.window_level.size:
         made = solve_window(*window, NO_LINES, *when, made)
     if shared.contact_edges is not None and lines is None:
         shared.contact_edges.events = 0
@@ -188,7 +188,7 @@ def _solve_lines(
     steps = line_steps(contact_edges, start, end, path, state.line_step_px)
     edge = (contact_edges.cut_contrast, contact_edges.cut_half_px)
     made = 0
-    if state.shared.strip_level.size:
+    if state.shared.window_level.size:
         lines = (
             steps,
             contact_edges.outline,
@@ -221,6 +221,6 @@ def _leak(state: IdealState, t0_us: int, made: int) -> int:
         level, first_row, 0, 0, drift, shared.reference, shared.threshold, state.release_us, *when, made
     )
     first_x, first_y = shared.window_px[:2]
-    strip = (shared.strip_reference, shared.strip_threshold, state.strip_release_us)
+    strip = (shared.window_reference, shared.window_threshold, state.window_release_us)
     own_first = (first_row - first_y) % leak.LEAK_SLICES
-    return int(leak.leak_in_rows(shared.strip_level, own_first, first_x, first_y, drift, *strip, *when, made))
+    return int(leak.leak_in_rows(shared.window_level, own_first, first_x, first_y, drift, *strip, *when, made))

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.contact_edges import (
     Outline,
     Place,
@@ -23,8 +23,8 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_cut,
     sample_row,
 )
-from evetac_cli.sim.camera.scanning.scan_dots import at_scans, scan_dots
-from evetac_cli.sim.camera.scanning.scan_window import compare_row, scan_window, wake_runs
+from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
+from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
 
 
 @njit(cache=True)
@@ -50,7 +50,7 @@ def scan_lines(
     seen_corner, seen_cut_x, seen_level, seen_cut_level = seen
     outer = gel[2]
     reference = gel[5]
-    sleep = gel[8]
+    candidates = gel[8]
     scans = len(readout_us)
     height, width = reference.shape
     rows, columns = outline.picture.shape
@@ -58,14 +58,14 @@ def scan_lines(
     moved_from = seen_corner.copy()
     cut_from = seen_cut_x.copy()
     line = np.empty(width, np.float32)
-    contrast, object_seen, texture, first_x, first_y, strip_reference = window[2:8]
+    contrast, object_seen, texture, first_x, first_y, window_reference = window[2:8]
     reach = _reach_of_lines(start, end, cut_half, rows, columns, seen_corner, seen_cut_x)
     dot_xy, dots = _dots_at_lines(path, gel[0], scans, outer, reach)
     scanned = (readout_us, t0_us, refractory_us)
-    runs_wake_at = (window[10].wake_at, window[10].row_wakes_at)
-    shifted = (reference, sleep.lower2_px2, first_x, first_y, strip_reference, *runs_wake_at)
+    due = (window[10].due_at, window[10].row_due_at)
+    shifted = (reference, candidates.lower2_px2, first_x, first_y, window_reference, *due)
     made = 0
-    of_lines = 0
+    line_events = 0
     if dots == 0:
         made = scan_dots(path, *gel, *scanned, 0, scans, keys, made)
     for scan in range(scans):
@@ -87,7 +87,7 @@ def scan_lines(
                 sample_row(outline.picture, x, y, strength, row, first, beyond, line)
                 _shift(line, seen_level, row, first, beyond, *shifted)
             touched = (min(touched[0], left), max(touched[1], right_end))
-        _forget_lists(sleep.watch_box, outer, first_row, end_row, *touched)
+        _forget_lists(candidates.watch_box, outer, first_row, end_row, *touched)
         if first_row < end_row:
             seen_corner[0] = x
             seen_corner[1] = y
@@ -102,18 +102,18 @@ def scan_lines(
                 _shift(line, seen_cut_level, row, first, beyond, *shifted)
                 seen_cut_x[row] = cut_x
                 touched = (min(touched[0], first), max(touched[1], beyond))
-        _forget_lists(sleep.watch_box, outer, 0, cut_rows, *touched)
+        _forget_lists(candidates.watch_box, outer, 0, cut_rows, *touched)
 
         if dots > 0:
             made = scan_dots(path, *gel, *scanned, scan, scan + 1, keys, made)
-        if strip_reference.size:
+        if window_reference.size:
             made = scan_window(*window, *scanned, scan, scan + 1, keys, made)
 
         before = made
         when = (readout_us[scan], now_us, refractory_us)
         place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
         picture = (dot_xy[scan, :dots], *gel[1:5], texture, place)
-        pixels = (*gel[5:8], sleep.lower2_px2, first_x, first_y, *window[7:10], *runs_wake_at)
+        pixels = (*gel[5:8], candidates.lower2_px2, first_x, first_y, *window[7:10], *due)
         for row in range(first_row, end_row):
             left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *way)
             for first, beyond in ((left, left_end), (right, right_end)):
@@ -122,8 +122,8 @@ def scan_lines(
             if cut_from[row] != seen_cut_x[row]:
                 first, beyond = cut_run(cut_half, width, cut_from[row], seen_cut_x[row])
                 made = _compare_across(picture, pixels, row, first, beyond, *when, line, keys, made)
-        of_lines += made - before
-    return made, of_lines
+        line_events += made - before
+    return made, line_events
 
 
 @njit(cache=True)
@@ -171,7 +171,7 @@ def _dots_at_lines(
     left, top, right, bottom = reach
     at_xy = np.empty((len(path), scans, 2))
     at_scans(path, scans, 0, at_xy)
-    box = rings.boxes(at_xy, seen_xy)
+    box = dot_rings.boxes(at_xy, seen_xy)
     near_xy = np.empty((scans, len(path), 2))
     near = 0
     for dot in range(len(path)):
@@ -195,22 +195,22 @@ def _shift(
     lower2_px2: NDArray[np.float32],
     first_x: int,
     first_y: int,
-    strip_reference: NDArray[np.float32],
-    wake_at: NDArray[np.float64],
-    row_wakes_at: NDArray[np.float64],
+    window_reference: NDArray[np.float32],
+    due_at: NDArray[np.float64],
+    row_due_at: NDArray[np.float64],
 ) -> None:
     """Take what lines add to pixels first to end of a row for seen: change their references by as much the other way.
 
     The pixels of the window have references of their own; under them those of the gel are of no account.
     """
-    strip_rows, strip_columns = strip_reference.shape
+    window_rows, window_columns = window_reference.shape
     left = max(first, first_x) - first_x
-    right = min(end, first_x + strip_columns) - first_x
+    right = min(end, first_x + window_columns) - first_x
     own = row - first_y
-    if 0 <= own < strip_rows and left < right:
+    if 0 <= own < window_rows and left < right:
         for x in range(left, right):
-            strip_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
-        wake_runs(wake_at, row_wakes_at, own, left, right)
+            window_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
+        mark_due(due_at, row_due_at, own, left, right)
     for k in range(end - first):
         reference[row, first + k] -= line[k] - seen_level[row, first + k]
         seen_level[row, first + k] = line[k]
@@ -248,7 +248,7 @@ def _compare_across(
     """
     dot_xy, inner, outer, steps_per_px, profile, texture, place = picture
     reference, threshold, release_us, lower2, first_x, first_y = pixels[:6]
-    strip_reference, strip_threshold, strip_release_us, wake_at, row_wakes_at = pixels[6:]
+    window_reference, window_threshold, window_release_us, due_at, row_due_at = pixels[6:]
     when = (readout_us, now_us, refractory_us, keys)
     if first < end:
         optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, first, end, line)
@@ -263,20 +263,20 @@ def _compare_across(
             made,
         )
         lower2[row, first:end] = np.inf
-    strip_rows, strip_columns = strip_reference.shape
+    window_rows, window_columns = window_reference.shape
     left = max(first, first_x) - first_x
-    right = min(end, first_x + strip_columns) - first_x
-    if first_y <= row < first_y + strip_rows and left < right:
+    right = min(end, first_x + window_columns) - first_x
+    if first_y <= row < first_y + window_rows and left < right:
         optics.sample_texture_run(texture, *place, row - first_y, left, right, line)
         made = compare_row(
             line,
-            strip_reference[row - first_y, left:right],
-            strip_threshold[row - first_y, left:right],
-            strip_release_us[row - first_y, left:right],
+            window_reference[row - first_y, left:right],
+            window_threshold[row - first_y, left:right],
+            window_release_us[row - first_y, left:right],
             first_x + left,
             row,
             *when,
             made,
         )
-        wake_runs(wake_at, row_wakes_at, row - first_y, left, right)
+        mark_due(due_at, row_due_at, row - first_y, left, right)
     return made

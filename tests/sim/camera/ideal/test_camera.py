@@ -15,8 +15,8 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.numerics.simulator import camera_cost
 from evetac_cli.numerics.simulator.camera_cost import FineEvents, Workload, fine, match, reference_events
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.ideal import ideal
-from evetac_cli.sim.camera.ideal.ideal import IdealState
+from evetac_cli.sim.camera.ideal import camera as ideal
+from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 
@@ -352,8 +352,8 @@ def window_truth(state: IdealState, velocity: NDArray[np.float64], slices: int, 
     level = np.empty((y1 - y0, x1 - x0), np.float32)
     optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, level)
     before = level.astype(float)
-    reference = state.shared.strip_reference + before
-    threshold = state.shared.strip_threshold
+    reference = state.shared.window_reference + before
+    threshold = state.shared.window_threshold
     rows = []
     for step in range(1, slices * steps_per_ms + 1):
         at = velocity * step / steps_per_ms
@@ -495,7 +495,7 @@ def test_far_leaps_and_fast_objects_end() -> None:
     level = optics.gel_level(FRAME, np.array([[40.0, 40.0]]), state.shared.profile)
     outside = np.isfinite(state.shared.threshold)
     assert (np.abs(level - state.shared.reference) <= state.shared.threshold * (1 + 1e-4))[outside].all()
-    assert np.isfinite(state.shared.strip_reference).all()
+    assert np.isfinite(state.shared.window_reference).all()
 
 
 def test_tone_of_498_hz_in_1_ms_steps() -> None:
@@ -577,7 +577,7 @@ def test_step_refuses(named: str, value: Any) -> None:
         ideal.step(state, **{**good, named: value, "t0_us": 0, "rng": np.random.default_rng(0)})
     for name in ("lower2_px2", "upper2_px2", "slices"):
         np.testing.assert_array_equal(getattr(state, name), getattr(before, name))
-    for name in ("reference", "strip_reference", "seen_dot_xy_px", "seen_object"):
+    for name in ("reference", "window_reference", "seen_dot_xy_px", "seen_object"):
         np.testing.assert_array_equal(getattr(state.shared, name), getattr(before.shared, name))
 
 

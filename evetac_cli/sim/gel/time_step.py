@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.gel.balance import Stencil, Work, imbalance, links, move_object, relax
+from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

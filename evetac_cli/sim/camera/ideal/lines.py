@@ -80,7 +80,7 @@ def solve_line_pixels(
         end_row = first_row
     runs = np.empty((3, 2), np.int64)
     scratch = np.empty((7, width), np.float32)
-    of_lines = 0
+    line_events = 0
     for y in range(height):
         runs[:] = 0
         if first_row <= y < end_row:
@@ -125,7 +125,7 @@ def solve_line_pixels(
                 scratch,
                 made,
             )
-            of_lines += alone
+            line_events += alone
             lower2[y, first:beyond] = np.inf
             solved_in[y, first:beyond] = this_slice
     if rows:
@@ -133,7 +133,7 @@ def solve_line_pixels(
         seen_corner[1] = end.corner_px[1]
         seen_corner[2] = end.strength
     seen_cut_x[:] = end.cut_x_px
-    return made, of_lines
+    return made, line_events
 
 
 @njit(cache=True)
@@ -195,7 +195,7 @@ def _solve_run(
         lines_seen[:pixels] += seen_level[y, first:beyond]
     if len(seen_cut_level):
         lines_seen[:pixels] += seen_cut_level[y, first:beyond]
-    of_lines = 0
+    line_events = 0
     for step in range(steps + 1):
         at = step / steps
         lines[:pixels] = 0.0
@@ -241,13 +241,13 @@ def _solve_run(
                     made,
                 )
                 if dots_then[k] == dots_now[k]:
-                    of_lines += made - before
+                    line_events += made - before
         for k in range(pixels):
             now[k] = then[k]
             dots_now[k] = dots_then[k]
     for k in range(pixels):
         reference[y, first + k] -= lines[k] - lines_seen[k]
-    return made, of_lines
+    return made, line_events
 
 
 @njit(cache=True)

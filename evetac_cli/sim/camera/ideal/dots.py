@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
 
 
@@ -73,7 +73,7 @@ def solve_dots(
     """
     height, width = reference.shape
     dots, vertices, _ = path.shape
-    box = rings.boxes(path, seen_xy)
+    box = dot_rings.boxes(path, seen_xy)
     near_path = np.empty((dots, vertices, 2))
     near_box = np.empty((dots, 4))
     travelled = np.empty(vertices)
@@ -85,13 +85,13 @@ def solve_dots(
         half_y = box[dot, 3]
         if half_x == 0.0 and half_y == 0.0:
             continue
-        near = rings.dots_near(dot, path, box, outer, near_path, near_box)
+        near = dot_rings.dots_near(dot, path, box, outer, near_path, near_box)
         wakes = 0
-        for y in range(*rings.ring_rows(box[dot], outer, height)):
+        for y in range(*dot_rings.ring_rows(box[dot], outer, height)):
             down = abs(y - centre_y)
             nearest_down = max(down - half_y, 0.0)
             farthest_down = down + half_y
-            left, left_end, right, right_end = rings.ring_runs(box[dot], inner, outer, y, width)
+            left, left_end, right, right_end = dot_rings.ring_runs(box[dot], inner, outer, y, width)
             for first, end in ((left, left_end), (right, right_end)):
                 for x in range(first, end):
                     across = abs(x - centre_x)
@@ -107,7 +107,7 @@ def solve_dots(
                     else:
                         if solved_in[y, x] == this_slice:
                             continue
-                        nearest2, farthest2 = rings.bounds(x, y, near_box[:near])
+                        nearest2, farthest2 = dot_rings.bounds(x, y, near_box[:near])
                         if nearest2 >= lower2[y, x] and farthest2 <= upper2[y, x]:
                             continue
                         solved_in[y, x] = this_slice

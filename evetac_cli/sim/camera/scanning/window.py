@@ -23,25 +23,25 @@ FAST_LEVEL = 0.002
 RUN_ROUNDING = 4e-6
 
 
-class StripSleep(NamedTuple):
-    """Which runs of RUN_PX pixels of the window may fire: those whose `wake_at` (rows, runs) has been travelled.
+class CandidateRuns(NamedTuple):
+    """Which runs of RUN_PX pixels of the window may fire: those whose `due_at` (rows, runs) has been travelled.
 
-    `row_wakes_at` (rows,) is a row's least. `travelled` (1,) adds up by how much any level can have changed so far,
+    `row_due_at` (rows,) is a row's least. `travelled` (1,) adds up by how much any level can have changed so far,
     from the texture's steepest slopes `across` and `down`, log units per px; `greatest` is its greatest level.
     """
 
-    wake_at: NDArray[np.float64]
-    row_wakes_at: NDArray[np.float64]
+    due_at: NDArray[np.float64]
+    row_due_at: NDArray[np.float64]
     travelled: NDArray[np.float64]
     across: float
     down: float
     greatest: float
 
 
-def sleeping_strip(shape: tuple[int, int], texture: NDArray[np.float32]) -> StripSleep:
+def all_runs(shape: tuple[int, int], texture: NDArray[np.float32]) -> CandidateRuns:
     """All runs of a window (rows, columns) awake."""
     rows, columns = shape
-    return StripSleep(
+    return CandidateRuns(
         np.full((rows, -(-columns // RUN_PX)), -np.inf),
         np.full(rows, -np.inf),
         np.zeros(1),
@@ -61,7 +61,7 @@ def scan_window(
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
-    sleep: StripSleep,
+    candidates: CandidateRuns,
     readout_us: NDArray[np.int64],
     t0_us: float,
     refractory_us: float,
@@ -73,13 +73,13 @@ def scan_window(
     """Compare the window's runs of pixels that may fire, in every scan at which the picture is another."""
     scans = len(readout_us)
     rows, columns = reference.shape
-    runs = sleep.wake_at.shape[1]
+    runs = candidates.due_at.shape[1]
     line = np.empty(columns, np.float32)
     for scan in range(first_scan, end_scan):
         part = scan / scans
         x = start_xy[0] + part * (end_xy[0] - start_xy[0])
         y = start_xy[1] + part * (end_xy[1] - start_xy[1])
-        way = contrast * (sleep.across * abs(x - seen[0]) + sleep.down * abs(y - seen[1]))
+        way = contrast * (candidates.across * abs(x - seen[0]) + candidates.down * abs(y - seen[1]))
         first_look = math.isnan(seen[2])
         faded = contrast != seen[2]
         seen[0] = x
@@ -92,27 +92,27 @@ def scan_window(
                 reference[row] += line
             continue
         if faded:
-            sleep.wake_at[:] = -np.inf
-            sleep.row_wakes_at[:] = -np.inf
+            candidates.due_at[:] = -np.inf
+            candidates.row_due_at[:] = -np.inf
         elif way == 0.0:
             continue
         else:
-            sleep.travelled[0] += way
-        travelled = sleep.travelled[0]
+            candidates.travelled[0] += way
+        travelled = candidates.travelled[0]
         fast = faded or way > FAST_LEVEL
-        rounding = RUN_ROUNDING * contrast * sleep.greatest
+        rounding = RUN_ROUNDING * contrast * candidates.greatest
         now_us = t0_us + scan * SLICE_US / scans
         for row in range(rows):
-            if not fast and travelled < sleep.row_wakes_at[row]:
+            if not fast and travelled < candidates.row_due_at[row]:
                 continue
-            wake_at = sleep.wake_at[row]
+            due_at = candidates.due_at[row]
             run = 0
             while run < runs:
-                if not fast and travelled < wake_at[run]:
+                if not fast and travelled < due_at[run]:
                     run += 1
                     continue
                 first_run = run
-                while run < runs and (fast or travelled >= wake_at[run]):
+                while run < runs and (fast or travelled >= due_at[run]):
                     run += 1
                 first = first_run * RUN_PX
                 end = min(run * RUN_PX, columns)
@@ -133,8 +133,8 @@ def scan_window(
                 )
                 if fast:  # what slept may go on to: it has not fired
                     continue
-                for awake_run in range(first_run, run):
-                    begin = awake_run * RUN_PX
+                for due_run in range(first_run, run):
+                    begin = due_run * RUN_PX
                     beyond = min(begin + RUN_PX, columns)
                     slack = _least_slack(
                         line[begin - first : beyond - first],
@@ -143,9 +143,9 @@ def scan_window(
                         blind_until_us[begin - first : beyond - first],
                         now_us,
                     )
-                    wake_at[awake_run] = travelled + slack - rounding
+                    due_at[due_run] = travelled + slack - rounding
             if not fast:
-                sleep.row_wakes_at[row] = wake_at.min()
+                candidates.row_due_at[row] = due_at.min()
     return made
 
 
@@ -207,8 +207,8 @@ def compare_row(
 
 
 @njit(cache=True)
-def wake_runs(wake_at: NDArray[np.float64], row_wakes_at: NDArray[np.float64], row: int, first: int, end: int) -> None:
+def mark_due(due_at: NDArray[np.float64], row_due_at: NDArray[np.float64], row: int, first: int, end: int) -> None:
     """Let the runs of a row of the window that hold pixels first to end be compared when the object next moves."""
     for run in range(first // RUN_PX, (end - 1) // RUN_PX + 1):
-        wake_at[row, run] = -np.inf
-    row_wakes_at[row] = -np.inf
+        due_at[row, run] = -np.inf
+    row_due_at[row] = -np.inf

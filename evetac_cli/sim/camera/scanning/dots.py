@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import (
     COLUMN_MASK,
@@ -22,12 +22,12 @@ from evetac_cli.sim.camera.scanning.pixel_culling import (
     RUSH_PX,
     CandidatePixels,
     is_within,
-    keep_awake,
-    keep_listed,
-    keep_own,
     make_list,
     renew_listed,
     ring_pixels,
+    select_active,
+    select_listed,
+    select_own,
 )
 
 
@@ -42,7 +42,7 @@ def scan_dots(
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
-    sleep: CandidatePixels,
+    candidates: CandidatePixels,
     readout_us: NDArray[np.int64],
     t0_us: float,
     refractory_us: float,
@@ -59,8 +59,8 @@ def scan_dots(
     scans = len(readout_us)
     at_xy = np.empty((dots, end_scan - first_scan, 2))
     at_scans(path, scans, first_scan, at_xy)
-    box = rings.boxes(at_xy, seen_xy)
-    crowded = rings.crowded(box, outer)
+    box = dot_rings.boxes(at_xy, seen_xy)
+    crowded = dot_rings.crowded(box, outer)
     near_xy = np.empty_like(at_xy)
     near_box = np.empty((dots, 4))
     table = (inner, outer, steps_per_px, profile)
@@ -72,34 +72,42 @@ def scan_dots(
             continue
         near = 1
         if crowded[dot]:
-            near = rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
-            sleep.watch_box[dot] = np.nan
-            found = ring_pixels(box[dot], inner, outer, False, sleep)
-            found = keep_own(dot, found, box, inner, outer, sleep)
-            found = keep_awake(sleep.active[:found], near_box[:near], *table, *pixels, now_us, sleep)
+            near = dot_rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
+            candidates.watch_box[dot] = np.nan
+            found = ring_pixels(box[dot], inner, outer, False, candidates)
+            found = select_own(dot, found, box, inner, outer, candidates)
+            found = select_active(candidates.active[:found], near_box[:near], *table, *pixels, now_us, candidates)
         else:
-            if not is_within(box, sleep.watch_box, dot):
-                make_list(dot, box[dot], *table, *pixels, now_us, sleep)
-            if sleep.watching[dot] >= 0:
-                found = keep_listed(
-                    dot, box, sleep.watching[dot], sleep.watched, sleep.watched_px2, sleep.active, sleep.entry
+            if not is_within(box, candidates.watch_box, dot):
+                make_list(dot, box[dot], *table, *pixels, now_us, candidates)
+            if candidates.watching[dot] >= 0:
+                found = select_listed(
+                    dot,
+                    box,
+                    candidates.watching[dot],
+                    candidates.watched,
+                    candidates.watched_px2,
+                    candidates.active,
+                    candidates.entry,
                 )
             else:
                 rushes = max(box[dot, 2], box[dot, 3]) > RUSH_PX
-                found = ring_pixels(box[dot], inner, outer, not rushes, sleep)
+                found = ring_pixels(box[dot], inner, outer, not rushes, candidates)
                 if not rushes:
-                    found = keep_awake(sleep.active[:found], box[dot : dot + 1], *table, *pixels, now_us, sleep)
+                    found = select_active(
+                        candidates.active[:found], box[dot : dot + 1], *table, *pixels, now_us, candidates
+                    )
         if found > 0:
             seen_by = near_xy[:near] if crowded[dot] else at_xy[dot : dot + 1]
             made = _compare_pixels(
-                sleep.active[:found],
+                candidates.active[:found],
                 seen_by,
                 inner,
                 steps_per_px,
                 profile,
                 *pixels,
-                sleep.lower2_px2,
-                sleep.upper2_px2,
+                candidates.lower2_px2,
+                candidates.upper2_px2,
                 readout_us,
                 t0_us,
                 refractory_us,
@@ -107,8 +115,8 @@ def scan_dots(
                 keys,
                 made,
             )
-            if not crowded[dot] and sleep.watching[dot] >= 0:
-                renew_listed(dot, found, *table, *pixels, last_us, sleep)
+            if not crowded[dot] and candidates.watching[dot] >= 0:
+                renew_listed(dot, found, *table, *pixels, last_us, candidates)
         for axis in range(2):
             seen_xy[dot, axis] = at_xy[dot, end_scan - first_scan - 1, axis]
     return made

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.sim.camera.rgb import RgbCamera, frame
+from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
 
 RADIUS_PX = 7.5
 SILENT = RgbCamera(noise_grey=0.0)
