@@ -9,7 +9,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from evetac_cli.sim.gel.contact import cell_area, gap_profile, pad_nodes, pressure
-from evetac_cli.sim.gel.force_balance import shrink
+from evetac_cli.sim.gel.force_balance import friction_projection
 from evetac_cli.sim.gel.gel import Friction, GelMaterial, displacement_at, energy, interpolation, start, step
 
 GRAVITY = 9.81
@@ -100,7 +100,7 @@ def drag(influence, traction, bound, along_x_m, sweeps):
             ease = 1.0 / influence[2 * node, 2 * node]
             x = traction[2 * node] + ease * (along_x_m - influence[2 * node] @ traction)
             y = traction[2 * node + 1] - ease * (influence[2 * node + 1] @ traction)
-            held = 1.0 - shrink(x, y, bound[node])
+            held = 1.0 - friction_projection(x, y, bound[node])
             change = max(change, abs(held * x - traction[2 * node]), abs(held * y - traction[2 * node + 1]))
             traction[2 * node] = held * x
             traction[2 * node + 1] = held * y

@@ -367,7 +367,7 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
     events = 0
     for k in range(400):
         states[0].candidates.lower2_px2[:] = np.inf
-        states[0].candidates.watch_box[:] = np.nan
+        states[0].candidates.list_box[:] = np.nan
         states[0].candidate_runs.due_at[:] = -np.inf
         states[0].candidate_runs.row_due_at[:] = -np.inf
         dots = np.array([[30.0, 30.0], [52.0, 60.0]]) + shaken[k : k + 2, None]
