@@ -83,15 +83,15 @@ def _check_finite(value: Any, where: str, place: str) -> None:
 
 
 def _check_ranges(scene: dict[str, Any], where: str) -> None:
-    """What JSON Schema cannot say: a range's ends are in order."""
+    """Check what JSON Schema cannot: a range's ends are in order."""
     for group in ("gripper", "randomise", "texture", "floor", "rub"):
         for key, value in scene.get(group, {}).items():
             if isinstance(value, list) and not isinstance(value[0], str) and value[0] > value[1]:
                 raise SceneError(f"{group}.{key}: the lower end comes first", where=where, found=str(value))
     push = scene.get("push")
     if push is not None and len(push["at_s"]) != len(push["force_n"]):
-        expected, found = f"one force for each of the {len(push['at_s'])} in at_s", str(push["force_n"])
-        raise SceneError("push.force_n: of another length", where=where, expected=expected, found=found)
+        expected = f"one force for each of the {len(push['at_s'])} in at_s"
+        raise SceneError("push.force_n: of another length", where=where, expected=expected, found=str(push["force_n"]))
     _check_tone(scene.get("tone", {}), where)
 
 
@@ -191,19 +191,19 @@ def for_trial(plan: dict[str, Any], seeds: Sequence[int]) -> dict[str, Any]:
 
 def numbers(text: str) -> list[int]:
     """Object numbers from `8` or `1-3,10`, in their order, each once; InputError if it is anything else."""
-    found: list[int] = []
+    listed: list[int] = []
     for part in text.split(","):
         match = re.fullmatch("([0-9]{1,2})(?:-([0-9]{1,2}))?", part.strip())
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if first > last:
             raise InputError("not a list of objects", where="--object", expected="as in 8 or 1-3,10", found=text[:60])
-        found += range(first, last + 1)
-    return list(dict.fromkeys(found))
+        listed += range(first, last + 1)
+    return list(dict.fromkeys(listed))
 
 
 def tones_hz(text: str) -> list[float]:
     """Frequencies from `200` or `200,300`, in their order, each once; InputError if it is anything else."""
-    found = []
+    listed: list[float] = []
     for part in text.split(","):
         try:
             tone = float(part)
@@ -212,8 +212,8 @@ def tones_hz(text: str) -> list[float]:
         if not LOWEST_TONE_HZ <= tone <= HIGHEST_TONE_HZ:
             expected = f"{LOWEST_TONE_HZ:g} to {HIGHEST_TONE_HZ:g} Hz, as in 200 or 200,300"
             raise InputError("not a list of tones", where="--tone", expected=expected, found=text[:60])
-        found.append(tone)
-    return list(dict.fromkeys(found))
+        listed.append(tone)
+    return list(dict.fromkeys(listed))
 
 
 def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
@@ -234,7 +234,7 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
     bandwidth_hz = sensor_row.get("bandwidth_hz", 0.0)
     noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {sensor_row['hot_pixels']} hot pixels"
     window = "texture of the object, moved with it" if cut and "texture" in resolved else ""
-    left_out = "closed gel: the gel is there" if not cut else "nothing behind it has texture"
+    left_out = "closed gel: it has no window" if not cut else "nothing behind it has texture"
     table = [
         ("gel and friction", solved if kind != "tone" else "", "nothing slips: a closed form for each wave"),
         ("what touches", pressed, ""),
@@ -245,7 +245,7 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
         ("falling weight", f"{resolved['drop']['mass_g']} g" if "drop" in resolved else "", "none named"),
         ("dots", f"{dots}, evaluated while they move", ""),
         ("window", window, left_out),
-        ("object rims", "where they move" if kind == "rub" else "", "none named"),
+        ("contact edges", "where they move" if kind == "rub" else "", "none named"),
         ("cut edge", edge, "closed gel: no cut" if not cut else "the sensor's cut is not seen"),
         ("camera", readout + (f", pixels of {bandwidth_hz:g} Hz" if bandwidth_hz else ""), ""),
         ("noise", noise, ""),

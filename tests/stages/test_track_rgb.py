@@ -49,8 +49,8 @@ def tracks(path: Path) -> np.ndarray:
     (job,) = track_rgb.jobs([path], params.TrackRgb(), None)
     track_rgb.run(job, params.TrackRgb())
     with StageFile(job.output) as made:
-        found: np.ndarray = made.read("dot_xy_px")
-    return found
+        result: np.ndarray = made.read("dot_xy_px")
+    return result
 
 
 def test_the_noise_is_that_of_the_trial(tmp_path: Path) -> None:

@@ -106,7 +106,10 @@ def relax(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, factor: flo
 
 @njit(cache=True)
 def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, friction_wrench: Floats) -> float:
-    """Largest force left unbalanced at a node; fills pull, slip, speed and friction_wrench (3,), a pad's force and moment on the object."""
+    """Largest force left unbalanced at a node.
+
+    Fills pull, slip, speed, and friction_wrench (3,): force and moment of a pad on the object.
+    """
     velocity = work.velocity
     rows, columns = work.bound.shape
     worst = 0.0
@@ -192,7 +195,7 @@ def _curvature(work: Work, stencil: Stencil, curvature: Floats) -> None:
 
 @njit(cache=True)
 def _follow(work: Work, move: Floats, reach: float) -> int:
-    """Fill search_direction, how each node answers a move of the object; returns how many loose nodes the move would bring to rest.
+    """Fill search_direction, how each node answers a move of the object; returns how many nodes it would bring to rest.
 
     Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
     """
@@ -286,7 +289,10 @@ def _solve3(matrix: Floats, right: Floats, least: Floats) -> Floats:
 def _find_move(
     work: Work, stencil: Stencil, weight: Floats, inertial: Floats, friction_wrench: Floats, stuck: Flags, reach: float
 ) -> Floats:
-    """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest; fills search_direction."""
+    """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest.
+
+    Fills search_direction.
+    """
     rows, columns = stuck.shape
     for row in range(rows):
         for column in range(columns):
@@ -307,7 +313,10 @@ def _find_move(
 
 @njit(cache=True)
 def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial: Floats) -> float:
-    """Exact line search: the part, 0 to 1, of a move (with search_direction) at which the potential is least; 0 if it only rises."""
+    """Exact line search: the part, 0 to 1, of a move at which the potential is least; 0 if it only rises.
+
+    The nodes move along search_direction.
+    """
     slope, bend = _smooth(work, stencil)
     slope = stencil.pads * slope + (inertial * move).sum()
     bend = stencil.pads * bend + (weight * move * move).sum()
@@ -333,7 +342,7 @@ def move_object(
 ) -> None:
     """Newton step of the object, and of the nodes that answer it.
 
-    weight: inertia / (theta dt); inertial: the object's own unbalanced force; friction_wrench: what the nodes of a pad add to it.
+    weight: inertia / (theta dt); inertial: the object's own unbalanced force; friction_wrench: what a pad adds to it.
     To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
     the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
     """

@@ -61,10 +61,10 @@ def test_quasi_static_onset(made: Made) -> None:
     """Assert that slip begins within 40 ms of the moment when twice the friction limit no longer carries the weight."""
     for path in made.recordings:
         with open_recording(path) as recording:
-            drawn = json.loads(recording.read("truth/sampled_parameters"))
+            samples = json.loads(recording.read("truth/sampled_parameters"))
             force = recording.read("truth/normal_force_n")
             slip = np.flatnonzero(recording.read("truth/slip"))
-        limit_n = drawn["mass_kg"] * GRAVITY_M_S2 / (2 * drawn["static_friction"])
+        limit_n = samples["mass_kg"] * GRAVITY_M_S2 / (2 * samples["static_friction"])
         lost = np.flatnonzero(force < limit_n)[0]
         assert len(slip)
         assert abs(int(slip[0]) - int(lost)) <= 40
@@ -269,11 +269,11 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
 def test_data_rates_are_the_papers(tmp_path: Path) -> None:
     """Assert that five trajectories of the data-rate scene have the paper's mean data rates, and its peaks."""
     recipe = params.Record(scene="data-rate", count=5)
-    found = []
+    result = []
     for job in record.jobs([], recipe, tmp_path):
         record.run(job, recipe)
-        found.append(ratios(job.output))
-    whole, contact, about_slip, most_kb = np.mean(found, axis=0)
+        result.append(ratios(job.output))
+    whole, contact, about_slip, most_kb = np.mean(result, axis=0)
     assert whole == pytest.approx(0.017, abs=0.008)
     assert contact == pytest.approx(0.028, abs=0.016)
     assert about_slip == pytest.approx(0.119, abs=0.03)
