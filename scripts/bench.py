@@ -51,7 +51,7 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
             if world.slices % 2 == 0:
                 if kind == "lift":
                     phase = paper.Phase((world.slices >= TOUCH_MS) + (world.slices >= TOUCH_MS + LIFT_MS))
-                    goal = paper.step(law, phase, world._account.slips, world.finger.position_ticks)
+                    goal = paper.step(law, phase, world._slip.slips, world.finger.position_ticks)
                     world.command = ("position", goal)
                 elif world.slices >= 900:
                     world.command = ("current", round(held_ma - 0.01375 * (world.slices - 900) / 2))

@@ -83,7 +83,7 @@ def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: flo
     if driven is not None:
         trial = driven(plan, mechanics, optics)
         camera = SimulatedCamera(trial, *named)
-        return Rig(camera, None, camera, trial.truth, drawn=trial.drawn.as_json())
+        return Rig(camera, None, camera, trial.truth, drawn=trial.sampled.as_json())
     world = GraspSimulation(plan, mechanics, optics, **durations)
     camera = SimulatedCamera(world, *named)
-    return Rig(camera, SimulatedGripper(world), camera, world.truth, world.holding_ma(), world.drawn.as_json())
+    return Rig(camera, SimulatedGripper(world), camera, world.truth, world.holding_ma(), world.sampled.as_json())

@@ -30,8 +30,8 @@ def opening_mm(from_ticks: int, to_ticks: int) -> float:
 def outcome(rows: Mapping[str, NDArray[Any]], mm_per_px: float, planned_ms: int) -> dict[str, Any]:
     """Figures of one grasp, simulated, from the rows of its recording (`NEEDED`); planned_ms: how long it should last.
 
-    moved_* in mm, opening_* in ticks and mm, force_* in N of one finger; reopened_share: by how much of the closing for the
-    lift the gripper opened again in balance, None where it did not close.
+    moved_* in mm, opening_* in ticks and mm, force_* in N of one finger; reopened_share: by how much of the closing for
+    the lift the gripper opened again in balance, None where it did not close.
     """
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
     object_mm = rows["truth/object_xy_px"] * mm_per_px

@@ -15,7 +15,7 @@ is monotone in the speed, so a bracketed Newton search always ends, for any stif
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -67,8 +67,8 @@ class Drive:
             raise ValueError(f"open_ticks must be < closed_ticks, found {self.open_ticks} and {self.closed_ticks}")
 
 
-def drive_of(sensor_row: Mapping[str, Any], friction_factor: float = 1.0) -> Drive:
-    """The drive of an sensor: `Drive` but for what its row's `gripper` names, friction times a factor.
+def make_drive(sensor_row: Mapping[str, Any], friction_factor: float = 1.0) -> Drive:
+    """The drive of a sensor's gripper: `Drive` but for what its row's `gripper` names, friction times a factor.
 
     servo_n_tick (force_per_current * gain) and two_ticks_n (what two ticks push beyond the friction) stand for
     gain_ma_tick and friction_n, because they are what a gripper shows; ValueError as from `Drive`.
@@ -155,13 +155,7 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
     else:
         raise ValueError(f"mode must be position or current, found {mode!r}")
     state.current_ma = min(max(wanted_ma, -drive.current_limit_ma), drive.current_limit_ma)
-    state.speed_m_s, state.closing_ticks = _move(
-        state.closing_ticks,
-        state.speed_m_s,
-        drive.force_per_current_n_ma * state.current_ma,
-        dt_s,
-        curve.force_n,
-        curve.step_ticks,
+    law = FingerLaw(
         curve.metres_per_tick / 2,  # each finger moves half the gap
         drive.friction_n,
         drive.friction_share,
@@ -171,9 +165,26 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
         drive.open_ticks - state.touch_ticks,
         min(drive.closed_ticks - state.touch_ticks, curve.reach_ticks),
     )
+    motor_n = drive.force_per_current_n_ma * state.current_ma
+    state.speed_m_s, state.closing_ticks = _move(
+        state.closing_ticks, state.speed_m_s, motor_n, dt_s, curve.force_n, curve.step_ticks, law
+    )
     state.force_n = lookup(curve.force_n, curve.step_ticks, state.closing_ticks)
     state.indentation_m = lookup(curve.indentation_m, curve.step_ticks, state.closing_ticks)
     return state.force_n
+
+
+class FingerLaw(NamedTuple):
+    """The constants of one finger in `_move`; `lowest` and `highest` are the ends of its closing, in ticks."""
+
+    metres_per_tick: float
+    friction_n: float
+    friction_share: float
+    damping: float
+    mass: float
+    speed_limit: float
+    lowest: float
+    highest: float
 
 
 @njit(cache=True)
@@ -184,16 +195,10 @@ def _move(
     dt: float,
     force_table: NDArray[np.float64],
     step_ticks: float,
-    metres_per_tick: float,
-    friction_n: float,
-    friction_share: float,
-    damping: float,
-    mass: float,
-    speed_limit: float,
-    lowest: float,
-    highest: float,
+    law: FingerLaw,
 ) -> tuple[float, float]:
     """Speed (m/s) and closing (ticks) of one finger after dt, from the implicit law with its dry friction."""
+    metres_per_tick, friction_n, friction_share, damping, mass, speed_limit, lowest, highest = law
     held_n = lookup(force_table, step_ticks, closing)
     drive_n = mass / dt * speed + motor_n
     surplus_n = drive_n - held_n
@@ -214,8 +219,8 @@ def _move(
             slow = q
         else:
             fast = q
-        horizon_ms = lookup(force_table, step_ticks, place + sign * step_ticks)
-        slope = mass / dt + damping + (sign + friction_share) * (horizon_ms - force) / step_ticks * ticks_per_speed
+        force_beyond = lookup(force_table, step_ticks, place + sign * step_ticks)
+        slope = mass / dt + damping + (sign + friction_share) * (force_beyond - force) / step_ticks * ticks_per_speed
         newton = q - excess / slope if slope > 0.0 else slow
         if fast <= slow or abs(newton - q) <= 1e-14 * speed_limit:
             break

@@ -1,6 +1,6 @@
-"""Scenes: what is simulated, in TOML, and what is drawn from their ranges for one trajectory.
+"""Scenes: what is simulated, in TOML, and the plan of each trial that follows from it.
 
-A scene names the parts that exist and the ranges from which a trajectory's parameters are drawn (scenes/*.toml, checked
+A scene names the parts that exist and the ranges from which a trial's parameters are sampled (scenes/*.toml, checked
 against schemas/scene.v1.json). Objects are rows of the paper's table (objects.toml), sensors rows of sensors.toml.
 """
 
@@ -8,8 +8,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -19,12 +18,11 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
-from evetac_cli.sim import randomized
+from evetac_cli.sim import sampling
 
-OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
-SENSOR_SEED = 104729  # with those of a trial: keeps what draws its sensor apart from what draws the trial
+FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
+SENSOR_SEED = 104729  # with the seeds of a trial: keeps what samples its sensor apart from what samples the trial
 NUMBERED_SEED = 1299709  # with the number of a sensor
-FLOOR_MM = (250.0, 250.0)
 LOWEST_TONE_HZ = 1.0
 HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
 
@@ -85,15 +83,15 @@ def _check_finite(value: Any, where: str, place: str) -> None:
 
 
 def _check_ranges(scene: dict[str, Any], where: str) -> None:
-    """What JSON Schema cannot say: a range's ends are in order."""
+    """Check what JSON Schema cannot: a range's ends are in order."""
     for group in ("gripper", "randomise", "texture", "floor", "rub"):
         for key, value in scene.get(group, {}).items():
             if isinstance(value, list) and not isinstance(value[0], str) and value[0] > value[1]:
                 raise SceneError(f"{group}.{key}: the lower end comes first", where=where, found=str(value))
     push = scene.get("push")
     if push is not None and len(push["at_s"]) != len(push["force_n"]):
-        expected, found = f"one force for each of the {len(push['at_s'])} in at_s", str(push["force_n"])
-        raise SceneError("push.force_n: of another length", where=where, expected=expected, found=found)
+        expected = f"one force for each of the {len(push['at_s'])} in at_s"
+        raise SceneError("push.force_n: of another length", where=where, expected=expected, found=str(push["force_n"]))
     _check_tone(scene.get("tone", {}), where)
 
 
@@ -164,12 +162,12 @@ def object_row(number: int) -> dict[str, Any]:
 
 
 def sensor_row(name: str) -> dict[str, Any]:
-    """The row of a sensor, `randomized:7` drawn by its number; InputError if there is no such sensor."""
+    """The row of a sensor, `randomized:7` sampled by its number; InputError if there is no such sensor."""
     rows = table("sensors")
-    number = re.fullmatch(f"{randomized.FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
+    number = re.fullmatch(f"{FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
     if number is not None:
         rng = np.random.default_rng([NUMBERED_SEED, int(number[1])])
-        return randomized.draw(rows[randomized.FOR_EACH_TRIAL], rng)
+        return sampling.sample_sensor(rows[FOR_EACH_TRIAL], rng)
     if name not in rows:
         near = get_close_matches(name, rows, n=1)
         raise InputError(
@@ -183,29 +181,29 @@ def sensor_row(name: str) -> dict[str, Any]:
 
 
 def for_trial(plan: dict[str, Any], seeds: Sequence[int]) -> dict[str, Any]:
-    """The plan of one trial: where each has a sensor of its own, that is drawn; its ranges stay beside it."""
-    if plan["sensor"] != randomized.FOR_EACH_TRIAL:
+    """The plan of one trial: where each has a sensor of its own, that is sampled; its ranges stay beside it."""
+    if plan["sensor"] != FOR_EACH_TRIAL:
         return plan
     ranges = plan["sensor_row"]
-    row = randomized.draw(ranges, np.random.default_rng([SENSOR_SEED, *seeds]))
+    row = sampling.sample_sensor(ranges, np.random.default_rng([SENSOR_SEED, *seeds]))
     return {**plan, "sensor_row": row, "sensor_ranges": ranges}
 
 
 def numbers(text: str) -> list[int]:
     """Object numbers from `8` or `1-3,10`, in their order, each once; InputError if it is anything else."""
-    found: list[int] = []
+    listed: list[int] = []
     for part in text.split(","):
         match = re.fullmatch("([0-9]{1,2})(?:-([0-9]{1,2}))?", part.strip())
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if first > last:
             raise InputError("not a list of objects", where="--object", expected="as in 8 or 1-3,10", found=text[:60])
-        found += range(first, last + 1)
-    return list(dict.fromkeys(found))
+        listed += range(first, last + 1)
+    return list(dict.fromkeys(listed))
 
 
 def tones_hz(text: str) -> list[float]:
     """Frequencies from `200` or `200,300`, in their order, each once; InputError if it is anything else."""
-    found = []
+    listed: list[float] = []
     for part in text.split(","):
         try:
             tone = float(part)
@@ -214,81 +212,8 @@ def tones_hz(text: str) -> list[float]:
         if not LOWEST_TONE_HZ <= tone <= HIGHEST_TONE_HZ:
             expected = f"{LOWEST_TONE_HZ:g} to {HIGHEST_TONE_HZ:g} Hz, as in 200 or 200,300"
             raise InputError("not a list of tones", where="--tone", expected=expected, found=text[:60])
-        found.append(tone)
-    return list(dict.fromkeys(found))
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """What was drawn for one trajectory from the ranges of its scene."""
-
-    mass_kg: float
-    static_friction: float
-    kinetic_friction: float
-    stribeck_m_s: float
-    tilt_rad: float
-    gear_friction_factor: float
-    start_factor: float
-    texture_log_sd: float
-    texture_half_correlation_px: float
-    touch_m: tuple[float, float]  # middle of the object from that of the pad where it is touched: along gravity, across
-    lever_m: float  # centre of mass from there, across gravity
-    floor_m: float  # where an object that fell comes to rest, below where it was held
-
-    def as_json(self) -> str:
-        """For the truth of a recording."""
-        return json.dumps(asdict(self))
-
-
-def draw(
-    scene: Mapping[str, Any],
-    object_params: Mapping[str, Any],
-    rng: np.random.Generator,
-    sensor_row: Mapping[str, Any] | None = None,
-    number: int | None = None,
-) -> Drawn:
-    """Draw a trajectory's parameters; always in the same order, so that a key of one scene does not shift another's.
-
-    Where the scene names kinetic_share_spread, an object (by its number) has a kinetic share of its own, about which
-    its trajectories spread; else the share is drawn for each trajectory from the whole range.
-    """
-    place = rng.spawn(1)[0]  # a stream of its own, so that scenes without these keys stay as they were
-
-    def between(group: str, key: str, default: tuple[float, float]) -> float:
-        low, high = scene.get(group, {}).get(key, default)
-        return float(rng.uniform(low, high))
-
-    factor = float((sensor_row or {}).get("static_friction_factor", 1.0))
-    static = factor * float(object_params["static_friction"]) * between("randomise", "static_friction", (1, 1))
-    tilt_deg = between("randomise", "tilt_deg", (0, 0))
-    if "tilt_deg" in object_params:  # the shape itself is slanted, so a finger's misalignment hardly matters
-        tilt_deg = float(rng.uniform(*object_params["tilt_deg"]))
-    mass_kg = float(object_params["mass_g"]) * 1e-3 * between("randomise", "mass", (1, 1))
-    kinetic_share = between("randomise", "kinetic_share", (1, 1))
-    varied = scene["randomise"]
-    off_share = place.uniform(-1, 1) * varied.get("kinetic_share_spread", 0.0)
-    if "kinetic_share_spread" in varied and number is not None:
-        own = np.random.default_rng([OBJECT_SEED, number]).uniform(*varied["kinetic_share"])
-        kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
-    touch_m = place.uniform(-1e-3, 1e-3, 2) * varied.get("touch_mm", 0.0)
-    lever_m = float(place.normal()) * varied.get("lever_mm", 0.0) * 1e-3
-    if object_params.get("shape") != "flat":
-        lever_m = 0.0  # the weight of a round object acts on its axis, and there it is touched
-    lever_m += float(object_params.get("lever_mm", 0.0)) * 1e-3
-    return Drawn(
-        mass_kg=mass_kg,
-        static_friction=static,
-        kinetic_friction=static * kinetic_share,
-        stribeck_m_s=between("randomise", "stribeck_mm_s", (10, 10)) * 1e-3,
-        tilt_rad=float(np.deg2rad(tilt_deg)),
-        gear_friction_factor=between("gripper", "friction_factor", (1, 1)),
-        start_factor=between("gripper", "start_factor", (2, 2)),
-        texture_log_sd=between("texture", "log_sd", (0.06, 0.06)),
-        texture_half_correlation_px=between("texture", "half_correlation_px", (12, 12)),
-        touch_m=(float(touch_m[0]), float(touch_m[1])),
-        lever_m=lever_m,
-        floor_m=float(place.uniform(*scene.get("floor", {}).get("below_mm", FLOOR_MM))) * 1e-3,
-    )
+        listed.append(tone)
+    return list(dict.fromkeys(listed))
 
 
 def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
@@ -309,7 +234,7 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
     bandwidth_hz = sensor_row.get("bandwidth_hz", 0.0)
     noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {sensor_row['hot_pixels']} hot pixels"
     window = "texture of the object, moved with it" if cut and "texture" in resolved else ""
-    left_out = "closed gel: the gel is there" if not cut else "nothing behind it has texture"
+    left_out = "closed gel: it has no window" if not cut else "nothing behind it has texture"
     table = [
         ("gel and friction", solved if kind != "tone" else "", "nothing slips: a closed form for each wave"),
         ("what touches", pressed, ""),
@@ -320,7 +245,7 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
         ("falling weight", f"{resolved['drop']['mass_g']} g" if "drop" in resolved else "", "none named"),
         ("dots", f"{dots}, evaluated while they move", ""),
         ("window", window, left_out),
-        ("object rims", "where they move" if kind == "rub" else "", "none named"),
+        ("contact edges", "where they move" if kind == "rub" else "", "none named"),
         ("cut edge", edge, "closed gel: no cut" if not cut else "the sensor's cut is not seen"),
         ("camera", readout + (f", pixels of {bandwidth_hz:g} Hz" if bandwidth_hz else ""), ""),
         ("noise", noise, ""),

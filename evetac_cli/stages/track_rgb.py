@@ -15,16 +15,17 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.tracking import frame_tracker
 from evetac_cli.params import TrackRgb, recipe_of
-from evetac_cli.sim.camera.rgb import RgbCamera, frame
+from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import open_recording
 
 INPUTS = ("recording",)
 OUTPUT = "tracks"
-METHOD = 1
+METHOD = 2
 PRESET = "rgb"
+NOISE_SEED = 32452843  # keeps the noise of frames apart from what is drawn for the recording
 SENSOR = ("sensor/frame_px", "sensor/name", "sensor/dot_xy_px", "sensor/dot_radius_px", "sensor/window_px")
 
 
@@ -33,6 +34,18 @@ def jobs(files: list[Path], params: TrackRgb, out: Path | None) -> list[Job]:
     if out is None:
         return [job for file in files for job in per_file([file], OUTPUT, file.parent / PRESET)]
     return per_file(files, OUTPUT, out)
+
+
+def noise_seeds(seed: int, header: Header) -> list[int]:
+    """What the noise of the frames is drawn from, for the recording with this header: numbers that name its trial.
+
+    Why so: another trial has another noise. The recording's recipe id would name it as well, but it changes with the
+    name of any parameter, and the noise with it.
+    """
+    made = header["parameters"]
+    tone_mhz = round(1000 * made.get("tone_hz", 0.0))
+    from_ms = made.get("trimmed", {}).get("from_ms", 0)
+    return [NOISE_SEED, seed, header["seed"] or 0, made.get("object") or 0, made.get("trial", 0), tone_mhz, from_ms]
 
 
 def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -54,7 +67,7 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
     slices, dots = true_px.shape[:2]
     shrink = np.array(camera.frame_px) / arrays["sensor/frame_px"]
     radius_px = float(arrays["sensor/dot_radius_px"]) * float(shrink.mean())
-    rng = np.random.default_rng([params.seed, int(recipe.parents[0]["id"][:8], 16)])
+    rng = np.random.default_rng(noise_seeds(params.seed, recipe.parents[0]))
 
     def drawn(dot_xy_px: np.ndarray) -> np.ndarray:  # pixels are counted from their centres
         return frame(camera, (dot_xy_px + 0.5) * shrink - 0.5, radius_px, rng)

@@ -35,16 +35,16 @@ def rows(**changes: Any) -> dict[str, Any]:
 
 def test_a_grasp_that_holds() -> None:
     """Assert success of both phases, and every figure by hand."""
-    found = outcome(rows(), MM_PER_PX, END_MS)
-    assert found["lifted"]
-    assert found["balanced"]
-    assert found["opening_after_lift_ticks"] == -10
-    assert found["opening_after_balance_ticks"] == -6
-    assert found["reopened_share"] == pytest.approx(0.4)
-    assert found["moved_lift_mm"] == pytest.approx(0.3)
-    assert found["moved_mm"] == pytest.approx(MM_PER_PX * np.hypot(10, 5))
-    assert found["force_end_n"] == 1.5
-    assert found["slip_events"] == 3  # that of the contact phase is none; two slices on end are one
+    result = outcome(rows(), MM_PER_PX, END_MS)
+    assert result["lifted"]
+    assert result["balanced"]
+    assert result["opening_after_lift_ticks"] == -10
+    assert result["opening_after_balance_ticks"] == -6
+    assert result["reopened_share"] == pytest.approx(0.4)
+    assert result["moved_lift_mm"] == pytest.approx(0.3)
+    assert result["moved_mm"] == pytest.approx(MM_PER_PX * np.hypot(10, 5))
+    assert result["force_end_n"] == 1.5
+    assert result["slip_events"] == 3  # that of the contact phase is none; two slices on end are one
 
 
 def test_how_a_grasp_fails() -> None:
@@ -60,9 +60,9 @@ def test_how_a_grasp_fails() -> None:
         ({"truth/normal_force_n": let_go}, True),
         ({"truth/table_gap_mm": late}, False),
     ):
-        found = outcome(rows(**change), MM_PER_PX, END_MS)
-        assert found["lifted"] == lifted
-        assert not found["balanced"]
+        result = outcome(rows(**change), MM_PER_PX, END_MS)
+        assert result["lifted"] == lifted
+        assert not result["balanced"]
     assert not outcome(rows(), MM_PER_PX, END_MS + 1)["balanced"]  # it ended before its time
 
 

@@ -127,11 +127,11 @@ def test_speed_limit_holds():
         assert np.abs(speeds).max() <= DRIVE.speed_limit_m_s
         assert (sign * speeds).max() == DRIVE.speed_limit_m_s
     ticks_s = 2 * DRIVE.speed_limit_m_s / CURVE.metres_per_tick  # both fingers close the gap
-    there = start(DRIVE, CURVE, TOUCH_TICKS, -100.0)
-    settle(there, "current", 300.0, 0.02)
-    before = there.closing_ticks
-    settle(there, "current", 300.0, 0.1)
-    assert there.closing_ticks - before == pytest.approx(0.1 * ticks_s, rel=1e-9)
+    state = start(DRIVE, CURVE, TOUCH_TICKS, -100.0)
+    settle(state, "current", 300.0, 0.02)
+    before = state.closing_ticks
+    settle(state, "current", 300.0, 0.1)
+    assert state.closing_ticks - before == pytest.approx(0.1 * ticks_s, rel=1e-9)
 
 
 def test_current_limit_and_rounding():

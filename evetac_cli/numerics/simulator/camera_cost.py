@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, Events, concatenate
-from evetac_cli.sim.camera.ideal import ideal
+from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 

@@ -81,7 +81,7 @@ def _camera_row(case: CameraCase, slices: int, rng: np.random.Generator) -> Row:
                 faults.append(f"time stamps of slice {k}")
             if events.x.max() >= case.model.frame_px[0] or events.y.max() >= case.model.frame_px[1]:
                 faults.append(f"coordinates of slice {k}")
-    finite = bool(np.isfinite(state.reference).all() and np.isfinite(state.strip_reference).all())
+    finite = bool(np.isfinite(state.reference).all() and np.isfinite(state.window_reference).all())
     outcome = "finite" if finite else "not finite"
     outcome += f", {min(counts)} to {max(counts)} events a slice"
     outcome += f", {state.dropped} beyond the most that a slice holds" if state.dropped else ""

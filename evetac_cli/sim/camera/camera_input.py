@@ -1,13 +1,15 @@
-"""What both cameras are given, checked: positions and paths in px, window, texture, lines, numbers in a range.
+"""Checks of what both cameras are given: positions and paths in px, window, texture, lines, numbers in a range.
 
 ValueError with expected and found on anything else, before a camera changes.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from evetac_cli.sim.camera.contact_edges import ContactEdges, Place, check_place
+from evetac_cli.sim.camera.contact_edges import ContactEdges, LineMotion, Place, check_place
 
 FARTHEST_PX = 1e6
 MOST_PIECES = 1000  # of a curved path in a slice
@@ -15,21 +17,31 @@ MOST_PIECES = 1000  # of a curved path in a slice
 Floats = NDArray[np.float64]
 
 
-def moves(
+class ObjectMotion(NamedTuple):
+    """Where the object behind the window is at the start and end of a slice (2,), in px, and its texture's contrast."""
+
+    start_px: Floats
+    end_px: Floats
+    contrast: float
+
+
+def motions(
     dots: int,
     dot_xy_px_start: ArrayLike,
     dot_xy_px_end: ArrayLike,
     dot_path_px: ArrayLike | None,
     object_xy_px_start: ArrayLike,
     object_xy_px_end: ArrayLike,
-) -> tuple[Floats, Floats, Floats]:
-    """Paths of so many dots (dots, k + 1, 2), and where the object (2,) starts and ends: arguments of `step`."""
+    texture_contrast: float,
+) -> tuple[Floats, ObjectMotion]:
+    """Paths of so many dots (dots, k + 1, 2) and the object's motion, from arguments of `step`."""
     dots_start = positions("dot_xy_px_start", dot_xy_px_start, dots)
     dots_end = positions("dot_xy_px_end", dot_xy_px_end, dots)
     paths = dot_paths(dot_path_px, dots_start, dots_end)
     object_start = positions("object_xy_px_start", np.atleast_2d(object_xy_px_start), 1)[0]
     object_end = positions("object_xy_px_end", np.atleast_2d(object_xy_px_end), 1)[0]
-    return paths, object_start, object_end
+    check_range("texture_contrast", texture_contrast, 0.0, 1e3)
+    return paths, ObjectMotion(object_start, object_end, float(texture_contrast))
 
 
 def positions(name: str, given: ArrayLike, count: int | None = None) -> Floats:
@@ -92,21 +104,19 @@ def window_texture(
     return pattern
 
 
-def line_places(
+def line_motion(
     contact_edges: ContactEdges | None, start: Place | None, end: Place | None, *, coarsely: bool = False
-) -> tuple[Place, Place] | None:
-    """Where lines are at both ends of a slice, checked; None if there are none, or none that moves.
+) -> LineMotion | None:
+    """How lines move in a slice, checked; None if there are none, or none that moves.
 
-    `coarsely`, a cut edge that moves less than scans look at does not, which keeps a slow shear cheap.
+    `coarsely`, a cut edge that moves less than scans can tell does not, which keeps a slow shear cheap.
     """
     if contact_edges is None:
         if start is not None or end is not None:
-            raise ValueError(
-                "contact_edges_start, contact_edges_end: expected none before a camera without rims, found some"
-            )
+            raise ValueError("contact_edges_start, contact_edges_end: expected none: the camera has none, found some")
         return None
     if start is None or end is None:
-        raise ValueError("contact_edges_start, contact_edges_end: expected both before a camera with rims, found none")
+        raise ValueError("contact_edges_start, contact_edges_end: expected both: the camera has some, found none")
     if start is end is contact_edges.rested:
         return None
     places = (
@@ -114,7 +124,9 @@ def line_places(
         check_place("contact_edges_end", contact_edges, end),
     )
     contact_edges.rested = end if start is end else None
-    return None if contact_edges.still(*places, contact_edges.cut_resolution_px * 0.99 if coarsely else 0.0) else places
+    if contact_edges.still(*places, contact_edges.cut_resolution_px * 0.99 if coarsely else 0.0):
+        return None
+    return contact_edges.motion(*places)
 
 
 def check_range(name: str, value: float, low: float, high: float) -> None:

@@ -1,12 +1,13 @@
-"""Lines in the picture that are not dots: the rims of an object that dents the gel, and the edge of a cut gel.
+"""Lines in the picture that are not dots: the edges of an object that dents the gel, and the edge of a cut gel.
 
 Both add to the log brightness of a pixel. An object is a picture drawn once, since it only moves and fades; it adds
 strength * picture(pixel - corner), bilinear. The cut edge is a dark line whose place in every row is given; it moves
 with the gel and lies over pixels of the gel and of the window alike.
 
-Why so: a camera that knows how far these levels have changed since it last looked can add the change to its references
-instead (with the other sign), and needs no other picture than that of its dots. So lines that rest cost nothing, and
-only pixels whose level can have changed are visited: in a row of the picture those before and after its flat middle.
+Why so: a camera that knows how far these levels have changed since it last compared can add the change to its
+references instead (with the other sign), and needs no other picture than that of its dots. So lines that rest cost
+nothing, and only pixels whose level can have changed are visited: in a row of the picture those before and after its
+flat middle.
 """
 
 import math
@@ -17,9 +18,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-# A rim ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
-RIM_SIGMAS = 3.5
-# Looked at again once a level can have changed by this, a fortieth of a threshold.
+# An object's edge ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
+EDGE_SIGMAS = 3.5
+# Compared again once a level can have changed by this, a fortieth of a threshold.
 LEVEL_RESOLUTION = 0.005
 # A line (1 - (d / h)^2)^2 is half as deep at d = 0.541 h, and steepest there where (d / h)^2 = 1 / 3.
 HALF_DEPTH = math.sqrt(1.0 - math.sqrt(0.5))
@@ -44,7 +45,7 @@ class Outline(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where the lines are at a moment.
+    """Where the lines are at one time.
 
     `corner_px` (x, y): where in the frame the outline's first pixel lies; `strength` 0 (not there) to 1;
     `cut_x_px` (height,): where the cut edge crosses each row, empty without one.
@@ -55,13 +56,30 @@ class Place(NamedTuple):
     cut_x_px: Floats
 
 
+class LineMotion(NamedTuple):
+    """Lines that move in a slice: from where to where, what they look like, and how the camera last saw them.
+
+    `outline` to `cut_half_px` and `seen_corner` to `seen_cut_level` are those of `ContactEdges`.
+    """
+
+    start: Place
+    end: Place
+    outline: Outline
+    cut_contrast: float
+    cut_half_px: float
+    seen_corner: Floats
+    seen_cut_x: Floats
+    seen_level: NDArray[np.float32]
+    seen_cut_level: NDArray[np.float32]
+
+
 @dataclass
 class ContactEdges:
     """The lines before one camera, and what it last saw of them; a camera's `step` changes it in place.
 
     `seen_level` and `seen_cut_level` (height, width) are the levels that an outline and the cut edge add at
     `seen_corner` (x, y, strength) and `seen_cut_x`. `events` counts those of the last slice that no moving dot and no
-    texture made. `rested` is the place at which all lines were for a whole slice, and were looked at: there, nothing is
+    texture made. `rested` is the place at which all lines were for a whole slice, and were compared: there, nothing is
     left to do.
     """
 
@@ -86,6 +104,20 @@ class ContactEdges:
             return False
         return all(bool(_farthest(place.cut_x_px, self.seen_cut_x) <= cut_px) for place in (start, end))
 
+    def motion(self, start: Place, end: Place) -> LineMotion:
+        """The lines and what was seen of them, moving between two places."""
+        return LineMotion(
+            start,
+            end,
+            self.outline,
+            self.cut_contrast,
+            self.cut_half_px,
+            self.seen_corner,
+            self.seen_cut_x,
+            self.seen_level,
+            self.seen_cut_level,
+        )
+
     @property
     def cut_resolution_px(self) -> float:
         """How far the cut edge may move before some level has changed by LEVEL_RESOLUTION."""
@@ -109,23 +141,24 @@ def start(
         raise ValueError(f"cut_contrast: expected 0 to 20, found {cut_contrast}")
     if not 0.01 <= cut_width_px <= 1000.0:
         raise ValueError(f"cut_width_px: expected 0.01 to 1000, found {cut_width_px}")
-    drawn = Outline(np.zeros((0, 0), np.float32), np.empty((0, 4), np.int64), 0.0, 0.0) if outline is None else outline
+    if outline is None:
+        outline = Outline(np.zeros((0, 0), np.float32), np.empty((0, 4), np.int64), 0.0, 0.0)
     cut = len(place.cut_x_px) > 0
     contact_edges = ContactEdges(
         frame_px=(width, height),
-        outline=drawn,
+        outline=outline,
         cut_contrast=float(cut_contrast),
         cut_half_px=0.5 * cut_width_px / HALF_DEPTH,
         seen_corner=np.zeros(3),
         seen_cut_x=np.empty(height if cut else 0),
-        seen_level=np.zeros((height, width) if drawn.picture.size else (0, 0), np.float32),
+        seen_level=np.zeros((height, width) if outline.picture.size else (0, 0), np.float32),
         seen_cut_level=np.zeros((height, width) if cut else (0, 0), np.float32),
     )
     checked = check_place("place", contact_edges, place)
     contact_edges.seen_corner[:] = *checked.corner_px, checked.strength
     contact_edges.seen_cut_x[:] = checked.cut_x_px
     for y in range(len(contact_edges.seen_level)):
-        sample_row(drawn.picture, *checked.corner_px, checked.strength, y, 0, width, contact_edges.seen_level[y])
+        sample_row(outline.picture, *checked.corner_px, checked.strength, y, 0, width, contact_edges.seen_level[y])
     for y in range(len(contact_edges.seen_cut_level)):
         sample_cut(
             contact_edges.cut_contrast,
@@ -170,9 +203,9 @@ def _farthest(places: Floats, others: Floats) -> float:
 
 
 def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float | None = None) -> Outline:
-    """The outline of an ellipse of a size (across, down): L = level * Phi(d / width), d the depth inside the rim.
+    """The outline of an ellipse of a size (across, down): L = level * Phi(d / width), d the depth inside the edge.
 
-    With `thick_px` it is a ring with a second rim that far inside the first: L = level * (Phi(d_outer / width) -
+    With `thick_px` it is a ring with a second edge that far inside the first: L = level * (Phi(d_outer / width) -
     Phi(d_inner / width)). ValueError unless sizes, level and width are positive and a ring has a hole.
     """
     size = np.asarray(size_px, np.float64)
@@ -182,11 +215,11 @@ def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float |
         raise ValueError(f"level and width_px: expected positive finite numbers, found {level} and {width_px}")
     if thick_px is not None and not 0.0 < 2.0 * thick_px < size.min():
         raise ValueError(f"thick_px: expected above 0 and below {0.5 * size.min():g}, found {thick_px}")
-    half = np.ceil(0.5 * size + RIM_SIGMAS * width_px) + 2
+    half = np.ceil(0.5 * size + EDGE_SIGMAS * width_px) + 2
     x, y = np.meshgrid(np.arange(-half[0], half[0] + 1), np.arange(-half[1], half[1] + 1))
-    shade = _rim(_depth(x, y, 0.5 * size) / width_px)
+    shade = _edge(_depth(x, y, 0.5 * size) / width_px)
     if thick_px is not None:
-        shade -= _rim(_depth(x, y, 0.5 * size - thick_px) / width_px)
+        shade -= _edge(_depth(x, y, 0.5 * size - thick_px) / width_px)
     picture = (level * shade).astype(np.float32)
     down, across = np.gradient(picture)
     slope = float(np.hypot(down, across).max())
@@ -196,7 +229,7 @@ def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float |
 def _depth(x: Floats, y: Floats, half: Floats) -> Floats:
     """Distance of points to an ellipse about the origin, positive inside (Eberly, Distance from a Point to an Ellipse).
 
-    The nearest point on the rim is (a^2 x / (t + a^2), b^2 y / (t + b^2)), where t makes it a point of the rim.
+    The nearest point on the ellipse is (a^2 x / (t + a^2), b^2 y / (t + b^2)), where t makes it a point of the ellipse.
     """
     turned = half[0] < half[1]
     long, short = (half[1], half[0]) if turned else (half[0], half[1])
@@ -216,9 +249,9 @@ def _depth(x: Floats, y: Floats, half: Floats) -> Floats:
     return depth
 
 
-def _rim(sigmas: Floats) -> Floats:
-    """Phi, scaled to reach 0 and 1 at RIM_SIGMAS on either side."""
-    places = np.linspace(-RIM_SIGMAS, RIM_SIGMAS, 2049)
+def _edge(sigmas: Floats) -> Floats:
+    """Phi, scaled to reach 0 and 1 at EDGE_SIGMAS on either side."""
+    places = np.linspace(-EDGE_SIGMAS, EDGE_SIGMAS, 2049)
     lit = np.array([0.5 * math.erfc(-place / math.sqrt(2.0)) for place in places])
     shade: Floats = np.interp(sigmas, places, (lit - lit[0]) / (lit[-1] - lit[0]))
     return shade
@@ -232,11 +265,12 @@ def _runs(picture: NDArray[np.float32]) -> NDArray[np.int64]:
     differs = around.max(axis=0) != around.min(axis=0)
     runs = np.tile(np.array([NONE, -NONE, NONE, -NONE], np.int64), (rows, 1))
     for row in range(rows):
-        found = np.flatnonzero(differs[row])
-        if len(found):
-            gaps = np.diff(found)
+        columns_at = np.flatnonzero(differs[row])
+        if len(columns_at):
+            gaps = np.diff(columns_at)
             widest = int(np.argmax(gaps)) if len(gaps) else 0
-            runs[row] = found[0], found[widest] + 1, found[min(widest + 1, len(found) - 1)], found[-1] + 1
+            second = min(widest + 1, len(columns_at) - 1)
+            runs[row] = columns_at[0], columns_at[widest] + 1, columns_at[second], columns_at[-1] + 1
     return runs
 
 

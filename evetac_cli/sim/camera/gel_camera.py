@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
-from evetac_cli.sim.camera.ideal import ideal
-from evetac_cli.sim.camera.ideal.ideal import IdealState
+from evetac_cli.sim.camera.ideal import camera as ideal
+from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.low_pass import LowPass
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraState
@@ -34,8 +34,8 @@ def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
     middle = np.array(sensor_row["frame_px"]) / 2
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     grid = (grid - middle) @ turn + middle
-    kept = grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]
-    dots: Floats = grid[:, kept] if cut else grid
+    beside_window = grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]
+    dots: Floats = grid[:, beside_window] if cut else grid
     return dots
 
 
@@ -118,7 +118,7 @@ class GelCamera:
         return np.linspace(ends_px[0], ends_px[1], height), rest_m
 
     def _place_at(self, object_xy_px: Floats, cut_m: Floats, strength: float) -> contact_edges.Place:
-        """Where rims and cut edge are, for an object and a gel displaced by so much."""
+        """Where contact edges and cut edge are, for an object and a gel displaced by so much."""
         corner = np.zeros(2)
         if self._outline is not None:
             rows, columns = self._outline.picture.shape
@@ -132,7 +132,7 @@ class GelCamera:
 
     @property
     def contact_edge_events(self) -> int:
-        """How many events of the last slice rims and cut edge made alone."""
+        """How many events of the last slice contact edges and cut edge made alone."""
         return 0 if self._lines is None else self._lines.events
 
     def render(
@@ -156,18 +156,18 @@ class GelCamera:
         at_rest = self.grid_xy_px.reshape(-1, 2)
         dots = at_rest + shift_m * to_px
         path = None if shift_path_m is None else at_rest + shift_path_m * to_px
-        object_params = object_m * to_px
+        object_px = object_m * to_px
         begin = self.dot_xy_px if path is None else path[0]
-        seen = (begin, dots, self.object_xy_px, object_params)
+        seen = (begin, dots, self.object_xy_px, object_px)
         if self._lagging is not None:
-            path, seen = self._lag(np.stack([begin, dots]) if path is None else path, object_params)
+            path, seen = self._lag(np.stack([begin, dots]) if path is None else path, object_px)
         ends = (seen[0], seen[1], self._texture_at_px + seen[2], self._texture_at_px + seen[3])
         lines = self._move_lines(seen[3], self._cut_m if cut_m is None else cut_m, strength)
         if isinstance(self._camera, CameraState):
             events = camera.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
         else:
             events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
-        self.dot_xy_px, self.object_xy_px = dots, object_params
+        self.dot_xy_px, self.object_xy_px = dots, object_px
         return events
 
     def _move_lines(
@@ -187,10 +187,10 @@ class GelCamera:
             )
         return before, self._place
 
-    def _lag(self, path: Floats, object_params: Floats) -> tuple[Floats, tuple[Floats, Floats, Floats, Floats]]:
+    def _lag(self, path: Floats, object_px: Floats) -> tuple[Floats, tuple[Floats, Floats, Floats, Floats]]:
         """Where pixels of a finite bandwidth see the dots along a path, and start and end of dots and object."""
         assert self._lagging is not None
         dots, objects = self._lagging
         path = dots.follow(path)
-        object_path = objects.follow(np.stack([self.object_xy_px, object_params])[:, None])
+        object_path = objects.follow(np.stack([self.object_xy_px, object_px])[:, None])
         return path, (path[0], path[-1], object_path[0, 0], object_path[-1, 0])

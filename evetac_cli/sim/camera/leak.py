@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
-from evetac_cli.sim.camera.scanning.pixel_culling import CandidatePixels
-from evetac_cli.sim.camera.scanning.scan_window import StripSleep
+from evetac_cli.sim.camera.ideal.pixels import SliceTimes
+from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
 
 # Slices in which leak visits every row of pixels once: a divisor of 480, so that all slices visit equally many.
 LEAK_SLICES = 40
@@ -30,49 +30,37 @@ def drift(leak_hz: float) -> float:
 def leak_in_scans(
     first_row: int,
     drift: np.float32,
-    dot_xy: NDArray[np.float64],
-    inner: float,
-    outer: float,
-    steps_per_px: float,
-    profile: NDArray[np.float32],
-    reference: NDArray[np.float32],
-    threshold: NDArray[np.float32],
-    release_us: NDArray[np.float64],
-    sleep: CandidatePixels,
-    object_seen: NDArray[np.float64],
-    texture: NDArray[np.float32],
-    first_x: int,
-    first_y: int,
-    strip_reference: NDArray[np.float32],
-    strip_threshold: NDArray[np.float32],
-    strip_release_us: NDArray[np.float64],
-    strip_sleep: StripSleep,
-    readout_us: NDArray[np.int64],
-    t0_us: float,
-    refractory_us: float,
+    gel: GelPixels,
+    window: WindowPixels,
+    times: ScanTimes,
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
     """Lower the references of every LEAK_SLICES-th row of a scanning camera, and compare them where they are."""
+    dot_xy = gel.seen_dot_xy_px
+    inner, outer, steps_per_px, profile = gel.profile
+    reference, threshold, release_us, candidates = gel.reference, gel.threshold, gel.release_us, gel.candidates
+    first_x, first_y, object_seen, texture = window.first_x, window.first_y, window.seen_object, window.texture
+    readout_us, t0_us, refractory_us = times
     height, width = reference.shape
-    strip_rows, strip_columns = strip_reference.shape
+    window_rows, window_columns = window.reference.shape
     scans = len(readout_us)
     line = np.empty(width, np.float32)
-    sleep.watch_box[:] = np.nan
+    candidates.list_box[:] = np.nan
     for row in range(first_row, height, LEAK_SLICES):
         scan = (row // LEAK_SLICES) % scans
         when = (drift, row, readout_us[scan], t0_us + scan * SLICE_US / scans, refractory_us, keys)
         optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, 0, width, line)
         made = _leak_row(line, reference[row], threshold[row], release_us[row], 0, *when, made)
-        sleep.lower2_px2[row] = np.inf
+        candidates.lower2_px2[row] = np.inf
         own = row - first_y
-        if 0 <= own < strip_rows:
+        if 0 <= own < window_rows:
             place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], object_seen[2])
-            optics.sample_texture_run(texture, *place, own, 0, strip_columns, line)
-            strip = (strip_reference[own], strip_threshold[own], strip_release_us[own])
-            made = _leak_row(line, *strip, first_x, *when, made)
-            strip_sleep.wake_at[own] = -np.inf
-            strip_sleep.row_wakes_at[own] = -np.inf
+            optics.sample_texture_run(texture, *place, own, 0, window_columns, line)
+            pixels = (window.reference[own], window.threshold[own], window.release_us[own])
+            made = _leak_row(line, *pixels, first_x, *when, made)
+            window.candidate_runs.due_at[own] = -np.inf
+            window.candidate_runs.row_due_at[own] = -np.inf
     return made
 
 
@@ -131,18 +119,20 @@ def draw_leaking_rows(
 def leak_in_rows(
     level: NDArray[np.float32],
     first_row: int,
-    first_x: int,
-    first_y: int,
+    corner_px: tuple[int, int],
     drift: float,
-    reference: NDArray[np.float32],
-    threshold: NDArray[np.float32],
-    release_us: NDArray[np.float64],
-    refractory_us: float,
-    t0_us: float,
+    pixels: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]],
+    times: SliceTimes,
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Lower the references of every LEAK_SLICES-th row of an ideal camera; that of a blind pixel is NaN."""
+    """Lower the references of every LEAK_SLICES-th row of an ideal camera; that of a blind pixel is NaN.
+
+    `corner_px` is where in the frame the first pixel lies; `pixels` are references, thresholds and release times.
+    """
+    reference, threshold, release_us = pixels
+    first_x, first_y = corner_px
+    _, t0_us, refractory_us = times
     rows, columns = reference.shape
     turn_us = SLICE_US * LEAK_SLICES / max(rows, LEAK_SLICES)
     for row in range(first_row, rows, LEAK_SLICES):

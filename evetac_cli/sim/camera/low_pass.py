@@ -1,12 +1,12 @@
 """The bandwidth of the camera's pixels: a first-order low pass, applied to what moves instead of to every pixel.
 
 A photoreceptor follows the log brightness L of its pixel with a time constant tau = 1 / (2 pi bandwidth). To filter
-the levels themselves would keep every pixel awake. Instead the positions of dots and object are filtered, and the
-camera looks at a picture that lags behind. The two are the same to first order: exactly where L is linear in the
+the levels themselves every pixel would have to be visited. Instead the positions of dots and object are filtered, and
+the camera sees a picture that lags behind. The two are the same to first order: exactly where L is linear in the
 position over the distance moved within tau, and that is where an edge moves by less than its own width meanwhile.
 Beyond that a true low pass blurs the passing edge as well, so that events come more spread in time, while here it is
-only late. Measured against a low pass of every pixel in tests/test_sim_low_pass.py. Changes of contrast (the object
-that comes into focus) and noise are not filtered.
+only late. tests/sim/camera/test_low_pass.py measures it against a low pass of every pixel. Changes of contrast (the
+object that comes into focus) and noise are not filtered.
 """
 
 import math
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 
 # Still and this near to where it belongs a point has arrived; a ten-thousandth of an edge changes no pixel's event, and
-# without an end nothing that once moved would ever sleep again.
+# without an end what once moved would be visited in every slice.
 SETTLED_PX = 1e-4
 # A piece of a path is at most as long as tau, down to this many in a slice, and scans fall on its vertices.
 MOST_PIECES = 50
@@ -58,7 +58,7 @@ def _follow(path: Floats, parts: int, tau_us: float, now: Floats, seen: Floats) 
     """The exact answer to straight pieces: a lag of velocity * tau, and what is left of the start dies away."""
     pieces = len(path) - 1
     part_us = SLICE_US / (pieces * parts)
-    kept = math.exp(-part_us / tau_us)
+    left = math.exp(-part_us / tau_us)
     for point in range(path.shape[1]):
         for axis in range(2):
             at = now[point, axis]
@@ -68,8 +68,8 @@ def _follow(path: Floats, parts: int, tau_us: float, now: Floats, seen: Floats) 
                 step = (path[piece + 1, point, axis] - begin) / parts
                 lag = step / part_us * tau_us
                 for part in range(parts):
-                    there = begin + part * step
-                    at = there + step - lag + (at - there + lag) * kept
-                    if step == 0.0 and abs(at - there) < SETTLED_PX:
-                        at = there
+                    target = begin + part * step
+                    at = target + step - lag + (at - target + lag) * left
+                    if step == 0.0 and abs(at - target) < SETTLED_PX:
+                        at = target
                     seen[piece * parts + part + 1, point, axis] = at

@@ -31,25 +31,24 @@ def add_noise(
     One Poisson process of all rates; a uniform number says whose event it is. `noise_rate_hz` is that of a pixel,
     `hot_pixel` y * width + x, `hot_cumulative_hz` the summed rates before each hot pixel, and of all.
     """
-    width, height = frame_px
-    background_hz = noise_rate_hz * width * height
+    background_hz = noise_rate_hz * frame_px[0] * frame_px[1]
     total_hz = background_hz + hot_cumulative_hz[-1]
     uniform = rng.random((rng.poisson(total_hz * SLICE_US * 1e-6), 2))
-    return int(_place(uniform, total_hz, background_hz, hot_pixel, hot_cumulative_hz, width, height, keys, made))
+    return int(_place(uniform, background_hz, hot_pixel, hot_cumulative_hz, frame_px, keys, made))
 
 
 @njit(cache=True)
 def _place(
     uniform: NDArray[np.float64],
-    total_hz: float,
     background_hz: float,
     hot_pixel: NDArray[np.int64],
     hot_cumulative_hz: NDArray[np.float64],
-    width: int,
-    height: int,
+    frame_px: tuple[int, int],
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
+    width, height = frame_px
+    total_hz = background_hz + hot_cumulative_hz[-1]
     for event in range(len(uniform)):
         place_hz = uniform[event, 0] * total_hz
         if place_hz < background_hz:

@@ -94,8 +94,8 @@ def level_index(profile: DotProfile) -> NDArray[np.int16]:
     """
     ink = np.float64(profile.level[0])
     levels = ink * (1.0 - np.arange(LEVEL_BINS + 1) / LEVEL_BINS)
-    found = np.searchsorted(profile.level[: PROFILE_STEPS + 1].astype(np.float64), levels, side="right") - 1
-    return found.astype(np.int16)
+    index = np.searchsorted(profile.level[: PROFILE_STEPS + 1].astype(np.float64), levels, side="right") - 1
+    return index.astype(np.int16)
 
 
 @njit(cache=True)
@@ -135,7 +135,7 @@ def squared_radius(
 
 
 @njit(cache=True)
-def sleeping_radii(
+def quiet_radii(
     reference: float,
     threshold: float,
     inner_px: float,

@@ -60,7 +60,7 @@ def _shift(points: Floats, nodes: Floats, indentation: Floats, at_points: Floats
     half_x = (high[0] - low[0] + nodes[0, 1, 0] - nodes[0, 0, 0]) / 2
     half_y = (high[1] - low[1] + nodes[1, 0, 1] - nodes[0, 0, 1]) / 2
     strength = STICKING_SHARE * SQUEEZE / height * depth / pressed
-    # gel leaves by the shorter way; 1/2 each on a disc
+    # gel leaves over the shorter distance; 1/2 each on a disc
     across_x = strength * half_y * half_y / (half_x * half_x + half_y * half_y)
     across_y = strength * half_x * half_x / (half_x * half_x + half_y * half_y)
     for point in range(len(points)):

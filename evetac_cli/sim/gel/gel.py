@@ -13,7 +13,7 @@ Model, in SI units, x down, y to the side, rotation from x to y:
 
 Why so: a step minimises one convex function of the node velocities and the object's twist (Moreau's time stepping). It
 is stable for any stiffness, mass, friction and time step, and sticking is exact: no creep, no regularisation speed.
-How the minimum is found: gel_balance.
+How the minimum is found: force_balance.
 
 theta: implicit Euler over theta * dt, then extrapolated to dt. 1 damps most and is of first order. 0.5 keeps the energy
 of oscillations and is of second order while nothing begins to stick or slip; but the velocities ring on after each
@@ -32,7 +32,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import cell_area
-from evetac_cli.sim.gel.step import Layer, spring, step_nodes
+from evetac_cli.sim.gel.time_step import FrictionLaw, Layer, Load, NodeArrays, StepSettings, spring, step_nodes
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -42,7 +42,7 @@ DECAY_M = 2.3e-3  # lateral decay of the motion of a layer 4 mm high outside a c
 
 @dataclass(frozen=True)
 class GelMaterial:
-    """What a pad is made of.
+    """Elasticity, density and losses of a pad, and its height.
 
     Shear modulus and height are those of a GelSight Mini gel (FEATS, from the same laboratory as Evetac). Density and
     losses (tan delta 0.1-0.2 at 100-500 Hz) are generic values, to be drawn at random. To leave out on request:
@@ -264,7 +264,7 @@ def step(
             "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
             f" found {theta}, {tolerance} and {max_sweeps}"
         )
-    fault = step_nodes(
+    arrays = NodeArrays(
         state.displacement_m,
         state.velocity_m_s,
         state.maxwell_n,
@@ -275,20 +275,11 @@ def step(
         state.twist,
         state.inertia,
         state.node_xy_m,
-        nodal,
-        force,
-        prescribed_twist is not None,
-        wanted,
-        float(friction.static),
-        float(friction.kinetic),
-        float(friction.stribeck_speed_m_s),
-        float(dt_s),
-        float(theta),
-        float(tolerance),
-        max_sweeps,
-        state._layer,
-        state._info,
     )
+    load = Load(nodal, force, prescribed_twist is not None, wanted)
+    law = FrictionLaw(float(friction.static), float(friction.kinetic), float(friction.stribeck_speed_m_s))
+    settings = StepSettings(float(dt_s), float(theta), float(tolerance), max_sweeps)
+    fault = step_nodes(arrays, load, law, settings, state._layer, state._info)
     if fault:
         raise ValueError(_FAULTS[fault])
     info = state._info.tolist()
@@ -369,9 +360,9 @@ def field_at(field: Floats, indices: NDArray[np.intp], weights: Floats) -> Float
     """Values (points, parts) of a field of the nodes, (rows, columns, parts), where `interpolation` says."""
     parts = field.shape[2]
     nodes = field.reshape(field.shape[0] * field.shape[1], parts)
-    found = np.zeros((len(indices), parts))
+    values = np.zeros((len(indices), parts))
     for point in range(len(indices)):
         for corner in range(indices.shape[1]):
             for part in range(parts):
-                found[point, part] += nodes[indices[point, corner], part] * weights[point, corner]
-    return found
+                values[point, part] += nodes[indices[point, corner], part] * weights[point, corner]
+    return values

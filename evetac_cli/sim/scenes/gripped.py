@@ -1,4 +1,4 @@
-"""A gripped object in simulation: gripper, gel, object and camera of one scene, advanced one slice at a time.
+"""Scenes with a gripper: gripper, gel, object and camera of one trial, advanced one slice at a time.
 
 Three kinds of scene. `ramp`: the object already hangs in a gripper under current control. `lift`: it stands on a table,
 the gripper starts just before touch, and a hand lifts the gripper; in its frame the table sinks. `hold`: the gripper
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.sim import gripper, scene
+from evetac_cli.sim import gripper, sampling
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
@@ -26,7 +26,7 @@ from evetac_cli.sim.gel.dilation import dilation
 GRAVITY_M_S2 = 9.81
 STEP_S = 1e-3
 THETA = 0.55  # of the time step: second order but for a trace, and no ringing after a stick event
-SLIP_PX = 0.5  # an object that slid further than this in gross slip slips (scenes.md: the true onset)
+SLIP_PX = 0.5  # an object that slid further than this in gross slip slips: the true onset
 EPISODE_MS = 3  # gross slip is over after so many slices with a stuck node
 CONTACT_N = 0.01
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
@@ -52,7 +52,7 @@ def pad(scene_: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> NDArray[np.
 
 
 def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
-    """The gel of an sensor: `GelMaterial` but for its shear modulus, and its loss_tangent where the row names one.
+    """The gel of a sensor: `GelMaterial` but for its shear modulus, and its loss_tangent where the row names one.
 
     The loss tangent of spring, dashpot tau and Maxwell arm (share g, time t) at w is
     (w tau + g wt / (1 + wt^2)) / (1 + g wt^2 / (1 + wt^2)); it is met by the choice of tau.
@@ -69,7 +69,7 @@ def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
 
 
 class GroundTruthSlip:
-    """Whether a body slips, and how far it slid: gross slip beyond half a pixel, in episodes (scenes.md section 4)."""
+    """Whether the object slips, and how far it slid: gross slip beyond half a pixel, in episodes."""
 
     def __init__(self, mm_per_px: float) -> None:
         self._mm_per_px = mm_per_px
@@ -99,7 +99,7 @@ class GroundTruthSlip:
 
 
 class GraspSimulation:
-    """Everything that exists in one trial: `command` is set from outside, `step` makes a slice, `truth` tells of it."""
+    """One trial with a gripper: `command` is set from outside, `step` makes a slice, `truth` says what happened."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class GraspSimulation:
         self._kind = self._scene["kind"]
         self._drop = self._scene.get("drop")
         object_params, sensor_row = plan["object_row"], plan["sensor_row"]
-        self.drawn = scene.draw(self._scene, object_params, mechanics, sensor_row, plan["object"])
+        self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
         self.gel_camera = GelCamera(
             sensor_row,
@@ -128,9 +128,9 @@ class GraspSimulation:
         self._build_mechanics(object_params, sensor_row)
         self.slices = 0
         self.finished = False
-        self._mass_kg = self.drawn.mass_kg
+        self._mass_kg = self.sampled.mass_kg
         self._lost_for = 0
-        self._account = GroundTruthSlip(self.gel_camera.mm_per_px)
+        self._slip = GroundTruthSlip(self.gel_camera.mm_per_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
         self._hand_m_s = 0.0
@@ -152,15 +152,15 @@ class GraspSimulation:
         if "texture" not in self._scene or not self._scene["gel"]["cut"]:
             return None
         rng = np.random.default_rng([TEXTURE_SEED, number])
-        return optics.texture(rng, TEXTURE_PX, self.drawn.texture_half_correlation_px, self.drawn.texture_log_sd)
+        return optics.texture(rng, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
 
     def _build_mechanics(self, object_params: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> None:
         nodes = pad(self._scene, sensor_row)
-        drawn = self.drawn
+        sampled = self.sampled
         width_m = float(object_params.get("grasped_width_mm", object_params["width_mm"])) * 1e-3
         upright = nodes if self._down == 0 else np.ascontiguousarray(nodes[..., ::-1])
         radius_m = float(object_params["width_mm"]) * 0.5e-3
-        self._gap = contact.gap_profile(upright - drawn.touch_m, object_params["shape"], radius_m, drawn.tilt_rad)
+        self._gap = contact.gap_profile(upright - sampled.touch_m, object_params["shape"], radius_m, sampled.tilt_rad)
         self._material = material(sensor_row)
         self._curve = contact.force_curve(
             self._gap,
@@ -170,7 +170,7 @@ class GraspSimulation:
             float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
         )
-        self.drive = gripper.drive_of(sensor_row, drawn.gear_friction_factor)
+        self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
         self.command: tuple[gripper.Mode, float]
         if self._kind == "ramp":
@@ -181,12 +181,12 @@ class GraspSimulation:
             self.finger = gripper.start(self.drive, self._curve, touch_ticks, away)
             self.command = ("position", self.finger.position_ticks)
         height_m = float(object_params["height_mm"]) * 1e-3
-        inertia = drawn.mass_kg * (height_m**2 + width_m**2) / 12
-        along, across = drawn.touch_m[0], drawn.touch_m[1] + drawn.lever_m
+        inertia = sampled.mass_kg * (height_m**2 + width_m**2) / 12
+        along, across = sampled.touch_m[0], sampled.touch_m[1] + sampled.lever_m
         middle_m = (along, across) if self._down == 0 else (across, along)
-        self._gel = gel.start(nodes, self._material, drawn.mass_kg, inertia, body_xy_m=middle_m)
+        self._gel = gel.start(nodes, self._material, sampled.mass_kg, inertia, body_xy_m=middle_m)
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
-        self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
+        self._friction = gel.Friction(sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s)
         self._window_from_middle_m: tuple[float, float] | None = None
         if self.gel_camera.window_px is not None and self._middle_m.any():
             window_px = np.array(self.gel_camera.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
@@ -198,9 +198,9 @@ class GraspSimulation:
         self._on_table = self._kind == "lift"
 
     def holding_ma(self) -> float:
-        """The current that closes to the drawn multiple of the force at the slip limit, and a little more if named."""
-        limit_n = self.drawn.mass_kg * GRAVITY_M_S2 / (2 * self.drawn.static_friction)
-        force_n = self.drawn.start_factor * limit_n + float(self._scene.get("gripper", {}).get("start_more_n", 0.0))
+        """The current that closes to the sampled multiple of the force at the slip limit, and more if named."""
+        limit_n = self.sampled.mass_kg * GRAVITY_M_S2 / (2 * self.sampled.static_friction)
+        force_n = self.sampled.start_factor * limit_n + float(self._scene.get("gripper", {}).get("start_more_n", 0.0))
         push_n = force_n * (1 + self.drive.friction_share) + self.drive.friction_n
         return float(np.ceil(push_n / self.drive.force_per_current_n_ma))
 
@@ -258,11 +258,11 @@ class GraspSimulation:
             self._catch_weight()
         if self._kind == "lift":
             info = self._move_over_table(nodal_n)
-        elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.drawn.floor_m):
+        elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.sampled.floor_m):
             info = self._solve(nodal_n, 0.0, held=True)  # something else still carries the object, or the floor does
         else:
             info = self._solve(nodal_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
-        self._account.follow(info, self.finger.force_n, self._down)
+        self._slip.follow(info, self.finger.force_n, self._down)
         self._shear_n = info.friction_n[:2]
 
     def _solve(self, nodal_n: NDArray[np.float64], force_n: float, *, held: bool = False, speed: float = 0.0) -> Any:
@@ -352,9 +352,9 @@ class GraspSimulation:
         row = {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": (moved_m * 1e3 / self.gel_camera.mm_per_px).astype(np.float32),
-            "truth/slid_px": self._account.slid_px,
-            "truth/slip": self._account.slips,
-            "truth/slip_fraction": self._account.fraction,
+            "truth/slid_px": self._slip.slid_px,
+            "truth/slip": self._slip.slips,
+            "truth/slip_fraction": self._slip.fraction,
             "truth/normal_force_n": self.finger.force_n,
             "truth/shear_force_n": self._shear_n,
             "truth/closing_ticks": self.finger.closing_ticks,

@@ -1,6 +1,6 @@
-"""A face that a hand or a robot presses on the gel and moves as planned: no gripper, no free object, no texture.
+"""Scenes of kind `press`: a face is pressed on the gel and moved as planned, without gripper, free object or texture.
 
-A scene of kind `press` names the face (a rectangle or a disc) and one of two motions. `waypoints` (shear): pressed on
+The scene names the face (a rectangle or a disc) and one of two motions. `waypoints` (shear): pressed on
 once, then moved to random places in a disc so small that nothing slips, with rests between. `strokes` (press): drawn
 over the whole gel in lines, lifted off between them, so that every dot is moved.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim import scene
+from evetac_cli.sim import sampling
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
@@ -41,7 +41,7 @@ class Timeline(NamedTuple):
 
 
 class Pressing:
-    """A trial of pressing: `step` makes a slice, `truth` tells of it."""
+    """A trial of pressing: `step` makes a slice, `truth` returns what only a simulation knows of it."""
 
     follows = False  # whether what is pressed is where the face is, or stays while the face shears it
 
@@ -65,17 +65,17 @@ class Pressing:
             outline=outline,
             outline_at_px=outline_at_px,
         )
-        self.drawn = scene.draw(self._scene, plan["object_row"], mechanics, sensor_row)
+        self.sampled = sampling.sample_trial(self._scene, plan["object_row"], mechanics, sensor_row)
         nodes = pad(self._scene, sensor_row)
         self._material = material(sensor_row)
         self._stiffness_n_m3 = float(sensor_row["normal_modulus_pa"]) / self._material.height_m
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
-        drawn = self.drawn
-        self._friction = gel.Friction(drawn.static_friction, drawn.kinetic_friction, drawn.stribeck_m_s)
+        sampled = self.sampled
+        self._friction = gel.Friction(sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
         self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
-        self._account = GroundTruthSlip(self.gel_camera.mm_per_px)
+        self._slip = GroundTruthSlip(self.gel_camera.mm_per_px)
         self._xy_m, self._force_n = self.timeline.at(0.0)
         self._shear_n = (0.0, 0.0)
         self.slices = 0
@@ -114,9 +114,9 @@ class Pressing:
                 ends = (low[along], high[along]) if number % 2 == 0 else (high[along], low[along])
                 first, last = (np.array([end, line])[:: 1 if along == 0 else -1] for end in ends)
                 start = entries[-1][0] + motion["approach_s"]
-                there = start + motion["press_s"]
-                done = there + np.linalg.norm(last - first) / (motion["speed_mm_s"] * 1e-3)
-                entries += [(start, first, 0.0), (there, first, motion["normal_n"]), (done, last, motion["normal_n"])]
+                pressed = start + motion["press_s"]
+                done = pressed + np.linalg.norm(last - first) / (motion["speed_mm_s"] * 1e-3)
+                entries += [(start, first, 0.0), (pressed, first, motion["normal_n"]), (done, last, motion["normal_n"])]
                 entries.append((done + motion["press_s"], last, 0.0))
         return timeline(entries)
 
@@ -152,7 +152,7 @@ class Pressing:
             prescribed_twist=np.array([*velocity, 0.0]),
         )
         self._xy_m, self._force_n, self._shear_n = xy_m, force_n if covered > 0 else 0.0, info.friction_n[:2]
-        self._account.follow(info, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
+        self._slip.follow(info, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated(weights)
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
         events = self.gel_camera.render(
@@ -186,9 +186,9 @@ class Pressing:
         return {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
-            "truth/slid_px": self._account.slid_px,
-            "truth/slip": self._account.slips,
-            "truth/slip_fraction": self._account.fraction,
+            "truth/slid_px": self._slip.slid_px,
+            "truth/slip": self._slip.slips,
+            "truth/slip_fraction": self._slip.fraction,
             "truth/normal_force_n": self._force_n,
             "truth/shear_force_n": self._shear_n,
         }

@@ -1,7 +1,7 @@
-"""An object with rims that a hand presses on the gel, shears, and rubs over it: the rims make most of the events.
+"""Scenes of kind `rub`: an object is pressed on the gel, sheared and rubbed over it; its edges make most events.
 
 What touches is the inside of the outline that the camera sees, an ellipse (a finger) or a ring (the handle of a pair of
-scissors), and its rims move with it. Apart from that a scene of kind `rub` is one of pressing.
+scissors), and the outline moves with it. Apart from that it is a scene of pressing.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
-from evetac_cli.sim.scene import Drawn
+from evetac_cli.sim.sampling import SampledTrial
 from evetac_cli.sim.scenes.gripped import STEP_S
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
 
@@ -28,17 +28,17 @@ SEEN_FROM_N = 0.2  # pressed with this much or more an object is in full view
 
 
 @dataclass(frozen=True)
-class DrawnRub(Drawn):
-    """What was drawn for one trajectory: frictions as in all scenes, and the object."""
+class SampledRub(SampledTrial):
+    """What was sampled for one trial: frictions as in all scenes, and the object."""
 
     object_name: str
     normal_n: float
-    rim_log: float
-    rim_width_px: float
+    edge_log_contrast: float
+    edge_blur_px: float
 
 
 class Rubbing(Pressing):
-    """A trial of rubbing: `step` makes a slice, `truth` tells of it."""
+    """A trial of rubbing: `step` makes a slice, `truth` returns what only a simulation knows of it."""
 
     follows = True
 
@@ -48,18 +48,18 @@ class Rubbing(Pressing):
         """Build what a plan names: scene, sensor_row."""
         rub = plan["scene"]["rub"]
         object_name = str(mechanics.choice(rub["objects"]))
-        log, width_px = (float(mechanics.uniform(*rub[key])) for key in ("rim_log", "rim_width_px"))
+        contrast, blur_px = (float(mechanics.uniform(*rub[key])) for key in ("edge_log_contrast", "edge_blur_px"))
         self._normal_n = float(mechanics.uniform(*rub["normal_n"]))
         self._size_px, self._thick_px = np.array(SIZES_PX[object_name]), THICK_PX[object_name]
-        outline = contact_edges.ellipse(self._size_px, log, width_px, self._thick_px)
+        outline = contact_edges.ellipse(self._size_px, contrast, blur_px, self._thick_px)
         far_px = np.array(
             [mechanics.uniform(*span) for span in STARTS_PX]
         )  # to one side: the first rub crosses the view
         self._starts_px: Floats = far_px * mechanics.choice([-1.0, 1.0], 2)
         super().__init__(plan, mechanics, optics_rng, outline, np.array(FRAME_PX) / 2 + self._starts_px)
-        base: dict[str, Any] = asdict(self.drawn)
-        self.drawn = DrawnRub(
-            **base, object_name=object_name, normal_n=self._normal_n, rim_log=log, rim_width_px=width_px
+        base: dict[str, Any] = asdict(self.sampled)
+        self.sampled = SampledRub(
+            **base, object_name=object_name, normal_n=self._normal_n, edge_log_contrast=contrast, edge_blur_px=blur_px
         )
 
     def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
@@ -118,7 +118,7 @@ class Rubbing(Pressing):
 
 
 def _inside(from_centre: Floats, half: Floats) -> Floats:
-    """How far points (..., 2) lie inside an ellipse, to first order at its rim."""
+    """How far points (..., 2) lie inside an ellipse, to first order at its edge."""
     scaled = np.linalg.norm(from_centre / half, axis=-1)
     steep = np.linalg.norm(from_centre / half**2, axis=-1)
     inside: Floats = scaled * (1.0 - scaled) / np.maximum(steep, 1e-9) + (scaled == 0.0) * half.min()

@@ -1,4 +1,4 @@
-"""A speaker pressed on the gel: a pure tone along the normal, as the dots see it, in closed form.
+"""Scenes of kind `tone`: a speaker pressed on the gel plays a pure tone; the motion of the dots, in closed form.
 
 The surface moves s(t) = A [sin wt + h2 sin(2wt + 90 deg)] (1 + m sin(wt/2 + phase)): a tone, its second harmonic, and a
 subharmonic, which a rattling contact makes. h2 and m drift slowly. Written out, s is a sum of five waves, at f/2 to
@@ -35,7 +35,7 @@ from evetac_cli.sim.scenes.gripped import material
 
 ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # of the tone: the waves of the surface
 FADE_S = 0.02  # the tone comes and goes smoothly, as its response is the stationary one
-PIECES = 5  # a slice, or a multiple: the scanning camera looks 5 times, so it interpolates nothing
+PIECES = 5  # a slice, or a multiple: the scanning camera scans 5 times a slice, so it interpolates nothing
 PIECES_A_PERIOD = 16  # at least; 8 of the second harmonic
 BLOCK = 50  # slices whose waves are evaluated at once: 0.3 ms a slice otherwise, as numpy is slow to begin
 
@@ -48,14 +48,14 @@ def waves(second_harmonic: Floats, modulation: Floats, phase_rad: float) -> Comp
 
     `second_harmonic` and `modulation` are h2 and m, of one shape.
     """
-    horizon_ms = np.exp(1j * phase_rad)
+    turn = np.exp(1j * phase_rad)
     half = modulation / 2
     parts = (
-        half * horizon_ms.conjugate(),
+        half * turn.conjugate(),
         np.full_like(half, -1j, np.complex128),
-        -half * horizon_ms + 1j * half * second_harmonic * horizon_ms.conjugate(),
+        -half * turn + 1j * half * second_harmonic * turn.conjugate(),
         second_harmonic + 0j,
-        -1j * half * second_harmonic * horizon_ms,
+        -1j * half * second_harmonic * turn,
     )
     return np.stack(parts, axis=-1)
 
@@ -92,7 +92,9 @@ class Drift(NamedTuple):
     value: Floats
 
     @classmethod
-    def draw(cls, low: float, high: float, hold_s: tuple[float, float], end_s: float, rng: np.random.Generator) -> Any:
+    def sample(
+        cls, low: float, high: float, hold_s: tuple[float, float], end_s: float, rng: np.random.Generator
+    ) -> Any:
         """Values uniform in [low, high], each reached a time uniform in `hold_s` after the one before, up to end_s."""
         if not (0.0 < hold_s[0] <= hold_s[1] and math.isfinite(end_s)):
             raise ValueError(f"hold_s: expected 0 < shortest <= longest, found {hold_s}")
@@ -111,8 +113,8 @@ class Drift(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DrawnTone:
-    """What was drawn for one tone from the ranges of its scene; h2 and m are in the truth of every slice."""
+class SampledTone:
+    """What was sampled for one tone from the ranges of its scene; h2 and m are in the truth of every slice."""
 
     tone_hz: float
     amplitude_um: float
@@ -138,7 +140,7 @@ class Motion(NamedTuple):
 
 
 class Vibration:
-    """A trial with one tone: `step` makes a slice, `truth` tells of it."""
+    """A trial with one tone: `step` makes a slice, `truth` returns what only a simulation knows of it."""
 
     def __init__(
         self, plan: Mapping[str, Any], mechanics: np.random.Generator, optics_rng: np.random.Generator
@@ -171,10 +173,10 @@ class Vibration:
 
         hold_s = tuple(tone["drift_s"])
         low, high = (_table(tone, f"second_harmonic_{end}", self._hz) for end in ("least", "most"))
-        self._second_harmonic = Drift.draw(low, high, hold_s, self._time["tone_s"], mechanics)
+        self._second_harmonic = Drift.sample(low, high, hold_s, self._time["tone_s"], mechanics)
         most = _table(tone, "modulation_most", self._hz)
-        self._modulation = Drift.draw(0.0, most, hold_s, self._time["tone_s"], mechanics)
-        self.drawn = DrawnTone(
+        self._modulation = Drift.sample(0.0, most, hold_s, self._time["tone_s"], mechanics)
+        self.sampled = SampledTone(
             tone_hz=self._hz,
             amplitude_um=self._amplitude_m * 1e6,
             tangential_share=share,
@@ -224,7 +226,7 @@ class Vibration:
             np.where(sounding > 0.0, drift.at(since_s), 0.0) for drift in (self._second_harmonic, self._modulation)
         )
         turns = np.exp(2j * np.pi * self._hz * ORDERS * since_s[:, None])
-        moving = waves(h2, m, self.drawn.subharmonic_phase_rad) * turns * amplitude_m[:, None]
+        moving = waves(h2, m, self.sampled.subharmonic_phase_rad) * turns * amplitude_m[:, None]
         depth_m = force_n * self._depth_m_n + moving.sum(axis=1).real
         return Motion(force_n, depth_m, (moving @ self._along).real, amplitude_m, h2, m)
 

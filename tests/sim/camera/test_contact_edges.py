@@ -14,7 +14,7 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.numerics.simulator.camera_cost import FineEvents, fine, match
 from evetac_cli.sim.camera import contact_edges, optics
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
-from evetac_cli.sim.camera.ideal import ideal
+from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 
@@ -105,7 +105,7 @@ def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[
     """Dots or texture, and lines, of the whole frame."""
     dots, object_params, where = between(motion, k, part)
     level = optics.gel_level(FRAME, dots, state.profile).astype(float)
-    if state.strip_level.size:
+    if state.window_level.size:
         x0, y0, x1, y1 = STRIP
         strip = np.empty((y1 - y0, x1 - x0), np.float32)
         optics.sample_texture(TEXTURE, x0, y0, object_params[0], object_params[1], 1.0, strip)
@@ -116,12 +116,12 @@ def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[
 def references(state: CameraState, motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Absolute references and thresholds of all pixels when the camera is switched on."""
     reference, threshold = state.reference.astype(float), state.threshold.astype(float)
-    if state.strip_level.size:
+    if state.window_level.size:
         x0, y0, x1, y1 = STRIP
         strip = np.empty((y1 - y0, x1 - x0), np.float32)
         optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, strip)
-        reference[y0:y1, x0:x1] = state.strip_reference + strip
-        threshold[y0:y1, x0:x1] = state.strip_threshold
+        reference[y0:y1, x0:x1] = state.window_reference + strip
+        threshold[y0:y1, x0:x1] = state.window_threshold
     return reference + lines_level(motion(0)[2]), threshold
 
 
@@ -166,20 +166,20 @@ def test_scans_see_dots_lines_and_texture_together(name: str, window: bool) -> N
     motion, slices = MOTIONS[name]
     state = start(motion, window=window)
     expected = every_pixel(copy.deepcopy(state), motion, slices)
-    found = fine(play(camera.step, state, motion, slices))
-    agreement = match(found, expected, 1.0)
+    result = fine(play(camera.step, state, motion, slices))
+    agreement = match(result, expected, 1.0)
     assert expected.t.size > 1000
     assert agreement.count_share == pytest.approx(0.0, abs=0.01)
     # A level looked at 0.005 late is one scan late: more often so where lines fade slowly than where they move.
     assert agreement.f1 >= (0.97 if name == "slide" else 0.85)
-    assert match(found, expected, 1000.0).f1 >= 0.985
+    assert match(result, expected, 1000.0).f1 >= 0.985
 
 
 def test_one_event_a_pixel_and_scan() -> None:
     """Assert that dots, texture, rim and cut edge in one pixel still make at most one event a scan."""
-    found = play(camera.step, start(slide), slide, 24)
-    columns = np.stack([found.t, found.x, found.y], axis=1)
-    assert len(np.unique(columns, axis=0)) == found.size > 2000
+    result = play(camera.step, start(slide), slide, 24)
+    columns = np.stack([result.t, result.x, result.y], axis=1)
+    assert len(np.unique(columns, axis=0)) == result.size > 2000
 
 
 @pytest.mark.parametrize("window", [True, False])
@@ -189,14 +189,14 @@ def test_ideal_against_fine_steps(name: str, window: bool) -> None:
     motion, slices = MOTIONS[name]
     state = start(motion, window=window)
     expected = finely(copy.deepcopy(state), motion, slices, 250)
-    found = fine(play(ideal.step, ideal.from_references(state), motion, slices))
-    agreement = match(found, expected, 5.0)
+    result = fine(play(ideal.step, ideal.from_references(state), motion, slices))
+    agreement = match(result, expected, 5.0)
     assert agreement.count_share == pytest.approx(0.0, abs=2e-3)
     assert agreement.f1 >= 0.98
 
 
 def test_time_error_falls_with_the_square_of_substeps() -> None:
-    """Assert a slope of 2 of log time error over log sub-step for rims that move evenly."""
+    """Assert a slope of 2 of log time error over log sub-step for edges that move evenly."""
 
     def fast(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
         return DOTS, np.zeros(2), place(20 + 6.0 * t_ms, 45.0 + 1.0 * t_ms)
@@ -206,8 +206,8 @@ def test_time_error_falls_with_the_square_of_substeps() -> None:
     steps_px = np.array([6.1, 3.05, 1.525])
     errors = []
     for step_px in steps_px.tolist():
-        found = fine(play(ideal.step, ideal.from_references(copy.deepcopy(state), step_px), fast, 12))
-        errors.append(np.sqrt(np.mean(match(found, truth).error_us ** 2)))
+        result = fine(play(ideal.step, ideal.from_references(copy.deepcopy(state), step_px), fast, 12))
+        errors.append(np.sqrt(np.mean(match(result, truth).error_us ** 2)))
     slope = np.polyfit(np.log(steps_px), np.log(errors), 1)[0]
     assert 1.7 <= slope <= 2.3
     assert errors[0] > 10.0
@@ -262,11 +262,11 @@ def test_cut_edge_shows_on_both_sides(step: Any) -> None:
     in_gel = in_window = 0
     for k in range(25):
         (dots, object_params, begin), end = swing(k), swing(k + 1)[2]
-        found = step(used, dots, dots, object_params, object_params, 1.0, 1000 * k, rng, None, begin, end)
-        in_window += int((found.x >= STRIP[0]).sum())
-        in_gel += int((found.x < STRIP[0]).sum())
+        result = step(used, dots, dots, object_params, object_params, 1.0, 1000 * k, rng, None, begin, end)
+        in_window += int((result.x >= STRIP[0]).sum())
+        in_gel += int((result.x < STRIP[0]).sum())
         assert state.contact_edges is not None
-        assert step is ideal.step or state.contact_edges.events == found.size
+        assert step is ideal.step or state.contact_edges.events == result.size
     assert min(in_gel, in_window) > 500
 
 
@@ -279,16 +279,16 @@ def test_count_of_a_passing_rim() -> None:
     def rise(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
         return np.empty((0, 2)), np.zeros(2), place(60.0, 45.0, min(t_ms / 40.0, 1.0))
 
-    found = play(camera.step, start(rise, model, window=False), rise, 41)
+    result = play(camera.step, start(rise, model, window=False), rise, 41)
     steps = FINGER.picture.astype(float).ravel() / model.threshold
     expected = sum(np.clip((steps - k) / 2, 0, 1).sum() for k in range(4))
     assert top == pytest.approx(0.5, abs=0.01)
     assert (rows, columns) <= (FRAME[1], FRAME[0])
-    assert found.size == pytest.approx(expected, rel=0.06)
+    assert result.size == pytest.approx(expected, rel=0.06)
 
 
 def test_ellipse_is_phi_of_the_depth() -> None:
-    """Assert L = s Phi(d / w) on the axes of a finger, and for every pixel of a circle; a ring has two rims."""
+    """Assert L = s Phi(d / w) on the axes of a finger, and for every pixel of a circle; a ring has two edges."""
     level, width = 0.5, 8.0
     for size in ((250.0, 180.0), (180.0, 250.0)):
         finger = contact_edges.ellipse(size, level, width)
@@ -380,8 +380,8 @@ def test_step_refuses(step: Any, where: Place | None) -> None:
     np.testing.assert_array_equal(state.reference, before)
 
 
-def test_camera_without_rims_refuses_places() -> None:
+def test_camera_without_lines_refuses_places() -> None:
     """Assert that places are refused where there is nothing at them."""
     state = camera.start(QUIET, DOTS, None, None, None, np.random.default_rng(0))
-    with pytest.raises(ValueError, match="rims"):
+    with pytest.raises(ValueError, match="contact_edges_start"):
         camera.step(state, DOTS, DOTS, STILL, STILL, 0.0, 0, np.random.default_rng(0), None, place(1, 1), place(1, 1))

@@ -14,5 +14,5 @@ def test_columns_are_the_events_by_time(events: list[tuple[int, int, int, bool]]
     """Assert that keys become the very events, sorted by time, those of one time in the order in which they came."""
     keys = np.array([event_key(*event) for event in events], np.int64)
     t, x, y, p = sorted_columns(keys, t0_us)
-    found = list(zip((t - t0_us).tolist(), x.tolist(), y.tolist(), p.tolist(), strict=True))
-    assert found == [(time, x, y, int(p)) for time, x, y, p in sorted(events, key=lambda event: event[0])]
+    result = list(zip((t - t0_us).tolist(), x.tolist(), y.tolist(), p.tolist(), strict=True))
+    assert result == [(time, x, y, int(p)) for time, x, y, p in sorted(events, key=lambda event: event[0])]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import concatenate
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.camera.ideal import ideal
+from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.scene import sensor_row
@@ -70,14 +70,14 @@ def test_no_bandwidth_is_refused(bandwidth_hz: float) -> None:
 
 def straight(time_us: Floats) -> Floats:
     """1 px/ms from 2 ms on, on a slant."""
-    way = np.maximum(time_us - 2000.0, 0.0) / 1000.0
-    return np.array([20.0, 19.5]) + way[:, None] * np.array([0.8, 0.6])
+    travel = np.maximum(time_us - 2000.0, 0.0) / 1000.0
+    return np.array([20.0, 19.5]) + travel[:, None] * np.array([0.8, 0.6])
 
 
 def shaken(time_us: Floats) -> Floats:
     """0.35 px at 200 Hz, from 2 ms on."""
-    way = 0.35 * np.sin(2 * np.pi * 200e-6 * np.maximum(time_us - 2000.0, 0.0))
-    return np.array([23.3, 19.5]) + way[:, None] * np.array([0.8, 0.6])
+    travel = 0.35 * np.sin(2 * np.pi * 200e-6 * np.maximum(time_us - 2000.0, 0.0))
+    return np.array([23.3, 19.5]) + travel[:, None] * np.array([0.8, 0.6])
 
 
 def by_motion(motion: Motion, bandwidth_hz: float | None, slices: int) -> tuple[Fired, Floats]:
@@ -104,7 +104,7 @@ def by_level(motion: Motion, bandwidth_hz: float, slices: int, reference: Floats
     y, x = np.mgrid[: MODEL.frame_px[1], : MODEL.frame_px[0]]
     time_us = np.arange(0.0, slices * 1000.0 + FINE_US, FINE_US)
     place = motion(time_us)
-    kept = math.exp(-FINE_US / tau)
+    left = math.exp(-FINE_US / tau)
     fired: Fired = defaultdict(list)
     for k in range(len(time_us)):
         radius = np.hypot(x - place[k, 0], y - place[k, 1])
@@ -113,7 +113,7 @@ def by_level(motion: Motion, bandwidth_hz: float, slices: int, reference: Floats
             before, seen = level, level
             continue
         lag = (level - before) / FINE_US * tau
-        was, seen, before = seen, level - lag + (seen - before + lag) * kept, level
+        was, seen, before = seen, level - lag + (seen - before + lag) * left, level
         while (far := np.abs(seen - reference) >= MODEL.threshold).any():
             towards = np.sign(seen - reference)
             target = reference + towards * MODEL.threshold

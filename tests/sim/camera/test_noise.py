@@ -10,7 +10,7 @@ FRAME = (64, 48)
 HOT = (np.array([5 * 64 + 3, 40 * 64 + 60]), np.array([0.0, 2000.0, 8000.0]))
 
 
-def drawn(noise_rate_hz: float, slices: int) -> tuple[np.ndarray, np.ndarray]:
+def sampled(noise_rate_hz: float, slices: int) -> tuple[np.ndarray, np.ndarray]:
     """Pixels and polarities of the noise of some slices."""
     rng = np.random.default_rng(0)
     keys = np.empty(10_000, np.int64)
@@ -25,17 +25,17 @@ def drawn(noise_rate_hz: float, slices: int) -> tuple[np.ndarray, np.ndarray]:
 def test_rates() -> None:
     """Assert the asked rates of background and of each hot pixel within 5 sd of a Poisson count, polarities even."""
     slices = 2000
-    pixels, signs = drawn(3.0, slices)
+    pixels, signs = sampled(3.0, slices)
     hot = [np.count_nonzero(pixels == pixel) for pixel in HOT[0]]
     background = len(pixels) - sum(hot)
-    for found, rate_hz in ((hot[0], 2003.0), (hot[1], 6003.0), (background, 3.0 * (64 * 48 - 2))):
-        assert found == pytest.approx(rate_hz * slices * 1e-3, abs=5 * (rate_hz * slices * 1e-3) ** 0.5)
+    for result, rate_hz in ((hot[0], 2003.0), (hot[1], 6003.0), (background, 3.0 * (64 * 48 - 2))):
+        assert result == pytest.approx(rate_hz * slices * 1e-3, abs=5 * (rate_hz * slices * 1e-3) ** 0.5)
     assert signs.mean() == pytest.approx(0.5, abs=5 * 0.5 / len(signs) ** 0.5)
 
 
 def test_silence() -> None:
     """Assert that without background only hot pixels fire."""
-    assert set(drawn(0.0, 50)[0].tolist()) == set(HOT[0].tolist())
+    assert set(sampled(0.0, 50)[0].tolist()) == set(HOT[0].tolist())
 
 
 def test_full_keys_are_counted() -> None:

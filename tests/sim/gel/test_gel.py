@@ -8,8 +8,8 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from evetac_cli.sim.gel.balance import shrink
 from evetac_cli.sim.gel.contact import cell_area, gap_profile, pad_nodes, pressure
+from evetac_cli.sim.gel.force_balance import friction_projection
 from evetac_cli.sim.gel.gel import Friction, GelMaterial, displacement_at, energy, interpolation, start, step
 
 GRAVITY = 9.81
@@ -100,7 +100,7 @@ def drag(influence, traction, bound, along_x_m, sweeps):
             ease = 1.0 / influence[2 * node, 2 * node]
             x = traction[2 * node] + ease * (along_x_m - influence[2 * node] @ traction)
             y = traction[2 * node + 1] - ease * (influence[2 * node + 1] @ traction)
-            held = 1.0 - shrink(x, y, bound[node])
+            held = 1.0 - friction_projection(x, y, bound[node])
             change = max(change, abs(held * x - traction[2 * node]), abs(held * y - traction[2 * node + 1]))
             traction[2 * node] = held * x
             traction[2 * node + 1] = held * y
@@ -307,8 +307,8 @@ def test_stuck_object_does_not_creep():
         load = min(1.0, k / 500) * 0.1 * GRAVITY
         step(state, nodal, (load, 0, 0), COULOMB, 1e-3, tolerance=1e-10)
         if k == 999:
-            there = state.pose.copy()
-    np.testing.assert_allclose(state.pose, there, atol=1e-11)
+            pose_before = state.pose.copy()
+    np.testing.assert_allclose(state.pose, pose_before, atol=1e-11)
     assert state.stuck.all()
     stiffness = 2 * 145e3 * 20e-3 * 15e-3 / 4e-3
     assert state.pose[0] == pytest.approx(0.1 * GRAVITY / stiffness, rel=1e-6)
@@ -530,9 +530,9 @@ def test_interpolation_is_exact_for_linear_fields():
     assert indices.shape == weights.shape == (200, 4)
     np.testing.assert_allclose(weights.sum(1), 1, rtol=1e-12)
     assert (weights >= 0).all()
-    found = displacement_at(state, indices, weights)
+    result = displacement_at(state, indices, weights)
     x, y = points.T
-    np.testing.assert_allclose(found, np.stack([1e-5 + 0.2 * x - 0.1 * y, x * y], axis=-1), atol=1e-15)
+    np.testing.assert_allclose(result, np.stack([1e-5 + 0.2 * x - 0.1 * y, x * y], axis=-1), atol=1e-15)
     at_nodes = displacement_at(state, *interpolation(nodes, nodes.reshape(-1, 2)))
     np.testing.assert_allclose(at_nodes, state.displacement_m.reshape(-1, 2), atol=1e-18)
 
@@ -543,9 +543,9 @@ def test_interpolation_decays_outside():
     state = held(nodes)
     state.displacement_m[..., 0] = 1.0
     points = np.array([[10e-3, 0], [12.3e-3, 0], [-14.6e-3, 0], [0, 9.8e-3], [13e-3, 11.5e-3], [5.0, 5.0]])
-    found = displacement_at(state, *interpolation(nodes, points))[:, 0]
+    result = displacement_at(state, *interpolation(nodes, points))[:, 0]
     expected = [1, math.exp(-1), math.exp(-2), math.exp(-1), math.exp(-5 / 2.3), 0]
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-30)
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-30)
     assert displacement_at(state, *interpolation(nodes, np.empty((0, 2)))).shape == (0, 2)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from evetac_cli import params
 from evetac_cli.errors import SceneError
 from evetac_cli.resources import SCENES
-from evetac_cli.sim import gripper, scene
+from evetac_cli.sim import gripper, sampling, scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.scene import plan
@@ -50,7 +50,7 @@ def test_object_hangs_still(number: int) -> None:
     held = world(number)
     rows = run(held, 1100)
     assert not any(row["truth/slip"] for row in rows)
-    assert held.finger.force_n > held.drawn.mass_kg * GRAVITY_M_S2 / (2 * held.drawn.static_friction)
+    assert held.finger.force_n > held.sampled.mass_kg * GRAVITY_M_S2 / (2 * held.sampled.static_friction)
     dots = np.array([rows[at]["truth/dot_xy_px"] for at in (1000, 1099)])
     assert np.abs(dots[1] - dots[0]).max() < 0.01
     assert dots[1][:, 0].max() - held.gel_camera.grid_xy_px[..., 0].max() >= 0  # hangs along +x
@@ -61,10 +61,10 @@ def test_quasi_static_onset(made: Made) -> None:
     """Assert that slip begins within 40 ms of the moment when twice the friction limit no longer carries the weight."""
     for path in made.recordings:
         with open_recording(path) as recording:
-            drawn = json.loads(recording.read("truth/sampled_parameters"))
+            samples = json.loads(recording.read("truth/sampled_parameters"))
             force = recording.read("truth/normal_force_n")
             slip = np.flatnonzero(recording.read("truth/slip"))
-        limit_n = drawn["mass_kg"] * GRAVITY_M_S2 / (2 * drawn["static_friction"])
+        limit_n = samples["mass_kg"] * GRAVITY_M_S2 / (2 * samples["static_friction"])
         lost = np.flatnonzero(force < limit_n)[0]
         assert len(slip)
         assert abs(int(slip[0]) - int(lost)) <= 40
@@ -107,7 +107,7 @@ def test_seeds_are_enough() -> None:
     same = [world(8, seed=3).step() for _ in range(2)]
     assert same[0].t.tolist() == same[1].t.tolist()
     assert same[0].x.tolist() == same[1].x.tolist()
-    assert world(8, seed=3).drawn != world(8, seed=4).drawn
+    assert world(8, seed=3).sampled != world(8, seed=4).sampled
 
 
 def test_window_dots_do_not_exist() -> None:
@@ -138,14 +138,14 @@ def test_loss_tangent(tangent: float) -> None:
 
 def test_gripper_of_an_individual() -> None:
     """Assert that a drawn gripper pushes with its servo's stiffness, at two ticks as hard as named."""
-    assert gripper.drive_of(scene.sensor_row("evetac")) == gripper.Drive()
+    assert gripper.make_drive(scene.sensor_row("evetac")) == gripper.Drive()
     for number in range(20):
         row = scene.sensor_row(f"randomized:{number}")
-        drive = gripper.drive_of(row)
+        drive = gripper.make_drive(row)
         servo_n_tick = drive.gain_ma_tick * drive.force_per_current_n_ma
         assert servo_n_tick == pytest.approx(row["gripper"]["servo_n_tick"])
         assert 0.08 <= 2 * servo_n_tick - drive.friction_n <= 0.18
-        assert gripper.drive_of(row, 0.5).friction_n == pytest.approx(0.5 * drive.friction_n)
+        assert gripper.make_drive(row, 0.5).friction_n == pytest.approx(0.5 * drive.friction_n)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
@@ -154,15 +154,15 @@ def test_drawn_individuals_hold(number: int) -> None:
     held = world(8, sensor=f"randomized:{number}")
     rows = run(held, 900)
     assert not any(row["truth/slip"] for row in rows)
-    assert rows[-1]["truth/shear_force_n"][0] == pytest.approx(held.drawn.mass_kg * GRAVITY_M_S2 / 2, rel=1e-3)  # type: ignore[index]
+    assert rows[-1]["truth/shear_force_n"][0] == pytest.approx(held.sampled.mass_kg * GRAVITY_M_S2 / 2, rel=1e-3)  # type: ignore[index]
     row = scene.sensor_row(f"randomized:{number}")
     sinks_px = rows[-1]["truth/object_xy_px"][0] * row["mm_per_px"] * row["shear_modulus_pa"]  # type: ignore[index]
-    assert 100 < sinks_px / held.drawn.mass_kg / 1e3 < 1e4
+    assert 100 < sinks_px / held.sampled.mass_kg / 1e3 < 1e4
     assert held.gel_camera.grid_xy_px.shape == (7, 8, 2)
 
 
 def test_every_drawn_grid_is_whole() -> None:
-    """Assert that the cut gel of 50 drawn individuals keeps 7 rows of 8 dots, in the frame and off the window."""
+    """Assert that the cut gel of 50 sampled sensors keeps 7 rows of 8 dots, in the frame and off the window."""
     for number in range(50):
         row = scene.sensor_row(f"randomized:{number}")
         grid = dot_grid(row, cut=True)
@@ -173,10 +173,12 @@ def test_every_drawn_grid_is_whole() -> None:
 
 
 def off_middle(monkeypatch: pytest.MonkeyPatch, number: int, **changes: Any) -> GraspSimulation:
-    """A held object with one draw replaced."""
-    drawing = scene.draw
+    """A held object with some of what is sampled replaced."""
+    sample = sampling.sample_trial
     with monkeypatch.context() as patch:
-        patch.setattr(scene, "draw", lambda *given: dataclasses.replace(drawing(*given), tilt_rad=0.0, **changes))
+        patch.setattr(
+            sampling, "sample_trial", lambda *given: dataclasses.replace(sample(*given), tilt_rad=0.0, **changes)
+        )
         return world(number)
 
 
@@ -214,9 +216,9 @@ def test_pushes_and_grip_of_the_data_rate_scene() -> None:
         for at_s, force_n in zip(push["at_s"], push["force_n"], strict=True):
             pushed.slices = round((at_s + after_s) * 1000)
             assert pushed._push() == pytest.approx(share * force_n, abs=1e-9)
-    limit_n = pushed.drawn.mass_kg * GRAVITY_M_S2 / (2 * pushed.drawn.static_friction)
+    limit_n = pushed.sampled.mass_kg * GRAVITY_M_S2 / (2 * pushed.sampled.static_friction)
     force_n = (drive.force_per_current_n_ma * pushed.holding_ma() - drive.friction_n) / (1 + drive.friction_share)
-    assert 0.0 <= force_n - pushed.drawn.start_factor * limit_n - 1.0 <= drive.force_per_current_n_ma  # whole mA
+    assert 0.0 <= force_n - pushed.sampled.start_factor * limit_n - 1.0 <= drive.force_per_current_n_ma  # whole mA
 
 
 RGB_BYTES_S = 540 * 480 * 3 * 25  # of the frame that is compared with, 25 times a second
@@ -267,11 +269,11 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
 def test_data_rates_are_the_papers(tmp_path: Path) -> None:
     """Assert that five trajectories of the data-rate scene have the paper's mean data rates, and its peaks."""
     recipe = params.Record(scene="data-rate", count=5)
-    found = []
+    result = []
     for job in record.jobs([], recipe, tmp_path):
         record.run(job, recipe)
-        found.append(ratios(job.output))
-    whole, contact, about_slip, most_kb = np.mean(found, axis=0)
+        result.append(ratios(job.output))
+    whole, contact, about_slip, most_kb = np.mean(result, axis=0)
     assert whole == pytest.approx(0.017, abs=0.008)
     assert contact == pytest.approx(0.028, abs=0.016)
     assert about_slip == pytest.approx(0.119, abs=0.03)

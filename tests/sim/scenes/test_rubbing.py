@@ -1,4 +1,4 @@
-"""The edge scene: an object with rims that a hand rubs over the gel."""
+"""The edge scene: an object with edges that a hand rubs over the gel."""
 
 import json
 from typing import Any
@@ -50,32 +50,32 @@ def test_most_events_are_not_from_dots(object_name: str, sensor: str, gel: str) 
     assert 1.0 <= force[810] <= trial._normal_n  # the part beside the pad presses on nothing
     assert force[:490].max() == force[-990:].max() == 0.0
     assert lines[:490].max() == lines[-900:].max() == 0
-    way = np.linalg.norm(np.diff(column(rows, "object_xy_px"), axis=0), axis=1)
-    assert way[820:1780].sum() == pytest.approx(32.0, rel=0.02)
-    assert way[rubs].sum() * trial.gel_camera.mm_per_px == pytest.approx(3 * 18.0, rel=0.01)
-    assert way.max() * trial.gel_camera.mm_per_px == pytest.approx(0.1, rel=0.01)  # mm in a ms at the peak
+    travel = np.linalg.norm(np.diff(column(rows, "object_xy_px"), axis=0), axis=1)
+    assert travel[820:1780].sum() == pytest.approx(32.0, rel=0.02)
+    assert travel[rubs].sum() * trial.gel_camera.mm_per_px == pytest.approx(3 * 18.0, rel=0.01)
+    assert travel.max() * trial.gel_camera.mm_per_px == pytest.approx(0.1, rel=0.01)  # mm in a ms at the peak
 
 
 def test_drawn_and_dry() -> None:
-    """Assert that the truth tells what was drawn, that both objects come up, and that the parts name the rims."""
+    """Assert that the truth says what was sampled, both objects come up, and the parts name the contact edges."""
     made = plan("edge", "8", "evetac", ("rub",))[0]
-    drawn = [json.loads(str(rig(made, np.random.SeedSequence(seed)).drawn)) for seed in range(8)]
-    assert {one["object_name"] for one in drawn} == {"finger", "handle"}
-    assert all(0.55 <= one["rim_log"] <= 0.8 and 1.5 <= one["rim_width_px"] <= 3 for one in drawn)
+    samples = [json.loads(str(rig(made, np.random.SeedSequence(seed)).drawn)) for seed in range(8)]
+    assert {one["object_name"] for one in samples} == {"finger", "handle"}
+    assert all(0.55 <= one["edge_log_contrast"] <= 0.8 and 1.5 <= one["edge_blur_px"] <= 3 for one in samples)
     built = {row["part"]: row["built"] for row in parts(made)}
-    assert built["object rims"]
+    assert built["contact edges"]
     assert built["cut edge"]
     assert not built["gripper"]
 
 
 def test_same_seed_same_recording() -> None:
     """Assert that a trial is reproducible, and another seed another one."""
-    found = []
+    result = []
     for seed in (3, 3, 4):
         trial = rubbing("finger", seed=seed)
-        found.append(np.concatenate([trial.step().t for _ in range(650)]))
-    np.testing.assert_array_equal(found[0], found[1])
-    assert len(found[0]) != len(found[2])
+        result.append(np.concatenate([trial.step().t for _ in range(650)]))
+    np.testing.assert_array_equal(result[0], result[1])
+    assert len(result[0]) != len(result[2])
 
 
 def test_directions_keep_the_object_in_view() -> None:

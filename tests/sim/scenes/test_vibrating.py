@@ -77,8 +77,8 @@ def test_resonance_is_that_of_the_layer(frequency_hz: float) -> None:
         return [y[1], -force / mass, layer.maxwell_share * stiffness * rate - y[2] / layer.maxwell_time_s]
 
     time_s = 0.15 + np.arange(64) / (16 * frequency_hz)
-    found = solve_ivp(motion, (0.0, time_s[-1]), [0.0, 0.0, 0.0], "DOP853", time_s, rtol=1e-9, atol=1e-9).y[0]
-    amplitude = 2 * (found * np.exp(-1j * omega * time_s)).mean() * 1j
+    result = solve_ivp(motion, (0.0, time_s[-1]), [0.0, 0.0, 0.0], "DOP853", time_s, rtol=1e-9, atol=1e-9).y[0]
+    amplitude = 2 * (result * np.exp(-1j * omega * time_s)).mean() * 1j
     assert amplitude == pytest.approx(resonance(np.array([frequency_hz]), layer)[0], rel=1e-4)
 
 
@@ -129,9 +129,9 @@ def test_dots_move_as_far_as_the_table_says(hz: float, motion_px: float, tmp_pat
         [np.sin(2 * np.pi * hz * since_s), np.cos(2 * np.pi * hz * since_s), np.ones(len(since_s))], axis=1
     )
     flat = path_px.reshape(len(path_px), -1)
-    found, *_ = np.linalg.lstsq(basis, flat)
-    assert np.abs(flat - basis @ found).max() < 1e-9
-    amplitude = np.sqrt((found[:2] ** 2).sum() / (flat.shape[1] / 2))
+    result, *_ = np.linalg.lstsq(basis, flat)
+    assert np.abs(flat - basis @ result).max() < 1e-9
+    amplitude = np.sqrt((result[:2] ** 2).sum() / (flat.shape[1] / 2))
     assert amplitude == pytest.approx(motion_px, rel=1e-6)
 
 
@@ -164,13 +164,13 @@ def test_drawn_from_the_seed(tmp_path: Path) -> None:
         parts = []
         while not trial.finished:
             parts.append(b"".join(column.tobytes() for column in trial.step()))
-        return trial.drawn.as_json(), b"".join(parts)
+        return trial.sampled.as_json(), b"".join(parts)
 
     first = made(hz=300)
     assert made(hz=300) == first
     others = made(hz=300, seed=1), made(hz=301), made(hz=300, sensor="second"), made(hz=300, gel="cut")
     assert len({first, *others}) == 5
-    assert all(0.2 <= json.loads(drawn)["tangential_share"] <= 0.6 for drawn, _ in others)
+    assert all(0.2 <= json.loads(samples)["tangential_share"] <= 0.6 for samples, _ in others)
 
 
 def test_events_beat_at_the_tone(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A simulated DVXplorer Mini: the events that moving dots and a sliding texture make.
+"""A simulated DVXplorer Mini: the events that moving dots and a sliding texture make, in scans.
 
 An ideal event camera follows every crossing of the threshold; this one scans. At a fixed rate it holds all pixels at
 once, compares each with the level at its last event, and reads the changed ones out: at most one event a pixel and
@@ -10,8 +10,8 @@ time stamps run on over the columns, t = scan start + column / width * scan peri
 to one scan after the change that made it, never before it, and the motion of the last scan period belongs to the next
 slice.
 
-The events are those of every pixel compared in every scan (but for RESOLUTION_PX), but most pixels are asleep: see
-scan_sleep (gel) and scan_window. Lines that are not dots: scan_lines. Leak makes its events up to 40 ms late: leak.
+The events are those of every pixel compared in every scan (but for RESOLUTION_PX), but few pixels are compared: see
+pixel_culling (gel) and window. Lines that are not dots: lines. Leak makes its events up to 40 ms late: leak.
 
 A refractory pixel is blind: its reference follows what it is shown, until its time is over.
 
@@ -29,10 +29,18 @@ from evetac_cli.sim.camera.camera_input import check_range, check_whole
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import add_noise, hot_rates
-from evetac_cli.sim.camera.scanning.pixel_culling import CandidatePixels, sleeping_gel
-from evetac_cli.sim.camera.scanning.scan_dots import scan_dots
-from evetac_cli.sim.camera.scanning.scan_lines import scan_lines
-from evetac_cli.sim.camera.scanning.scan_window import StripSleep, scan_window, sleeping_strip
+from evetac_cli.sim.camera.scanning.dots import scan_dots
+from evetac_cli.sim.camera.scanning.lines import scan_lines
+from evetac_cli.sim.camera.scanning.pixels import (
+    CandidatePixels,
+    CandidateRuns,
+    GelPixels,
+    ScanTimes,
+    WindowPixels,
+    all_pixels,
+    all_runs,
+)
+from evetac_cli.sim.camera.scanning.window import scan_window
 
 # No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
 LOWEST_THRESHOLD = 0.25
@@ -89,7 +97,7 @@ class CameraState:
     """What a camera remembers from slice to slice; `step` changes it in place.
 
     `reference` and `threshold` are those of the gel's pixels, shape (height, width); under the window the threshold is
-    infinite, and the strip has a pair of its own. `seen_*` is where things were at the last scan.
+    infinite, and the window has a pair of its own. `seen_*` is where things were at the last scan.
     """
 
     model: CameraModel
@@ -99,9 +107,9 @@ class CameraState:
     seen_dot_xy_px: NDArray[np.float64]
     window_px: tuple[int, int, int, int]  # x0, y0, x1, y1; all 0 without a window
     texture: NDArray[np.float32]
-    strip_reference: NDArray[np.float32]
-    strip_threshold: NDArray[np.float32]
-    strip_level: NDArray[np.float32]  # scratch
+    window_reference: NDArray[np.float32]
+    window_threshold: NDArray[np.float32]
+    window_level: NDArray[np.float32]  # scratch
     seen_object: NDArray[np.float64]  # x, y in px, contrast; NaN before the first slice
     hot_pixel: NDArray[np.int64]  # y * width + x
     hot_cumulative_hz: NDArray[np.float64]  # summed rates before each hot pixel, and of all
@@ -109,9 +117,9 @@ class CameraState:
     keys: NDArray[np.int64]  # as long as a slice may be, so nothing grows; memory is taken only as far as it is written
     # Until when a pixel is blind; their rows are empty without a refractory time that scans can tell.
     release_us: NDArray[np.float64]
-    strip_release_us: NDArray[np.float64]
-    sleep: CandidatePixels
-    strip_sleep: StripSleep
+    window_release_us: NDArray[np.float64]
+    candidates: CandidatePixels
+    candidate_runs: CandidateRuns
     contact_edges: ContactEdges | None = None
     slices: int = 0
     dropped: int = 0
@@ -134,7 +142,8 @@ def start(
     the texture (sides powers of two, from `optics.texture`) and no dots. Their first level is the one from which the
     first `step` starts, so an object that is there already makes no flash. Without texture they see nothing.
     `camera_rng` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
-    `rims`, from `rims.start` for this frame, are lines that are not dots; the camera owns them from now on.
+    `contact_edges`, from `contact_edges.start` for this frame, are lines that are not dots; the camera owns them from
+    now on.
     ValueError on non-finite positions, a window outside the frame, a texture that cannot be used or has no window.
     """
     width, height = model.frame_px
@@ -149,13 +158,15 @@ def start(
     nominal = model.threshold * (1.0 + model.mismatch * built.standard_normal((height, width)))
     threshold: NDArray[np.float32] = np.maximum(nominal, LOWEST_THRESHOLD * model.threshold).astype(np.float32)
     phase: NDArray[np.float32] = threshold * rng.uniform(-1.0, 1.0, (height, width)).astype(np.float32)
-    strip_threshold = threshold[y0:y1, x0:x1].copy()
-    strip_reference = phase[y0:y1, x0:x1].copy()
+    window_threshold = threshold[y0:y1, x0:x1].copy()
+    window_reference = phase[y0:y1, x0:x1].copy()
     threshold[y0:y1, x0:x1] = np.inf
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
     level = optics.gel_level(model.frame_px, dots, profile)
     if contact_edges is not None and contact_edges.frame_px != (width, height):
-        raise ValueError(f"rims: expected those of a frame {model.frame_px}, found one of {contact_edges.frame_px}")
+        raise ValueError(
+            f"contact_edges: expected those of a frame {model.frame_px}, found one of {contact_edges.frame_px}"
+        )
     blind = model.refractory_us > SLICE_US / model.scans_per_ms
     return CameraState(
         model=model,
@@ -165,18 +176,18 @@ def start(
         seen_dot_xy_px=dots.copy(),
         window_px=(x0, y0, x1, y1),
         texture=pattern,
-        strip_reference=strip_reference,
-        strip_threshold=strip_threshold,
-        strip_level=np.zeros_like(strip_reference),
+        window_reference=window_reference,
+        window_threshold=window_threshold,
+        window_level=np.zeros_like(window_reference),
         seen_object=np.full(3, np.nan),
         hot_pixel=built.choice(width * height, model.hot_pixels, replace=False),
         hot_cumulative_hz=np.append(0.0, np.cumsum(hot_rates(model.hot_rate_hz, model.hot_pixels, built))),
         readout_us=columns * SLICE_US // columns.size,
         keys=np.empty(model.max_events, np.int64),
         release_us=np.zeros((height, width if blind else 0)),
-        strip_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
-        sleep=sleeping_gel((height, width), len(dots), profile),
-        strip_sleep=sleeping_strip(strip_reference.shape, pattern),
+        window_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
+        candidates=all_pixels((height, width), len(dots), profile),
+        candidate_runs=all_runs(window_reference.shape, pattern),
         contact_edges=contact_edges,
     )
 
@@ -198,92 +209,53 @@ def step(
 
     Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end, in px; the contrast
     (1: the texture as drawn, 0: out of sight) holds for the whole slice. Dots on curved paths come with `dot_path_px`
-    (k + 1, dots, 2): where they are at k + 1 equally spaced times, from their start to their end. A camera with rims
-    needs `contact_edges_start` and `contact_edges_end`, between which they move and fade evenly. ValueError on values that are not
-    finite, farther than 1e6 px, of another shape than at `start`, or a path with other ends; the state is then as
-    before.
+    (k + 1, dots, 2): where they are at k + 1 equally spaced times, from their start to their end. A camera with contact
+    edges needs `contact_edges_start` and `contact_edges_end`, between which they move and fade evenly. ValueError on
+    values that are not finite, farther than 1e6 px, of another shape than at `start`, or a path with other ends; the
+    state is then as before.
     """
-    path, object_start, object_end = camera_input.moves(
+    path, motion = camera_input.motions(
         len(state.seen_dot_xy_px),
         dot_xy_px_start,
         dot_xy_px_end,
         dot_path_px,
         object_xy_px_start,
         object_xy_px_end,
+        texture_contrast,
     )
-    check_range("texture_contrast", texture_contrast, 0.0, 1e3)
-    lines = camera_input.line_places(state.contact_edges, contact_edges_start, contact_edges_end, coarsely=True)
+    lines = camera_input.line_motion(state.contact_edges, contact_edges_start, contact_edges_end, coarsely=True)
 
     t0_us = int(t0_us)
     model = state.model
-    gel = (state.seen_dot_xy_px, *state.profile, state.reference, state.threshold, state.release_us, state.sleep)
-    scanned = (state.readout_us, float(t0_us), float(model.refractory_us))
-    window = (
-        object_start,
-        object_end,
-        float(texture_contrast),
+    gel = GelPixels(
+        state.seen_dot_xy_px, state.profile, state.reference, state.threshold, state.release_us, state.candidates
+    )
+    window = WindowPixels(
+        *state.window_px[:2],
         state.seen_object,
         state.texture,
-        state.window_px[0],
-        state.window_px[1],
-        state.strip_reference,
-        state.strip_threshold,
-        state.strip_release_us,
-        state.strip_sleep,
+        state.window_reference,
+        state.window_threshold,
+        state.window_release_us,
+        state.candidate_runs,
     )
-    if state.contact_edges is not None and lines is not None:
-        contact_edges = state.contact_edges
-        seen = (
-            contact_edges.seen_corner,
-            contact_edges.seen_cut_x,
-            contact_edges.seen_level,
-            contact_edges.seen_cut_level,
-        )
-        edge = (contact_edges.cut_contrast, contact_edges.cut_half_px)
-        made, contact_edges.events = scan_lines(
-            *lines, contact_edges.outline, *edge, seen, path, gel, window, *scanned, state.keys
-        )
+    times = ScanTimes(state.readout_us, float(t0_us), float(model.refractory_us))
+    line_events = 0
+    if lines is not None:
+        made, line_events = scan_lines(lines, path, gel, motion, window, times, state.keys)
     else:
-        scans = (0, model.scans_per_ms)
-        made = scan_dots(path, *gel, *scanned, *scans, state.keys, 0)
-        if state.strip_reference.size:
-            made = scan_window(*window, *scanned, *scans, state.keys, made)
-        if state.contact_edges is not None:
-            state.contact_edges.events = 0
+        made = scan_dots(path, gel, times, 0, model.scans_per_ms, state.keys, 0)
+        if state.window_reference.size:
+            made = scan_window(motion, window, times, 0, model.scans_per_ms, state.keys, made)
+    if state.contact_edges is not None:
+        state.contact_edges.events = line_events
     if model.leak_hz > 0.0:
-        made = _leak(state, t0_us, made)
+        first_row = state.slices % leak.LEAK_SLICES
+        drift = np.float32(leak.drift(model.leak_hz))
+        made = leak.leak_in_scans(first_row, drift, gel, window, times, state.keys, made)
     state.slices += 1
     hot = (state.hot_pixel, state.hot_cumulative_hz)
     made = add_noise(model.noise_rate_hz, *hot, model.frame_px, rng, state.keys, made)
-    kept = min(made, len(state.keys))
-    state.dropped += made - kept
-    return Events(*sorted_columns(state.keys[:kept], t0_us))
-
-
-def _leak(state: CameraState, t0_us: int, made: int) -> int:
-    """Let leak lower the references of the rows whose turn it is, and compare them."""
-    return int(
-        leak.leak_in_scans(
-            state.slices % leak.LEAK_SLICES,
-            np.float32(leak.drift(state.model.leak_hz)),
-            state.seen_dot_xy_px,
-            *state.profile,
-            state.reference,
-            state.threshold,
-            state.release_us,
-            state.sleep,
-            state.seen_object,
-            state.texture,
-            state.window_px[0],
-            state.window_px[1],
-            state.strip_reference,
-            state.strip_threshold,
-            state.strip_release_us,
-            state.strip_sleep,
-            state.readout_us,
-            float(t0_us),
-            float(state.model.refractory_us),
-            state.keys,
-            made,
-        )
-    )
+    stored = min(made, len(state.keys))
+    state.dropped += made - stored
+    return Events(*sorted_columns(state.keys[:stored], t0_us))

@@ -1,72 +1,35 @@
-"""Which pixels of the gel may fire while dots move: the scanning camera asks no others.
+"""Which pixels of the gel may fire while dots move: the scanning camera compares no others.
 
-Why so: 63 dots have 46,000 ring pixels, and a scan makes some 200 events where all dots shake, next to none in a creep.
+Why so: the rings of 63 dots (see dot_rings) have 46,000 pixels, and a scan makes some 200 events where all dots shake,
+next to none where the gel merely creeps.
 - From a pixel's reference and threshold follow two distances to the nearest dot between which it surely does not fire;
   while the box of a dot's path over the slice keeps it between them, it costs a comparison.
 - Of a slow dot even that is done once in many slices: a list of the pixels that may fire holds as long as the dot stays
   within a somewhat larger box.
 
-A pixel is one integer here, y << PIXEL_SHIFT | x; a box is that of rings.
+A pixel is one integer here, y << PIXEL_SHIFT | x; a box is that of dot_rings.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera import dot_rings, optics
+from evetac_cli.sim.camera.scanning.pixels import CandidatePixels
 
-# A dot that has moved by no more, on either axis, since it was last looked at rests: no level has changed by more than
-# 0.0008, and tremor below it is not seen. It saves the looking where nothing but creep goes on.
+# A dot that has moved by no more, on either axis, since it was last compared rests: no level has changed by more than
+# 0.0008, and tremor below it makes no event. It saves the comparison where the gel only creeps.
 RESOLUTION_PX = 0.001
-# A dot that moves by `way` in a slice gets a list that holds for a box wider by SKIN_PX * sqrt(way) on each side: what
+# A dot that moves by `travel_px` gets a list that holds for a box wider by SKIN_PX * sqrt(travel_px) on each side: what
 # its making costs, spread over the slices until the dot has left the box, and what its length costs in each slice, are
 # then least together. From FAST_PX a slice on a list does not pay.
 SKIN_PX = 0.7
 FAST_PX = 0.2
-RUSH_PX = 0.25  # half the way in a slice from which on radii do not pay either
-MOST_WATCHED = 512  # pixels in the list of a dot; larger or blurred dots may do without
+RUSH_PX = 0.25  # half the travel in a slice from which on radii do not pay either
 PIXEL_SHIFT = 16
 COLUMN_MASK = 0xFFFF
-
-
-class CandidatePixels(NamedTuple):
-    """A memory of what follows from references and paths, to be dropped at any time.
-
-    Between the square roots of `lower2_px2` and `upper2_px2` (height, width) from the nearest dot a pixel surely does
-    not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `watch_box` (dots, 4:
-    centre and half sides, NaN without a list), only the first `watching` pixels of its list `watched` may fire, with
-    radii `watched_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
-    `awake` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii.
-    """
-
-    level_index: NDArray[np.int16]
-    lower2_px2: NDArray[np.float32]
-    upper2_px2: NDArray[np.float32]
-    watch_box: NDArray[np.float64]
-    watched: NDArray[np.int32]
-    watched_px2: NDArray[np.float32]
-    watching: NDArray[np.int64]
-    active: NDArray[np.int32]
-    entry: NDArray[np.int64]
-
-
-def sleeping_gel(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> CandidatePixels:
-    """All pixels of a frame (height, width) awake."""
-    height, width = shape
-    return CandidatePixels(
-        level_index=optics.level_index(profile),
-        lower2_px2=np.full(shape, np.inf, np.float32),
-        upper2_px2=np.full(shape, np.inf, np.float32),
-        watch_box=np.full((dots, 4), np.nan),
-        watched=np.empty((dots, MOST_WATCHED), np.int32),
-        watched_px2=np.empty((dots, 2, MOST_WATCHED), np.float32),
-        watching=np.zeros(dots, np.int64),
-        active=np.empty(max(height * width, MOST_WATCHED) + 1, np.int32),
-        entry=np.empty(MOST_WATCHED + 1, np.int64),
-    )
 
 
 @njit(cache=True)
@@ -88,20 +51,20 @@ def make_list(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: CandidatePixels,
+    candidates: CandidatePixels,
 ) -> None:
     """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot."""
-    sleep.watch_box[dot] = np.nan
-    sleep.watching[dot] = -1
-    way = 2.0 * max(box[2], box[3])
-    if way >= FAST_PX:
+    candidates.list_box[dot] = np.nan
+    candidates.list_length[dot] = -1
+    travel_px = 2.0 * max(box[2], box[3])
+    if travel_px >= FAST_PX:
         return
     wider = np.empty((1, 4))
     wider[0] = box
-    wider[0, 2:] += SKIN_PX * math.sqrt(way)
-    found = ring_pixels(wider[0], inner, outer, True, sleep)
-    found = keep_awake(
-        sleep.active[:found],
+    wider[0, 2:] += SKIN_PX * math.sqrt(travel_px)
+    count = ring_pixels(wider[0], inner, outer, True, candidates)
+    count = select_active(
+        candidates.active[:count],
         wider,
         inner,
         outer,
@@ -111,36 +74,36 @@ def make_list(
         threshold,
         release_us,
         now_us,
-        sleep,
+        candidates,
     )
-    if found <= sleep.watched.shape[1]:
-        for k in range(found):
-            pixel = sleep.active[k]
-            sleep.watched[dot, k] = pixel
-            sleep.watched_px2[dot, 0, k] = sleep.lower2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
-            sleep.watched_px2[dot, 1, k] = sleep.upper2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
-        sleep.watching[dot] = found
-        sleep.watch_box[dot] = wider[0]
+    if count <= candidates.listed.shape[1]:
+        for k in range(count):
+            pixel = candidates.active[k]
+            candidates.listed[dot, k] = pixel
+            candidates.listed_px2[dot, 0, k] = candidates.lower2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
+            candidates.listed_px2[dot, 1, k] = candidates.upper2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
+        candidates.list_length[dot] = count
+        candidates.list_box[dot] = wider[0]
 
 
 @njit(cache=True)
-def keep_listed(
+def select_listed(
     dot: int,
     box: NDArray[np.float64],
     pixels: int,
-    watched: NDArray[np.int32],
-    watched_px2: NDArray[np.float32],
+    listed: NDArray[np.int32],
+    listed_px2: NDArray[np.float32],
     active: NDArray[np.int32],
     entry: NDArray[np.int64],
 ) -> int:
-    """As `keep_awake`, of a dot's list, for its box of (dots, 4); `entry` gets the kept ones' places in the list."""
+    """As `select_active`, of a dot's list, for its box of (dots, 4); `entry` gets their places in the list."""
     centre_x = box[dot, 0]
     centre_y = box[dot, 1]
     half_x = np.float32(box[dot, 2])
     half_y = np.float32(box[dot, 3])
-    kept = 0
+    count = 0
     for k in range(pixels):
-        pixel = watched[dot, k]
+        pixel = listed[dot, k]
         across = np.float32(abs((pixel & COLUMN_MASK) - centre_x))
         down = np.float32(abs((pixel >> PIXEL_SHIFT) - centre_y))
         nearest_across = max(across - half_x, np.float32(0.0))
@@ -149,16 +112,16 @@ def keep_listed(
         farthest_down = down + half_y
         least2 = nearest_across * nearest_across + nearest_down * nearest_down
         greatest2 = farthest_across * farthest_across + farthest_down * farthest_down
-        active[kept] = pixel
-        entry[kept] = k
-        kept += int(not ((least2 >= watched_px2[dot, 0, k]) & (greatest2 <= watched_px2[dot, 1, k])))
-    return kept
+        active[count] = pixel
+        entry[count] = k
+        count += int(not ((least2 >= listed_px2[dot, 0, k]) & (greatest2 <= listed_px2[dot, 1, k])))
+    return count
 
 
 @njit(cache=True)
 def renew_listed(
     dot: int,
-    kept: int,
+    count: int,
     inner: float,
     outer: float,
     steps_per_px: float,
@@ -167,80 +130,84 @@ def renew_listed(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: CandidatePixels,
+    candidates: CandidatePixels,
 ) -> None:
-    """Find new radii for the kept pixels of a dot's list that have fired; not yet for blind ones."""
-    for k in range(kept):
-        pixel = sleep.active[k]
+    """Find new radii for the selected pixels of a dot's list that have fired; not yet for blind ones."""
+    for k in range(count):
+        pixel = candidates.active[k]
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
-        if sleep.lower2_px2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
-            radii = optics.sleeping_radii(
-                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, sleep.level_index
+        if candidates.lower2_px2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
+            radii = optics.quiet_radii(
+                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, candidates.level_index
             )
-            sleep.lower2_px2[y, x] = radii[0]
-            sleep.upper2_px2[y, x] = radii[1]
-        sleep.watched_px2[dot, 0, sleep.entry[k]] = sleep.lower2_px2[y, x]
-        sleep.watched_px2[dot, 1, sleep.entry[k]] = sleep.upper2_px2[y, x]
+            candidates.lower2_px2[y, x] = radii[0]
+            candidates.upper2_px2[y, x] = radii[1]
+        candidates.listed_px2[dot, 0, candidates.entry[k]] = candidates.lower2_px2[y, x]
+        candidates.listed_px2[dot, 1, candidates.entry[k]] = candidates.upper2_px2[y, x]
 
 
 @njit(cache=True)
-def ring_pixels(own: NDArray[np.float64], inner: float, outer: float, awake_only: bool, sleep: CandidatePixels) -> int:
-    """Collect the pixels of a dot's ring in `sleep.awake`, those that no place in its box (4,) lets fire left out.
+def ring_pixels(
+    own: NDArray[np.float64], inner: float, outer: float, active_only: bool, candidates: CandidatePixels
+) -> int:
+    """Collect the pixels of a dot's ring in `candidates.active`; returns how many.
 
-    They are not unless `awake_only`. Without a branch for each pixel, which would cost more than the rest. Returns
-    their number.
+    With `active_only`, those are left out that no place of the dot in its box (4,) lets fire. Without a branch for each
+    pixel, which would cost more than the rest.
     """
-    height, width = sleep.lower2_px2.shape
-    active = sleep.active
-    found = 0
-    first_row, end_row = rings.ring_rows(own, outer, height)
+    height, width = candidates.lower2_px2.shape
+    active = candidates.active
+    count = 0
+    first_row, end_row = dot_rings.ring_rows(own, outer, height)
     half_x = np.float32(own[2])
     for y in range(first_row, end_row):
         down = abs(y - own[1])
         nearest_down2 = np.float32(max(down - own[3], 0.0) ** 2)
         farthest_down2 = np.float32((down + own[3]) ** 2)
-        left, left_end, right, right_end = rings.ring_runs(own, inner, outer, y, width)
-        lower2 = sleep.lower2_px2[y]
-        upper2 = sleep.upper2_px2[y]
+        left, left_end, right, right_end = dot_rings.ring_runs(own, inner, outer, y, width)
+        lower2 = candidates.lower2_px2[y]
+        upper2 = candidates.upper2_px2[y]
         for first, end in ((left, left_end), (right, right_end)):
             for x in range(first, end):
                 across = np.float32(abs(x - own[0]))
                 nearest_across = max(across - half_x, np.float32(0.0))
                 farthest_across = across + half_x
-                sleeps = (nearest_across * nearest_across + nearest_down2 >= lower2[x]) & (
+                quiet = (nearest_across * nearest_across + nearest_down2 >= lower2[x]) & (
                     farthest_across * farthest_across + farthest_down2 <= upper2[x]
                 )
-                active[found] = y << PIXEL_SHIFT | x
-                found += int(not (sleeps & awake_only))
-    return found
+                active[count] = y << PIXEL_SHIFT | x
+                count += int(not (quiet & active_only))
+    return count
 
 
 @njit(cache=True)
-def keep_own(dot: int, found: int, box: NDArray[np.float64], inner: float, outer: float, sleep: CandidatePixels) -> int:
-    """Leave pixels that are also in the ring of an earlier dot that moves to that one; returns the number kept."""
-    height, width = sleep.lower2_px2.shape
-    kept = 0
-    for k in range(found):
-        pixel = sleep.active[k]
+def select_own(
+    dot: int, count: int, box: NDArray[np.float64], inner: float, outer: float, candidates: CandidatePixels
+) -> int:
+    """Drop pixels that are compared with an earlier dot, in whose ring they are, too; returns how many remain."""
+    height, width = candidates.lower2_px2.shape
+    own = 0
+    for k in range(count):
+        pixel = candidates.active[k]
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
         taken = False
         for other in range(dot):
             if max(box[other, 2], box[other, 3]) <= 0.5 * RESOLUTION_PX:
                 continue
-            first_row, end_row = rings.ring_rows(box[other], outer, height)
+            first_row, end_row = dot_rings.ring_rows(box[other], outer, height)
             if first_row <= y < end_row:
-                left, left_end, right, right_end = rings.ring_runs(box[other], inner, outer, y, width)
+                left, left_end, right, right_end = dot_rings.ring_runs(box[other], inner, outer, y, width)
                 taken = taken or left <= x < left_end or right <= x < right_end
         if not taken:
-            sleep.active[kept] = pixel
-            kept += 1
-    return kept
+            candidates.active[own] = pixel
+            own += 1
+    return own
 
 
 @njit(cache=True)
-def keep_awake(
+def select_active(
     given: NDArray[np.int32],
     near_box: NDArray[np.float64],
     inner: float,
@@ -251,24 +218,24 @@ def keep_awake(
     threshold: NDArray[np.float32],
     release_us: NDArray[np.float64],
     now_us: float,
-    sleep: CandidatePixels,
+    candidates: CandidatePixels,
 ) -> int:
-    """Collect in `sleep.awake` the given pixels that may fire while dots are in their boxes; returns how many.
+    """Collect in `candidates.active` the given pixels that may fire while dots are in their boxes; returns how many.
 
-    Blind pixels have no radii and are kept: their references follow what they are shown.
+    Blind pixels have no radii and are among them: their references follow what they are shown.
     """
-    active = sleep.active
-    lower2 = sleep.lower2_px2
-    upper2 = sleep.upper2_px2
+    active = candidates.active
+    lower2 = candidates.lower2_px2
+    upper2 = candidates.upper2_px2
     alone = len(near_box) == 1
     centre_x, centre_y, half_x, half_y = near_box[0]
-    kept = 0
+    count = 0
     for pixel in given:
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
         if lower2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
-            radii = optics.sleeping_radii(
-                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, sleep.level_index
+            radii = optics.quiet_radii(
+                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, candidates.level_index
             )
             lower2[y, x] = radii[0]
             upper2[y, x] = radii[1]
@@ -280,7 +247,7 @@ def keep_awake(
             least2 = nearest_across * nearest_across + nearest_down * nearest_down
             greatest2 = (across + half_x) * (across + half_x) + (down + half_y) * (down + half_y)
         else:
-            least2, greatest2 = rings.bounds(x, y, near_box)
-        active[kept] = pixel
-        kept += int(not ((least2 >= lower2[y, x]) & (greatest2 <= upper2[y, x])))
-    return kept
+            least2, greatest2 = dot_rings.bounds(x, y, near_box)
+        active[count] = pixel
+        count += int(not ((least2 >= lower2[y, x]) & (greatest2 <= upper2[y, x])))
+    return count

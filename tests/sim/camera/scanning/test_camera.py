@@ -41,9 +41,9 @@ def total(slices: list[Events]) -> int:
 
 
 def as_set(slices: list[Events]) -> set[tuple[int, int, int, int]]:
-    found = [event for part in slices for event in zip(*(column.tolist() for column in part), strict=True)]
-    assert len(found) == len(set(found))
-    return set(found)
+    result = [event for part in slices for event in zip(*(column.tolist() for column in part), strict=True)]
+    assert len(result) == len(set(result))
+    return set(result)
 
 
 def line(xy: Any, velocity: Any) -> Path:
@@ -126,9 +126,9 @@ def test_nothing_is_lost(motion: str) -> None:
     path, slices = MOTIONS[motion]
     state = start(path(0))
     expected = every_pixel(state, path, slices, table_picture)
-    found = as_set(play(state, path, slices))
-    assert len(found) > 500
-    assert found == expected
+    result = as_set(play(state, path, slices))
+    assert len(result) > 500
+    assert result == expected
 
 
 @pytest.mark.parametrize("refractory_us", [0.0, 900.0])
@@ -146,15 +146,15 @@ def test_sleeping_pixels_against_every_pixel(seed: int, refractory_us: float) ->
     speeds[rng.random((slices, dots)) < 0.02] = 60.0
     angle = 2 * math.pi * rng.random((slices, dots))
     angle[rng.random((slices, dots)) < 0.7] = 0.4
-    way = speeds[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    travel = speeds[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     home = rng.uniform((5, 5), (95, 75), (dots, 2))
-    at = home + np.concatenate([np.zeros((1, dots, 2)), np.cumsum(way, axis=0)])
+    at = home + np.concatenate([np.zeros((1, dots, 2)), np.cumsum(travel, axis=0)])
     at = 50 - np.abs((at - 50) % 240 - 120) + 40  # comes back in the end
     state = start(at[0], model)
     reference, threshold, release = state.reference.copy(), state.threshold, np.zeros(state.reference.shape)
-    found, expected = [], set()
+    result, expected = [], set()
     for k in range(slices):
-        found.append(camera.step(state, at[k], at[k + 1], STILL, STILL, 0.0, 1000 * k, rng))
+        result.append(camera.step(state, at[k], at[k + 1], STILL, STILL, 0.0, 1000 * k, rng))
         for scan in range(5):
             now = 1000 * k + 200 * scan
             level = table_picture(at[k] + scan / 5 * (at[k + 1] - at[k]), model)
@@ -166,7 +166,7 @@ def test_sleeping_pixels_against_every_pixel(seed: int, refractory_us: float) ->
             for y, x in np.argwhere(fired).tolist():
                 expected.add((now + x * 200 // FRAME[0], x, y, int(change[y, x] > 0)))
     assert len(expected) > 1000
-    assert as_set(found) == expected
+    assert as_set(result) == expected
 
 
 @pytest.mark.parametrize(
@@ -178,9 +178,9 @@ def test_against_the_closed_form(speed: float, missing: float, same: float) -> N
     path, slices = line([40.2, 40.7], (0.8 * speed, 0.6 * speed)), max(10, int(2 / speed))
     state = start(path(0))
     expected = every_pixel(state, path, slices, formula_picture)
-    found = as_set(play(state, path, slices))
-    assert len(found) == pytest.approx(len(expected), rel=missing)
-    assert len(found & expected) >= same * len(expected)
+    result = as_set(play(state, path, slices))
+    assert len(result) == pytest.approx(len(expected), rel=missing)
+    assert len(result & expected) >= same * len(expected)
 
 
 def test_pieces_of_a_straight_path() -> None:
@@ -193,10 +193,10 @@ def test_pieces_of_a_straight_path() -> None:
         for k in range(12):
             vertices = np.array([path(k + piece / pieces) for piece in range(pieces + 1)])
             cut.append(camera.step(state, vertices[0], vertices[-1], STILL, STILL, 0.0, 1000 * k, rng, vertices))
-        found, expected = as_set(cut), as_set(whole)
+        result, expected = as_set(cut), as_set(whole)
         assert len(expected) > 2000
         # The positions at scans are equal but for rounding, which may turn the odd comparison.
-        assert len(found ^ expected) <= 2
+        assert len(result ^ expected) <= 2
 
 
 def test_scans_follow_a_curved_path() -> None:
@@ -223,9 +223,9 @@ def test_expected_count_from_random_phase() -> None:
     before, after = (formula_picture(xy + [shift, 0.0], model) for shift in (0.0, 1.0))
     steps = np.abs(after - before) / state.threshold
     expected = sum(np.clip((steps - k) / 2, 0, 1).sum() for k in range(8))
-    found = total(play(state, lambda t_ms: xy + [min(t_ms * 0.05, 1.0), 0.0], 21))
+    result = total(play(state, lambda t_ms: xy + [min(t_ms * 0.05, 1.0), 0.0], 21))
     # Counting noise is 1 %; the rest is overshoot, which at 0.01 px a look lengthens every step by 1 %.
-    assert found == pytest.approx(expected, rel=0.03)
+    assert result == pytest.approx(expected, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -261,9 +261,9 @@ def test_still_scene_is_silent() -> None:
 
 def test_polarity_tells_the_direction() -> None:
     """Assert that the leading edge darkens (p 0) and the trailing edge brightens (p 1), as many on either side."""
-    found = play(state := start([[40.0, 40.0]]), line([[40.0, 40.0]], (0.5, 0.0)), 20)
-    x = np.concatenate([part.x for part in found]).astype(int)
-    p = np.concatenate([part.p for part in found])
+    result = play(state := start([[40.0, 40.0]]), line([[40.0, 40.0]], (0.5, 0.0)), 20)
+    x = np.concatenate([part.x for part in result]).astype(int)
+    p = np.concatenate([part.p for part in result])
     assert (p[x > 50] == 0).all()
     assert (p[x < 40] == 1).all()
     assert np.count_nonzero(p == 0) == pytest.approx(np.count_nonzero(p == 1), rel=0.05)
@@ -336,24 +336,24 @@ def test_window_against_every_pixel(velocity: tuple[float, float], slices: int) 
     """Assert that a sliding texture gives the events of its level in every scan, in the strip only."""
     x0, y0, x1, y1 = STRIP
     state = start([[30.0, 30.0]], window=STRIP, texture=TEXTURE)
-    found = as_set(slide(state, velocity, slices))
+    result = as_set(slide(state, velocity, slices))
     fresh = start([[30.0, 30.0]], window=STRIP, texture=TEXTURE)
     level = np.empty((y1 - y0, x1 - x0), np.float32)
     optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, level)
-    reference, expected = fresh.strip_reference + level, set()
+    reference, expected = fresh.window_reference + level, set()
     for k in range(slices):
         for scan in range(5):
             at = [k * v + scan / 5 * ((k + 1) * v - k * v) for v in velocity]
             optics.sample_texture(TEXTURE, x0, y0, at[0], at[1], 1.0, level)
             change = level - reference
-            fired = np.abs(change) >= fresh.strip_threshold
+            fired = np.abs(change) >= fresh.window_threshold
             reference[fired] = level[fired]
             for y, x in np.argwhere(fired).tolist():
                 t_us = 1000 * k + 200 * scan + (x + x0) * 200 // FRAME[0]
                 expected.add((t_us, x + x0, y + y0, int(change[y, x] > 0)))
-    assert len(found) > 300
-    assert found == expected
-    assert all(x0 <= x < x1 and y0 <= y < y1 for _, x, y, _ in found)
+    assert len(result) > 300
+    assert result == expected
+    assert all(x0 <= x < x1 and y0 <= y < y1 for _, x, y, _ in result)
 
 
 @pytest.mark.parametrize("leak_hz", [0.0, 10.0])
@@ -366,10 +366,10 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
     shaken = 3.0 * np.exp(-np.arange(401) / 60)[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=-1)
     events = 0
     for k in range(400):
-        states[0].sleep.lower2_px2[:] = np.inf
-        states[0].sleep.watch_box[:] = np.nan
-        states[0].strip_sleep.wake_at[:] = -np.inf
-        states[0].strip_sleep.row_wakes_at[:] = -np.inf
+        states[0].candidates.lower2_px2[:] = np.inf
+        states[0].candidates.list_box[:] = np.nan
+        states[0].candidate_runs.due_at[:] = -np.inf
+        states[0].candidate_runs.row_due_at[:] = -np.inf
         dots = np.array([[30.0, 30.0], [52.0, 60.0]]) + shaken[k : k + 2, None]
         parts = [
             camera.step(state, *dots, *shaken[k : k + 2], 1.0, 1000 * k, np.random.default_rng(k)) for state in states
@@ -379,7 +379,7 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
         events += parts[0].size
     assert events > 3000
     np.testing.assert_array_equal(states[0].reference, states[1].reference)
-    np.testing.assert_array_equal(states[0].strip_reference, states[1].strip_reference)
+    np.testing.assert_array_equal(states[0].window_reference, states[1].window_reference)
 
 
 def test_texture_density() -> None:
@@ -411,8 +411,8 @@ def test_dots_do_not_show_in_the_window() -> None:
     """Assert that a dot that moves into the window, with or without texture, makes events up to its edge only."""
     for texture in (None, TEXTURE):
         state = start([[60.0, 40.0]], window=STRIP, texture=texture)
-        found = play(state, line([60.0, 40.0], (0.5, 0.0)), 20)
-        x, y = (np.concatenate([part[i] for part in found]) for i in (1, 2))
+        result = play(state, line([60.0, 40.0], (0.5, 0.0)), 20)
+        x, y = (np.concatenate([part[i] for part in result]) for i in (1, 2))
         assert not ((x >= STRIP[0]) & (y >= STRIP[1]) & (y < STRIP[3])).any()
         assert x.size > 1000
         assert x.max() < STRIP[0]
@@ -421,18 +421,18 @@ def test_dots_do_not_show_in_the_window() -> None:
 def test_background_noise() -> None:
     """Assert a Poisson number of events of both polarities, evenly over frame and slice, sorted with the rest."""
     model = CameraModel(noise_rate_hz=2.0, hot_pixels=0)
-    found = play(start([[300.0, 200.0]], model), line([300.0, 200.0], (0.0, 0.0)), 100)
-    counts = np.array([part.size for part in found])
+    result = play(start([[300.0, 200.0]], model), line([300.0, 200.0], (0.0, 0.0)), 100)
+    counts = np.array([part.size for part in result])
     mean = 2.0 * 640 * 480 * 1e-3
     assert abs(counts.sum() - 100 * mean) < 4 * math.sqrt(100 * mean)
     assert counts.var(ddof=1) == pytest.approx(mean, rel=0.6)  # 4 deviations of a variance from 100 counts
-    every = [np.concatenate([part[i] for part in found]).astype(float) for i in range(4)]
+    every = [np.concatenate([part[i] for part in result]).astype(float) for i in range(4)]
     every[0] %= 1000
     for column, size in zip(every, (1000, 640, 480, 2), strict=True):
         # Mean of a uniform number: standard deviation size / sqrt(12 n), for p size / sqrt(4 n).
         assert abs(column.mean() - (size - 1) / 2) < 4 * size / math.sqrt(4 * counts.sum())
         assert 0 <= column.min() <= column.max() <= size - 1
-    for k, part in enumerate(found):
+    for k, part in enumerate(result):
         assert (np.diff(part.t) >= 0).all()
         assert (part.t // 1000 == k).all()
 
@@ -445,8 +445,8 @@ def test_hot_pixels() -> None:
     assert len(set(state.hot_pixel.tolist())) == 12
     assert ((rate_hz >= 20) & (rate_hz <= 200)).all()
     rng = np.random.default_rng(2)
-    found = [camera.step(state, [], [], STILL, STILL, 0.0, 1000 * k, rng) for k in range(4000)]
-    pixel = np.concatenate([part.y.astype(np.int64) * 640 + part.x for part in found])
+    result = [camera.step(state, [], [], STILL, STILL, 0.0, 1000 * k, rng) for k in range(4000)]
+    pixel = np.concatenate([part.y.astype(np.int64) * 640 + part.x for part in result])
     counts = np.array([np.count_nonzero(pixel == hot) for hot in state.hot_pixel])
     assert counts.sum() == pixel.size
     assert (np.abs(counts - 4 * rate_hz) < 4.5 * np.sqrt(4 * rate_hz)).all()
@@ -478,20 +478,20 @@ def test_full_slice_drops_and_counts() -> None:
     small = dataclasses.replace(QUIET, max_events=300)
     path = line([40.0, 40.0], (1.0, 0.0))
     whole, cut = start([[40.0, 40.0]]), start([[40.0, 40.0]], small)
-    all_events, kept = play(whole, path, 8), play(cut, path, 8)
-    assert [part.size for part in kept] == [min(part.size, 300) for part in all_events]
-    assert cut.dropped == total(all_events) - total(kept) > 0
+    all_events, stored = play(whole, path, 8), play(cut, path, 8)
+    assert [part.size for part in stored] == [min(part.size, 300) for part in all_events]
+    assert cut.dropped == total(all_events) - total(stored) > 0
     assert whole.dropped == 0
     np.testing.assert_array_equal(whole.reference, cut.reference)
-    assert as_set(kept) < as_set(all_events)
+    assert as_set(stored) < as_set(all_events)
 
 
 def test_noise_counts_towards_the_limit() -> None:
     """Assert that noise that does not fit is dropped and counted too."""
     model = dataclasses.replace(QUIET, noise_rate_hz=1000.0, max_events=50)
     state = start([], model)
-    found = camera.step(state, [], [], STILL, STILL, 0.0, 0, np.random.default_rng(0))
-    assert found.size == 50
+    result = camera.step(state, [], [], STILL, STILL, 0.0, 0, np.random.default_rng(0))
+    assert result.size == 50
     assert state.dropped + 50 == pytest.approx(8000, abs=4 * math.sqrt(8000))
 
 
@@ -504,9 +504,9 @@ def test_nothing_to_see() -> None:
 def test_dot_leaves_the_frame() -> None:
     """Assert that a dot that leaves lets every pixel return to within a threshold of bare gel."""
     state = start([[80.0, 60.0]])
-    found = play(state, line([80.0, 60.0], (4.0, 3.0)), 20)
-    assert total(found) > 1000
-    assert total(found[-3:]) == 0
+    result = play(state, line([80.0, 60.0], (4.0, 3.0)), 20)
+    assert total(result) > 1000
+    assert total(result[-3:]) == 0
     assert (np.abs(state.reference) < state.threshold * (1 + 1e-6)).all()
 
 
@@ -566,11 +566,11 @@ GOOD: dict[str, Any] = {
 def test_step_refuses(named: str, value: Any) -> None:
     """Assert that a value that is not finite or of the wrong shape is named, and the camera is as it was before."""
     state = start(GOOD["dot_xy_px_start"], window=STRIP, texture=TEXTURE)
-    before = state.reference.copy(), state.strip_reference.copy(), state.seen_dot_xy_px.copy()
+    before = state.reference.copy(), state.window_reference.copy(), state.seen_dot_xy_px.copy()
     given = {**GOOD, named: value, "t0_us": 0, "rng": np.random.default_rng(0)}
     with pytest.raises(ValueError, match=named):
         camera.step(state, **given)
-    for now, then in zip((state.reference, state.strip_reference, state.seen_dot_xy_px), before, strict=True):
+    for now, then in zip((state.reference, state.window_reference, state.seen_dot_xy_px), before, strict=True):
         np.testing.assert_array_equal(now, then)
     assert np.isnan(state.seen_object).all()
 
@@ -637,14 +637,14 @@ def test_leak_makes_its_rate(window: Any) -> None:
     state = start([[40.0, 40.0]], model, window=window, texture=TEXTURE if window else None)
     rng = np.random.default_rng(0)
     still = [[40.0, 40.0]]
-    found = [camera.step(state, still, still, STILL, STILL, 1.0, 1000 * k, rng) for k in range(400)]
+    result = [camera.step(state, still, still, STILL, STILL, 1.0, 1000 * k, rng) for k in range(400)]
     steps = 400 * 1e-3 * 10.0
     expected = sum(np.clip((steps - k) / 2, 0, 1) for k in range(6)) * FRAME[0] * FRAME[1]
-    assert all((part.p == 1).all() for part in found)
-    assert total(found) == pytest.approx(expected, rel=0.01)
-    per_slice = np.array([part.size for part in found[200:]])
+    assert all((part.p == 1).all() for part in result)
+    assert total(result) == pytest.approx(expected, rel=0.01)
+    per_slice = np.array([part.size for part in result[200:]])
     assert per_slice.mean() == pytest.approx(FRAME[0] * FRAME[1] * 10.0 * 1e-3, rel=0.02)
-    in_window = np.concatenate([part.x for part in found]) >= STRIP[0]
+    in_window = np.concatenate([part.x for part in result]) >= STRIP[0]
     assert in_window.mean() == pytest.approx(0.3, abs=0.02)
 
 
@@ -668,10 +668,10 @@ def test_refractory_time(refractory_us: float) -> None:
             release[fired] = now + refractory_us
             for y, x in np.argwhere(fired).tolist():
                 expected.add((now + x * 200 // FRAME[0], x, y, int(change[y, x] > 0)))
-    found = as_set(play(state, path, slices))
+    result = as_set(play(state, path, slices))
     assert len(expected) > 500
-    assert found == expected
-    assert total(play(start(path(0)), path, slices)) > 1.2 * len(found)
+    assert result == expected
+    assert total(play(start(path(0)), path, slices)) > 1.2 * len(result)
 
 
 def test_short_refractory_time_is_free() -> None:

@@ -1,11 +1,11 @@
-"""The ideal camera's gel: the moments at which moving dots take a pixel's level past its threshold, solved.
+"""The ideal camera's gel: the times at which moving dots take a pixel's level past its threshold, solved.
 
 A pixel's level depends only on its distance rho to the nearest dot, so its reference +- threshold are two radii: it
 gets darker when rho falls below `lower` and brighter when rho exceeds `upper`. On a straight piece of a dot's path rho
 meets a radius at the root of a quadratic. What is not straight the caller cuts into pieces: the time error falls with
 the square of their number.
 
-Most pixels are asleep (why so: 63 dots have 22,000 ring pixels, and make 800 events in a millisecond of shear):
+Few pixels are solved (why so: 63 dots have 22,000 ring pixels, and make 800 events in a millisecond of shear):
 - the box of a dot's path within the slice bounds rho from both sides; while both bounds stay between the two radii the
   pixel cannot fire and costs a comparison. Unlike a bound on path length alone this knows the direction of motion, and
   a dot that shakes to and fro does not use it up;
@@ -20,8 +20,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.ideal.pixels import IdealGelPixels, SliceTimes
 
 
 @njit(cache=True)
@@ -47,33 +48,20 @@ def find_all_radii(
 
 @njit(cache=True)
 def solve_dots(
-    path: NDArray[np.float64],
-    seen_xy: NDArray[np.float64],
-    inner: float,
-    outer: float,
-    steps_per_px: float,
-    profile: NDArray[np.float32],
-    index: NDArray[np.int16],
-    reference: NDArray[np.float32],
-    threshold: NDArray[np.float32],
-    lower2: NDArray[np.float32],
-    upper2: NDArray[np.float32],
-    solved_in: NDArray[np.int64],
-    this_slice: int,
-    refractory_us: float,
-    release_us: NDArray[np.float64],
-    t0_us: int,
-    keys: NDArray[np.int64],
-    made: int,
+    path: NDArray[np.float64], gel: IdealGelPixels, times: SliceTimes, keys: NDArray[np.int64], made: int
 ) -> int:
-    """Wake the pixels that may fire in the rings of dots that move; returns the number of events, kept or not.
+    """Solve the pixels that may fire in the rings of dots that move; returns the number of events, stored or not.
 
-    The rings of a slice are all pixels that are ever between `inner` and `outer` from a dot on its path. The others
-    have one and the same level throughout.
+    Dots move along paths (dots, k + 1, 2). The rings of a slice are all pixels that are ever between the profile's
+    inner and outer radius from a dot on its path. The others have one and the same level throughout.
     """
+    seen_xy, (inner, outer, steps_per_px, profile), index = gel.seen_dot_xy_px, gel.profile, gel.level_index
+    reference, threshold, lower2, upper2 = gel.reference, gel.threshold, gel.lower2_px2, gel.upper2_px2
+    solved_in, release_us = gel.solved_in, gel.release_us
+    this_slice, t0_us, refractory_us = times
     height, width = reference.shape
     dots, vertices, _ = path.shape
-    box = rings.boxes(path, seen_xy)
+    box = dot_rings.boxes(path, seen_xy)
     near_path = np.empty((dots, vertices, 2))
     near_box = np.empty((dots, 4))
     travelled = np.empty(vertices)
@@ -85,13 +73,13 @@ def solve_dots(
         half_y = box[dot, 3]
         if half_x == 0.0 and half_y == 0.0:
             continue
-        near = rings.dots_near(dot, path, box, outer, near_path, near_box)
-        wakes = 0
-        for y in range(*rings.ring_rows(box[dot], outer, height)):
+        near = dot_rings.dots_near(dot, path, box, outer, near_path, near_box)
+        count = 0
+        for y in range(*dot_rings.ring_rows(box[dot], outer, height)):
             down = abs(y - centre_y)
             nearest_down = max(down - half_y, 0.0)
             farthest_down = down + half_y
-            left, left_end, right, right_end = rings.ring_runs(box[dot], inner, outer, y, width)
+            left, left_end, right, right_end = dot_rings.ring_runs(box[dot], inner, outer, y, width)
             for first, end in ((left, left_end), (right, right_end)):
                 for x in range(first, end):
                     across = abs(x - centre_x)
@@ -107,15 +95,15 @@ def solve_dots(
                     else:
                         if solved_in[y, x] == this_slice:
                             continue
-                        nearest2, farthest2 = rings.bounds(x, y, near_box[:near])
+                        nearest2, farthest2 = dot_rings.bounds(x, y, near_box[:near])
                         if nearest2 >= lower2[y, x] and farthest2 <= upper2[y, x]:
                             continue
                         solved_in[y, x] = this_slice
-                    active[wakes] = y * width + x
-                    wakes += 1
+                    active[count] = y * width + x
+                    count += 1
         _travel(near_path[:near], travelled)
         made = _solve_pixels(
-            active[:wakes],
+            active[:count],
             near_path[:near],
             travelled,
             inner,
@@ -236,7 +224,7 @@ def _solve_pixels(
                 darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
                 brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
         reference[y, x] = np.nan if blind else level
-        lower2[y, x] = np.inf if blind else darker_below2  # infinite: awake at every visit
+        lower2[y, x] = np.inf if blind else darker_below2  # infinite: solved at every visit
         upper2[y, x] = brighter_above2
     return made
 
@@ -320,12 +308,12 @@ def _first_outside(x: int, y: int, near_path: NDArray[np.float64], vertex: int, 
     if radius2 == np.inf:
         return np.inf
     outside = part
-    found = True
-    while found:
-        found = False
+    moved = True
+    while moved:
+        moved = False
         for dot in range(len(near_path)):
             enter, leave = _within_circle(x, y, near_path, dot, vertex, radius2)
             if enter <= outside < leave:
                 outside = leave
-                found = outside <= 1.0
+                moved = outside <= 1.0
     return outside if outside <= 1.0 else np.inf

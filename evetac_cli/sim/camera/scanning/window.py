@@ -1,11 +1,10 @@
 """Scans of the window: the events of a texture that slides by or fades.
 
-Why so: a level of the window changes by no more than the texture's steepest slope times the way of the object. A short
-run of pixels sleeps until that has used up what its most wakeful pixel lacks to its threshold.
+Why so: a level of the window changes by no more than the texture's steepest slope times the travel of the object. A
+short run of pixels is not compared until that has used up what the pixel nearest to its threshold lacks to it.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -13,73 +12,39 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ScanTimes, WindowPixels
 
-# Pixels side by side that wake together: with more, the most wakeful has less sleep; with fewer, there is more to ask.
-RUN_PX = 16
-# Where levels change by more in a scan, or fade, a run gets no sleep that is worth its finding.
+# Where levels change by more in a scan, or fade, a run would be left out for too few scans to be worth its finding.
 FAST_LEVEL = 0.002
 # More than single precision costs a level of the window, relative to the greatest.
 RUN_ROUNDING = 4e-6
 
 
-class StripSleep(NamedTuple):
-    """Which runs of RUN_PX pixels of the window may fire: those whose `wake_at` (rows, runs) has been travelled.
-
-    `row_wakes_at` (rows,) is a row's least. `travelled` (1,) adds up by how much any level can have changed so far,
-    from the texture's steepest slopes `across` and `down`, log units per px; `greatest` is its greatest level.
-    """
-
-    wake_at: NDArray[np.float64]
-    row_wakes_at: NDArray[np.float64]
-    travelled: NDArray[np.float64]
-    across: float
-    down: float
-    greatest: float
-
-
-def sleeping_strip(shape: tuple[int, int], texture: NDArray[np.float32]) -> StripSleep:
-    """All runs of a window (rows, columns) awake."""
-    rows, columns = shape
-    return StripSleep(
-        np.full((rows, -(-columns // RUN_PX)), -np.inf),
-        np.full(rows, -np.inf),
-        np.zeros(1),
-        *optics.texture_slope(texture),
-    )
-
-
 @njit(cache=True)
 def scan_window(
-    start_xy: NDArray[np.float64],
-    end_xy: NDArray[np.float64],
-    contrast: float,
-    seen: NDArray[np.float64],
-    texture: NDArray[np.float32],
-    first_x: int,
-    first_y: int,
-    reference: NDArray[np.float32],
-    threshold: NDArray[np.float32],
-    release_us: NDArray[np.float64],
-    sleep: StripSleep,
-    readout_us: NDArray[np.int64],
-    t0_us: float,
-    refractory_us: float,
+    motion: ObjectMotion,
+    window: WindowPixels,
+    times: ScanTimes,
     first_scan: int,
     end_scan: int,
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
     """Compare the window's runs of pixels that may fire, in every scan at which the picture is another."""
+    start_xy, end_xy, contrast = motion
+    first_x, first_y, seen, texture, reference, threshold, release_us, candidate_runs = window
+    readout_us, t0_us, refractory_us = times
     scans = len(readout_us)
     rows, columns = reference.shape
-    runs = sleep.wake_at.shape[1]
+    runs = candidate_runs.due_at.shape[1]
     line = np.empty(columns, np.float32)
     for scan in range(first_scan, end_scan):
         part = scan / scans
         x = start_xy[0] + part * (end_xy[0] - start_xy[0])
         y = start_xy[1] + part * (end_xy[1] - start_xy[1])
-        way = contrast * (sleep.across * abs(x - seen[0]) + sleep.down * abs(y - seen[1]))
+        change = contrast * (candidate_runs.across * abs(x - seen[0]) + candidate_runs.down * abs(y - seen[1]))
         first_look = math.isnan(seen[2])
         faded = contrast != seen[2]
         seen[0] = x
@@ -92,27 +57,27 @@ def scan_window(
                 reference[row] += line
             continue
         if faded:
-            sleep.wake_at[:] = -np.inf
-            sleep.row_wakes_at[:] = -np.inf
-        elif way == 0.0:
+            candidate_runs.due_at[:] = -np.inf
+            candidate_runs.row_due_at[:] = -np.inf
+        elif change == 0.0:
             continue
         else:
-            sleep.travelled[0] += way
-        travelled = sleep.travelled[0]
-        fast = faded or way > FAST_LEVEL
-        rounding = RUN_ROUNDING * contrast * sleep.greatest
+            candidate_runs.travelled[0] += change
+        travelled = candidate_runs.travelled[0]
+        fast = faded or change > FAST_LEVEL
+        rounding = RUN_ROUNDING * contrast * candidate_runs.greatest
         now_us = t0_us + scan * SLICE_US / scans
         for row in range(rows):
-            if not fast and travelled < sleep.row_wakes_at[row]:
+            if not fast and travelled < candidate_runs.row_due_at[row]:
                 continue
-            wake_at = sleep.wake_at[row]
+            due_at = candidate_runs.due_at[row]
             run = 0
             while run < runs:
-                if not fast and travelled < wake_at[run]:
+                if not fast and travelled < due_at[run]:
                     run += 1
                     continue
                 first_run = run
-                while run < runs and (fast or travelled >= wake_at[run]):
+                while run < runs and (fast or travelled >= due_at[run]):
                     run += 1
                 first = first_run * RUN_PX
                 end = min(run * RUN_PX, columns)
@@ -131,10 +96,10 @@ def scan_window(
                     keys,
                     made,
                 )
-                if fast:  # what slept may go on to: it has not fired
+                if fast:  # runs that were not due stay so: they have not fired
                     continue
-                for awake_run in range(first_run, run):
-                    begin = awake_run * RUN_PX
+                for due_run in range(first_run, run):
+                    begin = due_run * RUN_PX
                     beyond = min(begin + RUN_PX, columns)
                     slack = _least_slack(
                         line[begin - first : beyond - first],
@@ -143,9 +108,9 @@ def scan_window(
                         blind_until_us[begin - first : beyond - first],
                         now_us,
                     )
-                    wake_at[awake_run] = travelled + slack - rounding
+                    due_at[due_run] = travelled + slack - rounding
             if not fast:
-                sleep.row_wakes_at[row] = wake_at.min()
+                candidate_runs.row_due_at[row] = due_at.min()
     return made
 
 
@@ -207,8 +172,8 @@ def compare_row(
 
 
 @njit(cache=True)
-def wake_runs(wake_at: NDArray[np.float64], row_wakes_at: NDArray[np.float64], row: int, first: int, end: int) -> None:
-    """Let the runs of a row of the window that hold pixels first to end be compared when the object next moves."""
+def mark_due(due_at: NDArray[np.float64], row_due_at: NDArray[np.float64], row: int, first: int, end: int) -> None:
+    """Have the runs of a row of the window that hold pixels first to end compared when the object next moves."""
     for run in range(first // RUN_PX, (end - 1) // RUN_PX + 1):
-        wake_at[row, run] = -np.inf
-    row_wakes_at[row] = -np.inf
+        due_at[row, run] = -np.inf
+    row_due_at[row] = -np.inf

@@ -2,8 +2,8 @@
 
 For comparison with the event camera (paper, "Dot-based Shear Force Reconstruction", whose RGB sensor is a GelSight
 Mini). Frames have half the event camera's resolution in each direction, 320 x 240, the size on which the software of
-that sensor works. They are grey, as its tracker of dots turns them grey first. Each is a moment: a longer exposure
-would smear moving dots. The frame's sizes and the camera's noise are estimates.
+that sensor works. They are grey, as its tracker of dots turns them grey first. Each is taken in an instant: a longer
+exposure would smear moving dots. The frame's sizes and the camera's noise are estimates.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
-"""Scans of dots and window with lines that are not dots (see rims).
+"""Scans of dots and window with lines that are not dots (see contact_edges).
 
 Lines change no picture but the references, by as much with the other sign; then the pixels of both are compared. So a
-scan shows dots, lines and texture of one moment, and a pixel still has at most one event.
+scan shows dots, lines and texture of one time, and a pixel still has at most one event.
 """
 
 from typing import Any
@@ -11,9 +11,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera import dot_rings, optics
+from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.contact_edges import (
-    Outline,
+    LineMotion,
     Place,
     cut_moved,
     cut_run,
@@ -23,34 +24,27 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_cut,
     sample_row,
 )
-from evetac_cli.sim.camera.scanning.scan_dots import at_scans, scan_dots
-from evetac_cli.sim.camera.scanning.scan_window import compare_row, scan_window, wake_runs
+from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
+from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
+from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
 
 
 @njit(cache=True)
 def scan_lines(
-    start: Place,
-    end: Place,
-    outline: Outline,
-    cut_contrast: float,
-    cut_half: float,
-    seen: tuple[Any, ...],
+    lines: LineMotion,
     path: NDArray[np.float64],
-    gel: tuple[Any, ...],
-    window: tuple[Any, ...],
-    readout_us: NDArray[np.int64],
-    t0_us: float,
-    refractory_us: float,
+    gel: GelPixels,
+    motion: ObjectMotion,
+    window: WindowPixels,
+    times: ScanTimes,
     keys: NDArray[np.int64],
 ) -> tuple[int, int]:
-    """Scan dots and window with lines that move; returns the number of events, and of those that lines alone made.
-
-    `seen` are the arrays of the rims, `gel` and `window` the arguments of `scan_dots` and `scan_window`.
-    """
-    seen_corner, seen_cut_x, seen_level, seen_cut_level = seen
-    outer = gel[2]
-    reference = gel[5]
-    sleep = gel[8]
+    """Scan dots and window with lines that move; returns the number of events, and of those that lines alone made."""
+    start, end, outline, cut_contrast, cut_half, seen_corner, seen_cut_x, seen_level, seen_cut_level = lines
+    inner, outer, steps_per_px, profile = gel.profile
+    reference = gel.reference
+    candidates = gel.candidates
+    readout_us, t0_us, refractory_us = times
     scans = len(readout_us)
     height, width = reference.shape
     rows, columns = outline.picture.shape
@@ -58,16 +52,16 @@ def scan_lines(
     moved_from = seen_corner.copy()
     cut_from = seen_cut_x.copy()
     line = np.empty(width, np.float32)
-    contrast, object_seen, texture, first_x, first_y, strip_reference = window[2:8]
+    first_x, first_y, object_seen, texture, window_reference, window_threshold, window_release_us, runs = window
+    contrast = motion.contrast
     reach = _reach_of_lines(start, end, cut_half, rows, columns, seen_corner, seen_cut_x)
-    dot_xy, dots = _dots_at_lines(path, gel[0], scans, outer, reach)
-    scanned = (readout_us, t0_us, refractory_us)
-    runs_wake_at = (window[10].wake_at, window[10].row_wakes_at)
-    shifted = (reference, sleep.lower2_px2, first_x, first_y, strip_reference, *runs_wake_at)
+    dot_xy, dots = _dots_at_lines(path, gel.seen_dot_xy_px, scans, outer, reach)
+    due = (runs.due_at, runs.row_due_at)
+    shifted = (reference, candidates.lower2_px2, first_x, first_y, window_reference, *due)
     made = 0
-    of_lines = 0
+    line_events = 0
     if dots == 0:
-        made = scan_dots(path, *gel, *scanned, 0, scans, keys, made)
+        made = scan_dots(path, gel, times, 0, scans, keys, made)
     for scan in range(scans):
         part = scan / scans
         now_us = t0_us + scan * SLICE_US / scans
@@ -79,15 +73,15 @@ def scan_lines(
             end_row = first_row
         moved_from[:] = seen_corner
         faded = strength != seen_corner[2]
-        way = (x, y, moved_from[0], moved_from[1], faded)
+        moved = (x, y, moved_from[0], moved_from[1], faded)
         touched = (width, 0)
         for row in range(first_row, end_row):
-            left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *way)
+            left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *moved)
             for first, beyond in ((left, left_end), (right, right_end)):
                 sample_row(outline.picture, x, y, strength, row, first, beyond, line)
                 _shift(line, seen_level, row, first, beyond, *shifted)
             touched = (min(touched[0], left), max(touched[1], right_end))
-        _forget_lists(sleep.watch_box, outer, first_row, end_row, *touched)
+        _forget_lists(candidates.list_box, outer, first_row, end_row, *touched)
         if first_row < end_row:
             seen_corner[0] = x
             seen_corner[1] = y
@@ -102,28 +96,30 @@ def scan_lines(
                 _shift(line, seen_cut_level, row, first, beyond, *shifted)
                 seen_cut_x[row] = cut_x
                 touched = (min(touched[0], first), max(touched[1], beyond))
-        _forget_lists(sleep.watch_box, outer, 0, cut_rows, *touched)
+        _forget_lists(candidates.list_box, outer, 0, cut_rows, *touched)
 
         if dots > 0:
-            made = scan_dots(path, *gel, *scanned, scan, scan + 1, keys, made)
-        if strip_reference.size:
-            made = scan_window(*window, *scanned, scan, scan + 1, keys, made)
+            made = scan_dots(path, gel, times, scan, scan + 1, keys, made)
+        if window_reference.size:
+            made = scan_window(motion, window, times, scan, scan + 1, keys, made)
 
         before = made
         when = (readout_us[scan], now_us, refractory_us)
         place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
-        picture = (dot_xy[scan, :dots], *gel[1:5], texture, place)
-        pixels = (*gel[5:8], sleep.lower2_px2, first_x, first_y, *window[7:10], *runs_wake_at)
+        picture = (dot_xy[scan, :dots], inner, outer, steps_per_px, profile, texture, place)
+        gel_pixels = (reference, gel.threshold, gel.release_us, candidates.lower2_px2)
+        window_pixels = (first_x, first_y, window_reference, window_threshold, window_release_us, *due)
+        pixels = (*gel_pixels, *window_pixels)
         for row in range(first_row, end_row):
-            left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *way)
+            left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *moved)
             for first, beyond in ((left, left_end), (right, right_end)):
                 made = _compare_across(picture, pixels, row, first, beyond, *when, line, keys, made)
         for row in range(cut_rows):
             if cut_from[row] != seen_cut_x[row]:
                 first, beyond = cut_run(cut_half, width, cut_from[row], seen_cut_x[row])
                 made = _compare_across(picture, pixels, row, first, beyond, *when, line, keys, made)
-        of_lines += made - before
-    return made, of_lines
+        line_events += made - before
+    return made, line_events
 
 
 @njit(cache=True)
@@ -171,7 +167,7 @@ def _dots_at_lines(
     left, top, right, bottom = reach
     at_xy = np.empty((len(path), scans, 2))
     at_scans(path, scans, 0, at_xy)
-    box = rings.boxes(at_xy, seen_xy)
+    box = dot_rings.boxes(at_xy, seen_xy)
     near_xy = np.empty((scans, len(path), 2))
     near = 0
     for dot in range(len(path)):
@@ -195,22 +191,22 @@ def _shift(
     lower2_px2: NDArray[np.float32],
     first_x: int,
     first_y: int,
-    strip_reference: NDArray[np.float32],
-    wake_at: NDArray[np.float64],
-    row_wakes_at: NDArray[np.float64],
+    window_reference: NDArray[np.float32],
+    due_at: NDArray[np.float64],
+    row_due_at: NDArray[np.float64],
 ) -> None:
-    """Take what lines add to pixels first to end of a row for seen: change their references by as much the other way.
+    """Take what lines add to pixels first to end of a row as seen: change their references by as much the other way.
 
     The pixels of the window have references of their own; under them those of the gel are of no account.
     """
-    strip_rows, strip_columns = strip_reference.shape
+    window_rows, window_columns = window_reference.shape
     left = max(first, first_x) - first_x
-    right = min(end, first_x + strip_columns) - first_x
+    right = min(end, first_x + window_columns) - first_x
     own = row - first_y
-    if 0 <= own < strip_rows and left < right:
+    if 0 <= own < window_rows and left < right:
         for x in range(left, right):
-            strip_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
-        wake_runs(wake_at, row_wakes_at, own, left, right)
+            window_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
+        mark_due(due_at, row_due_at, own, left, right)
     for k in range(end - first):
         reference[row, first + k] -= line[k] - seen_level[row, first + k]
         seen_level[row, first + k] = line[k]
@@ -218,14 +214,14 @@ def _shift(
 
 
 @njit(cache=True)
-def _forget_lists(watch_box: NDArray[np.float64], outer: float, top: int, bottom: int, left: int, right: int) -> None:
+def _forget_lists(list_box: NDArray[np.float64], outer: float, top: int, bottom: int, left: int, right: int) -> None:
     """Drop the lists of dots that can come near rows top to bottom, columns left to right."""
-    for dot in range(len(watch_box)):
-        reach_x = watch_box[dot, 2] + outer
-        reach_y = watch_box[dot, 3] + outer
-        across = left <= watch_box[dot, 0] + reach_x and watch_box[dot, 0] - reach_x <= right
-        if across and top <= watch_box[dot, 1] + reach_y and watch_box[dot, 1] - reach_y <= bottom:
-            watch_box[dot] = np.nan
+    for dot in range(len(list_box)):
+        reach_x = list_box[dot, 2] + outer
+        reach_y = list_box[dot, 3] + outer
+        across = left <= list_box[dot, 0] + reach_x and list_box[dot, 0] - reach_x <= right
+        if across and top <= list_box[dot, 1] + reach_y and list_box[dot, 1] - reach_y <= bottom:
+            list_box[dot] = np.nan
 
 
 @njit(cache=True)
@@ -248,7 +244,7 @@ def _compare_across(
     """
     dot_xy, inner, outer, steps_per_px, profile, texture, place = picture
     reference, threshold, release_us, lower2, first_x, first_y = pixels[:6]
-    strip_reference, strip_threshold, strip_release_us, wake_at, row_wakes_at = pixels[6:]
+    window_reference, window_threshold, window_release_us, due_at, row_due_at = pixels[6:]
     when = (readout_us, now_us, refractory_us, keys)
     if first < end:
         optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, first, end, line)
@@ -263,20 +259,20 @@ def _compare_across(
             made,
         )
         lower2[row, first:end] = np.inf
-    strip_rows, strip_columns = strip_reference.shape
+    window_rows, window_columns = window_reference.shape
     left = max(first, first_x) - first_x
-    right = min(end, first_x + strip_columns) - first_x
-    if first_y <= row < first_y + strip_rows and left < right:
+    right = min(end, first_x + window_columns) - first_x
+    if first_y <= row < first_y + window_rows and left < right:
         optics.sample_texture_run(texture, *place, row - first_y, left, right, line)
         made = compare_row(
             line,
-            strip_reference[row - first_y, left:right],
-            strip_threshold[row - first_y, left:right],
-            strip_release_us[row - first_y, left:right],
+            window_reference[row - first_y, left:right],
+            window_threshold[row - first_y, left:right],
+            window_release_us[row - first_y, left:right],
             first_x + left,
             row,
             *when,
             made,
         )
-        wake_runs(wake_at, row_wakes_at, row - first_y, left, right)
+        mark_due(due_at, row_due_at, row - first_y, left, right)
     return made

@@ -2,9 +2,9 @@
 
 The minimum of one convex function (see gel) is found in rounds: sweeps of projected over-relaxation over the nodes
 (`relax`), then a Newton step of the object in which the nodes that stick move along (`move_object`). Its exact line
-search keeps the object from flipping for ever between the two directions of slip on a stiff gel. Catching the nodes
-that the step would bring to rest, so that they move along too, keeps partial slip cheap: without it a single node about
-to stick stops the object again and again (400 sweeps and no balance where now 20 are enough).
+search keeps the object from flipping for ever between the two directions of slip on a stiff gel. Nodes that the step
+would bring to rest are caught, so that they move along too, which keeps partial slip cheap: a single node about to
+stick would stop the object again and again (400 sweeps without balance where 20 are enough).
 """
 
 import math
@@ -39,7 +39,8 @@ class Work(NamedTuple):
     velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
     lever: place of the nodes seen from the object's centre; bound: mu * normal force; diagonal: of the stencil.
     pull: the friction each node asks for; slip, speed: its velocity against the object's surface, and the size of that.
-    loose: 1 where a node does not move along with the object; way: how the nodes answer a move of the object.
+    loose: 1 where a node does not move along with the object.
+    search_direction: how the nodes answer a move of the object.
     """
 
     velocity: Floats
@@ -51,7 +52,7 @@ class Work(NamedTuple):
     slip: Floats
     speed: Floats
     loose: Floats
-    way: Floats
+    search_direction: Floats
 
 
 @njit(cache=True)
@@ -61,13 +62,14 @@ def links(index: int, count: int) -> int:
 
 
 @njit(cache=True)
-def shrink(x: float, y: float, by: float) -> float:
-    """The share of a vector that is left when its length is made less by `by`; 0 where it is not longer than that.
+def friction_projection(x: float, y: float, bound: float) -> float:
+    """The share of a vector (x, y) that is left when its length is made less by `bound`; 0 where it is not longer.
 
-    This is all there is of Coulomb's law in the search: what a node would slip, less what its friction holds.
+    This is Coulomb's law in the search (the proximal map of friction): what a node would slip, less what its friction
+    holds.
     """
     square = x * x + y * y
-    return 1.0 - by / math.sqrt(square) if square > by * by else 0.0
+    return 1.0 - bound / math.sqrt(square) if square > bound * bound else 0.0
 
 
 @njit(cache=True)
@@ -94,7 +96,7 @@ def relax(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, factor: flo
                 slip_x = (1.0 - factor) * velocity[row + 1, column + 1, 0] + ease * sum_x - body_x
                 slip_y = (1.0 - factor) * velocity[row + 1, column + 1, 1] + ease * sum_y - body_y
                 hold = ease * work.bound[row, column]
-                left = shrink(slip_x, slip_y, hold)
+                left = friction_projection(slip_x, slip_y, hold)
                 if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
                     left = 0.0
                 stuck[row, column] = hold > 0.0 and left == 0.0
@@ -103,12 +105,15 @@ def relax(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, factor: flo
 
 
 @njit(cache=True)
-def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, felt: Floats) -> float:
-    """Largest force left unbalanced at a node; fills pull, slip, speed, and felt (3), what a pad does to the object."""
+def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, friction_wrench: Floats) -> float:
+    """Largest force left unbalanced at a node.
+
+    Fills pull, slip, speed, and friction_wrench (3,): force and moment of a pad on the object.
+    """
     velocity = work.velocity
     rows, columns = work.bound.shape
     worst = 0.0
-    felt[:] = 0.0
+    friction_wrench[:] = 0.0
     for row in range(rows):
         for column in range(columns):
             here_x = velocity[row + 1, column + 1, 0]
@@ -142,9 +147,9 @@ def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, felt: F
             work.slip[row, column, 0] = slip_x
             work.slip[row, column, 1] = slip_y
             work.speed[row, column] = speed
-            felt[0] += force_x
-            felt[1] += force_y
-            felt[2] += x * force_y - y * force_x
+            friction_wrench[0] += force_x
+            friction_wrench[1] += force_y
+            friction_wrench[2] += x * force_y - y * force_x
     return worst
 
 
@@ -190,7 +195,7 @@ def _curvature(work: Work, stencil: Stencil, curvature: Floats) -> None:
 
 @njit(cache=True)
 def _follow(work: Work, move: Floats, reach: float) -> int:
-    """Fill way, how each node answers a move of the object; returns how many loose nodes the move would bring to rest.
+    """Fill search_direction, how each node answers a move of the object; returns how many nodes it would bring to rest.
 
     Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
     """
@@ -203,8 +208,8 @@ def _follow(work: Work, move: Floats, reach: float) -> int:
             speed = work.speed[row, column]
             bound = work.bound[row, column]
             if work.loose[row + 1, column + 1] == 0.0:
-                work.way[row, column, 0] = move_x - work.slip[row, column, 0]
-                work.way[row, column, 1] = move_y - work.slip[row, column, 1]
+                work.search_direction[row, column, 0] = move_x - work.slip[row, column, 0]
+                work.search_direction[row, column, 1] = move_y - work.slip[row, column, 1]
             elif speed > 0.0 and bound > 0.0:
                 along_x = work.slip[row, column, 0] / speed
                 along_y = work.slip[row, column, 1] / speed
@@ -213,31 +218,31 @@ def _follow(work: Work, move: Floats, reach: float) -> int:
                     caught += 1
                 across = along_x * move_y - along_y * move_x
                 across *= bound / (bound + work.diagonal[row, column] * speed)
-                work.way[row, column, 0] = -across * along_y
-                work.way[row, column, 1] = across * along_x
+                work.search_direction[row, column, 0] = -across * along_y
+                work.search_direction[row, column, 1] = across * along_x
             else:
-                work.way[row, column, 0] = 0.0
-                work.way[row, column, 1] = 0.0
+                work.search_direction[row, column, 0] = 0.0
+                work.search_direction[row, column, 1] = 0.0
     return caught
 
 
 @njit(cache=True)
 def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
-    """Slope and curvature, along way, of one pad's potential without friction."""
-    way = work.way
+    """Slope and curvature, along search_direction, of one pad's potential without friction."""
+    direction = work.search_direction
     rows, columns = work.bound.shape
     slope = 0.0
     curvature = 0.0
     for row in range(rows):
         for column in range(columns):
             for axis in range(2):
-                here = way[row, column, axis]
+                here = direction[row, column, axis]
                 slope += here * work.pull[row, column, axis]
                 curvature += stencil.own * here * here
                 if column > 0:
-                    curvature += stencil.link_x * (here - way[row, column - 1, axis]) ** 2
+                    curvature += stencil.link_x * (here - direction[row, column - 1, axis]) ** 2
                 if row > 0:
-                    curvature += stencil.link_y * (here - way[row - 1, column, axis]) ** 2
+                    curvature += stencil.link_y * (here - direction[row - 1, column, axis]) ** 2
     return slope, curvature
 
 
@@ -249,8 +254,8 @@ def _rubbing(work: Work, move: Floats, part: float) -> float:
     for row in range(rows):
         for column in range(columns):
             if work.speed[row, column] > 0.0:
-                drift_x = work.way[row, column, 0] - move[0] + move[2] * work.lever[row, column, 1]
-                drift_y = work.way[row, column, 1] - move[1] - move[2] * work.lever[row, column, 0]
+                drift_x = work.search_direction[row, column, 0] - move[0] + move[2] * work.lever[row, column, 1]
+                drift_y = work.search_direction[row, column, 1] - move[1] - move[2] * work.lever[row, column, 0]
                 slip_x = work.slip[row, column, 0] + part * drift_x
                 slip_y = work.slip[row, column, 1] + part * drift_y
                 speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
@@ -282,9 +287,12 @@ def _solve3(matrix: Floats, right: Floats, least: Floats) -> Floats:
 
 @njit(cache=True)
 def _find_move(
-    work: Work, stencil: Stencil, weight: Floats, inertial: Floats, felt: Floats, stuck: Flags, reach: float
+    work: Work, stencil: Stencil, weight: Floats, inertial: Floats, friction_wrench: Floats, stuck: Flags, reach: float
 ) -> Floats:
-    """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest; fills way."""
+    """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest.
+
+    Fills search_direction.
+    """
     rows, columns = stuck.shape
     for row in range(rows):
         for column in range(columns):
@@ -297,7 +305,7 @@ def _find_move(
         curvature *= stencil.pads
         for axis in range(3):
             curvature[axis, axis] += weight[axis]
-        move = _solve3(curvature, -inertial - stencil.pads * felt, weight)
+        move = _solve3(curvature, -inertial - stencil.pads * friction_wrench, weight)
         if _follow(work, move, reach) == 0:
             break
     return move
@@ -305,7 +313,10 @@ def _find_move(
 
 @njit(cache=True)
 def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial: Floats) -> float:
-    """Exact line search: the part, 0 to 1, of a move (with way) at which the potential is least; 0 if it only rises."""
+    """Exact line search: the part, 0 to 1, of a move at which the potential is least; 0 if it only rises.
+
+    The nodes move along search_direction.
+    """
     slope, bend = _smooth(work, stencil)
     slope = stencil.pads * slope + (inertial * move).sum()
     bend = stencil.pads * bend + (weight * move * move).sum()
@@ -327,11 +338,11 @@ def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial
 
 @njit(cache=True)
 def move_object(
-    work: Work, stencil: Stencil, twist: Floats, weight: Floats, inertial: Floats, felt: Floats, stuck: Flags
+    work: Work, stencil: Stencil, twist: Floats, weight: Floats, inertial: Floats, friction_wrench: Floats, stuck: Flags
 ) -> None:
     """Newton step of the object, and of the nodes that answer it.
 
-    weight: inertia / (theta dt); inertial: the object's own unbalanced force; felt: what the nodes of a pad add to it.
+    weight: inertia / (theta dt); inertial: the object's own unbalanced force; friction_wrench: what a pad adds to it.
     To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
     the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
     """
@@ -339,7 +350,7 @@ def move_object(
     move = np.zeros(3)
     part = 0.0
     for reach in REACHES:
-        move = _find_move(work, stencil, weight, inertial, felt, stuck, reach)
+        move = _find_move(work, stencil, weight, inertial, friction_wrench, stuck, reach)
         part = _search(work, stencil, move, weight, inertial)
         if part >= WORTHWHILE:
             break
@@ -348,4 +359,4 @@ def move_object(
     for row in range(rows):
         for column in range(columns):
             for axis in range(2):
-                work.velocity[row + 1, column + 1, axis] += part * work.way[row, column, axis]
+                work.velocity[row + 1, column + 1, axis] += part * work.search_direction[row, column, axis]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.sim.camera.rgb import RgbCamera, frame
+from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
 
 RADIUS_PX = 7.5
 SILENT = RgbCamera(noise_grey=0.0)
@@ -16,10 +16,10 @@ def one_dot(x: float, y: float, camera: RgbCamera = SILENT) -> np.ndarray:
 
 def test_dark_on_bright() -> None:
     """Assert the grey of gel and dot, and their ratio, the exponential of the contrast, to the rounding of a grey."""
-    drawn = one_dot(100, 60)
-    assert drawn.shape == (240, 320)
-    assert drawn[0, 0] == SILENT.gel_grey
-    assert drawn[60, 100] == pytest.approx(SILENT.gel_grey / np.exp(SILENT.log_contrast), abs=0.6)
+    sampled = one_dot(100, 60)
+    assert sampled.shape == (240, 320)
+    assert sampled[0, 0] == SILENT.gel_grey
+    assert sampled[60, 100] == pytest.approx(SILENT.gel_grey / np.exp(SILENT.log_contrast), abs=0.6)
 
 
 @pytest.mark.parametrize("place", [(100.0, 60.0), (100.37, 60.81), (57.5, 111.25)])
@@ -27,8 +27,8 @@ def test_a_dot_is_where_it_was_put(place: tuple[float, float]) -> None:
     """Assert that the centroid of what is dark is the dot's place, to a hundredth of a pixel."""
     dark = SILENT.gel_grey - one_dot(*place).astype(float)
     y, x = np.indices(dark.shape)
-    found = (dark * x).sum() / dark.sum(), (dark * y).sum() / dark.sum()
-    assert found == pytest.approx(place, abs=0.01)
+    result = (dark * x).sum() / dark.sum(), (dark * y).sum() / dark.sum()
+    assert result == pytest.approx(place, abs=0.01)
 
 
 def test_noise() -> None:

@@ -1,4 +1,4 @@
-"""One time step of the gel's arrays: the equation of the nodes is set up, balanced (see gel_balance), and applied."""
+"""One time step of the gel's arrays: the equation of the nodes is set up, balanced (see force_balance), and applied."""
 
 import math
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.gel.balance import Stencil, Work, imbalance, links, move_object, relax
+from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -32,6 +32,50 @@ class Layer(NamedTuple):
     pads: float
 
 
+class NodeArrays(NamedTuple):
+    """The arrays of a gel's state that a time step changes, and its nodes; see `gel.GelState`.
+
+    `mean` is the velocity of the nodes over the last step, where the search for the next begins.
+    """
+
+    displacement: Floats
+    velocity: Floats
+    maxwell: Floats
+    mean: Floats
+    slip_speed: Floats
+    stuck: Flags
+    pose: Floats
+    twist: Floats
+    inertia: Floats
+    nodes: Floats
+
+
+class Load(NamedTuple):
+    """What acts in a step: normal force of each node, force and moment on the object, or the twist that it is given."""
+
+    nodal: Floats
+    force: Floats
+    prescribed: bool
+    wanted: Floats
+
+
+class FrictionLaw(NamedTuple):
+    """Coefficients of friction at rest and in fast slip, and the slip speed between them, in m/s."""
+
+    static: float
+    kinetic: float
+    stribeck_speed: float
+
+
+class StepSettings(NamedTuple):
+    """How a step is made: its length in s, its theta, and when the search for the balance ends."""
+
+    dt: float
+    theta: float
+    tolerance: float
+    max_sweeps: int
+
+
 @njit(cache=True)
 def spring(field: Floats, shear: float, coupling_x: float, coupling_y: float, answer: Floats) -> None:
     """Set answer to K field, both (rows, columns, 2); the edges of the pad are free."""
@@ -54,31 +98,15 @@ def spring(field: Floats, shear: float, coupling_x: float, coupling_y: float, an
 
 @njit(cache=True)
 def step_nodes(
-    displacement: Floats,
-    velocity: Floats,
-    maxwell: Floats,
-    mean: Floats,
-    slip_speed: Floats,
-    stuck: Flags,
-    pose: Floats,
-    twist: Floats,
-    inertia: Floats,
-    nodes: Floats,
-    nodal: Floats,
-    force: Floats,
-    prescribed: bool,
-    wanted: Floats,
-    mu_static: float,
-    mu_kinetic: float,
-    stribeck: float,
-    dt: float,
-    theta: float,
-    tolerance: float,
-    max_sweeps: int,
-    layer: Layer,
-    info: Floats,
+    arrays: NodeArrays, load: Load, friction: FrictionLaw, settings: StepSettings, layer: Layer, info: Floats
 ) -> int:
-    """One time step in place; returns 0, or the number of what is wrong, before anything is changed."""
+    """One time step in place; returns 0, or the number of what is wrong, before anything is changed.
+
+    Fills `info`: sweeps, residual, and the rest of `gel.StepInfo` in its order.
+    """
+    displacement, velocity, maxwell, mean, slip_speed, stuck, pose, twist, inertia, nodes = arrays
+    nodal, force, prescribed, wanted = load
+    dt, theta, tolerance, max_sweeps = settings
     rows, columns = nodal.shape
     for axis in range(3):
         if not (math.isfinite(force[axis]) and math.isfinite(wanted[axis])):
@@ -118,18 +146,18 @@ def step_nodes(
     square = 0.0
     for row in range(rows):
         for column in range(columns):
-            load = nodal[row, column]
-            if not (load >= 0.0 and load < np.inf):
+            normal = nodal[row, column]
+            if not (normal >= 0.0 and normal < np.inf):
                 return 1
-            mu = mu_static
+            mu = friction.static
             if slip_speed[row, column] > 0.0:
-                ratio = slip_speed[row, column] / stribeck
-                mu = mu_kinetic + (mu_static - mu_kinetic) * math.exp(-ratio * ratio)
+                ratio = slip_speed[row, column] / friction.stribeck_speed
+                mu = friction.kinetic + (friction.static - friction.kinetic) * math.exp(-ratio * ratio)
             links_x = links(column, columns) * stencil.link_x
             links_y = links(row, rows) * stencil.link_y
-            work.bound[row, column] = mu * load
+            work.bound[row, column] = mu * normal
             work.diagonal[row, column] = stencil.own + links_x + links_y
-            scale += layer.pads * mu * load
+            scale += layer.pads * mu * normal
             for axis in range(2):
                 momentum = layer.node_mass / h * velocity[row, column, axis]
                 right = momentum - work.right[row, column, axis] - keep * maxwell[row, column, axis]
@@ -150,22 +178,22 @@ def step_nodes(
     factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
     body = wanted.copy()
     weight = inertia / h
-    felt = np.zeros(3)
+    friction_wrench = np.zeros(3)
     sweeps = 0
     while True:
         # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
             relax(work, stencil, body, stuck, factor)
             sweeps += 1
-        worst = imbalance(work, stencil, body, stuck, felt)
+        worst = imbalance(work, stencil, body, stuck, friction_wrench)
         inertial = weight * (body - twist) - force
         if not prescribed:
-            left = np.abs(inertial + layer.pads * felt)
+            left = np.abs(inertial + layer.pads * friction_wrench)
             worst = max(worst, left[0], left[1], left[2] / reach)
         if worst <= tolerance * scale or sweeps >= max_sweeps:
             break
         if not prescribed:
-            move_object(work, stencil, body, weight, inertial, felt, stuck)
+            move_object(work, stencil, body, weight, inertial, friction_wrench, stuck)
     info[:] = 0.0
     info[0] = sweeps
     info[1] = worst / scale
@@ -192,10 +220,10 @@ def _advance(
     work: Work,
     info: Floats,
 ) -> None:
-    """Move the gel on by dt with the velocities found, and sum up what happened in info[2:]."""
+    """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
     rows, columns = nodal.shape
     mean[:] = work.velocity[1:-1, 1:-1]
-    spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.way)
+    spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.search_direction)
     fade = math.exp(-dt / layer.maxwell_time)
     build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)
     total = 0.0
@@ -222,7 +250,9 @@ def _advance(
             for axis in range(2):
                 here = mean[row, column, axis]
                 displacement[row, column, axis] += dt * here
-                maxwell[row, column, axis] = fade * maxwell[row, column, axis] + build * work.way[row, column, axis]
+                maxwell[row, column, axis] = (
+                    fade * maxwell[row, column, axis] + build * work.search_direction[row, column, axis]
+                )
                 velocity[row, column, axis] += (here - velocity[row, column, axis]) / theta
                 info[3 + axis] += load * here
                 info[5 + axis] -= load * work.slip[row, column, axis]

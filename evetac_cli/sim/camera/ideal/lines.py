@@ -1,8 +1,8 @@
-"""The ideal camera under moving lines (see rims): crossings of the gel's pixels that they may touch, in sub-steps.
+"""The ideal camera under moving lines (see contact_edges): crossings of the gel's pixels that they may touch.
 
 Lines have no closed form as dots have. A slice in which they move is cut into sub-steps, in which they move by at most
 so many px; the level of a gel pixel that they may touch, dots included, is linear in a sub-step, that of a window pixel
-a parabola (see ideal_window). The error of a time falls with the square of the step.
+a parabola (see window). The error of a time falls with the square of the step.
 """
 
 import math
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import (
-    ContactEdges,
+    LineMotion,
     Outline,
     Place,
     cut_run,
@@ -25,47 +25,45 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_row,
 )
 from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.ideal.pixels import IdealGelPixels, SliceTimes
 
-# A rim 4 px wide at 1 and 3 px/ms: events lie 0.25 us (median) and 0.48 us (p95) from those of steps of 2.5 us,
+# An edge 4 px wide at 1 and 3 px/ms: events lie 0.25 us (median) and 0.48 us (p95) from those of steps of 2.5 us,
 # which is what whole microseconds cost. With dots in motion under a line, which are steeper, it is shorter.
 LINE_STEP_PX = 0.25
 DOT_STEP_PX = 0.05
 MOST_LINE_STEPS = 64
 
 
-def line_steps(
-    contact_edges: ContactEdges, start: Place, end: Place, path: NDArray[np.float64], line_step_px: float
-) -> int:
+def line_steps(lines: LineMotion, path: NDArray[np.float64], line_step_px: float) -> int:
     """Into how many sub-steps a slice is cut in which lines move, and dots along paths (dots, k + 1, 2)."""
-    way_px = np.hypot(*(end.corner_px - start.corner_px)) if contact_edges.outline.picture.size else 0.0
-    way_px = max(way_px, np.abs(end.cut_x_px - start.cut_x_px).max(initial=0.0))
+    start, end = lines.start, lines.end
+    travel_px = np.hypot(*(end.corner_px - start.corner_px)) if lines.outline.picture.size else 0.0
+    travel_px = max(travel_px, np.abs(end.cut_x_px - start.cut_x_px).max(initial=0.0))
     dots_px = np.hypot(*np.moveaxis(np.diff(path, axis=1), -1, 0)).sum(axis=1).max(initial=0.0)
-    way_px = max(way_px, dots_px * LINE_STEP_PX / DOT_STEP_PX)
-    return int(min(max(math.ceil(way_px / line_step_px), 1), MOST_LINE_STEPS))
+    travel_px = max(travel_px, dots_px * LINE_STEP_PX / DOT_STEP_PX)
+    return int(min(max(math.ceil(travel_px / line_step_px), 1), MOST_LINE_STEPS))
 
 
 @njit(cache=True)
 def solve_line_pixels(
+    lines: LineMotion,
     steps: int,
-    outline: Outline,
-    cut_contrast: float,
-    cut_half: float,
-    start: Place,
-    end: Place,
-    seen: tuple[Any, ...],
     path: NDArray[np.float64],
-    gel: tuple[Any, ...],
-    solved: tuple[Any, ...],
+    gel: IdealGelPixels,
+    times: SliceTimes,
+    keys: NDArray[np.int64],
     made: int,
 ) -> tuple[int, int]:
-    """Crossings of gel pixels that lines may touch, row by row; `gel` and `solved` are arguments of `solve_dots`.
+    """Crossings of gel pixels that lines may touch, row by row, in sub-steps, while dots move along paths.
 
     Returns the number of events so far, and of those that lines alone made.
     """
-    seen_corner, seen_cut_x, seen_level, seen_cut_level = seen
-    lower2 = gel[7]
-    solved_in, this_slice = solved[:2]
-    reference = gel[5]
+    start, end, outline, cut_contrast, cut_half, seen_corner, seen_cut_x, seen_level, seen_cut_level = lines
+    lower2, solved_in, reference = gel.lower2_px2, gel.solved_in, gel.reference
+    this_slice, t0_us, refractory_us = times
+    inner, outer, steps_per_px, profile = gel.profile
+    pixels = (inner, outer, steps_per_px, profile, reference, gel.threshold, gel.release_us)
+    when = (refractory_us, t0_us, keys)
     height, width = reference.shape
     dots_xy = _along(path, steps)
     rows, columns = outline.picture.shape
@@ -74,13 +72,13 @@ def solve_line_pixels(
     low_y = min(seen_corner[1], start.corner_px[1], end.corner_px[1])
     high_y = max(seen_corner[1], start.corner_px[1], end.corner_px[1])
     faded = start.strength != end.strength or start.strength != seen_corner[2]
-    there = faded or (start.strength > 0.0 and (low_x != high_x or low_y != high_y))
+    changes = faded or (start.strength > 0.0 and (low_x != high_x or low_y != high_y))
     first_row, end_row = outline_rows(rows, height, low_y, high_y)
-    if rows == 0 or not there:
+    if rows == 0 or not changes:
         end_row = first_row
     runs = np.empty((3, 2), np.int64)
     scratch = np.empty((7, width), np.float32)
-    of_lines = 0
+    line_events = 0
     for y in range(height):
         runs[:] = 0
         if first_row <= y < end_row:
@@ -117,15 +115,15 @@ def solve_line_pixels(
                 seen_level,
                 seen_cut_level,
                 dots_xy,
-                gel,
-                solved,
+                pixels,
+                when,
                 y,
                 first,
                 beyond,
                 scratch,
                 made,
             )
-            of_lines += alone
+            line_events += alone
             lower2[y, first:beyond] = np.inf
             solved_in[y, first:beyond] = this_slice
     if rows:
@@ -133,7 +131,7 @@ def solve_line_pixels(
         seen_corner[1] = end.corner_px[1]
         seen_corner[2] = end.strength
     seen_cut_x[:] = end.cut_x_px
-    return made, of_lines
+    return made, line_events
 
 
 @njit(cache=True)
@@ -152,8 +150,8 @@ def _along(path: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
         vertex = min(int(at), vertices - 2)
         for dot in range(dots):
             for axis in range(2):
-                way = path[dot, vertex + 1, axis] - path[dot, vertex, axis]
-                xy[step, dot, axis] = path[dot, vertex, axis] + (at - vertex) * way
+                piece_px = path[dot, vertex + 1, axis] - path[dot, vertex, axis]
+                xy[step, dot, axis] = path[dot, vertex, axis] + (at - vertex) * piece_px
     return xy
 
 
@@ -168,8 +166,8 @@ def _solve_run(
     seen_level: NDArray[np.float32],
     seen_cut_level: NDArray[np.float32],
     dots_xy: NDArray[np.float64],
-    gel: tuple[Any, ...],
-    solved: tuple[Any, ...],
+    pixels: tuple[Any, ...],
+    when: tuple[Any, ...],
     y: int,
     first: int,
     beyond: int,
@@ -177,10 +175,9 @@ def _solve_run(
     made: int,
 ) -> tuple[int, int]:
     """Crossings of pixels side by side, whose levels are linear in every sub-step; counts as `solve_line_pixels`."""
-    inner, outer, steps_per_px, profile = gel[:4]
-    reference, threshold = gel[5:7]
-    refractory_us, release_us, t0_us, keys = solved[2:]
-    pixels = beyond - first
+    inner, outer, steps_per_px, profile, reference, threshold, release_us = pixels
+    refractory_us, t0_us, keys = when
+    count = beyond - first
     dots_now, dots_then, now, then, lines, lines_seen, line = (
         scratch[0],
         scratch[1],
@@ -190,40 +187,40 @@ def _solve_run(
         scratch[5],
         scratch[6],
     )
-    lines_seen[:pixels] = 0.0
+    lines_seen[:count] = 0.0
     if len(seen_level):
-        lines_seen[:pixels] += seen_level[y, first:beyond]
+        lines_seen[:count] += seen_level[y, first:beyond]
     if len(seen_cut_level):
-        lines_seen[:pixels] += seen_cut_level[y, first:beyond]
-    of_lines = 0
+        lines_seen[:count] += seen_cut_level[y, first:beyond]
+    line_events = 0
     for step in range(steps + 1):
         at = step / steps
-        lines[:pixels] = 0.0
+        lines[:count] = 0.0
         if len(seen_level):
             x = start.corner_px[0] + at * (end.corner_px[0] - start.corner_px[0])
             down = start.corner_px[1] + at * (end.corner_px[1] - start.corner_px[1])
             strength = start.strength + at * (end.strength - start.strength)
             sample_row(outline.picture, x, down, strength, y, first, beyond, line)
-            lines[:pixels] += line[:pixels]
+            lines[:count] += line[:count]
             if step == steps:
-                seen_level[y, first:beyond] = line[:pixels]
+                seen_level[y, first:beyond] = line[:count]
         if len(seen_cut_level):
             cut_x = start.cut_x_px[y] + at * (end.cut_x_px[y] - start.cut_x_px[y])
             sample_cut(cut_contrast, cut_half, cut_x, first, beyond, line)
-            lines[:pixels] += line[:pixels]
+            lines[:count] += line[:count]
             if step == steps:
-                seen_cut_level[y, first:beyond] = line[:pixels]
+                seen_cut_level[y, first:beyond] = line[:count]
         if step < len(dots_xy):
             optics.dot_row(dots_xy[step], inner, outer, steps_per_px, profile, y, first, beyond, dots_then)
         fired = 0
-        for k in range(pixels):
+        for k in range(count):
             then[k] = dots_then[k] + (lines[k] - lines_seen[k])
             # NaN, a refractory pixel, counts.
             fired += int(not (abs(then[k] - reference[y, first + k]) < threshold[y, first + k]))
             if step == 1:
                 fired += int(not (abs(now[k] - reference[y, first + k]) < threshold[y, first + k]))
         if step > 0 and fired > 0:
-            for k in range(pixels):
+            for k in range(count):
                 before = made
                 made = _solve_linear(
                     first + k,
@@ -241,13 +238,13 @@ def _solve_run(
                     made,
                 )
                 if dots_then[k] == dots_now[k]:
-                    of_lines += made - before
-        for k in range(pixels):
+                    line_events += made - before
+        for k in range(count):
             now[k] = then[k]
             dots_now[k] = dots_then[k]
-    for k in range(pixels):
+    for k in range(count):
         reference[y, first + k] -= lines[k] - lines_seen[k]
-    return made, of_lines
+    return made, line_events
 
 
 @njit(cache=True)

@@ -15,8 +15,8 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.numerics.simulator import camera_cost
 from evetac_cli.numerics.simulator.camera_cost import FineEvents, Workload, fine, match, reference_events
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.ideal import ideal
-from evetac_cli.sim.camera.ideal.ideal import IdealState
+from evetac_cli.sim.camera.ideal import camera as ideal
+from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 
@@ -74,15 +74,15 @@ def test_edge_at_known_times() -> None:
     """Assert that a dot's rim, moving along a row of pixels, fires each of them when it brings the next threshold."""
     state = on_gel(QUIET, reference=0.05)
     speed, from_x = 0.7, -30.0
-    found = play(state, line([from_x, 40.0], (speed, 0.0)), 60)
+    result = play(state, line([from_x, 40.0], (speed, 0.0)), 60)
     expected = radii(QUIET, 0.05 - 0.2 * np.arange(1, 9))  # 8 thresholds of 0.2 fit into 1.61 + 0.05
     tested = 0
     for x in range(20):
-        here = (found.x == x) & (found.y == 40) & (found.p == 0)
+        here = (result.x == x) & (result.y == 40) & (result.p == 0)
         times_us = (x - expected - from_x) / speed * 1000.0
-        assert found.t[here].size == 8
+        assert result.t[here].size == 8
         # Whole microseconds, rounded down; the table adds 1e-3 px where the edge's tails are cut off, else 1e-5 px.
-        np.testing.assert_allclose(found.t[here] + 0.5, times_us, atol=0.6)
+        np.testing.assert_allclose(result.t[here] + 0.5, times_us, atol=0.6)
         tested += 8
     assert tested == 160
 
@@ -91,13 +91,13 @@ def test_dot_in_uniform_motion() -> None:
     """Assert count, polarity and times of every pixel that a dot passes, against the roots of its quadratics."""
     state = on_gel(QUIET, reference=0.05)
     begin, velocity = np.array([-30.3, 22.6]), np.array([2.3, 0.4])
-    found = play(state, line(begin, velocity), 75)
+    result = play(state, line(begin, velocity), 75)
     targets = 0.05 - 0.2 * np.arange(1, 9)
     at_radius = radii(QUIET, targets)
     speed2 = velocity @ velocity
     wrong = total = 0
-    order = np.lexsort((found.t, found.x, found.y))
-    t, x, y, p = (column[order] for column in found)
+    order = np.lexsort((result.t, result.x, result.y))
+    t, x, y, p = (column[order] for column in result)
     bounds = np.searchsorted(y.astype(int) * FRAME[0] + x, np.arange(FRAME[0] * FRAME[1] + 1))
     for row in range(FRAME[1]):
         for column in range(FRAME[0]):
@@ -156,8 +156,8 @@ def test_against_the_reference(motion: str) -> None:
     state = start(path(0))
     sampled = np.array([path(step / 100) for step in range(slices * 100 + 1)])
     truth = reference_events(state.shared, sampled, 10.0)
-    found = fine(play(state, path, slices, pieces=100))
-    agreement = match(found, truth, 10.0)
+    result = fine(play(state, path, slices, pieces=100))
+    agreement = match(result, truth, 10.0)
     assert truth.t.size > 200
     assert abs(agreement.count_share) <= max(1e-3, 1.01 / truth.t.size)  # or by a single event
     assert agreement.f1 >= 0.99
@@ -204,8 +204,8 @@ def test_matcher() -> None:
 
     truth = events((0.0, 1, 1, 1), (100.0, 1, 1, 1), (100.0, 1, 1, 0), (100.0, 2, 1, 1))
     assert match(truth, truth).f1 == 1.0
-    found = events((9.0, 1, 1, 1), (9.5, 1, 1, 1), (111.0, 1, 1, 0), (100.0, 1, 2, 1))
-    agreement = match(found, truth)
+    result = events((9.0, 1, 1, 1), (9.5, 1, 1, 1), (111.0, 1, 1, 0), (100.0, 1, 2, 1))
+    agreement = match(result, truth)
     assert agreement.f1 == 2 * 1 / 8
     assert agreement.count_share == 0.0
     assert sorted(agreement.error_us.tolist()) == [9.0, 11.0, 90.5]
@@ -231,13 +231,13 @@ def test_scans_lose_a_known_share(motion: str) -> None:
     63 dots, C 0.25, mismatch 0.03, 20 ms. A scan each 0.2 ms of the true path is one slice of
     a camera with one scan a slice.
     """
-    way, pieces, share, tolerance = LATCHED[motion]
+    travel, pieces, share, tolerance = LATCHED[motion]
     model = CameraModel(noise_rate_hz=0.0, hot_pixels=0, threshold=0.25, scans_per_ms=1)
     xy = np.array([[70 + 62.5 * column, 45 + 62.5 * row] for row in range(7) for column in range(9)])
     direction = np.stack([np.full(63, math.cos(0.3)), math.sin(0.3) * (1 + 0.05 * (xy[:, 0] / 300 - 1))], axis=1)
 
     def path(t_ms: float) -> NDArray[np.float64]:
-        moved: NDArray[np.float64] = xy + way(t_ms) * direction
+        moved: NDArray[np.float64] = xy + travel(t_ms) * direction
         return moved
 
     shared = camera.start(model, path(0), None, None, None, np.random.default_rng(1))
@@ -309,12 +309,12 @@ def test_jump_between_slices() -> None:
     """Assert that what jumps between slices fires at once, a step for every threshold between the two pictures."""
     state = start([[30.0, 40.0]])
     reference, threshold = state.shared.reference.copy(), state.shared.threshold
-    found = ideal.step(state, [[45.5, 40.0]], [[45.5, 40.0]], STILL, STILL, 0.0, 0, np.random.default_rng(0))
+    result = ideal.step(state, [[45.5, 40.0]], [[45.5, 40.0]], STILL, STILL, 0.0, 0, np.random.default_rng(0))
     change = optics.gel_level(FRAME, np.array([[45.5, 40.0]]), state.shared.profile) - reference
     expected = np.floor(np.abs(change) / threshold).astype(int)
     counts = np.zeros(FRAME[::-1], int)
-    np.add.at(counts, (found.y, found.x), 1)
-    assert (found.t == 0).all()
+    np.add.at(counts, (result.y, result.x), 1)
+    assert (result.t == 0).all()
     assert np.count_nonzero(counts != expected) <= 2  # a change of whole thresholds but for rounding
     assert expected.sum() > 2000
 
@@ -322,8 +322,8 @@ def test_jump_between_slices() -> None:
 def test_bare_gel_is_never_quite_reached() -> None:
     """Assert that a dot that passes pixels at the level of bare gel ends one threshold short of it everywhere."""
     state = on_gel(QUIET, reference=0.0)
-    found = play(state, line([-30.3, 40.2], (5.0, 0.3)), 40)
-    darker, brighter = np.count_nonzero(found.p == 0), np.count_nonzero(found.p == 1)
+    result = play(state, line([-30.3, 40.2], (5.0, 0.3)), 40)
+    darker, brighter = np.count_nonzero(result.p == 0), np.count_nonzero(result.p == 1)
     passed = state.shared.reference[state.shared.reference != 0.0]
     assert passed.size > 2000
     np.testing.assert_allclose(passed, -0.2, atol=1e-6)
@@ -332,18 +332,18 @@ def test_bare_gel_is_never_quite_reached() -> None:
 
 def test_polarity_tells_the_direction() -> None:
     """Assert that the leading edge darkens, the trailing edge brightens, and references end within a threshold."""
-    found = play(state := start([[40.0, 40.0]]), line([[40.0, 40.0]], (0.5, 0.0)), 20)
-    assert (found.p[found.x > 50] == 0).all()
-    assert (found.p[found.x < 40] == 1).all()
+    result = play(state := start([[40.0, 40.0]]), line([[40.0, 40.0]], (0.5, 0.0)), 20)
+    assert (result.p[result.x > 50] == 0).all()
+    assert (result.p[result.x < 40] == 1).all()
     level = optics.gel_level(FRAME, np.array([[50.0, 40.0]]), state.shared.profile)
     assert (np.abs(level - state.shared.reference) <= state.shared.threshold * (1 + 1e-4)).all()
 
 
 def test_dots_do_not_show_in_the_window() -> None:
     """Assert that a dot that moves into the window makes events up to its edge only."""
-    found = play(start([[60.0, 40.0]], window=STRIP, texture=None), line([60.0, 40.0], (0.5, 0.0)), 20)
-    assert not ((found.x >= STRIP[0]) & (found.y >= STRIP[1]) & (found.y < STRIP[3])).any()
-    assert found.size > 1000
+    result = play(start([[60.0, 40.0]], window=STRIP, texture=None), line([60.0, 40.0], (0.5, 0.0)), 20)
+    assert not ((result.x >= STRIP[0]) & (result.y >= STRIP[1]) & (result.y < STRIP[3])).any()
+    assert result.size > 1000
 
 
 def window_truth(state: IdealState, velocity: NDArray[np.float64], slices: int, steps_per_ms: int) -> FineEvents:
@@ -352,8 +352,8 @@ def window_truth(state: IdealState, velocity: NDArray[np.float64], slices: int, 
     level = np.empty((y1 - y0, x1 - x0), np.float32)
     optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, level)
     before = level.astype(float)
-    reference = state.shared.strip_reference + before
-    threshold = state.shared.strip_threshold
+    reference = state.shared.window_reference + before
+    threshold = state.shared.window_threshold
     rows = []
     for step in range(1, slices * steps_per_ms + 1):
         at = velocity * step / steps_per_ms
@@ -407,7 +407,7 @@ def test_refractory_time(refractory_us: float) -> None:
     state = start(path(0), dataclasses.replace(QUIET, refractory_us=refractory_us))
     reference = state.shared.reference.astype(float)
     threshold = state.shared.threshold.astype(float)
-    found = fine(play(state, path, 12))
+    result = fine(play(state, path, 12))
     y, x = np.mgrid[: FRAME[1], : FRAME[0]]
     release = np.full(reference.shape, -np.inf)
     rows = []
@@ -425,13 +425,13 @@ def test_refractory_time(refractory_us: float) -> None:
         release[fires] = step + 0.5 + refractory_us
     expected = FineEvents(*(np.array(column) for column in zip(*rows, strict=True)))
     # A pixel's events hang together, and each adds up to a microsecond of this simulation's step.
-    agreement = match(found, expected, 12.0)
+    agreement = match(result, expected, 12.0)
     assert expected.t.size > 500
     assert agreement.count_share == pytest.approx(0.0, abs=5e-3)
     assert agreement.f1 >= 0.98
-    order = np.lexsort((found.t, found.x, found.y))
-    same = np.diff(found.y[order] * 1000 + found.x[order]) == 0
-    assert np.diff(found.t[order])[same].min() >= refractory_us - 1.0
+    order = np.lexsort((result.t, result.x, result.y))
+    same = np.diff(result.y[order] * 1000 + result.x[order]) == 0
+    assert np.diff(result.t[order])[same].min() >= refractory_us - 1.0
 
 
 def test_refractory_window() -> None:
@@ -444,11 +444,11 @@ def test_refractory_window() -> None:
         still = [[30.0, 30.0]]
         parts = [ideal.step(state, still, still, (2.0 * k, 0.0), (2.0 * k + 2.0, 0.0), 1.0, 1000 * k, rng)
                  for k in range(20)]  # fmt: skip
-        found = fine(concatenate(parts))
-        order = np.lexsort((found.t, found.x, found.y))
-        same = np.diff(found.y[order] * 1000 + found.x[order]) == 0
-        assert np.diff(found.t[order])[same].min() >= refractory_us - 1.0
-        sizes.append(found.t.size)
+        result = fine(concatenate(parts))
+        order = np.lexsort((result.t, result.x, result.y))
+        same = np.diff(result.y[order] * 1000 + result.x[order]) == 0
+        assert np.diff(result.t[order])[same].min() >= refractory_us - 1.0
+        sizes.append(result.t.size)
     assert 300 < sizes[1] < sizes[0]
 
 
@@ -456,9 +456,9 @@ def test_full_slice_drops_and_counts() -> None:
     """Assert that a slice never exceeds its limit, the loss is counted, and the picture goes on as if nothing was."""
     path = line([40.0, 40.0], (1.0, 0.0))
     whole, cut = start(path(0)), start(path(0), dataclasses.replace(QUIET, max_events=300))
-    all_events, kept = play(whole, path, 8), play(cut, path, 8)
-    assert (np.bincount(kept.t // 1000) <= 300).all()
-    assert cut.dropped == all_events.size - kept.size > 0
+    all_events, stored = play(whole, path, 8), play(cut, path, 8)
+    assert (np.bincount(stored.t // 1000) <= 300).all()
+    assert cut.dropped == all_events.size - stored.size > 0
     assert whole.dropped == 0
     np.testing.assert_array_equal(whole.shared.reference, cut.shared.reference)
 
@@ -495,7 +495,7 @@ def test_far_leaps_and_fast_objects_end() -> None:
     level = optics.gel_level(FRAME, np.array([[40.0, 40.0]]), state.shared.profile)
     outside = np.isfinite(state.shared.threshold)
     assert (np.abs(level - state.shared.reference) <= state.shared.threshold * (1 + 1e-4))[outside].all()
-    assert np.isfinite(state.shared.strip_reference).all()
+    assert np.isfinite(state.shared.window_reference).all()
 
 
 def test_tone_of_498_hz_in_1_ms_steps() -> None:
@@ -577,7 +577,7 @@ def test_step_refuses(named: str, value: Any) -> None:
         ideal.step(state, **{**good, named: value, "t0_us": 0, "rng": np.random.default_rng(0)})
     for name in ("lower2_px2", "upper2_px2", "slices"):
         np.testing.assert_array_equal(getattr(state, name), getattr(before, name))
-    for name in ("reference", "strip_reference", "seen_dot_xy_px", "seen_object"):
+    for name in ("reference", "window_reference", "seen_dot_xy_px", "seen_object"):
         np.testing.assert_array_equal(getattr(state.shared, name), getattr(before.shared, name))
 
 
@@ -621,12 +621,12 @@ def test_leak_makes_its_rate(window: Any, refractory_us: float) -> None:
     state = start([[40.0, 40.0]], model, window=window, texture=TEXTURE if window else None)
     rng = np.random.default_rng(0)
     still = [[40.0, 40.0]]
-    found = concatenate([ideal.step(state, still, still, STILL, STILL, 1.0, 1000 * k, rng) for k in range(400)])
+    result = concatenate([ideal.step(state, still, still, STILL, STILL, 1.0, 1000 * k, rng) for k in range(400)])
     steps = 400 * 1e-3 * 10.0
     expected = sum(np.clip((steps - k) / 2, 0, 1) for k in range(6)) * FRAME[0] * FRAME[1]
-    assert (found.p == 1).all()
+    assert (result.p == 1).all()
     # With a refractory time what leaked since the crossing is forgotten: up to a visit, half of one in the mean.
-    assert found.size == pytest.approx(expected, rel=0.01 if refractory_us == 0.0 else 0.25)
+    assert result.size == pytest.approx(expected, rel=0.01 if refractory_us == 0.0 else 0.25)
 
 
 def test_dots_move_on_after_leak() -> None:

@@ -1,12 +1,11 @@
-"""The ideal camera's window: the moments at which a sliding texture takes a pixel's level past its threshold, solved.
+"""The ideal camera's window: the times at which a sliding texture takes a pixel's level past its threshold, solved.
 
 The texture is bilinear, so along a straight path a pixel's level is a quadratic in time until the object has moved on
 by a whole texel, which happens to all pixels at once. The slice is cut there; each part is solved exactly. Lines that
-move over the window (see rims) cut it into as many more parts as sub-steps are asked for.
+move over the window (see contact_edges) cut it into as many more parts as sub-steps are asked for.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -14,19 +13,22 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.contact_edges import Outline, Place, sample_cut, sample_row
+from evetac_cli.sim.camera.camera_input import ObjectMotion
+from evetac_cli.sim.camera.contact_edges import LineMotion, Outline, Place, sample_cut, sample_row
 from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.ideal.pixels import IdealWindowPixels, SliceTimes
 
 # An object faster than this many texels a slice (8 m/s) is sampled at as many equal parts instead of at each texel.
 MOST_TEXELS = 256
-# As many lines as `solve_window` gets where none moves.
-NO_LINES = (
-    0,
+# The lines of `solve_window` where none moves.
+NO_LINES = LineMotion(
+    Place(np.zeros(2), 0.0, np.zeros(0)),
+    Place(np.zeros(2), 0.0, np.zeros(0)),
     Outline(np.zeros((0, 0), np.float32), np.empty((0, 4), np.int64), 0.0, 0.0),
     0.0,
-    0.0,
-    Place(np.zeros(2), 0.0, np.zeros(0)),
-    Place(np.zeros(2), 0.0, np.zeros(0)),
+    1.0,
+    np.zeros(3),
+    np.zeros(0),
     np.zeros((0, 0), np.float32),
     np.zeros((0, 0), np.float32),
 )
@@ -34,30 +36,33 @@ NO_LINES = (
 
 @njit(cache=True)
 def solve_window(
-    start_xy: NDArray[np.float64],
-    end_xy: NDArray[np.float64],
-    contrast: float,
-    seen: NDArray[np.float64],
-    texture: NDArray[np.float32],
-    first_x: int,
-    first_y: int,
-    level: NDArray[np.float32],
-    reference: NDArray[np.float32],
-    threshold: NDArray[np.float32],
-    lines: tuple[Any, ...],
-    refractory_us: float,
-    release_us: NDArray[np.float64],
-    t0_us: int,
+    motion: ObjectMotion,
+    window: IdealWindowPixels,
+    lines: LineMotion,
+    steps: int,
+    times: SliceTimes,
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
     """Crossings of the window's pixels; returns the number of events so far.
 
     Within a part of the slice in which the object stays between whole texels, a level is the parabola through its
-    values at start, middle and end. `level` is left with the texture's at the end. `lines` are what `_add_lines` takes;
-    they come on top, and cut the slice into as many parts as the sub-steps in which they move.
+    values at start, middle and end. The window's `level` is left with the texture's at the end. `lines` come on top,
+    and cut the slice into `steps` parts; 0 where none moves.
     """
-    steps = lines[0]
+    start_xy, end_xy, contrast = motion
+    first_x, first_y, seen, texture, level, reference, threshold, release_us = window
+    _, t0_us, refractory_us = times
+    moving = (
+        steps,
+        lines.outline,
+        lines.cut_contrast,
+        lines.cut_half_px,
+        lines.start,
+        lines.end,
+        lines.seen_level,
+        lines.seen_cut_level,
+    )
     across = end_xy[0] - start_xy[0]
     down = end_xy[1] - start_xy[1]
     first_look = math.isnan(seen[2])
@@ -74,7 +79,7 @@ def solve_window(
     optics.sample_texture(texture, first_x, first_y, start_xy[0], start_xy[1], contrast, now)
     if first_look:
         reference += now
-    _add_lines(now, first_x, first_y, 0.0, *lines)
+    _add_lines(now, first_x, first_y, 0.0, *moving)
     if not first_look or steps > 0:
         made = _solve_parabolas(
             now,
@@ -101,11 +106,11 @@ def solve_window(
         optics.sample_texture(
             texture, first_x, first_y, start_xy[0] + middle * across, start_xy[1] + middle * down, contrast, half_way
         )
-        _add_lines(half_way, first_x, first_y, middle, *lines)
+        _add_lines(half_way, first_x, first_y, middle, *moving)
         optics.sample_texture(
             texture, first_x, first_y, start_xy[0] + until * across, start_xy[1] + until * down, contrast, then
         )
-        _add_lines(then, first_x, first_y, until, *lines)
+        _add_lines(then, first_x, first_y, until, *moving)
         made = _solve_parabolas(
             now,
             half_way,
@@ -127,7 +132,7 @@ def solve_window(
     level[:] = now
     if steps > 0:
         half_way[:] = 0.0
-        _add_lines(half_way, first_x, first_y, 1.0, *lines)
+        _add_lines(half_way, first_x, first_y, 1.0, *moving)
         level -= half_way
         reference -= half_way
     return made
@@ -174,12 +179,12 @@ def _next_texel(start_x: float, across: float, start_y: float, down: float, at: 
     if abs(across) + abs(down) > MOST_TEXELS:
         return min(at + 1.0 / MOST_TEXELS, 1.0)
     until = 1.0
-    for begin, whole_way in ((start_x, across), (start_y, down)):
-        if whole_way != 0.0:
+    for begin, travel in ((start_x, across), (start_y, down)):
+        if travel != 0.0:
             # Beyond `at` by more than rounding, or a part could have no length.
-            here = begin + (at + 1e-9) * whole_way
-            texel = math.floor(here) + 1.0 if whole_way > 0.0 else math.ceil(here) - 1.0
-            until = min(until, max((texel - begin) / whole_way, at + 1e-9))
+            here = begin + (at + 1e-9) * travel
+            texel = math.floor(here) + 1.0 if travel > 0.0 else math.ceil(here) - 1.0
+            until = min(until, max((texel - begin) / travel, at + 1e-9))
     return until
 
 

@@ -1,4 +1,4 @@
-"""Where the ring of a dot can be while the dot moves: the geometry by which both cameras leave pixels asleep.
+"""Where the ring of a dot can be while the dot moves: the geometry by which both cameras leave pixels out.
 
 A dot's level differs from ink and gel in a finite ring only (see optics). While the dot moves, the box of its path
 bounds a pixel's distance to it from both sides. Unlike a bound on path length this knows the direction of motion, and
@@ -52,15 +52,15 @@ def dots_near(dot: int, path: Floats, box: Floats, outer: float, near_path: Floa
 def crowded(box: Floats, outer: float) -> NDArray[np.bool_]:
     """Which dots have others near, by the measure of `dots_near`, for boxes (dots, 4)."""
     dots = len(box)
-    found = np.zeros(dots, np.bool_)
+    has_near = np.zeros(dots, np.bool_)
     for dot in range(dots):
         for other in range(dot):
             near_x = abs(box[dot, 0] - box[other, 0]) <= box[dot, 2] + box[other, 2] + 2.0 * outer
             near_y = abs(box[dot, 1] - box[other, 1]) <= box[dot, 3] + box[other, 3] + 2.0 * outer
             if near_x & near_y:
-                found[dot] = True
-                found[other] = True
-    return found
+                has_near[dot] = True
+                has_near[other] = True
+    return has_near
 
 
 @njit(cache=True)

@@ -1,11 +1,11 @@
-"""Scans of the gel: the events of moving dots, from the pixels that are awake.
+"""Scans of the gel: the events of moving dots, from the pixels that may fire (see pixel_culling).
 
 Every pixel is compared against the whole picture of its scan, so it has at most one event a scan; a dot that rests is
-not looked at.
+not visited.
 
-Why so: this and the other compiled parts of both cameras take their arrays one by one. Bundled (dots, pixels, window as
-named tuples all the way down) they made the same events, but a mix of motions took 1.4 times as long, and compiling 1.2
-times: it counts references to every array of a bundle wherever it is handed on.
+Why so: below the functions that Python calls, the compiled parts of both cameras take their arrays one by one. Grouped
+all the way down (dots, pixels, window as named tuples) they made the same events, but a mix of motions took 1.4 times
+as long, and compiling 1.2 times: references to every array of a group are counted wherever it is handed on.
 """
 
 import numpy as np
@@ -13,39 +13,29 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.sim.camera import optics, rings
+from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import (
     COLUMN_MASK,
     PIXEL_SHIFT,
     RESOLUTION_PX,
     RUSH_PX,
-    CandidatePixels,
     is_within,
-    keep_awake,
-    keep_listed,
-    keep_own,
     make_list,
     renew_listed,
     ring_pixels,
+    select_active,
+    select_listed,
+    select_own,
 )
+from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes
 
 
 @njit(cache=True)
 def scan_dots(
     path: NDArray[np.float64],
-    seen_xy: NDArray[np.float64],
-    inner: float,
-    outer: float,
-    steps_per_px: float,
-    profile: NDArray[np.float32],
-    reference: NDArray[np.float32],
-    threshold: NDArray[np.float32],
-    release_us: NDArray[np.float64],
-    sleep: CandidatePixels,
-    readout_us: NDArray[np.int64],
-    t0_us: float,
-    refractory_us: float,
+    gel: GelPixels,
+    times: ScanTimes,
     first_scan: int,
     end_scan: int,
     keys: NDArray[np.int64],
@@ -53,18 +43,22 @@ def scan_dots(
 ) -> int:
     """Compare the pixels that may fire in some scans; returns the number of events, also of those that do not fit.
 
-    Every pixel is compared against the whole picture of its scan, so it has at most one event a scan.
+    Dots move along paths (dots, k + 1, 2) over the slice.
     """
+    seen_xy = gel.seen_dot_xy_px
+    inner, outer, steps_per_px, profile = gel.profile
+    pixels = (gel.reference, gel.threshold, gel.release_us)
+    candidates = gel.candidates
+    readout_us, t0_us, refractory_us = times
     dots = len(path)
     scans = len(readout_us)
     at_xy = np.empty((dots, end_scan - first_scan, 2))
     at_scans(path, scans, first_scan, at_xy)
-    box = rings.boxes(at_xy, seen_xy)
-    crowded = rings.crowded(box, outer)
+    box = dot_rings.boxes(at_xy, seen_xy)
+    crowded = dot_rings.crowded(box, outer)
     near_xy = np.empty_like(at_xy)
     near_box = np.empty((dots, 4))
     table = (inner, outer, steps_per_px, profile)
-    pixels = (reference, threshold, release_us)
     now_us = t0_us + first_scan * SLICE_US / scans
     last_us = t0_us + (end_scan - 1) * SLICE_US / scans
     for dot in range(dots):
@@ -72,34 +66,42 @@ def scan_dots(
             continue
         near = 1
         if crowded[dot]:
-            near = rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
-            sleep.watch_box[dot] = np.nan
-            found = ring_pixels(box[dot], inner, outer, False, sleep)
-            found = keep_own(dot, found, box, inner, outer, sleep)
-            found = keep_awake(sleep.active[:found], near_box[:near], *table, *pixels, now_us, sleep)
+            near = dot_rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
+            candidates.list_box[dot] = np.nan
+            count = ring_pixels(box[dot], inner, outer, False, candidates)
+            count = select_own(dot, count, box, inner, outer, candidates)
+            count = select_active(candidates.active[:count], near_box[:near], *table, *pixels, now_us, candidates)
         else:
-            if not is_within(box, sleep.watch_box, dot):
-                make_list(dot, box[dot], *table, *pixels, now_us, sleep)
-            if sleep.watching[dot] >= 0:
-                found = keep_listed(
-                    dot, box, sleep.watching[dot], sleep.watched, sleep.watched_px2, sleep.active, sleep.entry
+            if not is_within(box, candidates.list_box, dot):
+                make_list(dot, box[dot], *table, *pixels, now_us, candidates)
+            if candidates.list_length[dot] >= 0:
+                count = select_listed(
+                    dot,
+                    box,
+                    candidates.list_length[dot],
+                    candidates.listed,
+                    candidates.listed_px2,
+                    candidates.active,
+                    candidates.entry,
                 )
             else:
                 rushes = max(box[dot, 2], box[dot, 3]) > RUSH_PX
-                found = ring_pixels(box[dot], inner, outer, not rushes, sleep)
+                count = ring_pixels(box[dot], inner, outer, not rushes, candidates)
                 if not rushes:
-                    found = keep_awake(sleep.active[:found], box[dot : dot + 1], *table, *pixels, now_us, sleep)
-        if found > 0:
+                    count = select_active(
+                        candidates.active[:count], box[dot : dot + 1], *table, *pixels, now_us, candidates
+                    )
+        if count > 0:
             seen_by = near_xy[:near] if crowded[dot] else at_xy[dot : dot + 1]
             made = _compare_pixels(
-                sleep.active[:found],
+                candidates.active[:count],
                 seen_by,
                 inner,
                 steps_per_px,
                 profile,
                 *pixels,
-                sleep.lower2_px2,
-                sleep.upper2_px2,
+                candidates.lower2_px2,
+                candidates.upper2_px2,
                 readout_us,
                 t0_us,
                 refractory_us,
@@ -107,8 +109,8 @@ def scan_dots(
                 keys,
                 made,
             )
-            if not crowded[dot] and sleep.watching[dot] >= 0:
-                renew_listed(dot, found, *table, *pixels, last_us, sleep)
+            if not crowded[dot] and candidates.list_length[dot] >= 0:
+                renew_listed(dot, count, *table, *pixels, last_us, candidates)
         for axis in range(2):
             seen_xy[dot, axis] = at_xy[dot, end_scan - first_scan - 1, axis]
     return made
@@ -123,8 +125,8 @@ def at_scans(path: NDArray[np.float64], scans: int, first_scan: int, at_xy: NDAr
         part = over / scans
         for dot in range(dots):
             for axis in range(2):
-                way = path[dot, vertex + 1, axis] - path[dot, vertex, axis]
-                at_xy[dot, shot, axis] = path[dot, vertex, axis] + part * way
+                piece_px = path[dot, vertex + 1, axis] - path[dot, vertex, axis]
+                at_xy[dot, shot, axis] = path[dot, vertex, axis] + part * piece_px
 
 
 @njit(cache=True)
@@ -148,7 +150,7 @@ def _compare_pixels(
 ) -> int:
     """Compare some pixels in every scan with the level that the nearest of some dots (near, scans, 2) gives them.
 
-    Until one fires, its radii say of most scans that it does not; its new ones are found when it is next needed.
+    Until one fires, its radii say of most scans that it does not; its new ones are count when it is next needed.
     """
     near, shots, _ = near_xy.shape
     scan_us = SLICE_US / len(readout_us)

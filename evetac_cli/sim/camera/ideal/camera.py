@@ -1,0 +1,192 @@
+"""An ideal event camera: every pixel fires at the very time at which its log brightness has changed by its threshold.
+
+The counterpart of the scanning camera (scanning/camera.py), which shares its optics, noise and interface. Here a pixel
+fires as often as its level passes a threshold, several times a slice if need be, and an event's time is that of the
+crossing, rounded down to a microsecond. Use it to tell what a scanning camera loses, or as a camera without scans.
+
+Crossings are solved, not stepped through: those of the gel in dots, of the window in window, of pixels under moving
+lines in lines. Leak is that of the scanning camera: an event comes late by up to the 40 ms between two visits.
+
+Left out: bandwidth (a low pass has no closed form for the crossing), and what the scanning camera leaves out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evetac_cli.events import Events
+from evetac_cli.sim.camera import camera_input, leak, optics
+from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
+from evetac_cli.sim.camera.event_keys import sorted_columns
+from evetac_cli.sim.camera.ideal.dots import find_all_radii, solve_dots
+from evetac_cli.sim.camera.ideal.lines import LINE_STEP_PX, line_steps, solve_line_pixels
+from evetac_cli.sim.camera.ideal.pixels import IdealGelPixels, IdealWindowPixels, SliceTimes
+from evetac_cli.sim.camera.ideal.window import NO_LINES, solve_window
+from evetac_cli.sim.camera.noise import add_noise
+from evetac_cli.sim.camera.scanning import camera as scanning
+from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
+
+
+@dataclass
+class IdealState:
+    """What an ideal camera remembers from slice to slice; `step` changes it in place.
+
+    `shared` has what both cameras have; its references, also those of the window, are NaN while a pixel is refractory.
+    `lower2_px2` and `upper2_px2` are the squares of a pixel's two radii, -1 and infinity where there is none; single
+    precision keeps a radius to 1e-6 px. A pixel whose reference has been changed by a line has infinity for the
+    first: its radii are found anew when a dot comes near. `level_index` helps to find them. `solved_in` is the last
+    slice in which a pixel near several dots or under a line was solved, so that it is solved once. `*release_us`
+    is the time at which a refractory pixel sees again; without a refractory time both are empty. `line_step_px` is how
+    far lines move in a sub-step.
+    """
+
+    shared: CameraState
+    level_index: NDArray[np.int16]
+    lower2_px2: NDArray[np.float32]
+    upper2_px2: NDArray[np.float32]
+    solved_in: NDArray[np.int64]
+    release_us: NDArray[np.float64]
+    window_release_us: NDArray[np.float64]
+    line_step_px: float
+    slices: int = 0
+
+    @property
+    def dropped(self) -> int:
+        """Events lost so far because a slice was full."""
+        return self.shared.dropped
+
+
+def start(
+    model: CameraModel,
+    dot_xy_px: ArrayLike,
+    dot_radius_px: float | None,
+    window_px: tuple[int, int, int, int] | None,
+    texture: NDArray[np.float32] | None,
+    rng: np.random.Generator,
+    camera_rng: np.random.Generator | None = None,
+    contact_edges: ContactEdges | None = None,
+    line_step_px: float = LINE_STEP_PX,
+) -> IdealState:
+    """Switch the camera on; arguments, draws and errors are those of the scanning camera's `start`.
+
+    Equal generators give both cameras the same thresholds, phases and hot pixels.
+    """
+    shared = scanning.start(model, dot_xy_px, dot_radius_px, window_px, texture, rng, camera_rng, contact_edges)
+    return from_references(shared, line_step_px)
+
+
+def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> IdealState:
+    """An ideal camera that goes on from the references in `shared`, which it owns from now on; ValueError on NaN."""
+    if np.isnan(shared.reference).any() or np.isnan(shared.window_reference).any():
+        raise ValueError("reference: expected finite levels, found those of refractory pixels")
+    if not 1e-3 <= line_step_px <= 10.0:
+        raise ValueError(f"line_step_px: expected 0.001 to 10, found {line_step_px}")
+    shape = shared.reference.shape
+    blind = shared.model.refractory_us > 0.0
+    state = IdealState(
+        shared=shared,
+        level_index=optics.level_index(shared.profile),
+        lower2_px2=np.empty(shape, np.float32),
+        upper2_px2=np.empty(shape, np.float32),
+        solved_in=np.zeros(shape, np.int64),
+        release_us=np.zeros(shape if blind else (0, 0)),
+        window_release_us=np.zeros(shared.window_reference.shape if blind else (0, 0)),
+        line_step_px=float(line_step_px),
+    )
+    inner, _, steps_per_px, profile = shared.profile
+    table = (inner, steps_per_px, profile, state.level_index)
+    find_all_radii(shared.reference, shared.threshold, *table, state.lower2_px2, state.upper2_px2)
+    return state
+
+
+def step(
+    state: IdealState,
+    dot_xy_px_start: ArrayLike,
+    dot_xy_px_end: ArrayLike,
+    object_xy_px_start: ArrayLike,
+    object_xy_px_end: ArrayLike,
+    texture_contrast: float,
+    t0_us: int,
+    rng: np.random.Generator,
+    dot_path_px: ArrayLike | None = None,
+    contact_edges_start: Place | None = None,
+    contact_edges_end: Place | None = None,
+) -> Events:
+    """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
+
+    Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end, in px, the contrast
+    holds for the whole slice. Dots on curved paths come with `dot_path_px` (k + 1, dots, 2): where they are at k + 1
+    equally spaced times, from their start to their end. A camera with contact edges needs `contact_edges_start` and
+    `contact_edges_end`, between which they move and fade evenly. What lies elsewhere than at the end of the last slice,
+    or has another contrast, has jumped there at t0_us. ValueError on values that are not finite, farther than 1e6 px,
+    of another shape than at `start`, or a path with other ends; the state is then as before.
+    """
+    shared = state.shared
+    path, motion = camera_input.motions(
+        len(shared.seen_dot_xy_px),
+        dot_xy_px_start,
+        dot_xy_px_end,
+        dot_path_px,
+        object_xy_px_start,
+        object_xy_px_end,
+        texture_contrast,
+    )
+    lines = camera_input.line_motion(shared.contact_edges, contact_edges_start, contact_edges_end)
+
+    t0_us = int(t0_us)
+    state.slices += 1
+    times = SliceTimes(state.slices, t0_us, float(shared.model.refractory_us))
+    gel = IdealGelPixels(
+        shared.seen_dot_xy_px,
+        shared.profile,
+        state.level_index,
+        shared.reference,
+        shared.threshold,
+        state.lower2_px2,
+        state.upper2_px2,
+        state.solved_in,
+        state.release_us,
+    )
+    steps = 0 if lines is None else line_steps(lines, path, state.line_step_px)
+    made = 0
+    if shared.window_level.size:
+        window = IdealWindowPixels(
+            *shared.window_px[:2],
+            shared.seen_object,
+            shared.texture,
+            shared.window_level,
+            shared.window_reference,
+            shared.window_threshold,
+            state.window_release_us,
+        )
+        made = solve_window(motion, window, NO_LINES if lines is None else lines, steps, times, shared.keys, made)
+    if shared.contact_edges is not None:
+        shared.contact_edges.events = 0
+        if lines is not None:
+            made, events = solve_line_pixels(lines, steps, path, gel, times, shared.keys, made)
+            shared.contact_edges.events = events
+    made = solve_dots(path, gel, times, shared.keys, made)
+    if shared.model.leak_hz > 0.0:
+        made = _leak(state, times, made)
+    hot = (shared.hot_pixel, shared.hot_cumulative_hz)
+    made = add_noise(shared.model.noise_rate_hz, *hot, shared.model.frame_px, rng, shared.keys, made)
+    stored = min(made, len(shared.keys))
+    shared.dropped += made - stored
+    return Events(*sorted_columns(shared.keys[:stored], t0_us))
+
+
+def _leak(state: IdealState, times: SliceTimes, made: int) -> int:
+    """Let leak lower the references of the rows whose turn it is; returns the number of events so far."""
+    shared = state.shared
+    drift = leak.drift(shared.model.leak_hz)
+    first_row = state.slices % leak.LEAK_SLICES
+    level = np.empty(shared.reference.shape, np.float32)
+    leak.draw_leaking_rows(shared.seen_dot_xy_px, *shared.profile, first_row, level)
+    state.lower2_px2[first_row :: leak.LEAK_SLICES] = np.inf
+    gel = (shared.reference, shared.threshold, state.release_us)
+    made = leak.leak_in_rows(level, first_row, (0, 0), drift, gel, times, shared.keys, made)
+    corner_px = shared.window_px[:2]
+    window = (shared.window_reference, shared.window_threshold, state.window_release_us)
+    own_first = (first_row - corner_px[1]) % leak.LEAK_SLICES
+    return int(leak.leak_in_rows(shared.window_level, own_first, corner_px, drift, window, times, shared.keys, made))

@@ -1,0 +1,117 @@
+"""The arrays of the scanning camera, in the groups in which its compiled loops take them.
+
+Groups end at the functions that Python calls; what these call takes the arrays one by one (why so: see dots).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.sim.camera import optics
+
+MOST_LISTED = 512  # pixels in the list of a dot; larger or blurred dots may do without
+# Pixels side by side in the window that are compared together: with more, the one nearest to its threshold makes more
+# others be compared; with fewer, there are more runs to visit.
+RUN_PX = 16
+
+
+class CandidatePixels(NamedTuple):
+    """Which pixels of the gel may fire: a memory of what follows from references and paths, to be dropped at any time.
+
+    Between the square roots of `lower2_px2` and `upper2_px2` (height, width) from the nearest dot a pixel surely does
+    not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `list_box` (dots, 4:
+    centre and half sides, NaN without a list), only the first `list_length` pixels of its list `listed` may fire, with
+    radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
+    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii.
+    """
+
+    level_index: NDArray[np.int16]
+    lower2_px2: NDArray[np.float32]
+    upper2_px2: NDArray[np.float32]
+    list_box: NDArray[np.float64]
+    listed: NDArray[np.int32]
+    listed_px2: NDArray[np.float32]
+    list_length: NDArray[np.int64]
+    active: NDArray[np.int32]
+    entry: NDArray[np.int64]
+
+
+class CandidateRuns(NamedTuple):
+    """Which runs of RUN_PX pixels of the window may fire: those whose `due_at` (rows, runs) has been travelled.
+
+    `row_due_at` (rows,) is a row's least. `travelled` (1,) adds up by how much any level can have changed so far,
+    from the texture's steepest slopes `across` and `down`, log units per px; `greatest` is its greatest level.
+    """
+
+    due_at: NDArray[np.float64]
+    row_due_at: NDArray[np.float64]
+    travelled: NDArray[np.float64]
+    across: float
+    down: float
+    greatest: float
+
+
+class GelPixels(NamedTuple):
+    """The gel: where its dots were at the last scan (dots, 2), how a dot looks, and its pixels, (height, width) each.
+
+    `release_us` is the time until which a pixel is blind; its rows are empty where scans cannot tell.
+    """
+
+    seen_dot_xy_px: NDArray[np.float64]
+    profile: optics.DotProfile
+    reference: NDArray[np.float32]
+    threshold: NDArray[np.float32]
+    release_us: NDArray[np.float64]
+    candidates: CandidatePixels
+
+
+class WindowPixels(NamedTuple):
+    """The window: its first pixel in the frame, the texture that slides by, and its pixels, (rows, columns) each.
+
+    `seen_object` is the object's x, y in px and the texture's contrast at the last scan, NaN before the first.
+    """
+
+    first_x: int
+    first_y: int
+    seen_object: NDArray[np.float64]
+    texture: NDArray[np.float32]
+    reference: NDArray[np.float32]
+    threshold: NDArray[np.float32]
+    release_us: NDArray[np.float64]
+    candidate_runs: CandidateRuns
+
+
+class ScanTimes(NamedTuple):
+    """The scans of one slice: when each column is read (scans, width), in us of the slice, and the slice's start."""
+
+    readout_us: NDArray[np.int64]
+    t0_us: float
+    refractory_us: float
+
+
+def all_pixels(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> CandidatePixels:
+    """All pixels of a frame (height, width) may fire."""
+    height, width = shape
+    return CandidatePixels(
+        level_index=optics.level_index(profile),
+        lower2_px2=np.full(shape, np.inf, np.float32),
+        upper2_px2=np.full(shape, np.inf, np.float32),
+        list_box=np.full((dots, 4), np.nan),
+        listed=np.empty((dots, MOST_LISTED), np.int32),
+        listed_px2=np.empty((dots, 2, MOST_LISTED), np.float32),
+        list_length=np.zeros(dots, np.int64),
+        active=np.empty(max(height * width, MOST_LISTED) + 1, np.int32),
+        entry=np.empty(MOST_LISTED + 1, np.int64),
+    )
+
+
+def all_runs(shape: tuple[int, int], texture: NDArray[np.float32]) -> CandidateRuns:
+    """All runs of a window (rows, columns) may fire."""
+    rows, columns = shape
+    return CandidateRuns(
+        np.full((rows, -(-columns // RUN_PX)), -np.inf),
+        np.full(rows, -np.inf),
+        np.zeros(1),
+        *optics.texture_slope(texture),
+    )

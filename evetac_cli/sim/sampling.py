@@ -1,0 +1,171 @@
+"""What is sampled for one trial: an object's mass, friction and place in the gripper, and a whole sensor.
+
+A trial's values are uniform in the ranges that its scene names. Sensors and grippers are sampled from the ranges of the
+row `randomized` of sensors.toml. An entry of that row is a plain value, which all sensors have in common, or a range:
+`{uniform = [low, high], stream = 1}`, `{log_uniform = ...}` (uniform in the logarithm) or `{whole = ...}` (a whole
+number, both ends included).
+
+Why so: each range draws from a random stream of its own, numbered by its `stream`, so that a range added to the table,
+moved in it or renamed leaves all other values as they were.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+
+OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
+FLOOR_MM = (250.0, 250.0)
+DISTRIBUTIONS = ("uniform", "log_uniform", "whole")
+
+
+@dataclass(frozen=True)
+class SampledTrial:
+    """What was sampled for one trial from the ranges of its scene."""
+
+    mass_kg: float
+    static_friction: float
+    kinetic_friction: float
+    stribeck_m_s: float
+    tilt_rad: float
+    gear_friction_factor: float
+    start_factor: float
+    texture_log_sd: float
+    texture_half_correlation_px: float
+    touch_m: tuple[float, float]  # middle of the object from that of the pad where it is touched: along gravity, across
+    lever_m: float  # centre of mass from there, across gravity
+    floor_m: float  # where an object that fell comes to rest, below where it was held
+
+    def as_json(self) -> str:
+        """For the truth of a recording."""
+        return json.dumps(asdict(self))
+
+
+def sample_trial(
+    scene: Mapping[str, Any],
+    object_params: Mapping[str, Any],
+    rng: np.random.Generator,
+    sensor_row: Mapping[str, Any] | None = None,
+    number: int | None = None,
+) -> SampledTrial:
+    """Sample a trial's parameters, always in the same order, so that a key of one scene does not shift another's.
+
+    Where the scene names kinetic_share_spread, an object (by its number) has a kinetic share of its own, about which
+    its trials spread; else the share is sampled for each trial from the whole range.
+    """
+    placement = rng.spawn(1)[0]  # a stream of its own, so that these keys shift no others
+
+    def between(group: str, key: str, default: tuple[float, float]) -> float:
+        low, high = scene.get(group, {}).get(key, default)
+        return float(rng.uniform(low, high))
+
+    factor = float((sensor_row or {}).get("static_friction_factor", 1.0))
+    static = factor * float(object_params["static_friction"]) * between("randomise", "static_friction", (1, 1))
+    tilt_deg = between("randomise", "tilt_deg", (0, 0))
+    if "tilt_deg" in object_params:  # the shape itself is slanted, so a finger's misalignment hardly matters
+        tilt_deg = float(rng.uniform(*object_params["tilt_deg"]))
+    mass_kg = float(object_params["mass_g"]) * 1e-3 * between("randomise", "mass", (1, 1))
+    kinetic_share = between("randomise", "kinetic_share", (1, 1))
+    varied = scene["randomise"]
+    off_share = placement.uniform(-1, 1) * varied.get("kinetic_share_spread", 0.0)
+    if "kinetic_share_spread" in varied and number is not None:
+        own = np.random.default_rng([OBJECT_SEED, number]).uniform(*varied["kinetic_share"])
+        kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
+    touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.get("touch_mm", 0.0)
+    lever_m = float(placement.normal()) * varied.get("lever_mm", 0.0) * 1e-3
+    if object_params.get("shape") != "flat":
+        lever_m = 0.0  # the weight of a round object acts on its axis, and there it is touched
+    lever_m += float(object_params.get("lever_mm", 0.0)) * 1e-3
+    return SampledTrial(
+        mass_kg=mass_kg,
+        static_friction=static,
+        kinetic_friction=static * kinetic_share,
+        stribeck_m_s=between("randomise", "stribeck_mm_s", (10, 10)) * 1e-3,
+        tilt_rad=float(np.deg2rad(tilt_deg)),
+        gear_friction_factor=between("gripper", "friction_factor", (1, 1)),
+        start_factor=between("gripper", "start_factor", (2, 2)),
+        texture_log_sd=between("texture", "log_sd", (0.06, 0.06)),
+        texture_half_correlation_px=between("texture", "half_correlation_px", (12, 12)),
+        touch_m=(float(touch_m[0]), float(touch_m[1])),
+        lever_m=lever_m,
+        floor_m=float(placement.uniform(*scene.get("floor", {}).get("below_mm", FLOOR_MM))) * 1e-3,
+    )
+
+
+def sample_sensor(ranges: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """A row as of a named sensor, from the row of ranges; InputError on a range that is none or has no own stream.
+
+    `dot_shift_x_px` and `dot_shift_y_px` move the columns and rows of dots and do not appear in the result.
+    """
+    _check_streams(ranges, "", {})
+    row = _sample_table(ranges, int(rng.integers(2**63)), "")
+    for axis, lines in (("x", "dot_columns_px"), ("y", "dot_rows_px")):
+        shift_px = row.pop(f"dot_shift_{axis}_px", 0.0)
+        row[lines] = [line + shift_px for line in row[lines]]
+    return row
+
+
+def _is_range(entry: Any) -> bool:
+    return isinstance(entry, Mapping) and ("stream" in entry or any(name in entry for name in DISTRIBUTIONS))
+
+
+def _check_streams(ranges: Mapping[str, Any], above: str, owners: dict[int, str]) -> None:
+    """Refuse a range without a stream, or with one that belongs to another; `owners` gets each stream's range."""
+    for key, entry in ranges.items():
+        place = f"{above}{key}"
+        if _is_range(entry):
+            stream = entry.get("stream")
+            if type(stream) is not int or stream < 0:
+                raise InputError(
+                    f"{place}: a range needs a random stream of its own",
+                    where="sensors.toml",
+                    expected="`stream`, a whole number that no other range has",
+                    found="no stream" if stream is None else str(stream),
+                )
+            if stream in owners:
+                raise InputError(
+                    f"{place}: the same random stream as {owners[stream]}",
+                    where="sensors.toml",
+                    expected="`stream`, a whole number that no other range has",
+                    found=str(stream),
+                )
+            owners[stream] = place
+        elif isinstance(entry, Mapping):
+            _check_streams(entry, f"{place}.", owners)
+
+
+def _sample_table(ranges: Mapping[str, Any], seed: int, above: str) -> dict[str, Any]:
+    row: dict[str, Any] = {}
+    for key, entry in ranges.items():
+        place = f"{above}{key}"
+        if _is_range(entry):
+            row[key] = _sample_range(entry, seed, place)
+        elif isinstance(entry, Mapping):
+            row[key] = _sample_table(entry, seed, f"{place}.")
+        else:
+            row[key] = entry
+    return row
+
+
+def _sample_range(entry: Mapping[str, Any], seed: int, place: str) -> float | int:
+    names = [name for name in entry if name != "stream"]
+    if len(names) != 1 or names[0] not in DISTRIBUTIONS:
+        expected = f"one of {', '.join(DISTRIBUTIONS)}"
+        raise InputError(f"{place}: not a range", where="sensors.toml", expected=expected, found=", ".join(names))
+    distribution, ends = names[0], entry[names[0]]
+    low, high = ends if isinstance(ends, list) and len(ends) == 2 else (math.nan, math.nan)
+    lowest = 0.0 if distribution == "log_uniform" else -math.inf
+    if not lowest < low <= high < math.inf:
+        expected = "[low, high]" + (", both above 0" if distribution == "log_uniform" else "")
+        raise InputError(f"{place}: not a range", where="sensors.toml", expected=expected, found=str(ends))
+    rng = np.random.default_rng([seed, entry["stream"]])
+    if distribution == "whole":
+        return int(rng.integers(int(low), int(high) + 1))
+    if distribution == "log_uniform":
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    return float(rng.uniform(low, high))

@@ -1,0 +1,185 @@
+"""What is sampled for a trial: values within their ranges, each from a random stream of its own."""
+
+import copy
+import math
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evetac_cli.errors import InputError
+from evetac_cli.resources import SCENES, table
+from evetac_cli.sim import sampling, scene
+
+
+def slip() -> dict[str, Any]:
+    """The scene `slip` as a table."""
+    return tomllib.loads((SCENES / "slip.toml").read_text())
+
+
+def random(seed: int) -> np.random.Generator:
+    """A generator of random numbers."""
+    return np.random.default_rng(seed)
+
+
+def test_samples_stay_in_their_ranges() -> None:
+    """Assert that 200 samples lie in the scene's ranges and fill them."""
+    ramp, object_params = slip(), scene.object_row(8)
+    rng = np.random.default_rng(0)
+    sampled = [sampling.sample_trial(ramp, object_params, rng) for _ in range(200)]
+    friction = np.array([one.static_friction for one in sampled]) / object_params["static_friction"]
+    low, high = ramp["randomise"]["static_friction"]
+    assert low <= friction.min() < low + 0.02
+    assert high - 0.02 < friction.max() <= high
+    assert all(one.kinetic_friction < one.static_friction for one in sampled)
+
+
+def test_keys_of_a_scene_leave_other_samples() -> None:
+    """Assert that touch, lever and kinetic spread change nothing else that is sampled, and lie in their ranges."""
+    plain, more, flat = slip(), slip(), scene.object_row(16)
+    for key in ("touch_mm", "kinetic_share_spread"):
+        del plain["randomise"][key]
+    more["randomise"] |= {"touch_mm": 3.0, "lever_mm": 3.0}
+    for seed in range(50):
+        old, new = sampling.sample_trial(plain, flat, random(seed)), sampling.sample_trial(more, flat, random(seed))
+        assert old.touch_m == (0.0, 0.0)
+        assert old.lever_m == 0.0
+        assert {**vars(old), "touch_m": 0, "lever_m": 0} == {**vars(new), "touch_m": 0, "lever_m": 0}
+        assert np.abs(new.touch_m).max() <= 3e-3
+    sampled = [sampling.sample_trial(more, flat, random(seed)) for seed in range(400)]
+    assert np.std([one.lever_m for one in sampled]) == pytest.approx(3e-3, rel=0.15)
+    assert np.std([one.touch_m for one in sampled]) == pytest.approx(3e-3 / math.sqrt(3), rel=0.1)
+    assert sampling.sample_trial(more, scene.object_row(8), random(0)).lever_m == 0.0  # round: touched on its axis
+
+
+def test_objects_keep_their_kinetic_share() -> None:
+    """Assert that with a spread the kinetic share of an object stays within it, and objects differ by more."""
+    spread = slip()
+    spread["randomise"]["kinetic_share_spread"] = 0.03
+
+    def shares(number: int) -> list[float]:
+        row = scene.object_row(number)
+        sampled = [sampling.sample_trial(spread, row, random(seed), None, number) for seed in range(30)]
+        return [one.kinetic_friction / one.static_friction for one in sampled]
+
+    by_object = [shares(number) for number in range(1, 9)]
+    assert all(0.04 < max(own) - min(own) <= 0.06 + 1e-12 for own in by_object)
+    middles = [np.mean(own) for own in by_object]
+    assert max(middles) - min(middles) > 0.08
+
+
+def test_sampled_sensors_lie_in_their_ranges() -> None:
+    """Assert that 300 sampled sensors fill the ranges of the table, log-uniform ones evenly in the logarithm."""
+    ranges = table("sensors")["randomized"]
+    rows = [sampling.sample_sensor(ranges, random(seed)) for seed in range(300)]
+    for group, low, high in (("mm_per_px", 0.029, 0.034), ("hot_pixels", 0, 20), ("loss_tangent", 0.08, 0.2)):
+        values = np.array([row[group] for row in rows])
+        assert low <= values.min() <= low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) <= values.max() <= high
+    moduli = np.log([row["normal_modulus_pa"] for row in rows])
+    assert moduli.mean() == pytest.approx(np.log([0.6e6, 1.7e6]).mean(), abs=0.06)
+    assert len({type(row["hot_pixels"]) for row in rows} | {int}) == 1
+    shifts = np.array([np.subtract(row["dot_columns_px"], ranges["dot_columns_px"]) for row in rows])
+    assert np.ptp(shifts, axis=1).max() < 1e-9
+    assert 5 < np.abs(shifts).max() <= 6
+
+
+def test_a_range_more_leaves_the_others() -> None:
+    """Assert that a range added at the front of the table, or a table turned round, changes no other value."""
+    ranges = table("sensors")["randomized"]
+    row = sampling.sample_sensor(ranges, random(3))
+    turned = {"another": {"uniform": [0, 1], "stream": 3}, **dict(reversed(ranges.items()))}
+    more = sampling.sample_sensor(turned, random(3))
+    assert 0 <= more.pop("another") <= 1
+    assert more == row
+
+
+def test_values_of_a_numbered_sensor() -> None:
+    """Assert the values of `randomized:7`, literally: a range renamed or moved must not change them."""
+    row = scene.sensor_row("randomized:7")
+    named = dict(table("sensors")["randomized"])
+    sampled = {key: value for key, value in row.items() if value != named[key] and key != "gripper"}
+    assert sampled.pop("dot_columns_px")[0] == pytest.approx(57.554833034271525, rel=1e-12)
+    assert sampled.pop("dot_rows_px")[0] == pytest.approx(41.931674305398644, rel=1e-12)
+    assert sampled == pytest.approx(
+        {
+            "seed": 1135786716,
+            "mm_per_px": 0.029849046368607003,
+            "turned_deg": -0.8482743517305752,
+            "dot_radius_px": 14.284789569780465,
+            "cut_contrast": 0.2897392367503092,
+            "cut_width_px": 3.602763838355878,
+            "threshold": 0.2427908045179881,
+            "mismatch": 0.02417159837017883,
+            "bandwidth_hz": 2749.9756706565354,
+            "edge_sigma_px": 1.1925155858113266,
+            "noise_hz": 0.02587817986899124,
+            "hot_pixels": 14,
+            "shear_modulus_pa": 109469.17955417678,
+            "normal_modulus_pa": 660080.9993428485,
+            "loss_tangent": 0.09101731899915654,
+            "static_friction_factor": 1.0452858464337664,
+        },
+        rel=1e-12,
+    )
+    assert row["gripper"] == pytest.approx(
+        {
+            "force_per_current_n_ma": 0.37251177593649953,
+            "servo_n_tick": 1.809734846896674,
+            "two_ticks_n": 0.08304230899586414,
+            "finger_stiffness_n_m": 1926.7359681353596,
+            "damping_n_s_m": 194.0426629453903,
+            "mass_kg": 2.696183667826014,
+        },
+        rel=1e-12,
+    )
+
+
+def test_a_range_of_another_name_has_the_same_values() -> None:
+    """Assert that the key of a range plays no part in what is sampled from it."""
+    ranges = copy.deepcopy(dict(table("sensors")["randomized"]))
+    row = sampling.sample_sensor(ranges, random(3))
+    ranges["pixel_threshold"] = ranges.pop("threshold")
+    ranges["hand"] = ranges.pop("gripper")
+    renamed = sampling.sample_sensor(ranges, random(3))
+    assert renamed["pixel_threshold"] == row["threshold"]
+    assert renamed["hand"] == row["gripper"]
+
+
+@pytest.mark.parametrize(
+    ("entry", "says"),
+    [
+        ({"uniform": [0, 1]}, r"gripper\.mass_kg: a range needs a random stream of its own"),
+        ({"uniform": [0, 1], "stream": 1.5}, r"gripper\.mass_kg: a range needs a random stream of its own"),
+        ({"uniform": [0, 1], "stream": -1}, r"gripper\.mass_kg: a range needs a random stream of its own"),
+        ({"uniform": [0, 1], "stream": True}, r"gripper\.mass_kg: a range needs a random stream of its own"),
+        ({"uniform": [0, 1], "stream": 5}, r"gripper\.mass_kg: the same random stream as threshold"),
+        ({"unifrom": [0, 1], "stream": 6}, r"gripper\.mass_kg: not a range"),
+        ({"uniform": [0, 1], "whole": [0, 1], "stream": 6}, r"gripper\.mass_kg: not a range"),
+    ],
+)
+def test_streams_that_are_none(entry: dict[str, Any], says: str) -> None:
+    """Assert that a range without a stream of its own, or with two distributions or none, is refused in words."""
+    ranges = {"threshold": {"uniform": [0.1, 0.3], "stream": 5}, "gripper": {"mass_kg": entry}}
+    with pytest.raises(InputError, match=says) as refused:
+        sampling.sample_sensor(ranges, random(0))
+    assert refused.value.where == "sensors.toml"
+    assert refused.value.expected
+
+
+@given(
+    ends=st.one_of(
+        st.tuples(st.floats(1, 10), st.floats(-10, 0.5)).map(list),
+        st.lists(st.floats(0, 1), max_size=1),
+        st.just([0.0, math.inf]),
+        st.just([math.nan, 1.0]),
+        st.just("much"),
+    )
+)
+def test_ranges_that_are_none(ends: Any) -> None:
+    """Assert that a range with its ends turned round, missing or not finite is refused with its key."""
+    with pytest.raises(InputError, match=r"gripper\.mass_kg"):
+        sampling.sample_sensor({"gripper": {"mass_kg": {"uniform": ends, "stream": 1}}}, random(0))
