@@ -11,7 +11,7 @@ from evetac_cli import params
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.numerics import cost, grasp_cost, grasp_stability, stability
-from evetac_cli.numerics.grasp_trials import GraspResult, Says, Short, grasp, truthful
+from evetac_cli.numerics.grasp.trials import GraspResult, Says, Short, grasp, truthful
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate import grasp_picture

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.special import erfinv
 
 from evetac_cli.events import Events, concatenate
-from evetac_cli.numerics.simulator import camera_cost
-from evetac_cli.numerics.simulator.camera_cost import FineEvents, Workload, fine, match, reference_events
+from evetac_cli.numerics.camera import cost as camera_cost
+from evetac_cli.numerics.camera.cost import FineEvents, Workload, fine, match, reference_events
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.ideal import ideal
 from evetac_cli.sim.camera.ideal.ideal import IdealState

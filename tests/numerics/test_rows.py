@@ -1,6 +1,6 @@
 """Rows of the stability suites: one shape, and a refusal is no failure."""
 
-from evetac_cli.numerics.stability_rows import Rows
+from evetac_cli.numerics.rows import Rows
 
 ROWS = Rows(("steps", "residual"))
 

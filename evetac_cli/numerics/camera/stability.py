@@ -1,7 +1,6 @@
-"""Whether the simulated camera stays sane where its constants, or what it sees, are extreme or make no sense.
+"""The simulated camera where its constants, or the motions before it, are extreme or make no sense.
 
-A case is ok when its slices hold as many events as they should, in order and in the frame. It is a row of the
-simulator's suite, which `gel_stability` puts together.
+A case is ok when its slices hold as many events as they should, in order and in the frame.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from evetac_cli.numerics.stability_rows import SIMULATOR, Row
+from evetac_cli.numerics.rows import Row, case_row, run_case
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.scanning import camera
 
@@ -62,8 +61,8 @@ def camera_cases() -> list[CameraCase]:
 
 
 def camera_row(case: CameraCase, slices: int = 10, seed: int = 0) -> Row:
-    """Run a camera for some slices."""
-    return SIMULATOR.in_words(case.name, lambda: _camera_row(case, slices, np.random.default_rng(seed)))
+    """Run a camera for some slices and check the events of each."""
+    return run_case(case.name, lambda: _camera_row(case, slices, np.random.default_rng(seed)))
 
 
 def _camera_row(case: CameraCase, slices: int, rng: np.random.Generator) -> Row:
@@ -86,7 +85,7 @@ def _camera_row(case: CameraCase, slices: int, rng: np.random.Generator) -> Row:
     outcome += f", {min(counts)} to {max(counts)} events a slice"
     outcome += f", {state.dropped} beyond the most that a slice holds" if state.dropped else ""
     outcome += f"; wrong: {'; '.join(faults)}" if faults else ""
-    return SIMULATOR.row(case.name, finite and not faults, outcome)
+    return case_row(case.name, finite and not faults, outcome)
 
 
 def _camera(

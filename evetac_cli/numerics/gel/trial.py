@@ -27,7 +27,7 @@ BLOCK_S = 1e-3  # run time is taken block by block, or step by step where a step
 
 @dataclass(frozen=True)
 class Trial:
-    """What is simulated: grid, material, object, contact, and a grip that falls evenly from first to last."""
+    """A simulated trial: grid, material, object, contact, and a grip that falls evenly from `first_n` to `last_n`."""
 
     columns: int = 24
     rows: int = 18
@@ -44,7 +44,7 @@ class Trial:
     seconds: float = 0.2
 
     def start(self) -> gel.GelState:
-        """The pad and the object, at rest."""
+        """State of the pad and the object, at rest."""
         x, y = PAD_M
         nodes = pad_nodes(self.columns, self.rows, (-x / 2, x / 2), (-y / 2, y / 2))
         return gel.start(nodes, self.material, self.mass_kg, self.inertia_kg_m2, body_xy_m=self.centre_m)
@@ -55,7 +55,7 @@ class Trial:
         return np.asarray(pressure(self.indentation_m, gap, 1.0))
 
     def grip_n(self, time_s: float) -> float:
-        """Normal force on one pad."""
+        """Normal force on one pad, in N, at a time in s."""
         return self.first_n + (self.last_n - self.first_n) * min(time_s / self.seconds, 1.0)
 
     @property
@@ -65,7 +65,7 @@ class Trial:
 
 
 def draw_trial(seed: int) -> Trial:
-    """The trial of a seed: it says how far the fingers are tilted and how far beside its centre the object is held."""
+    """The trial of a seed, which decides how far the fingers are tilted and how far beside its centre they hold."""
     rng = np.random.default_rng(seed)
     tilt_rad = rng.choice([-1, 1]) * rng.uniform(0.005, 0.015)
     centre_m = (rng.uniform(-2e-3, 2e-3), rng.choice([-1, 1]) * rng.uniform(1e-3, 2e-3))
@@ -73,7 +73,7 @@ def draw_trial(seed: int) -> Trial:
 
 
 class Motion(NamedTuple):
-    """What a simulation gave, sampled every 10 ms, and its run time.
+    """The motion of a simulated trial, sampled every 10 ms, and its run time.
 
     pose: (samples, 3); gel_m: displacement, (samples, points, 2), of all nodes or of the points asked for.
     block_us: run time of each block, as microseconds for a simulated millisecond.
@@ -114,10 +114,10 @@ def follow(trial: Trial, dt_s: float, advance: Advance, sample: Callable[[], tup
 def simulate(
     trial: Trial, dt_s: float, theta: float, *, tolerance: float = 1e-6, points_xy_m: Floats | None = None
 ) -> Motion:
-    """The trial with `gel.step`; ValueError where dt_s does not divide 10 ms."""
+    """Simulate a trial with `gel.step`; ValueError where dt_s does not divide 10 ms."""
     state = trial.start()
     shares = trial.shares(state)
-    where = None if points_xy_m is None else gel.interpolation(state.node_xy_m, points_xy_m)
+    weights = None if points_xy_m is None else gel.interpolation(state.node_xy_m, points_xy_m)
 
     def advance(first: int, steps: int) -> tuple[int, bool]:
         for k in range(first, first + steps):
@@ -126,7 +126,7 @@ def simulate(
         return steps, False
 
     def sample() -> tuple[Floats, Floats]:
-        field = state.displacement_m.reshape(-1, 2) if where is None else gel.displacement_at(state, *where)
+        field = state.displacement_m.reshape(-1, 2) if weights is None else gel.displacement_at(state, *weights)
         return state.pose.copy(), field.copy()
 
     return follow(trial, dt_s, advance, sample)

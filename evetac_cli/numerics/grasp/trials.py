@@ -1,6 +1,6 @@
-"""Short grasps in memory, for evaluate cost grasp and evaluate stability grasp: nothing is written.
+"""Short simulated grasps in memory, and detectors that stand between the network and the controller in them.
 
-The hand rises as in the scene, but the lift ends soon after 50 mm, and the balance with the first catches.
+The hand rises as in the scene, but the lift ends soon after 50 mm, and the balance after a few seconds.
 """
 
 import time
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from evetac_cli import resources
 from evetac_cli.devices import Rig
+from evetac_cli.devices.simulated import rig
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
@@ -29,68 +30,68 @@ CONTROLLERS = ("paper", "paper-reset", "load-proportional")
 
 
 @dataclass
-class Timed:
+class TimedDetector:
     """A detector whose slices are timed."""
 
-    sense: Sense
+    detector: Sense
     took_us: list[float] = field(default_factory=list)
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice."""
         started = time.perf_counter()
-        probability = self.sense.step(events)
+        probability = self.detector.step(events)
         self.took_us.append(1e6 * (time.perf_counter() - started))
         return probability
 
     @property
     def felt(self) -> SlipSignal:
-        """What the detector tells."""
-        return self.sense.felt
+        """The detector's signal for the controller."""
+        return self.detector.felt
 
 
 @dataclass
-class Says:
-    """In a detector's place: something else says whether there is slip; the drag is the detector's."""
+class FixedDetector:
+    """A detector whose decision comes from elsewhere: `slips` says whether there is slip; displacements stay."""
 
-    sense: Sense
+    detector: Sense
     slips: Callable[[], bool]
     count: int = 0
 
     def step(self, events: Events) -> float:
-        """1 or 0."""
-        self.sense.step(events)
-        slips = self.slips()
-        self.count += slips
-        return float(slips)
+        """1.0 for slip, else 0.0."""
+        self.detector.step(events)
+        slip = self.slips()
+        self.count += slip
+        return float(slip)
 
     @property
     def felt(self) -> SlipSignal:
-        """The count of what was said."""
-        return self.sense.felt._replace(slips=self.count)
+        """The detector's signal, with the slices counted that were said to slip."""
+        return self.detector.felt._replace(slips=self.count)
 
 
-def truthful(sense: Sense, devices: Rig) -> Sense:
-    """Slip as the simulation knows it."""
+def ground_truth_detector(detector: Sense, devices: Rig) -> Sense:
+    """A detector that gives the simulation's own knowledge of slip."""
     truth = devices.truth
     assert truth is not None
-    return Says(sense, lambda: bool(truth()["truth/slip"]))
+    return FixedDetector(detector, lambda: bool(truth()["truth/slip"]))
 
 
 @dataclass
-class UntilLost:
-    """A camera whose stream ends once the object has moved too far in the gripper: it would slide at length."""
+class CameraUntilLost:
+    """A camera whose stream ends once the object has moved too far in the gripper, from where it would slide on."""
 
     devices: Rig
     mm_per_px: float
 
     @property
     def sensor(self) -> Mapping[str, Any]:
-        """That of the camera."""
+        """What is known of the sensor."""
         return self.devices.camera.sensor
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """That of the camera."""
+        """The camera's counts of lost and damaged data."""
         return self.devices.camera.counted
 
     def read(self) -> Events | None:
@@ -105,8 +106,8 @@ class UntilLost:
 
 
 @dataclass(frozen=True)
-class Short:
-    """A grasp to make: which object, by which controller, and how it is timed."""
+class ShortGrasp:
+    """A grasp to simulate: the object, the controller and its timing."""
 
     object: int
     controller: str
@@ -121,44 +122,45 @@ class Short:
 
 @dataclass(frozen=True)
 class GraspResult:
-    """What came of it."""
+    """What a short grasp ended with: outcome figures, rows of the recording, run time of the detector in each slice."""
 
     figures: dict[str, Any]
     rows: dict[str, NDArray[Any]]
-    feel_us: NDArray[np.float64]  # run time of each slice's feeling
+    detector_us: NDArray[np.float64]
 
 
-def grasp(
-    short: Short,
+def run_short_grasp(
+    short: ShortGrasp,
     seed: int,
     model: Path | None = None,
-    change: Callable[[dict[str, Any]], None] = lambda plan: None,
-    through: Callable[[Sense, Rig], Sense] = lambda sense, devices: sense,
+    change_plan: Callable[[dict[str, Any]], None] = lambda plan: None,
+    wrap_detector: Callable[[Sense, Rig], Sense] = lambda detector, devices: detector,
 ) -> GraspResult:
-    """Make one short grasp.
+    """Simulate one short grasp.
 
-    model: of the detector, default the package's; `change` alters the plan (its object_row, sensor_row, scene);
-    `through` puts something between the detector and the controller. ValueError where the plan cannot be simulated.
+    model: of the detector, default the package's; `change_plan` alters the plan (its object_row, sensor_row, scene);
+    `wrap_detector` puts something between the detector and the controller. ValueError where the plan cannot be
+    simulated.
     """
-    from evetac_cli.devices.simulated import rig
-
     (plan,) = scene.plan(short.scene, str(short.object), short.sensor, ("lift",))
     plan = {key: dict(value) if isinstance(value, dict) else value for key, value in plan.items()}
-    change(plan)
+    change_plan(plan)
     touch_ms = round(SLICES_S * plan["scene"]["time"]["touch_s"])
     timing = Timing(
         touch_ms, round(SLICES_S * short.lift_s), round(SLICES_S * short.balance_s), short.control_hz, short.latency_ms
     )
     devices = rig(plan, np.random.SeedSequence([seed, short.object]), lift_s=short.lift_s, balance_s=short.balance_s)
     control = Control(grip_control.make_law(short.controller, short.gain), short.control_hz)
-    kept = TrialBuffer()
+    buffer = TrialBuffer()
     try:
         with StageFile(model or resources.MODEL, "model") as file:
-            timed = Timed(through(open_detector(file, devices.camera.sensor, Grasp().tracker), devices))
-        watched = replace(devices, camera=UntilLost(devices, plan["sensor_row"]["mm_per_px"]))
-        run_grasp(watched, timed, control, timing, lambda _, rows: kept.append_rows(rows), lambda _: None)
+            detector = TimedDetector(
+                wrap_detector(open_detector(file, devices.camera.sensor, Grasp().tracker), devices)
+            )
+        watched = replace(devices, camera=CameraUntilLost(devices, plan["sensor_row"]["mm_per_px"]))
+        run_grasp(watched, detector, control, timing, lambda _, rows: buffer.append_rows(rows), lambda _: None)
     finally:
         devices.close()
-    rows = kept.row_arrays()
+    rows = buffer.row_arrays()
     figures = grasp_outcome.outcome(rows, plan["sensor_row"]["mm_per_px"], timing.end_ms)
-    return GraspResult(figures, rows, np.array(timed.took_us))
+    return GraspResult(figures, rows, np.array(detector.took_us))

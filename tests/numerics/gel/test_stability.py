@@ -5,9 +5,9 @@ import math
 
 import pytest
 
-from evetac_cli.numerics.simulator import gel_stability
-from evetac_cli.numerics.simulator.camera_stability import camera_cases, camera_row
-from evetac_cli.numerics.simulator.gel_stability import (
+from evetac_cli.numerics.gel import stability as gel_stability
+from evetac_cli.numerics.camera.stability import camera_cases, camera_row
+from evetac_cli.numerics.gel.stability import (
     FingerCase,
     GelCase,
     drawn_case,
@@ -18,7 +18,7 @@ from evetac_cli.numerics.simulator.gel_stability import (
     nonsense,
     stability,
 )
-from evetac_cli.numerics.stability_rows import SIMULATOR
+from evetac_cli.numerics.rows import SIMULATOR
 from evetac_cli.sim import gripper
 from evetac_cli.sim.gel import gel
 

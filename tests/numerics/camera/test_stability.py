@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evetac_cli.numerics.simulator import camera_stability
-from evetac_cli.numerics.simulator.camera_stability import CameraCase, camera_cases, camera_row
+from evetac_cli.numerics.camera import stability as camera_stability
+from evetac_cli.numerics.camera.stability import CameraCase, camera_cases, camera_row
 from evetac_cli.sim.camera.scanning import camera
 
 

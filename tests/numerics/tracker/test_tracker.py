@@ -8,7 +8,7 @@ import pytest
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import PRESETS
 from evetac_cli.numerics import tracker_cost, tracker_stability
-from evetac_cli.numerics.tracker_stability import ROWS, case_row, cases, duplicated_row, nonsense
+from evetac_cli.numerics.tracker.stability import ROWS, case_row, cases, duplicated_row, nonsense
 
 SHORT = tracker_cost.Extent((60, 25, 60), 25)
 CASES = {case.name: case for case in cases()}

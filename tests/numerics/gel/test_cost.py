@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evetac_cli.numerics.simulator.gel_cost import (
+from evetac_cli.numerics.gel.cost import (
     FULL,
     USUAL,
     Extent,
@@ -21,8 +21,8 @@ from evetac_cli.numerics.simulator.gel_cost import (
     row,
     time_reference,
 )
-from evetac_cli.numerics.simulator.gel_reference import layer_stiffness, simulate_explicit, simulate_modes
-from evetac_cli.numerics.simulator.gel_trial import Motion, draw_trial, simulate
+from evetac_cli.numerics.gel.reference import layer_stiffness, simulate_explicit, simulate_modes
+from evetac_cli.numerics.gel.trial import Motion, draw_trial, simulate
 from evetac_cli.sim.gel import gel
 
 COARSE = replace(draw_trial(0), columns=12, rows=9)

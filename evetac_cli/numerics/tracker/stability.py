@@ -1,12 +1,12 @@
-"""Whether the dot tracker stays sane under floods, silence, wrong constants and nonsense.
+"""The dot tracker under too many events, none, extreme constants and nonsense.
 
-Every case is a row for every preset: ok when all places stay finite and in the frame, whatever the accuracy, with the
+Every case is a row for every preset: ok when all dots stay finite and in the frame, whatever the accuracy, with the
 number of dots lost in the end and how far the worst dot is from where it should be; or when it is refused in words.
 Cases of nonsense are ok only when refused.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX, Events, Slicer
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import PRESETS
-from evetac_cli.numerics.stability_rows import Row, Rows
-from evetac_cli.numerics.tracker_cost import DOTS_PX, rim_events
+from evetac_cli.numerics.rows import Extent, Row, case_row, refusal, run_case
+from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
 
 Columns = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
-ROWS = Rows(("dots_lost", "error_px_worst"))
 
 GAINS = (0.003, 0.03, 0.3, 1.0, 10.0, 1e3)
 WEIGHTS = (0.0, 1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
-EVENTS_A_PX = 300.0  # of a dot's rim, as simulated
-DOT_PX = 15.0
+EVENTS_PER_PX = 300.0  # of a dot that moves by a pixel, as simulated
+DOT_RADIUS_PX = 15.0
+SLICES = Extent(quick=200, full=1000)
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Case:
     polarity: int | None = None  # all events have this one
 
 
-def cases() -> list[Case]:
+def extreme_cases() -> list[Case]:
     """The extremes, by name."""
     usual = partial(_circle, 3.0, 200.0)
     return [
@@ -97,50 +97,50 @@ def _bar(count: int, k: int, rng: np.random.Generator) -> Columns | None:
 
 
 def _moving_rims(before: NDArray[np.float64], after: NDArray[np.float64], rng: np.random.Generator) -> Columns:
-    """Events of dots (n, 2) that moved within a slice: as many as the way makes, darker ahead and brighter behind."""
-    way = after - before
-    length = np.linalg.norm(way, axis=1)
-    dot = np.repeat(np.arange(len(before)), rng.poisson(np.minimum(EVENTS_A_PX * length, 2_000.0)))
+    """Events of dots (n, 2) that moved within a slice: in proportion to the distance, darker ahead, brighter behind."""
+    shift = after - before
+    length = np.linalg.norm(shift, axis=1)
+    dot = np.repeat(np.arange(len(before)), rng.poisson(np.minimum(EVENTS_PER_PX * length, 2_000.0)))
     side = rng.choice([-1.0, 1.0], len(dot))
     sine = rng.uniform(-1.0, 1.0, len(dot))  # density as |cos| about the direction of motion
-    horizon_ms = way[dot] / np.maximum(length[dot], 1e-12)[:, None]
-    across = np.stack([-horizon_ms[:, 1], horizon_ms[:, 0]], axis=1)
-    normal = (side * np.sqrt(1.0 - sine**2))[:, None] * horizon_ms + sine[:, None] * across
-    radius_px = DOT_PX + 0.7 * rng.standard_normal(len(dot))
-    place = before[dot] + rng.random(len(dot))[:, None] * way[dot] + radius_px[:, None] * normal
+    ahead = shift[dot] / np.maximum(length[dot], 1e-12)[:, None]
+    across = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    normal = (side * np.sqrt(1.0 - sine**2))[:, None] * ahead + sine[:, None] * across
+    radius_px = DOT_RADIUS_PX + 0.7 * rng.standard_normal(len(dot))
+    place = before[dot] + rng.random(len(dot))[:, None] * shift[dot] + radius_px[:, None] * normal
     pixel = np.round(place)
     inside = ((pixel >= 0) & (pixel < np.array(FRAME_PX))).all(axis=1)
     x, y = pixel[inside].astype(np.uint16).T.copy()
     return x, y, (side[inside] < 0).astype(np.uint8)
 
 
-def case_row(case: Case, preset: str, slices: int = 200, seed: int = 0) -> Row:
-    """Track a case with a preset."""
-    return ROWS.in_words(f"{preset}: {case.name}", lambda: _case_row(case, preset, slices, seed))
+def track_row(case: Case, preset: str, slices: int, seed: int = 0) -> Row:
+    """Track the events of a case with a preset, for some slices."""
+    return run_case(f"{preset}: {case.name}", lambda: _track_row(case, preset, slices, seed))
 
 
-def _case_row(case: Case, preset: str, slices: int, seed: int) -> Row:
+def _track_row(case: Case, preset: str, slices: int, seed: int) -> Row:
     rng = np.random.default_rng(seed)
     state = tracker.start(DOTS_PX, replace(PRESETS[preset], **case.changes))
-    place = DOTS_PX.copy()
-    finite, most = True, 0
+    dots_px = DOTS_PX.copy()
+    finite, events_max = True, 0
     for k in range(slices):
         target = DOTS_PX + case.shift(k)
-        parts = [_moving_rims(place, target, rng)]
+        parts = [_moving_rims(dots_px, target, rng)]
         more = case.more(k, rng)
         parts += [more] if more is not None else []
         x, y, p = (np.concatenate(column) for column in zip(*parts, strict=True))
         if case.polarity is not None:
             p = np.full_like(p, case.polarity)
         tracker.step(state, x, y, p)
-        place, most = target, max(most, len(x))
+        dots_px, events_max = target, max(events_max, len(x))
         now = state.dot_xy_px
         finite &= bool(np.isfinite(now).all() and (now >= 0).all() and (now <= np.array(FRAME_PX) - 1.0).all())
-    visible = ((place >= 0) & (place <= np.array(FRAME_PX) - 1.0)).all(axis=1)
-    error_px = np.linalg.norm(state.dot_xy_px - place, axis=1)[visible]
-    outcome = f"{'finite' if finite else 'not finite'}, at most {most:,} events a slice"
+    visible = ((dots_px >= 0) & (dots_px <= np.array(FRAME_PX) - 1.0)).all(axis=1)
+    error_px = np.linalg.norm(state.dot_xy_px - dots_px, axis=1)[visible]
+    outcome = f"{'finite' if finite else 'not finite'}, at most {events_max:,} events a slice"
     worst_px = float(error_px.max()) if error_px.size else None
-    return ROWS.row(f"{preset}: {case.name}", finite, outcome, dots_lost=int(state.lost.sum()), error_px_worst=worst_px)
+    return case_row(f"{preset}: {case.name}", finite, outcome, dots_lost=int(state.lost.sum()), error_px_worst=worst_px)
 
 
 def nonsense() -> list[tuple[str, Callable[[], object]]]:
@@ -166,10 +166,10 @@ def nonsense() -> list[tuple[str, Callable[[], object]]]:
     ]
     names = ("step_size", "regulariser_weight", "trust_px", "rim_lag_px", "event_px", "most_events")
     bad = (math.nan, math.inf, -1.0)
-    return calls + [(f"{name} {value:g}", partial(_constants, name, value)) for name in names for value in bad]
+    return calls + [(f"{name} {value:g}", partial(_change_constant, name, value)) for name in names for value in bad]
 
 
-def _constants(name: str, value: float) -> object:
+def _change_constant(name: str, value: float) -> object:
     changed: dict[str, Any] = {name: value}
     return replace(PRESETS["stable"], **changed)
 
@@ -186,7 +186,7 @@ def duplicated_row(preset: str, slices: int = 50, seed: int = 0) -> Row:
     finite = bool(np.isfinite(states[0].dot_xy_px).all())
     outcome = ("finite" if finite else "not finite") + ("" if same else ", order matters")
     worst_px = float(np.linalg.norm(states[0].dot_xy_px - DOTS_PX, axis=1).max())
-    return ROWS.row(
+    return case_row(
         f"{preset}: every event twice",
         finite and same,
         outcome,
@@ -195,11 +195,10 @@ def duplicated_row(preset: str, slices: int = 50, seed: int = 0) -> Row:
     )
 
 
-def suite(seed: int, *, full: bool, slices: int = 200) -> Sequence[Callable[[], Row]]:
-    """All cases, to be run one by one; `full` runs them five times as long."""
-    length = 5 * slices if full else slices
-    rows: list[Callable[[], Row]] = []
+def cases(seed: int, full: bool) -> list[Callable[[], Row]]:
+    """All cases with all presets; `full` runs them five times as long."""
+    runs: list[Callable[[], Row]] = []
     for preset in PRESETS:
-        rows += [partial(case_row, case, preset, length, seed) for case in cases()]
-        rows.append(partial(duplicated_row, preset, seed=seed))
-    return rows + [partial(ROWS.refusal, name, call) for name, call in nonsense()]
+        runs += [partial(track_row, case, preset, SLICES.pick(full), seed) for case in extreme_cases()]
+        runs.append(partial(duplicated_row, preset, seed=seed))
+    return runs + [partial(refusal, name, call) for name, call in nonsense()]

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 
-from evetac_cli.numerics.simulator.gel_trial import Motion, Trial, follow
+from evetac_cli.numerics.gel.trial import Motion, Trial, follow
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.step import Layer, spring
 
@@ -165,12 +165,12 @@ def simulate_modes(
 
     def soften(field: Floats) -> Floats:
         """Solve (diagonal + penalty) x = field."""
-        found: Floats = idctn(_modes(field) / (diagonal + penalty), axes=(0, 1), norm="ortho")
-        return found
+        solution: Floats = idctn(_modes(field) / (diagonal + penalty), axes=(0, 1), norm="ortho")
+        return solution
 
     def stiffen(field: Floats) -> Floats:
-        found: Floats = idctn(_modes(field) * stiffness, axes=(0, 1), norm="ortho")
-        return found
+        force: Floats = idctn(_modes(field) * stiffness, axes=(0, 1), norm="ortho")
+        return force
 
     def advance(first: int, steps: int) -> tuple[int, bool]:
         nonlocal slip, price
@@ -183,7 +183,7 @@ def simulate_modes(
             rigid = np.zeros((3, *arm.shape))  # how the nodes move along with the object
             rigid[0, ..., 0] = rigid[1, ..., 1] = 1.0
             rigid[2] = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-            soft = np.stack([soften(penalty * way) for way in rigid])
+            soft = np.stack([soften(penalty * mode) for mode in rigid])
             system = np.diag(weight) + penalty * np.tensordot(rigid, rigid - soft, ((1, 2, 3), (1, 2, 3)))
             scale = float(np.abs(right).sum() + bound.sum() + np.abs(body_right).sum())
             for _ in range(max_rounds):
@@ -217,5 +217,5 @@ def simulate_modes(
 
 
 def _modes(field: Floats) -> Floats:
-    found: Floats = dctn(field, axes=(0, 1), norm="ortho")
-    return found
+    modes: Floats = dctn(field, axes=(0, 1), norm="ortho")
+    return modes
