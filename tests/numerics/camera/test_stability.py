@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.numerics.camera import stability as camera_stability
+from evetac_cli.numerics.camera import stability
 from evetac_cli.numerics.camera.stability import CameraCase, camera_cases, camera_row
 from evetac_cli.sim.camera.scanning import camera
 
@@ -25,7 +25,7 @@ def test_wrong_events_are_seen(monkeypatch):
         return events._replace(t=events.t + shift["t"], x=events.x + shift["x"])
 
     real = camera.step
-    monkeypatch.setattr(camera_stability.camera, "step", step)
+    monkeypatch.setattr(stability.camera, "step", step)
     moving = CameraCase("moving", camera.CameraModel(), dots=lambda k: (3.0 * k, 0.0))
     assert camera_row(moving, 2)["ok"]
     shift["t"] = 1000

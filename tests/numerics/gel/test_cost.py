@@ -7,22 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evetac_cli.numerics.gel import cost
 from evetac_cli.numerics.gel.cost import (
-    FULL,
-    USUAL,
-    Extent,
+    EXPLICIT_US,
+    NODES,
+    REFERENCE_US,
+    STEPS_US,
     errors_um,
     explicit_row,
     implicit_row,
-    in_words,
     layer_rows,
-    mechanics_cost,
+    mechanics_rows,
     node_rows,
     row,
+    row_count,
     time_reference,
+    time_step_text,
 )
 from evetac_cli.numerics.gel.reference import layer_stiffness, simulate_explicit, simulate_modes
 from evetac_cli.numerics.gel.trial import Motion, draw_trial, simulate
+from evetac_cli.numerics.rows import Extent
 from evetac_cli.sim.gel import gel
 
 COARSE = replace(draw_trial(0), columns=12, rows=9)
@@ -235,11 +239,13 @@ def test_explicit_rows():
 # -- rows --------------------------------------------------------------------------------------------------------------
 
 
-def test_rows_of_all_comparisons():
+def test_rows_of_all_comparisons(monkeypatch):
     """Assert that every comparison gives rows of one shape, as many as announced, that JSON can hold."""
-    small = Extent((10_000, 1_000), (1_000, 10), 100.0, ((8, 6),), (16, 12))
-    rows = list(mechanics_cost(3, small))
-    assert len(rows) == small.rows
+    small = {"STEPS_US": (10_000, 1_000), "EXPLICIT_US": (1_000, 10), "REFERENCE_US": 100.0, "NODES": ((8, 6),)}
+    for name, amount in {**small, "FINEST_NODES": (16, 12)}.items():
+        monkeypatch.setattr(cost, name, Extent(amount, amount))
+    rows = list(mechanics_rows(3, False))
+    assert len(rows) == row_count(False)
     assert all(list(entry) == list(rows[0]) for entry in rows)
     assert len({entry["setting"] for entry in rows}) == len(rows)
     json.dumps(rows, allow_nan=False)
@@ -251,11 +257,10 @@ def test_rows_of_all_comparisons():
 
 
 def test_full_has_all_that_is_usual():
-    """Assert that the wide extent only adds, and all steps divide the 10 ms of a sample."""
-    assert set(FULL.steps_us) > set(USUAL.steps_us)
-    assert set(FULL.explicit_us) > set(USUAL.explicit_us)
-    assert set(FULL.nodes) > set(USUAL.nodes)
-    for dt_us in (*FULL.steps_us, *FULL.explicit_us, FULL.reference_us, 2 * USUAL.reference_us):
+    """Assert that --full only adds, and all steps divide the 10 ms of a sample."""
+    for extent in (STEPS_US, EXPLICIT_US, NODES):
+        assert set(extent.full) > set(extent.quick)
+    for dt_us in (*STEPS_US.full, *EXPLICIT_US.full, REFERENCE_US.full, 2 * REFERENCE_US.quick):
         assert 10_000 / dt_us == round(10_000 / dt_us)
 
 
@@ -280,9 +285,9 @@ def test_steps_have_to_divide_a_sample(dt_s):
         simulate(SHORT, dt_s, 0.55)
 
 
-def test_steps_in_words():
-    """Assert that steps are told in ms from 0.1 ms up."""
-    assert [in_words(dt_us) for dt_us in (10_000, 500, 100, 20, 0.25)] == [
+def test_time_step_text():
+    """Assert that steps are written in ms from 0.1 ms up."""
+    assert [time_step_text(dt_us) for dt_us in (10_000, 500, 100, 20, 0.25)] == [
         "10 ms",
         "0.5 ms",
         "0.1 ms",

@@ -1,4 +1,4 @@
-"""The stages evaluate cost and evaluate stability: reports without inputs, the picture, the commands."""
+"""The commands evaluate cost and evaluate stability: every part measured for real in small, reports, the picture."""
 
 import importlib.util
 import json
@@ -6,6 +6,7 @@ import math
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -14,15 +15,21 @@ from evetac_cli.cli import main
 from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.numerics import cost, stability
-from evetac_cli.numerics.simulator import gel_cost, gel_stability
+from evetac_cli.jobs import Outcome
+from evetac_cli.numerics import cost, plots, simulator, stability
+from evetac_cli.numerics.camera import cost as camera_cost
+from evetac_cli.numerics.gel import cost as gel_cost
+from evetac_cli.numerics.rows import Extent
+from evetac_cli.sim.camera.scanning.camera import CameraModel
+from evetac_cli.sim.gel import gel
+from evetac_cli.stages.evaluate import picture
 from evetac_cli.store.files import StageFile
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
-DRAW = cost._draw
-SMALL = gel_cost.Extent((10_000, 5_000), (1_000, 100), 500.0, ((6, 4),), (10, 8))
+BESIDE = picture.beside
+MECHANICS_ROWS = 3 * 2 + 2 + 1 + 5
 CAMERA = [
-    {"part": "camera", "setting": f"ideal, tone, {n} sub-steps", "error_us_median": late, "error_count_share": 0.0,
+    {"part": "camera", "setting": f"ideal, tone, {n} sub-steps", "error_us_median": late, "error_share_count": 0.0,
      "time_us_median": 100.0 * n, "time_us_p99": 200.0 * n}
     for n, late in ((1, 5.0), (2, math.inf), (4, 0.3))
 ]  # fmt: skip
@@ -30,22 +37,40 @@ STAGES = [("cost", cost, params.EvaluateCost), ("stability", stability, params.E
 each = pytest.mark.parametrize(("name", "stage", "cls"), STAGES, ids=[stage[0] for stage in STAGES])
 
 
+def tiny_workloads():
+    """Two dots for 5 ms on a circle, before a small camera without noise."""
+    dots = np.array([[20.3, 22.6], [60.8, 23.1]])
+
+    def circle(times_ms):
+        turn = 2.0 * np.pi * times_ms / 8.0
+        return 5.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    model = CameraModel(frame_px=(84, 48), noise_rate_hz=0.0, hot_pixels=0)
+    return [camera_cost.Workload("circle", model, dots, circle, 5)]
+
+
 @pytest.fixture(autouse=True)
 def small(monkeypatch, tmp_path):
-    """In a folder of its own, the least that the commands can measure, and no pictures: those take longer."""
-    whole, trial = gel_stability.suite, gel_cost.draw_trial
+    """In a folder of its own, the least that the part sim can measure, and no pictures: those take longer."""
+    trial, cases = gel_cost.draw_trial, stability.PARTS["sim"].cases
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cost, "_draw", lambda rows, path: True)
-    monkeypatch.setattr(gel_cost, "USUAL", SMALL)
+    monkeypatch.setattr(picture, "beside", lambda outcome, *_: outcome)
+    for name, amount in {
+        "STEPS_US": (10_000, 1_000), "EXPLICIT_US": (1_000, 100), "REFERENCE_US": 100.0, "NODES": ((6, 4),),
+        "FINEST_NODES": (10, 8),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(gel_cost, name, Extent(amount, amount))
     monkeypatch.setattr(gel_cost, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6, seconds=0.05))
-    monkeypatch.setattr(cost.camera_cost, "camera_cost", lambda seed: [dict(row) for row in CAMERA])
-    monkeypatch.setattr(gel_stability, "suite", lambda seed, full: whole(seed, full=full, steps=2)[::9])
+    monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
+    monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
+    few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
+    monkeypatch.setitem(stability.PARTS, "sim", few)
 
 
 @pytest.fixture
 def pictures(small, monkeypatch):
     """With pictures after all."""
-    monkeypatch.setattr(cost, "_draw", DRAW)
+    monkeypatch.setattr(picture, "beside", BESIDE)
 
 
 def make(stage, chosen, out=None, **how):
@@ -103,10 +128,10 @@ def test_a_report_is_kept(name, stage, cls):
 @each
 def test_progress_ends_at_its_total(name, stage, cls):
     """Assert that progress rises to the total announced from the start."""
-    told = []
-    make(stage, cls(), progress=lambda done, total: told.append((done, total)))
-    assert [done for done, _ in told] == list(range(1, told[-1][1] + 1))
-    assert len({total for _, total in told}) == 1
+    reports = []
+    make(stage, cls(), progress=lambda done, total: reports.append((done, total)))
+    assert [done for done, _ in reports] == list(range(1, reports[-1][1] + 1))
+    assert len({total for _, total in reports}) == 1
 
 
 @each
@@ -121,13 +146,38 @@ def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_cost_rows_are_those_of_mechanics_and_camera():
-    """Assert that the rows of both parts are there, in this order, with the figures of the summary."""
+def test_cost_of_the_simulator():
+    """Assert real rows of mechanics and camera, in this order, with errors that fall the finer a setting is."""
     _, outcome = make(cost, params.EvaluateCost())
-    assert [row["part"] for row in outcome.rows] == ["mechanics"] * SMALL.rows + ["camera"] * 3
+    assert [row["part"] for row in outcome.rows] == ["mechanics"] * MECHANICS_ROWS + ["camera"] * 7
+    for row in outcome.rows:
+        assert 0 < row["time_us_median"] <= row["time_us_p99"]
+        assert {name for name in row if name.startswith("error_")} < set(cost.PARTS["sim"].errors)
+    rows = {row["setting"]: row for row in outcome.rows}
+    for theta in ("1", "0.55", "0.5"):
+        coarse, fine = (rows[f"theta {theta}, dt {dt} ms"]["error_um_object_rms"] for dt in (10, 1))
+        assert fine < coarse
+    substeps = [rows[f"ideal, circle, {n} sub-steps"]["error_us_p95"] for n in camera_cost.SUBSTEPS[:4]]
+    assert substeps == sorted(substeps, reverse=True)
+    assert rows["ideal, circle, 32 sub-steps"]["error_share_count"] < 0.01
+    assert rows["ideal, circle, 32 sub-steps"]["error_us_p95"] < outcome.rows[-1]["error_us_p95"]  # scans are coarser
     assert outcome.summary["rows"] == len(outcome.rows)
     assert outcome.summary["explicit_blows_up_at"] == "1 ms, 0.1 ms"
     assert outcome.summary["reference_um_object_at_most"] == outcome.rows[0]["error_um_object_rms"]
+
+
+def test_every_part_is_a_choice():
+    """Assert that the tables hold the parts that the commands accept, no more and no fewer."""
+    for parts, cls in ((cost.PARTS, params.EvaluateCost), (stability.PARTS, params.EvaluateStability)):
+        assert list(parts) == list(cls.__dataclass_fields__["part"].metadata["choices"])
+
+
+@pytest.mark.parametrize("given", [{"part": "track", "model": "a.model.h5"}, {"part": "grasp"}, {"part": "label"}])
+def test_parts_without_files(given, tmp_path):
+    """Assert that files and --model are refused where a part does not take them."""
+    chosen = params.EvaluateCost(**given)
+    with pytest.raises(InputError):
+        cost.jobs([] if chosen.model else [tmp_path / "a.features.h5"], chosen, None)
 
 
 def test_what_the_implicit_step_saves():
@@ -147,11 +197,11 @@ def test_what_the_implicit_step_saves():
         row("explicit, dt 5 us", 100.0, 1000.0),
         row("explicit, dt 1 us", 10.0, 8000.0),
     ]
-    summary = cost._summary(rows)
+    summary = simulator.summary(rows)
     assert summary["implicit_saves_times"] == 200.0
     assert summary["explicit_blows_up_at"] == "10 us"
-    assert cost._summary([rows[0], rows[4]])["implicit_saves_times"] is None
-    assert cost._summary([rows[0], rows[1], rows[6]])["implicit_saves_times"] is None
+    assert simulator.summary([rows[0], rows[4]])["implicit_saves_times"] is None
+    assert simulator.summary([rows[0], rows[1], rows[6]])["implicit_saves_times"] is None
 
 
 @needs_matplotlib
@@ -176,7 +226,7 @@ def test_a_picture_that_cannot_be_written(tmp_path):
     (tmp_path / "sim.cost.report.png").mkdir()
     (tmp_path / "sim.cost.report.png" / "x").touch()
     with pytest.raises(InputError, match="sim.cost.report.png: cannot be written"):
-        DRAW(CAMERA, tmp_path / "sim.cost.report.png")
+        BESIDE(Outcome(CAMERA, True), tmp_path / "sim.cost.report.h5", lambda figure: None, (1.0, 1.0))
     assert [path.name for path in tmp_path.iterdir()] == ["sim.cost.report.png"]
 
 
@@ -187,17 +237,17 @@ def test_lines_of_the_picture():
 
     _, outcome = make(cost, params.EvaluateCost())
     axes = Figure().subplots()
-    cost._draw_panel(axes, outcome.rows[: SMALL.rows], "error_um_object_rms")
+    plots.draw_panel(axes, outcome.rows[:MECHANICS_ROWS], "error_um_object_rms")
     labels = axes.get_legend_handles_labels()[1]
-    assert labels[:2] == ["bound of the reference's own error", "theta 1, dt 10 to 5 ms"]
+    assert labels[:2] == ["bound of the reference's own error", "theta 1, dt 10 to 1 ms"]
     assert not [label for label in labels if "nodes" in label or "layer" in label or "explicit" in label]
     axes = Figure().subplots()
-    cost._draw_panel(axes, CAMERA, "error_us_median")
+    plots.draw_panel(axes, CAMERA, "error_us_median")
     assert axes.lines[0].get_xydata().tolist() == [[100.0, 5.0], [400.0, 0.3]]
     assert axes.lines[0].get_label() == "ideal, tone, 1 to 4 sub-steps"
     assert axes.get_ylabel() == "error [us]"
     axes = Figure().subplots()
-    cost._draw_panel(axes, CAMERA, "error_count_share")
+    plots.draw_panel(axes, CAMERA, "error_share_count")
     assert axes.get_legend_handles_labels()[1] == ["real time"]
 
 
@@ -210,16 +260,34 @@ def test_without_matplotlib(pictures, monkeypatch, tmp_path):
 
 
 def test_stability_counts_what_is_ok(monkeypatch):
-    """Assert that the summary counts cases, refusals, and names what is not ok."""
-    good = {"sweeps_mean": 1.0, "sweeps_most": 1, "residual_most": 1e-9, "energy_gained_j": -1.0}
+    """Assert that the summary counts cases, refusals, and names what is not ok; columns that a case lacks are None."""
     rows = [
-        {"case": "a", "ok": True, "outcome": "finite", **good},
-        {"case": "b", "ok": False, "outcome": "not finite", **good, "residual_most": 1e-3},
-        {"case": "c", "ok": True, "outcome": "refused: no", **dict.fromkeys(good)},
+        {"case": "a", "ok": True, "outcome": "finite", "residual_max": 1e-9},
+        {"case": "b", "ok": False, "outcome": "not finite", "residual_max": 1e-3},
+        {"case": "c", "ok": True, "outcome": "refused: no"},
     ]
-    monkeypatch.setattr(gel_stability, "suite", lambda seed, full: [lambda row=row: row for row in rows])
-    summary = make(stability, params.EvaluateStability())[1].summary
-    assert summary.items() >= {"cases": 3, "ok": 2, "refused": 1, "not_ok": "b", "residual_most": 1e-3}.items()
+    part = stability.PARTS["sim"]._replace(cases=lambda seed, full: [lambda row=row: row for row in rows])
+    monkeypatch.setitem(stability.PARTS, "sim", part)
+    outcome = make(stability, params.EvaluateStability())[1]
+    assert outcome.summary.items() >= {"cases": 3, "ok": 2, "refused": 1, "not_ok": "b", "residual_max": 1e-3}.items()
+    assert {tuple(row) for row in outcome.rows} == {("case", "ok", "outcome", *part.columns)}
+    assert outcome.rows[2]["residual_max"] is None
+
+
+def test_a_fault_in_the_gel_is_reported(monkeypatch):
+    """Assert that all real cases are ok, and that a step which gives the object energy turns some to not ok."""
+    assert make(stability, params.EvaluateStability())[1].summary["not_ok"] is None
+    real = gel.step
+
+    def step(state, *given, **changes):
+        info = real(state, *given, **changes)
+        state.twist += 1.0
+        return info
+
+    monkeypatch.setattr(gel, "step", step)
+    faulty = make(stability, params.EvaluateStability(seed=1), force=True)[1]
+    assert any(row["outcome"] == "finite, energy gained" and not row["ok"] for row in faulty.rows)
+    assert faulty.summary["ok"] < faulty.summary["cases"]
 
 
 @pytest.mark.parametrize("name", ["cost", "stability"])
