@@ -290,7 +290,7 @@ def test_other_adapters_are_left_alone(machine: Made) -> None:
     """Assert that doctor sends nothing to what is no FTDI adapter, unless it is named."""
     port = adapter(machine, vendor="2341", name="ttyACM0")
     assert of(doctor.run(Doctor(), machine), "port") == {}
-    assert list(wrong(doctor.run(Doctor(gripper=str(port)), machine))) == ["there"]
+    assert list(wrong(doctor.run(Doctor(gripper=str(port)), machine))) == ["exists"]
 
 
 def test_ports_that_cannot_be_used(machine: Made, plugged: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""What view draws over time: series and stretches of slip, decimated so that an hour is no larger than a second.
+"""The series and stretches of slip that view draws, decimated so that an hour is no larger than a second.
 
 Series are cut into bins, about one a pixel column, of which the least and the greatest value are drawn. Arrays are read
 block by block: an hour of tracks is gigabytes.
@@ -34,10 +34,10 @@ def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[n
         rows = read(0, length).astype(np.float64)
         rows[~np.isfinite(rows)] = np.nan
         return [(np.arange(length), column) for column in rows.T]
-    found: list[list[tuple[int, float]]] = []
+    columns: list[list[tuple[int, float]]] = []
     for start, rows, edges in _blocks(length, read):
-        found = found or [[] for _ in range(rows.shape[1])]
-        for column, picked in zip(rows.T, found, strict=True):
+        columns = columns or [[] for _ in range(rows.shape[1])]
+        for column, picked in zip(rows.T, columns, strict=True):
             for first, last in pairwise(edges):
                 part = column[first:last].astype(np.float64)
                 finite = np.flatnonzero(np.isfinite(part))
@@ -46,7 +46,7 @@ def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[n
                     continue
                 ends = {int(finite[np.argmin(part[finite])]), int(finite[np.argmax(part[finite])])}
                 picked += [(start + first + at, float(part[at])) for at in sorted(ends)]
-    return [(np.array([at for at, _ in picked]), np.array([value for _, value in picked])) for picked in found]
+    return [(np.array([at for at, _ in picked]), np.array([value for _, value in picked])) for picked in columns]
 
 
 def stretches(length: int, read: Read) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
@@ -61,13 +61,13 @@ def stretches(length: int, read: Read) -> tuple[list[tuple[int, int]], list[tupl
             part = rows[first:last, 0]
             states.append(1 if (part == 1).any() else -1 if (part < 0).all() else 0)
             borders.append(start + last)
-    found: dict[int, list[tuple[int, int]]] = {1: [], 0: [], -1: []}
+    by_state: dict[int, list[tuple[int, int]]] = {1: [], 0: [], -1: []}
     begin = 0
     for at, state in enumerate(states):
         if at + 1 == len(states) or states[at + 1] != state:
-            found[state].append((borders[begin], borders[at + 1]))
+            by_state[state].append((borders[begin], borders[at + 1]))
             begin = at + 1
-    return found[1], found[-1]
+    return by_state[1], by_state[-1]
 
 
 def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[int]]]:
@@ -75,8 +75,8 @@ def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[i
     edges = np.linspace(0, length, min(length, BINS) + 1).astype(np.int64)
     at_once = max(1, int(BLOCK_ROWS * (len(edges) - 1) / max(length, 1)))
     for first in range(0, len(edges) - 1, at_once):
-        here = edges[first : first + at_once + 1]
-        yield int(here[0]), read(int(here[0]), int(here[-1])), (here - here[0]).tolist()
+        piece = edges[first : first + at_once + 1]
+        yield int(piece[0]), read(int(piece[0]), int(piece[-1])), (piece - piece[0]).tolist()
 
 
 def _rows(file: StageFile, path: str, start: int) -> Read:
@@ -93,8 +93,8 @@ def _lines(names: dict[str, str], start: int, length: int, read: Read) -> list[L
     return [line for line in lines if np.isfinite(line.value).any()]
 
 
-def panels_of(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
-    """Series of the slices of the span, from all files that are there; `probability`: that of model_output."""
+def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
+    """Series of the slices of the span, from all files of the trial; `probability` is that of model_output."""
     start, stop = span
     panels = []
     recording, tracks, labels = trial.recording, trial.tracks, trial.labels
@@ -190,7 +190,7 @@ def _length(file: StageFile, path: str, span: tuple[int, int]) -> int:
 
 
 def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | None:
-    """Slip probability of each slice of the span, where both a model and features are there."""
+    """Slip probability of each slice of the span, NaN before the first; None without a model or features."""
     if trial.model is None or trial.features is None:
         return None
     from evetac_cli.stages.slip_detectors import load_detector, series_of
@@ -198,51 +198,51 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
     detector = load_detector(trial.model)
     start = span[0]
     length = _length(trial.features, "displacement_px", span)
-    found = np.full(length, np.nan, np.float32)
+    probability = np.full(length, np.nan, np.float32)
     for first in range(0, length, BLOCK_ROWS):
         last = min(first + BLOCK_ROWS, length)
         # a full history, and as far back as a prediction is held
         before = min(start + first, detector.architecture.history + detector.architecture.every - 2)
         rows = slice(start + first - before, start + last)
         series = series_of(trial.features, detector.architecture, rows.start, rows.stop)
-        found[first:last] = detector.over(series, rows.start)[before:]
-    return found
+        probability[first:last] = detector.over(series, rows.start)[before:]
+    return probability
 
 
-def onsets_of(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> dict[str, int | None]:
-    """First slice of slip after the start of the span, by everybody who says one."""
+def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> dict[str, int | None]:
+    """First slice of slip after the start of the span, by truth, label and model or detector, as far as known."""
     start, stop = span
-    found: dict[str, int | None] = {}
+    onsets: dict[str, int | None] = {}
     if trial.recording is not None and trial.recording.has("truth"):
-        found["truth"] = _first(trial.recording.read("truth/slip", start, stop) > 0, start)
+        onsets["truth"] = _first(trial.recording.read("truth/slip", start, stop) > 0, start)
     examined = start
     source = trial.labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
     if source is not None:
         label = source.read("label", start, stop)
-        found["label"] = _first(label == 1, start)
+        onsets["label"] = _first(label == 1, start)
         examined = _first(label >= 0, start) or start
     if probability is not None and trial.model is not None:
         detected = probability >= float(trial.model.read("threshold"))  # NaN is no slip
-        found["model"] = _first(detected[examined - start :], examined)
+        onsets["model"] = _first(detected[examined - start :], examined)
     elif trial.recording is not None and trial.recording.has("control"):
         t_s, first, last = _timed(trial.recording, "control/t_us", span)
         slip = np.flatnonzero(trial.recording.read("control/slip", first, last))
-        found["detector"] = int(t_s[slip[0]] * 1000) if len(slip) else None
-    return found
+        onsets["detector"] = int(t_s[slip[0]] * 1000) if len(slip) else None
+    return onsets
 
 
-def _first(told: NDArray[np.bool_], start: int) -> int | None:
-    where = np.flatnonzero(told)
-    return start + int(where[0]) if len(where) else None
+def _first(slip: NDArray[np.bool_], start: int) -> int | None:
+    slices = np.flatnonzero(slip)
+    return start + int(slices[0]) if len(slices) else None
 
 
-def lanes_of(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Lane]:
-    """Stretches of slip in the span, by everybody who says one."""
+def slip_lanes(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Lane]:
+    """Stretches of slip in the span, by truth, label and model or detector, as far as known."""
     start, stop = span
     lanes = []
 
     def lane(name: str, colour: str, length: int, read: Read, t_s: Callable[[int], float]) -> None:
-        slip, unknown = ([(t_s(first), t_s(last)) for first, last in found] for found in stretches(length, read))
+        slip, unknown = ([(t_s(first), t_s(last)) for first, last in rows] for rows in stretches(length, read))
         lanes.append(Lane(name, colour, slip, unknown))
 
     def by_slice(at: int) -> float:
