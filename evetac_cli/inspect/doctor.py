@@ -176,13 +176,13 @@ def _camera(machine: Host, camera: FoundCamera) -> Iterator[Row]:
         yield _row(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
 
 
-def _opened(machine: Host, camera: FoundCamera, number: int, found: str) -> tuple[str, bool, str, str, str]:
+def _opened(machine: Host, camera: FoundCamera, number: int, message: str) -> tuple[str, bool, str, str, str]:
     """The check of opening a camera and reading its sensor's size: check, ok, found, expected, fix."""
     if number == 0:
         return "access", True, "opens and answers", "", ""
     node = machine.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
     if number == errno.EACCES:
-        return "permission", False, f"none, for you ({found})", "a udev rule", INSTALL_RULES
+        return "permission", False, f"none, for you ({message})", "a udev rule", INSTALL_RULES
     if number == errno.EBUSY:
         users = machine.users_of(node)
         by = f"used by {', '.join(users)}" if users else "used by another program"
@@ -196,13 +196,13 @@ def _opened(machine: Host, camera: FoundCamera, number: int, found: str) -> tupl
         return (
             "access",
             False,
-            f"it disappeared from the bus while it was read ({found})",
+            f"it disappeared from the bus while it was read ({message})",
             "",
             "a firm cable, another port",
         )
     if number in (errno.EPIPE, errno.ETIMEDOUT, errno.EIO):
-        return "answers", False, f"no ({found})", "the size of its sensor", "unplug it and plug it in again"
-    return "access", False, found, "", "unplug it and plug it in again, without a hub"
+        return "answers", False, f"no ({message})", "the size of its sensor", "unplug it and plug it in again"
+    return "access", False, message, "", "unplug it and plug it in again, without a hub"
 
 
 def _ports(machine: Host, params: Doctor) -> Iterator[tuple[Path, bool]]:

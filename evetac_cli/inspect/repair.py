@@ -17,7 +17,7 @@ ENDED = "broke off, and was repaired"
 
 
 def run(folders: list[Path]) -> Outcome:
-    """A row for every left-over folder: what was kept and lost, or what is wrong. A folder is removed only at the end."""
+    """A row for every left-over folder: what was kept and lost, or its fault. Folders are removed last."""
     rows: list[dict[str, Any]] = []
     simulated = False
     for folder in _leftovers(folders):

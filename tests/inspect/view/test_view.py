@@ -241,8 +241,8 @@ def test_a_large_frame_is_drawn_coarsely(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_everything_of_a_trial(trial: Path) -> None:
     """Assert that panels, lanes, onsets and dots are there, and that truth says simulated."""
-    found = shown(trial)
-    assert [panel.title for panel in found.panels] == [
+    data = shown(trial)
+    assert [panel.title for panel in data.panels] == [
         "Events a millisecond",
         "Gripper, current",
         "Gripper, width between the fingers",
@@ -250,39 +250,39 @@ def test_everything_of_a_trial(trial: Path) -> None:
         "Dots, distance from rest",
         "Flow that labels slip",
     ]
-    assert [panel.simulated for panel in found.panels] == [False, True, True, True, False, False]
-    events, current, _, forces, dots, flow = found.panels
+    assert [panel.simulated for panel in data.panels] == [False, True, True, True, False, False]
+    events, current, _, forces, dots, flow = data.panels
     assert (events.lines[0].value == 4).all()
     assert current.lines[0].t_s[-1] == pytest.approx(0.298)
     np.testing.assert_allclose(forces.lines[1].value, np.sqrt(2), rtol=1e-6)
     np.testing.assert_allclose(dots.lines[1].value, np.linspace(0, 4, SLICES), atol=1e-5)
     assert flow.levels == {"threshold": 0.3}
-    assert found.onsets == {"truth": ONSET, "label": ONSET + 3}
-    truth, label = found.lanes
+    assert data.onsets == {"truth": ONSET, "label": ONSET + 3}
+    truth, label = data.lanes
     assert truth.slip == [(0.2, 0.3)]
     assert (label.slip, label.unknown) == ([(0.203, 0.3)], [(0.0, 0.05)])
-    assert found.frame_times.tolist() == list(range(SLICES - 4))
-    assert found.dot_xy_px is not None
-    np.testing.assert_allclose(found.dot_xy_px, moving()[4:].astype(np.float32))
+    assert data.frame_times.tolist() == list(range(SLICES - 4))
+    assert data.dot_xy_px is not None
+    np.testing.assert_allclose(data.dot_xy_px, moving()[4:].astype(np.float32))
 
 
 def test_images_are_bounded_and_dense_near_slip(trial: Path) -> None:
     """Assert that there are no more images than asked for, over the whole span, closest around the onsets."""
-    found = shown(trial, images=60)
-    assert len(found.frame_times) <= 60
-    assert (found.frame_times[0], found.frame_times[-1]) == (0, SLICES - 5)
-    gaps = np.diff(found.frame_times)
-    assert gaps[(found.frame_times[:-1] > 192) & (found.frame_times[:-1] < 204)].max() <= 2 < gaps.max()
+    data = shown(trial, images=60)
+    assert len(data.frame_times) <= 60
+    assert (data.frame_times[0], data.frame_times[-1]) == (0, SLICES - 5)
+    gaps = np.diff(data.frame_times)
+    assert gaps[(data.frame_times[:-1] > 192) & (data.frame_times[:-1] < 204)].max() <= 2 < gaps.max()
     assert len(shown(trial, images=1).frame_times) == 1
 
 
 def test_a_part(trial: Path) -> None:
     """Assert that --start-s and --stop-s bound images and series, and that nothing is found before the start."""
-    found = shown(trial, start_s=0.22, stop_s=0.25)
-    assert found.span == (220, 250)
-    assert (found.frame_times[0], found.frame_times[-1]) == (220, 245)
-    assert all(0.22 <= t < 0.25 for panel in found.panels for line in panel.lines for t in line.t_s)
-    assert found.onsets == {"truth": 220, "label": 220}
+    data = shown(trial, start_s=0.22, stop_s=0.25)
+    assert data.span == (220, 250)
+    assert (data.frame_times[0], data.frame_times[-1]) == (220, 245)
+    assert all(0.22 <= t < 0.25 for panel in data.panels for line in panel.lines for t in line.t_s)
+    assert data.onsets == {"truth": 220, "label": 220}
     assert shown(trial, stop_s=99.0).span == (0, SLICES)
     for wrong in ({"start_s": 0.3}, {"start_s": 0.2, "stop_s": 0.2}, {"start_s": 9.0, "stop_s": 8.0}):
         with pytest.raises(InputError, match="no time is left"):
@@ -295,10 +295,10 @@ def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
     with open_recording(trial) as recording:
         header = recording.header
     write_labels(trial.with_name("a.labels.h5"), header, method=method)
-    found = shown(trial, images=1)
-    assert found.panels[-1].title == f"Flow that labels slip, {method}"
-    assert len(found.panels[-1].levels) == levels
-    assert ("The labels were copied from the truth (simulated)." in found.notes) == (method == "truth")
+    data = shown(trial, images=1)
+    assert data.panels[-1].title == f"Flow that labels slip, {method}"
+    assert len(data.panels[-1].levels) == levels
+    assert ("The labels were copied from the truth (simulated)." in data.notes) == (method == "truth")
     view.run([trial], View(images=1), None)
     assert f"Flow that labels slip, {html.escape(method)} " in trial.with_name("a.html").read_text(encoding="utf-8")
 
@@ -343,23 +343,23 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_neighbours_are_found_from_any_file(trial: Path) -> None:
     """Assert that each file of a trial leads to the others, also to a recording of another name."""
     for kind in ("recording", "tracks", "labels"):
-        with open_trial([trial.with_name(f"a.{kind}.h5")]) as found:
-            assert [file.kind for file in found.files] == ["recording", "tracks", "labels"]
+        with open_trial([trial.with_name(f"a.{kind}.h5")]) as opened:
+            assert [file.kind for file in opened.files] == ["recording", "tracks", "labels"]
     trial.rename(trial.with_name("renamed.recording.h5"))
-    with open_trial([trial.with_name("a.labels.h5")]) as found:
-        assert found.recording is not None
-        assert found.recording.path.name == "renamed.recording.h5"
+    with open_trial([trial.with_name("a.labels.h5")]) as opened:
+        assert opened.recording is not None
+        assert opened.recording.path.name == "renamed.recording.h5"
 
 
 def test_without_the_recording(trial: Path) -> None:
     """Assert that tracks alone show dots and their series, and say that there are no event images."""
     trial.unlink()
-    found = shown(trial.with_name("a.tracks.h5"))
-    assert found.pictures == []
-    assert found.dot_xy_px is not None
-    assert "not beside these files" in found.notes[0]
-    found = shown(trial.with_name("a.labels.h5"))
-    assert [panel.title for panel in found.panels][-1] == "Flow that labels slip"
+    data = shown(trial.with_name("a.tracks.h5"))
+    assert data.pictures == []
+    assert data.dot_xy_px is not None
+    assert "not beside these files" in data.notes[0]
+    data = shown(trial.with_name("a.labels.h5"))
+    assert [panel.title for panel in data.panels][-1] == "Flow that labels slip"
     view.run([trial.with_name("a.labels.h5")], View(), None)
 
 
@@ -370,9 +370,9 @@ def test_strangers_beside_are_left_out(trial: Path, tmp_path: Path) -> None:
     write_labels(tmp_path / "a.labels.h5", other)
     tracks = tmp_path / "a.tracks.h5"
     os.truncate(tracks, tracks.stat().st_size // 2)
-    with open_trial([trial]) as found:
-        assert [file.kind for file in found.files] == ["recording"]
-        assert sorted(note.split(":")[1].split()[0] for note in found.notes) == ["a.labels.h5", "a.tracks.h5"]
+    with open_trial([trial]) as opened:
+        assert [file.kind for file in opened.files] == ["recording"]
+        assert sorted(note.split(":")[1].split()[0] for note in opened.notes) == ["a.labels.h5", "a.tracks.h5"]
     with pytest.raises(InputError, match="two trials"):
         view.run([trial, tmp_path / "a.labels.h5"], View(), None)
     with pytest.raises(InputError, match="truncated"):
@@ -394,12 +394,12 @@ def test_tracks_that_are_short_or_not_finite(trial: Path) -> None:
     tracks = trial.with_name("a.tracks.h5")
     tracks.unlink()
     write_tracks(tracks, header, dots)
-    found = shown(trial)
-    assert "tracks end at 0.120 s, 180 ms before" in found.notes[0]
-    assert found.dot_xy_px is not None
-    assert np.isnan(found.dot_xy_px[116:]).all()
-    assert np.isfinite(found.dot_xy_px[100:116]).all()
-    (panel,) = [panel for panel in found.panels if panel.title == "Dots, distance from rest"]
+    data = shown(trial)
+    assert "tracks end at 0.120 s, 180 ms before" in data.notes[0]
+    assert data.dot_xy_px is not None
+    assert np.isnan(data.dot_xy_px[116:]).all()
+    assert np.isfinite(data.dot_xy_px[100:116]).all()
+    (panel,) = [panel for panel in data.panels if panel.title == "Dots, distance from rest"]
     assert np.isnan(panel.lines[0].value[10:20]).all()
     outcome = view.run([trial], View(film=trial.with_name("a.gif"), images=30), None)
     assert outcome.rows[0]["images"] > 10
@@ -436,8 +436,8 @@ def test_nothing_long_is_read_at_once(trial: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(StageFile, "read", spy)
     for name, value in {"BINS": 20, "BLOCK_ROWS": 40}.items():
         monkeypatch.setattr(time_series, name, value)
-    found = shown(trial, images=5)
-    assert all(len(line.value) <= 40 for panel in found.panels for line in panel.lines)
+    data = shown(trial, images=5)
+    assert all(len(line.value) <= 40 for panel in data.panels for line in panel.lines)
     for path in ("recording truth/normal_force_n", "labels relative_flow_px", "recording gripper/current_ma"):
         assert longest[path] <= 60, path
 
@@ -537,11 +537,11 @@ def test_page_is_bounded(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = shown(trial)
     size = sum(map(len, whole.pictures))
     monkeypatch.setattr(event_images, "IMAGE_BYTES", size // 3)
-    found = shown(trial)
-    assert sum(map(len, found.pictures)) <= size // 3
-    assert found.frame_times.tolist() == whole.frame_times.tolist()[::4]
-    assert "only every 4th" in found.notes[-1]
-    assert len(found.events) == len(found.pictures) == len(found.frame_times)
+    data = shown(trial)
+    assert sum(map(len, data.pictures)) <= size // 3
+    assert data.frame_times.tolist() == whole.frame_times.tolist()[::4]
+    assert "only every 4th" in data.notes[-1]
+    assert len(data.events) == len(data.pictures) == len(data.frame_times)
     monkeypatch.setattr(view_page, "LARGEST_BYTES", 1_000_000)
     with pytest.raises(EvetacError, match="too large"):
         view.run([trial], View(images=1), None)
@@ -664,19 +664,19 @@ class Browser:
 
     def complaints(self) -> list[Any]:
         """Errors and warnings on the console, exceptions, and requests to anywhere."""
-        found = []
+        events = []
         for event in self.events:
             params = event.get("params", {})
             match event.get("method"):
                 case "Runtime.exceptionThrown" | "Log.entryAdded":
-                    found.append(params)
+                    events.append(params)
                 case "Runtime.consoleAPICalled" if params["type"] in ("error", "warning", "assert"):
-                    found.append(params)
+                    events.append(params)
                 case "Network.requestWillBeSent" if not params["request"]["url"].startswith(
                     ("file:", "data:", "blob:")
                 ):
-                    found.append(params)
-        return found
+                    events.append(params)
+        return events
 
     def close(self) -> None:
         self.call("Browser.close")
@@ -691,9 +691,9 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
     if program is None:
         pytest.skip("no Chromium is installed here: the page is not tried in a browser")
-    found = Browser(program, tmp_path_factory.mktemp("chromium"))
-    yield found
-    found.close()
+    chromium = Browser(program, tmp_path_factory.mktemp("chromium"))
+    yield chromium
+    chromium.close()
 
 
 INDEX = "Number(document.getElementById('image').dataset.index)"
