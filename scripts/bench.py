@@ -14,7 +14,7 @@ from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.kernels.slip import features, slip
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.numerics import tracker_cost
+from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
 from evetac_cli.sim import scene
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 
@@ -89,11 +89,11 @@ def row(what: str, seconds: np.ndarray, slices: float = 1.0) -> dict[str, object
 def touch() -> list[dict[str, object]]:
     """Tracker and features at several loads, events on the edges of 63 dots."""
     rng = np.random.default_rng(0)
-    dots = tracker_cost.DOTS_PX
+    dots = DOTS_PX
     rows = []
     for count in (0, 200, 463, 1000, 5000, 20000):
         # Different slices: the same one again and again would make its pixels hot, and they would be left out.
-        slices = [tracker_cost.rim_events(rng, count) for _ in range(min(400, 400_000 // max(count, 1)))]
+        slices = [rim_events(rng, count) for _ in range(min(400, 400_000 // max(count, 1)))]
         for preset in ("paper", "official", "stable"):
             state = tracker.start(dots, tracker.PRESETS[preset])
             turn = itertools.cycle(slices)

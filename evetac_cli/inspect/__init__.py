@@ -1,1 +1,1 @@
-"""For people, never needed by a stage: info, validate."""
+"""Commands for people, which no stage needs: info, validate, repair, export, doctor, view."""

@@ -1,7 +1,7 @@
-"""doctor: what is wrong with cameras, grippers and this installation, and the command that mends it.
+"""doctor: faults of cameras, grippers and this installation, and for each the command that mends it.
 
-It looks and asks; it writes no register, no setting and no file. So a gripper's rate or an adapter's timer is changed
-by whoever runs the command that is printed.
+It only reads: it writes no register, no setting and no file. A gripper's rate or an adapter's timer changes when the
+user runs the command that is printed.
 """
 
 import errno
@@ -44,7 +44,7 @@ EXTRAS = {
 OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
 
 NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used
-WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` shows what there is"
+WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
 
 Row = dict[str, Any]
 
@@ -66,7 +66,7 @@ def udev_rules() -> str:
 
 
 def run(params: Doctor, machine: Host | None = None) -> Outcome:
-    """A row for every check of every device that was found, and of what they need."""
+    """A row for every check of the installation, the disk, and every camera and gripper."""
     machine = machine or Host()
     rows = [*_software(machine), _disk(machine, Path.cwd())]
     cameras = machine.cameras() if machine.has_libusb() else []
@@ -74,19 +74,19 @@ def run(params: Doctor, machine: Host | None = None) -> Outcome:
         rows += _camera(machine, camera)
     kind = (params.gripper or "").partition(":")[0]
     if kind in NO_PORTS:
-        said = f"not: a {kind} gripper needs no doctor" if kind != "none" else "not: no gripper is named"
-        rows.append(_row(f"gripper {kind}", "examined", None, said, "", "name a port: --gripper /dev/ttyUSB0"))
+        reason = f"not: a {kind} gripper needs no doctor" if kind != "none" else "not: no gripper is named"
+        rows.append(_row(f"gripper {kind}", "examined", None, reason, "", "name a port: --gripper /dev/ttyUSB0"))
     grippers = 0
     for path, named in _ports(machine, params):
-        port_rows, found = _port(machine, path, named)
+        port_rows, count = _port(machine, path, named)
         rows += port_rows
-        grippers += found
+        grippers += count
     wrong = sum(row["ok"] is False for row in rows)
     return Outcome(rows, False, {"cameras": len(cameras), "grippers": grippers, "wrong": wrong})
 
 
 def show(result: Outcome) -> None:
-    """A block a device: what is well, what is wrong, and what to do about it."""
+    """Print a block for each device: what is right, what is wrong, and how to mend it."""
     for device, group in itertools.groupby(result.rows, key=lambda row: str(row["device"])):
         print(device)
         for row in group:
@@ -95,17 +95,17 @@ def show(result: Outcome) -> None:
             print(f"  {sign:<6}{row['check']:<16}{row['found']}{expected}")
             if row["fix"]:
                 print(f"        {'':<16}try: {row['fix']}")
-    found = result.summary
-    if not found["cameras"]:
+    counts = result.summary
+    if not counts["cameras"]:
         print("no camera found on USB. One that is plugged in: another port, another cable (some only carry power);")
         print("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need none.")
-    if not found["grippers"]:
+    if not counts["grippers"]:
         print("no gripper found. By itself doctor only asks FTDI adapters (U2D2): name another with --gripper PORT.")
-    print(f"{found['wrong']} wrong" if found["wrong"] else "all that was found is fine")
+    print(f"{counts['wrong']} wrong" if counts["wrong"] else "all that was found is fine")
 
 
 def _row(device: str, check: str, ok: bool | None, found: str, expected: str = "", fix: str = "") -> Row:
-    """One check; `fix` also where nothing is wrong, for what one might want otherwise."""
+    """The row of a check. ok: None where it is neither right nor wrong; fix: also a change that one may want."""
     return {
         "device": device,
         "check": check,
@@ -117,24 +117,24 @@ def _row(device: str, check: str, ok: bool | None, found: str, expected: str = "
 
 
 def _software(machine: Host) -> Iterator[Row]:
-    there = machine.has_libusb()
-    fix = "" if there else "pip install --force-reinstall libusb-package"
-    yield _row("software", "libusb", there, "loads" if there else "none that loads", "one, to speak USB with", fix)
+    loads = machine.has_libusb()
+    fix = "" if loads else "pip install --force-reinstall libusb-package"
+    yield _row("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
     for extra, packages in EXTRAS.items():
         lacking = [name for name in packages if not machine.has_package(name)]
-        found = f"without {', '.join(lacking)}" if lacking else "installed"
+        state = f"without {', '.join(lacking)}" if lacking else "installed"
         fix = f'pip install "evetac[{extra}]"' if lacking else ""
-        yield _row("software", f"extra {extra}", None if lacking else True, found, "", fix)
-    several = machine.distributions(OPENCV)
+        yield _row("software", f"extra {extra}", None if lacking else True, state, "", fix)
+    installed = machine.distributions(OPENCV)
     yield _row(
         "software",
         "opencv",
-        len(several) == 1,
-        ", ".join(several) or "none",
+        len(installed) == 1,
+        ", ".join(installed) or "none",
         "one alone: they overwrite each other",
         ""
-        if len(several) == 1
-        else f"pip uninstall {' '.join(name.split()[0] for name in several)}; pip install {OPENCV[-1]}",
+        if len(installed) == 1
+        else f"pip uninstall {' '.join(name.split()[0] for name in installed)}; pip install {OPENCV[-1]}",
     )
 
 
@@ -142,9 +142,9 @@ def _disk(machine: Host, folder: Path) -> Row:
     free = machine.free_bytes(folder)
     enough = free >= FREE_BYTES
     minutes = free / 3.5e6 / 60
-    found = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events a second"
+    room = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events a second"
     return _row(
-        "disk", "free space", enough, found, f"{FREE_BYTES / 1e9:.1f} GB", "" if enough else "record elsewhere: -o"
+        "disk", "free space", enough, room, f"{FREE_BYTES / 1e9:.1f} GB", "" if enough else "record elsewhere: -o"
     )
 
 
@@ -162,11 +162,7 @@ def _camera(machine: Host, camera: FoundCamera) -> Iterator[Row]:
             known,
             str(camera.firmware),
             f"{OLDEST_FIRMWARE} to {protocol.NEWEST_FIRMWARE}",
-            ""
-            if known
-            else "update it with the maker's DV"
-            if old
-            else "look for a newer evetac; it may work all the same",
+            "" if known else "update it with the maker's DV" if old else "try a newer evetac; this one may work too",
         )
     if camera.speed is not None:
         fast = camera.speed >= SUPER_SPEED
@@ -180,13 +176,13 @@ def _camera(machine: Host, camera: FoundCamera) -> Iterator[Row]:
         yield _row(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
 
 
-def _opened(machine: Host, camera: FoundCamera, number: int, found: str) -> tuple[str, bool, str, str, str]:
-    """Check, whether it is well, what was found, expected, and what to do: of opening and asking a camera."""
+def _opened(machine: Host, camera: FoundCamera, number: int, message: str) -> tuple[str, bool, str, str, str]:
+    """The check of opening a camera and reading its sensor's size: check, ok, found, expected, fix."""
     if number == 0:
         return "access", True, "opens and answers", "", ""
     node = machine.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
     if number == errno.EACCES:
-        return "permission", False, f"none, for you ({found})", "a udev rule", INSTALL_RULES
+        return "permission", False, f"none, for you ({message})", "a udev rule", INSTALL_RULES
     if number == errno.EBUSY:
         users = machine.users_of(node)
         by = f"used by {', '.join(users)}" if users else "used by another program"
@@ -197,10 +193,16 @@ def _opened(machine: Host, camera: FoundCamera, number: int, found: str) -> tupl
         )
         return "busy", False, by, "free", fix
     if number in (errno.ENODEV, errno.ENOENT):
-        return "access", False, f"it went while it was asked ({found})", "", "a firm cable, another port"
+        return (
+            "access",
+            False,
+            f"it disappeared from the bus while it was read ({message})",
+            "",
+            "a firm cable, another port",
+        )
     if number in (errno.EPIPE, errno.ETIMEDOUT, errno.EIO):
-        return "answers", False, f"no ({found})", "the size of its sensor", "unplug it and plug it in again"
-    return "access", False, found, "", "unplug it and plug it in again, without a hub"
+        return "answers", False, f"no ({message})", "the size of its sensor", "unplug it and plug it in again"
+    return "access", False, message, "", "unplug it and plug it in again, without a hub"
 
 
 def _ports(machine: Host, params: Doctor) -> Iterator[tuple[Path, bool]]:
@@ -215,10 +217,10 @@ def _ports(machine: Host, params: Doctor) -> Iterator[tuple[Path, bool]]:
 
 
 def _port(machine: Host, path: Path, named: bool) -> tuple[list[Row], int]:
-    """Rows of one port and of the grippers on it, and how many these are."""
+    """Rows of one port and of the grippers on it, and the number of these."""
     name = f"port {path}"
     if not path.exists():
-        return [_row(name, "there", False, "no such port", "", f"plug the adapter in; {WHICH_PORTS}")], 0
+        return [_row(name, "exists", False, "no such port", "", f"plug the adapter in; {WHICH_PORTS}")], 0
     if not _is_serial(path):
         fix = f"name the adapter's port; {WHICH_PORTS}"
         return [_row(name, "serial port", False, "not a serial port", "a port as /dev/ttyUSB0", fix)], 0
@@ -245,19 +247,19 @@ def _port(machine: Host, path: Path, named: bool) -> tuple[list[Row], int]:
     if not grippers:
         rates = f"{machine.rates[0]} to {machine.rates[-1]} baud"
         fix = "switch on its 24 V, check the cable between adapter and gripper"
-        # an adapter that nobody named may well have something else on it
+        # an adapter that the user did not name may well serve another device
         return [*rows, _row(name, "gripper", False if named else None, "none answers", f"an answer at {rates}", fix)], 0
     for gripper in grippers:
         try:
             rows += _gripper(machine, path, gripper)
         except DeviceError as error:
-            found = " ".join(str(error).split())
-            rows.append(_row(f"gripper {gripper.id} at {path}", "answers", False, found, "", "check cable and 24 V"))
+            fault = " ".join(str(error).split())
+            rows.append(_row(f"gripper {gripper.id} at {path}", "answers", False, fault, "", "check cable and 24 V"))
     return rows, len(grippers)
 
 
 def _is_serial(path: Path) -> bool:
-    """Whether there is a terminal behind a name; one that cannot be opened counts: why, is asked next."""
+    """Whether a path is a terminal; one that cannot be opened counts as one, and a later check says why."""
     if not stat.S_ISCHR(path.stat().st_mode):
         return False
     try:
@@ -284,24 +286,26 @@ def _gripper(machine: Host, path: Path, gripper: Found) -> Iterator[Row]:
     yield _row(name, "baud", fast, str(gripper.baud), expected, unusual if fast else slow_fix)
     if not right:
         return
-    found = machine.registers(path, gripper)
-    delay_us = found["Return Delay Time"] * RETURN_DELAY_US
+    registers = machine.registers(path, gripper)
+    delay_us = registers["Return Delay Time"] * RETURN_DELAY_US
     fix = "" if delay_us == 0 else f"evetac record --gripper {path}@{gripper.baud} sets it when it opens the gripper"
     yield _row(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
-    errors = hardware_errors(found["Hardware Error Status"])
+    errors = hardware_errors(registers["Hardware Error Status"])
     fix = "remove the cause, then switch its 24 V off and on" if errors else ""
     yield _row(name, "hardware error", not errors, ", ".join(errors) or "none", "none", fix)
-    volts = [found[f"{which} Voltage Limit"] / 10 for which in ("Min", "Max")]
-    present = found["Present Input Voltage"] / 10
+    volts = [registers[f"{which} Voltage Limit"] / 10 for which in ("Min", "Max")]
+    present = registers["Present Input Voltage"] / 10
     within = volts[0] <= present <= volts[1]
     fix = "" if within else "check its 24 V supply"
     yield _row(name, "supply", within, f"{present:.1f} V", f"{volts[0]:.1f} to {volts[1]:.1f} V", fix)
-    cool = found["Present Temperature"] < found["Temperature Limit"]
-    limit = f"below {found['Temperature Limit']} C"
+    cool = registers["Present Temperature"] < registers["Temperature Limit"]
+    limit = f"below {registers['Temperature Limit']} C"
     yield _row(
-        name, "temperature", cool, f"{found['Present Temperature']} C", limit, "" if cool else "let it cool down"
+        name, "temperature", cool, f"{registers['Present Temperature']} C", limit, "" if cool else "let it cool down"
     )
-    off = found["Torque Enable"] == 0
+    off = registers["Torque Enable"] == 0
     fix = "" if off else "another program may drive it, or have left it so"
-    yield _row(name, "torque", True if off else None, "off" if off else "on", "off while nobody uses it", fix)
-    yield _row(name, "firmware", True, f"{found['Firmware Version']}; current limit {found['Current Limit']} mA")
+    yield _row(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)
+    yield _row(
+        name, "firmware", True, f"{registers['Firmware Version']}; current limit {registers['Current Limit']} mA"
+    )

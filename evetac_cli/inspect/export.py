@@ -11,7 +11,7 @@ from evetac_cli.params import Export
 def run(
     files: list[Path], params: Export, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """A file for every recording; InputError, before anything is written, if two would have one name."""
+    """Write a file for every recording; InputError, before anything is written, if two would have the same name."""
     targets = [target_of(file, params.format, out) for file in files]
     twice = sorted({str(target) for target in targets if targets.count(target) > 1})
     if twice:

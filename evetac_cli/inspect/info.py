@@ -1,5 +1,6 @@
-"""info: what stage files hold."""
+"""info: the figures of stage files and where they come from."""
 
+import json
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,8 +16,8 @@ from evetac_cli.store.read import Recording
 RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor
 EVENT_BYTES = 5
 LOST = "capture/lost/"
-HIDDEN = ("history", "parameters", "parents", "made", "file")  # from figures for people
-MOST_PARENTS = 10  # lines; a model may have hundreds
+HIDDEN = ("history", "parameters", "parents", "made", "file")  # of --json, left out of the text
+MOST_PARENTS = 10  # lines; a model may have hundreds of parents
 
 
 def run(files: list[Path]) -> Outcome:
@@ -26,7 +27,7 @@ def run(files: list[Path]) -> Outcome:
 
 
 def show(result: Outcome) -> None:
-    """One block a file: figures first, then where it comes from."""
+    """Print a block for each file: figures first, then where it comes from."""
     for row in result.rows:
         figures = {name: value for name, value in row.items() if name not in HIDDEN}
         print(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
@@ -41,7 +42,7 @@ def show(result: Outcome) -> None:
 
 
 def _ancestry(row: dict[str, Any]) -> Iterator[str]:
-    """What a file was made from, and how much lies behind that: --json has all of it."""
+    """Lines that name the parents of a file and count its other ancestors; --json has all of them."""
     parents = [ancestor for ancestor in row["history"] if ancestor["id"] in row["parents"]]
     for parent in parents[:MOST_PARENTS]:
         yield f"from {parent['kind']:<19} {parent['id'][:12]}  method {parent['method']}"
@@ -104,7 +105,7 @@ def _recording(file: StageFile) -> dict[str, Any]:
 
 
 def _capture(file: StageFile) -> dict[str, Any]:
-    """How a recording from devices ended, what was lost, and, as far as it is said, how well time was kept."""
+    """How a recording from devices ended, what was lost, and rates and delays as far as they were recorded."""
     known = file.contents()
     counted = {name.removeprefix(LOST): int(file.read(name)) for name in known if name.startswith(LOST)}
     gaps = file.read("capture/lost_slices") if "capture/lost_slices" in known else np.zeros((0, 2))
@@ -115,7 +116,7 @@ def _capture(file: StageFile) -> dict[str, Any]:
     def late_us(name: str) -> float | None:
         return float(file.read(f"capture/{name}")[1]) if f"capture/{name}" in known else None
 
-    said = {
+    figures = {
         "ended": file.read("capture/ended"),
         "lost": "; ".join(f"{name} {count}" for name, count in counted.items() if count) or "nothing",
         "slices_lost": int(np.sum(gaps[:, 1] - gaps[:, 0])),
@@ -125,11 +126,11 @@ def _capture(file: StageFile) -> dict[str, Any]:
         "command_misses": figure("command_misses"),
         "latency_us_p99": late_us("latency_us"),
     }
-    return {name: value for name, value in said.items() if value is not None}
+    return {name: value for name, value in figures.items() if value is not None}
 
 
 def _import(parameters: dict[str, Any]) -> dict[str, Any]:
-    """Where an imported recording comes from, and what its reader had to say."""
+    """The source of an imported recording, and the notes of its reader."""
     if "notes" not in parameters or "format" not in parameters:
         return {}
     return {
@@ -143,12 +144,18 @@ def _labels(file: StageFile) -> dict[str, Any]:
     label = file.read("label")
     return {
         "slices": len(label),
-        "onset_ms": int(file.read("onset_slice")),
+        "onset_ms": _onset_ms(file),
         "confidence": float(file.read("confidence")),
         "slices_slip": int(np.sum(label == 1)),
         "slices_not_examined": int(np.sum(label < 0)),
         "flow_pairs_computed": int(file.read("flow_pairs_computed")),
     }
+
+
+def _onset_ms(file: StageFile) -> int | None:
+    """The onset of slip; None where there is none, which files store as -1."""
+    onset = int(file.read("onset_slice"))
+    return None if onset < 0 else onset
 
 
 def _tracks(file: StageFile) -> dict[str, Any]:
@@ -169,7 +176,7 @@ def _features(file: StageFile) -> dict[str, Any]:
         "slices": file.length("events_total"),
         "dots": f"{rows} rows x {columns} columns",
         "labelled": file.has("label"),
-        "onset_ms": int(file.read("onset_slice")) if file.has("onset_slice") else None,
+        "onset_ms": _onset_ms(file) if file.has("onset_slice") else None,
     }
 
 
@@ -204,8 +211,6 @@ def _forces(file: StageFile) -> dict[str, Any]:
 
 
 def _report(file: StageFile) -> dict[str, Any]:
-    import json
-
     return {"command": file.read("command"), **json.loads(file.read("summary"))}
 
 

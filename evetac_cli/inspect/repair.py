@@ -1,4 +1,4 @@
-"""repair: make a valid recording of what one that broke off left behind."""
+"""repair: make a valid recording of the segments that an interrupted recording left behind."""
 
 import shutil
 from pathlib import Path
@@ -17,7 +17,7 @@ ENDED = "broke off, and was repaired"
 
 
 def run(folders: list[Path]) -> Outcome:
-    """A row for every left-over folder: what was kept and lost; or what is wrong. Nothing is lost by repairing."""
+    """A row for every left-over folder: what was kept and lost, or its fault. Folders are removed last."""
     rows: list[dict[str, Any]] = []
     simulated = False
     for folder in _leftovers(folders):
@@ -31,20 +31,20 @@ def run(folders: list[Path]) -> Outcome:
 
 
 def show(result: Outcome) -> None:
-    """A table."""
+    """Print the rows as a table."""
     print_table("repair", result.rows, result.summary, simulated=result.simulated)
 
 
 def _leftovers(folders: list[Path]) -> list[Path]:
-    """The folders NAME.recording.part that are named, or that lie in the folders that are named."""
-    found = []
+    """The folders NAME.recording.part among those given, or inside them."""
+    leftovers = []
     for folder in folders:
-        if folder.name.endswith(SUFFIX):  # whether it is there is said with what became of the others
-            found.append(folder)
+        if folder.name.endswith(SUFFIX):  # one that is missing gets its own row, beside those of the others
+            leftovers.append(folder)
         else:
             check_folder(folder)
-            found += sorted(path for path in folder.glob(f"*{SUFFIX}") if path.is_dir())
-    return found
+            leftovers += sorted(path for path in folder.glob(f"*{SUFFIX}") if path.is_dir())
+    return leftovers
 
 
 def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
@@ -82,14 +82,14 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
 
 
 def _check(output: Path) -> None:
-    """Read the result again, as `evetac validate` does; InputError with its faults."""
+    """Validate the result, as `evetac validate` does; InputError with its faults."""
     (row,) = validate.run([output]).rows
     if row["faults"] is not None:
         raise InputError("the result is not valid", where=str(output), found=str(row["faults"]))
 
 
 def _row(folder: Path, status: str, left: Leftover | None = None, *, fault: str | None = None) -> dict[str, Any]:
-    """What is told of one folder; the end that was lost is known only to whoever saw the recording break off."""
+    """The row of one folder; how much is missing at the end cannot be known from it."""
     return {
         "output": str(output_of(folder)),
         "status": status,

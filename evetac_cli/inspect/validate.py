@@ -17,11 +17,21 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import ContentDigest, id_of
 from evetac_cli.store.read import Recording
 
-BLOCK = 2_000_000  # values looked at together
+BLOCK = 2_000_000  # events that are read together
+MAY_BE_NAN = (
+    "relative_flow_px",
+    "confidence",
+    "gripper/current_target_ma",
+    "control/x_ref_ticks",
+    "control/probability",
+    "control/latency_us",
+    "sensor/dot_xy_px",
+    "dot_xy_px",
+)
 
 
 def run(files: list[Path]) -> Outcome:
-    """A row for every file: valid, or what is wrong with it."""
+    """A row for every file: whether it is valid, and its faults."""
     rows: list[dict[str, Any]] = []
     simulated = False
     for path in files:
@@ -37,17 +47,17 @@ def run(files: list[Path]) -> Outcome:
 
 
 def show(result: Outcome) -> None:
-    """A table."""
+    """Print the rows as a table."""
     print_table("validate", result.rows, result.summary, simulated=result.simulated)
 
 
 def _faults(file: StageFile) -> list[str]:
-    """Everything that is wrong with a file which opened, and so has the right datasets, dtypes and shapes."""
+    """All faults of a file that could be opened, and so has the right datasets, dtypes and shapes."""
     faults = []
     rules = json.loads((schemas() / "header.v1.json").read_text())
-    error = jsonschema.exceptions.best_match(jsonschema.Draft202012Validator(rules).iter_errors(file.header))
-    if error is not None:
-        return [f"header: {error.message}"]
+    violation = jsonschema.exceptions.best_match(jsonschema.Draft202012Validator(rules).iter_errors(file.header))
+    if violation is not None:
+        return [f"header: {violation.message}"]
     for id_, ancestor in file.header["history"].items():
         if ancestor.get("id") != id_ or id_of(ancestor) != id_:
             faults.append(f"the history of {id_[:12]} was edited")
@@ -55,31 +65,14 @@ def _faults(file: StageFile) -> list[str]:
     if missing:
         faults.append(f"the history lacks the parents {', '.join(missing)}")
     for name, (dtype, _) in file.contents().items():
-        if dtype != "utf8" and np.dtype(dtype).kind == "f" and not _may_be_nan(name) and not _finite(file, name):
+        floats = dtype != "utf8" and np.dtype(dtype).kind == "f"
+        if floats and name not in MAY_BE_NAN and not np.isfinite(file.read(name)).all():
             faults.append(f"{name} holds values that are not finite")
     check = _CHECKS.get(file.kind)
     try:
         return faults + (check(file) if check else [])
-    except InputError as unreadable:
-        return [*faults, " ".join(str(unreadable).split())]
-
-
-def _may_be_nan(name: str) -> bool:
-    return name in (
-        "relative_flow_px",
-        "confidence",
-        "gripper/current_target_ma",
-        "control/x_ref_ticks",
-        "control/probability",
-        "control/latency_us",
-        "sensor/dot_xy_px",
-        "dot_xy_px",
-    )
-
-
-def _finite(file: StageFile, name: str) -> bool:
-    value = file.read(name)
-    return bool(np.isfinite(value).all())
+    except InputError as error:
+        return [*faults, " ".join(str(error).split())]
 
 
 def _recording(file: StageFile) -> list[str]:

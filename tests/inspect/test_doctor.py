@@ -65,37 +65,37 @@ def with_camera(machine: Made, *faults: str, **options: Any) -> tuple[Made, Virt
 
 def wrong(result: Outcome) -> dict[str, dict[str, Any]]:
     """What is wrong, by check; each with something to do about it."""
-    found = {row["check"]: row for row in result.rows if row["ok"] is False}
-    assert result.summary["wrong"] == len(found)
-    assert all(row["fix"] for row in found.values())
-    return found
+    rows = {row["check"]: row for row in result.rows if row["ok"] is False}
+    assert result.summary["wrong"] == len(rows)
+    assert all(row["fix"] for row in rows.values())
+    return rows
 
 
-def of(result: Outcome, device: str) -> dict[str, dict[str, Any]]:
+def rows_of_device(result: Outcome, device: str) -> dict[str, dict[str, Any]]:
     return {row["check"]: row for row in result.rows if row["device"].startswith(device)}
 
 
 def test_nothing_plugged_in_is_no_fault(machine: Made, capsys: pytest.CaptureFixture[str]) -> None:
-    """Assert that a machine without devices is well, and the user is told what to look at."""
+    """Assert that a machine without devices has no faults, and the user reads what to check."""
     result = doctor.run(Doctor(), machine)
     assert wrong(result) == {}
     assert (result.summary["cameras"], result.summary["grippers"], result.simulated) == (0, 0, False)
     doctor.show(result)
-    said = capsys.readouterr().out
-    assert "no camera found" in said and "no gripper found" in said and "all that was found is fine" in said
+    text = capsys.readouterr().out
+    assert "no camera found" in text and "no gripper found" in text and "all that was found is fine" in text
 
 
 @pytest.mark.parametrize("firmware", [8, 9, 10])
 def test_a_good_camera_is_well(machine: Made, monkeypatch: pytest.MonkeyPatch, firmware: int) -> None:
-    """Assert that both generations of the camera are found, asked and let go, with nothing written to them."""
-    there, camera = with_camera(machine, firmware=firmware)
+    """Assert that both generations of the camera are found, read and released, with nothing written to them."""
+    host, camera = with_camera(machine, firmware=firmware)
     handles: list[str] = []
     monkeypatch.setattr(camera, "open_device", lambda dev: handles.append("opened") or camera)
     monkeypatch.setattr(camera, "close_device", lambda handle: handles.append("closed"))
     for _ in range(2):
-        result = doctor.run(Doctor(), there)
+        result = doctor.run(Doctor(), host)
         assert wrong(result) == {}
-        rows = of(result, "camera DXM00042")
+        rows = rows_of_device(result, "camera DXM00042")
         assert [row["found"] for row in rows.values()] == [
             "board 4",
             str(firmware),
@@ -121,21 +121,21 @@ def test_a_good_camera_is_well(machine: Made, monkeypatch: pytest.MonkeyPatch, f
 )
 def test_faults_of_a_camera(machine: Made, faults: list[str], options: dict[str, Any], check: str, fix: str) -> None:
     """Assert that each fault is named, with what mends it, and nothing is written."""
-    there, camera = with_camera(machine, *faults, **options)
-    found = wrong(doctor.run(Doctor(), there))
-    assert fix in found.pop(check)["fix"]
-    assert found == {}
+    host, camera = with_camera(machine, *faults, **options)
+    faulty = wrong(doctor.run(Doctor(), host))
+    assert fix in faulty.pop(check)["fix"]
+    assert faulty == {}
     assert camera.log == []
 
 
 def test_who_uses_the_camera_is_named(machine: Made) -> None:
     """Assert that the program that has the camera open is found by its open files."""
-    there, _ = with_camera(machine, "busy")
+    host, _ = with_camera(machine, "busy")
     process = machine.proc / "4321"
     (process / "fd").mkdir(parents=True)
     (process / "comm").write_text("dv-gui\n")
     (process / "fd" / "7").symlink_to(machine.dev / "bus" / "usb" / "009" / "002")
-    row = wrong(doctor.run(Doctor(), there))["busy"]
+    row = wrong(doctor.run(Doctor(), host))["busy"]
     assert row["found"] == "used by dv-gui (4321)"
     assert "kill 4321" in row["fix"]
 
@@ -156,25 +156,25 @@ def test_a_camera_that_fails_while_asked(
     """Assert that a camera that goes away or does not answer is a row, not a crash."""
     import usb.core
 
-    there, camera = with_camera(machine)
+    host, camera = with_camera(machine)
 
     def fail(*_: Any) -> None:
         raise usb.core.USBError("it failed", -1, number)
 
     monkeypatch.setattr(camera, "claim_interface", fail)
-    assert list(wrong(doctor.run(Doctor(), there))) == [check]
+    assert list(wrong(doctor.run(Doctor(), host))) == [check]
 
 
 def test_software_and_disk(machine: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a missing libusb, two builds of OpenCV and a full disk are wrong, and missing extras are told."""
+    """Assert that a missing libusb, two builds of OpenCV and a full disk are wrong, and missing extras are listed."""
     monkeypatch.setattr(Made, "has_package", lambda self, name: name != "faery")
     monkeypatch.setattr(Made, "free_bytes", lambda self, folder: 5_000_000)
     monkeypatch.setattr(Made, "distributions", lambda self, names: ["opencv-python 4.1", f"{names[-1]} 5.0"])
     result = doctor.run(Doctor(), dataclasses.replace(machine, usb_backend=None))
-    found = wrong(result)
-    assert list(found) == ["libusb", "opencv", "free space"]
-    assert "pip uninstall opencv-python opencv-contrib-python-headless" in found["opencv"]["fix"]
-    extra = of(result, "software")["extra convert"]
+    faulty = wrong(result)
+    assert list(faulty) == ["libusb", "opencv", "free space"]
+    assert "pip uninstall opencv-python opencv-contrib-python-headless" in faulty["opencv"]["fix"]
+    extra = rows_of_device(result, "software")["extra convert"]
     assert (extra["ok"], extra["fix"]) == (None, 'pip install "evetac[convert]"')
 
 
@@ -236,19 +236,19 @@ def test_a_good_gripper_is_well(machine: Made, plugged: Any) -> None:
     result = doctor.run(Doctor(), machine)
     assert wrong(result) == {}
     assert result.summary["grippers"] == 1
-    found = {check: row["found"] for check, row in of(result, f"gripper 1 at {machine.dev}").items()}
-    assert found["model"] == "35074" and found["baud"] == "2000000" and found["torque"] == "off"
+    states = {check: row["found"] for check, row in rows_of_device(result, f"gripper 1 at {machine.dev}").items()}
+    assert states["model"] == "35074" and states["baud"] == "2000000" and states["torque"] == "off"
 
 
 def test_a_gripper_as_it_comes_from_the_factory(machine: Made, plugged: Any) -> None:
     """Assert that slow rate, return delay and latency timer are named, and nothing is changed by asking."""
     port, gripper = plugged(latency_ms=16, baud=57_600)
     result = doctor.run(Doctor(), dataclasses.replace(machine, rates=(2_000_000, 57_600)))
-    found = wrong(result)
-    assert list(found) == ["latency timer", "baud", "return delay"]
-    assert f"change_baud('{port}', 57600, 2000000, id_=1)" in found["baud"]["fix"]
-    assert "latency_timer" in found["latency timer"]["fix"] and "16 ms" in found["latency timer"]["found"]
-    assert found["return delay"]["found"] == "500 us"
+    faulty = wrong(result)
+    assert list(faulty) == ["latency timer", "baud", "return delay"]
+    assert f"change_baud('{port}', 57600, 2000000, id_=1)" in faulty["baud"]["fix"]
+    assert "latency_timer" in faulty["latency timer"]["fix"] and "16 ms" in faulty["latency timer"]["found"]
+    assert faulty["return delay"]["found"] == "500 us"
     with Bus(gripper.port, 57_600, answer_ms=PATIENCE_MS) as bus:
         assert [bus.read(name) for name in ("Return Delay Time", "Baud Rate", "Torque Enable")] == [
             250,
@@ -270,9 +270,9 @@ def test_a_gripper_as_it_comes_from_the_factory(machine: Made, plugged: Any) -> 
 def test_faults_of_a_gripper(machine: Made, plugged: Any, registers: dict[str, int], check: str, words: str) -> None:
     """Assert that each fault is named."""
     plugged(registers=GOOD | registers)
-    found = wrong(doctor.run(Doctor(), machine))
-    assert list(found) == [check]
-    assert words in found[check]["found"]
+    faulty = wrong(doctor.run(Doctor(), machine))
+    assert list(faulty) == [check]
+    assert words in faulty[check]["found"]
 
 
 def test_an_adapter_without_a_gripper(machine: Made, plugged: Any) -> None:
@@ -281,7 +281,7 @@ def test_an_adapter_without_a_gripper(machine: Made, plugged: Any) -> None:
     fast = dataclasses.replace(machine, rates=(2_000_000,), answer_ms=20.0)
     result = doctor.run(Doctor(), fast)
     assert wrong(result) == {}
-    assert of(result, f"port {port}")["gripper"]["found"] == "none answers"
+    assert rows_of_device(result, f"port {port}")["gripper"]["found"] == "none answers"
     named = wrong(doctor.run(Doctor(gripper=f"{port}@2000000"), fast))
     assert list(named) == ["gripper"] and "24 V" in named["gripper"]["fix"]
 
@@ -289,12 +289,12 @@ def test_an_adapter_without_a_gripper(machine: Made, plugged: Any) -> None:
 def test_other_adapters_are_left_alone(machine: Made) -> None:
     """Assert that doctor sends nothing to what is no FTDI adapter, unless it is named."""
     port = adapter(machine, vendor="2341", name="ttyACM0")
-    assert of(doctor.run(Doctor(), machine), "port") == {}
-    assert list(wrong(doctor.run(Doctor(gripper=str(port)), machine))) == ["there"]
+    assert rows_of_device(doctor.run(Doctor(), machine), "port") == {}
+    assert list(wrong(doctor.run(Doctor(gripper=str(port)), machine))) == ["exists"]
 
 
 def test_ports_that_cannot_be_used(machine: Made, plugged: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a port without permission, one in use, and one that is locked are told apart."""
+    """Assert that a port without permission, one in use, and one that is locked are distinguished."""
     port, gripper = plugged(registers=GOOD)
     process = machine.proc / "77"
     (process / "fd").mkdir(parents=True)
@@ -322,10 +322,10 @@ def test_what_is_no_serial_port(machine: Made, tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize("name", ["virtual", "virtual:lost-answer", "sim"])
 def test_a_virtual_gripper_needs_no_doctor(machine: Made, name: str) -> None:
-    """Assert that it is said, and nothing is wrong."""
+    """Assert that doctor says so, and finds no fault."""
     result = doctor.run(Doctor(gripper=name), machine)
     assert wrong(result) == {}
-    (row,) = of(result, "gripper").values()
+    (row,) = rows_of_device(result, "gripper").values()
     assert row["found"] == f"not: a {name.partition(':')[0]} gripper needs no doctor"
 
 
@@ -336,15 +336,15 @@ def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -
     assert fine.exit_code == 0, fine.output
     result = json.loads(fine.stdout)
     assert all(set(row) == {"device", "check", "ok", "found", "expected", "fix"} for row in result["rows"])
-    there, _ = with_camera(machine, "usb2")
-    monkeypatch.setattr(doctor, "Host", lambda: there)
+    host, _ = with_camera(machine, "usb2")
+    monkeypatch.setattr(doctor, "Host", lambda: host)
     ill = CliRunner().invoke(app, ["doctor"])
     assert ill.exit_code == 3
     assert "WRONG" in ill.stdout and "1 wrong" in ill.stdout and "try: use a USB 3 port" in ill.stdout
     rules = CliRunner().invoke(app, ["doctor", "--print-udev"])
     assert rules.exit_code == 0
-    told = json.loads(CliRunner().invoke(app, ["doctor", "--print-udev", "--json"]).stdout)
-    assert told["summary"]["udev"] == rules.stdout.removesuffix("\n")
+    answer = json.loads(CliRunner().invoke(app, ["doctor", "--print-udev", "--json"]).stdout)
+    assert answer["summary"]["udev"] == rules.stdout.removesuffix("\n")
     lines = [line for line in rules.stdout.splitlines() if not line.startswith("#")]
     assert len(lines) == 2 and '"152a"' in lines[0] and 'latency_timer}="1"' in lines[1]
     assert all(part.count('"') == 2 for line in lines for part in line.split(", "))

@@ -105,3 +105,23 @@ def test_many_parents_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert sum(line.startswith("from report") for line in lines) == info.MOST_PARENTS
     assert "and from 20 report (all: --json)" in lines
     assert not any(line.startswith("behind") for line in lines)
+
+
+def test_an_onset_that_is_not_there_is_empty(tmp_path: Path) -> None:
+    """Assert that labels without slip have no onset in JSON, and those with slip its slice."""
+    parent = Recipe("recording", 1, {}, content="0").header()
+    for onset in (-1, 3):
+        label = np.zeros(5, np.int8)
+        if onset >= 0:
+            label[onset:] = 1
+        path = tmp_path / f"{onset}.labels.h5"
+        arrays = {
+            "label": label,
+            "relative_flow_px": np.zeros(5, np.float32),
+            "onset_slice": np.int64(onset),
+            "confidence": np.float64(1.0),
+            "flow_pairs_computed": np.int64(4),
+        }
+        write_stage(path, Recipe("labels", 1, {"onset": onset}, parents=(parent,)), arrays)
+        (row,) = info.run([path]).rows
+        assert row["onset_ms"] == (None if onset < 0 else onset)

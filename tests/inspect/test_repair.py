@@ -47,8 +47,8 @@ def test_repaired_is_what_was_recorded(tmp_path: Path) -> None:
     path = tmp_path / "a.recording.h5"
     assert validate.run([path]).rows[0]["faults"] is None
     with open_recording(path) as recording:
-        for k, found in enumerate(recording):
-            assert all((one == other).all() for one, other in zip(found, events_of(k), strict=True))
+        for k, events in enumerate(recording):
+            assert all((one == other).all() for one, other in zip(events, events_of(k), strict=True))
         assert recording.read("gripper/t_us").tolist() == [0, 2000, 4000]
         assert recording.read("capture/ended") == repair.ENDED
         assert not recording.has("capture/lost_slices")
@@ -60,7 +60,7 @@ def test_repaired_is_what_was_recorded(tmp_path: Path) -> None:
 
 
 def test_gap_stays_in_time(tmp_path: Path) -> None:
-    """Assert that the slices of a lost segment are there, empty and named, and later events keep their time."""
+    """Assert that the slices of a lost segment exist, empty and named, and later events keep their time."""
     folder = broken_off(tmp_path, [2, 3, 4], lambda k: {"control/probability": k / 10} | control(k))
     (folder / "000001.h5").write_bytes(b"")
     (row,) = repair.run([tmp_path]).rows
@@ -84,7 +84,7 @@ def control(k: int) -> dict[str, float]:
 
 
 def test_invalid_result_costs_nothing(tmp_path: Path) -> None:
-    """Assert that rows that do not make a recording are told, and leave the folder as it was and no file."""
+    """Assert that rows that do not make a recording are reported, and leave the folder as it was and no file."""
     folder = broken_off(tmp_path, [2], lambda k: {"gripper/t_us": 1000 * k})
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     result = repair.run([folder])
@@ -188,9 +188,9 @@ def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path
     run.wait()
     (row,) = repair.run([tmp_path]).rows
     assert row["status"] == "repaired"
-    with open_recording(output) as kept, open_recording(made.recordings[0]) as played:
-        assert 0 < len(kept) <= len(played)
-        whole, part = played.between(0, len(kept)), kept.between(0, len(kept))
+    with open_recording(output) as repaired, open_recording(made.recordings[0]) as played:
+        assert 0 < len(repaired) <= len(played)
+        whole, part = played.between(0, len(repaired)), repaired.between(0, len(repaired))
         assert all((one == other).all() for one, other in zip(whole, part, strict=True))
     with StageFile(output) as file, StageFile(made.recordings[0]) as parent:
         assert file.header["parents"] == [parent.header["id"]]

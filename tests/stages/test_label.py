@@ -1,7 +1,6 @@
-"""The stage label: its methods, what it refuses, what evaluate labels says of it, and the cost of labelling."""
+"""The stage label: its methods, what it refuses, and what evaluate labels says of it."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events, empty
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import flow
-from evetac_cli.numerics import cost, label_cost
+from evetac_cli.numerics.labels import flow_constants
 from evetac_cli.stages import label
 from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.store.files import StageFile, write_stage
@@ -170,35 +169,14 @@ def test_leaving_out_does_not_change_the_onset(made: Made) -> None:
         found = [
             flow.label(recording.between, true + 12, window, gel, constants, true - 20)
             for constants in (
-                label_cost._constants(coarse_ms=1, plain=True, after_ms=0),
-                label_cost._constants(coarse_ms=1, clear_px=np.inf, after_ms=0),
-                label_cost._constants(coarse_ms=3, clear_px=np.inf, after_ms=0),
-                label_cost._constants(coarse_ms=5, after_ms=0),
+                flow_constants(coarse_ms=1, plain=True, after_ms=0),
+                flow_constants(coarse_ms=1, clear_px=np.inf, after_ms=0),
+                flow_constants(coarse_ms=3, clear_px=np.inf, after_ms=0),
+                flow_constants(coarse_ms=5, after_ms=0),
             )
         ]
     assert len({labels.onset for labels in found}) == 1
     assert found[-1].pairs < found[0].pairs
-
-
-def test_cost_of_labels(monkeypatch: pytest.MonkeyPatch, made: Made, tmp_path: Path) -> None:
-    """Assert a row a setting with errors and run times, the reference first, agreeing with itself."""
-    monkeypatch.setattr(label_cost, "_recorded", lambda chosen, folder: [made.recordings[0]])
-    chosen_methods = [label_cost.methods()[number] for number in (0, 1, 6, 10)]
-    monkeypatch.setattr(label_cost, "methods", lambda: chosen_methods)
-    monkeypatch.setattr(label_cost, "USUAL", label_cost.Extent("8", 20, 1))
-    monkeypatch.setattr(cost, "_draw", lambda rows, path: True)
-    chosen = params.EvaluateCost(part="label")
-    (job,) = cost.jobs([], chosen, tmp_path)
-    assert job.output.name == "label.cost.report.h5"
-    outcome = cost.run(job, chosen)
-    assert [row["setting"] for row in outcome.rows] == [setting for setting, _ in chosen_methods]
-    assert all(row["part"] == "label" and row["time_us_p99"] >= row["time_us_median"] > 0 for row in outcome.rows)
-    assert outcome.rows[0]["times_plain"] == 1
-    assert outcome.rows[0]["error_ms_reference"] == 0
-    assert outcome.rows[1]["error_ms_reference"] <= 1
-    assert outcome.rows[1]["trials"] == 1
-    assert outcome.simulated
-    json.dumps(outcome.rows)
 
 
 @pytest.mark.parametrize(
@@ -207,4 +185,4 @@ def test_cost_of_labels(monkeypatch: pytest.MonkeyPatch, made: Made, tmp_path: P
 def test_impossible_flow_constants(wrong: dict[str, Any]) -> None:
     """Assert that constants out of range are refused."""
     with pytest.raises(ValueError, match="expected"):
-        dataclasses.replace(label_cost._constants(), **wrong)
+        dataclasses.replace(flow_constants(), **wrong)

@@ -1,4 +1,4 @@
-"""view: look at a recording and what was computed from it: one page that needs no network, or an animation."""
+"""view: show a recording and what was computed from it, on one page that needs no network and as an animation."""
 
 import os
 from collections.abc import Iterable
@@ -6,9 +6,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.inspect.view.collect import collect_view
+from evetac_cli.inspect.view.event_images import choose_frame_times, draw_pictures, frame_size_px, place_dots, window_px
 from evetac_cli.inspect.view.page import render_page
+from evetac_cli.inspect.view.time_series import model_output, series_panels, slip_lanes, slip_onsets
 from evetac_cli.inspect.view.trial_files import Trial, open_trial
 from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.jobs import Outcome, Progress, silent
@@ -27,11 +30,10 @@ def run(
     for path in outputs:
         _check_free(path, force)
     with open_trial(files) as trial:
-        span = _span(trial, params)
-        shown = collect_view(trial, params, span, progress)
-        written = {target: render_page(trial, shown)}
+        view = collect_view(trial, params, progress)
+        written = {target: render_page(trial, view)}
         if params.film is not None:
-            written[params.film] = _film(trial, shown)
+            written[params.film] = _film(trial, view)
     for path, content in written.items():
         _write(path, content)
     row: dict[str, Any] = {
@@ -39,32 +41,70 @@ def run(
         "size_bytes": len(written[target]),
         "film": None if params.film is None else str(params.film),
         "film_bytes": None if params.film is None else len(written[params.film]),
-        "frame_times": len(shown.frame_times),
-        "images": len(shown.pictures),
-        "series": sum(len(panel.lines) for panel in shown.panels),
-        "shown_ms": span[1] - span[0],
+        "frame_times": len(view.frame_times),
+        "images": len(view.pictures),
+        "series": sum(len(panel.lines) for panel in view.panels),
+        "shown_ms": view.span[1] - view.span[0],
         "files": " ".join(file.path.name for file in trial.files),
     }
-    return Outcome([row], shown.simulated, {"notes": " ".join(shown.notes) or None})
+    return Outcome([row], view.simulated, {"notes": " ".join(view.notes) or None})
 
 
 def _check_libraries(names: Iterable[str]) -> None:
-    """Say what is missing before any work is done."""
+    """EvetacError, before any work is done, where a library that draws is missing."""
     for name in names:
         if find_spec(name) is None:
             raise EvetacError(f"{name}, which draws the page, is not installed", hint="pip install 'evetac[plot]'")
 
 
-def _film(trial: Trial, shown: ViewData) -> bytes:
-    if not shown.pictures:
+def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
+    """Gather what is drawn of a trial; no larger for an hour than for a second."""
+    span = _span(trial, params)
+    empty = span[0] == span[1]
+    probability = model_output(trial, span)
+    view = ViewData(
+        slices=trial.slices,
+        span=span,
+        shown_ms=params.shown_ms,
+        simulated=any(file.header["simulated"] for file in trial.files),
+        frame_px=frame_size_px(trial),
+        window_px=window_px(trial),
+        onsets={} if empty else slip_onsets(trial, span, probability),
+        panels=[] if empty else series_panels(trial, span, probability),
+        lanes=[] if empty else slip_lanes(trial, span, probability),
+        notes=_label_notes(trial) + trial.notes,
+        frame_times=np.empty(0, np.int64),
+        dense={},
+        pictures=[],
+        events=[],
+        rest_xy_px=None,
+        dot_xy_px=None,
+        lost=None,
+        true_xy_px=None,
+    )
+    if not empty and (trial.recording is not None or trial.tracks is not None):
+        choose_frame_times(view, trial, params.images)
+        draw_pictures(view, trial, progress)
+        place_dots(view, trial)
+    return view
+
+
+def _label_notes(trial: Trial) -> list[str]:
+    """A note on labels that no sensor could have given."""
+    copied = trial.labels is not None and trial.labels.header["parameters"].get("method") == "truth"
+    return ["The labels were copied from the truth (simulated)."] if copied else []
+
+
+def _film(trial: Trial, view: ViewData) -> bytes:
+    if not view.pictures:
         raise InputError("there is nothing to animate: no event images", where=str(trial.files[0].path))
     from evetac_cli.inspect.view.film import render_film
 
-    return render_film(shown, trial.files[0].path.name)
+    return render_film(view, trial.files[0].path.name)
 
 
 def _span(trial: Trial, params: View) -> tuple[int, int]:
-    """The slices to show."""
+    """First and last (excluded) slice to show; InputError where none is left."""
     slices = trial.slices
     start = round(params.start_s * 1000)
     stop = slices if params.stop_s is None else min(slices, round(params.stop_s * 1000))
@@ -102,6 +142,6 @@ def _check_free(path: Path, force: bool) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write beside the target, then rename: a page is there whole or not at all."""
+    """Write beside the target, then rename, so that no half page is ever left."""
     with taking_the_place_of(path) as temporary:
         temporary.write_bytes(content)

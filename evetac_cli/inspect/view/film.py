@@ -17,7 +17,7 @@ PAPER, TEXT, QUIET, DOT, LOST, CURSOR = "#f6f7f8", "#1f2730", "#7f8790", "#ffb52
 
 
 def render_film(view: ViewData, title: str) -> bytes:
-    """A GIF of the moments of a page, evenly thinned to 300; ValueError if there is not one picture."""
+    """A GIF of the event images of a page, evenly thinned to 300; ValueError if there is not one."""
     if not view.pictures:
         raise ValueError("expected at least one picture, found none")
     chosen = np.unique(np.linspace(0, len(view.pictures) - 1, MOST_FRAMES).round().astype(np.int64)).tolist()
@@ -43,9 +43,9 @@ def _frame(view: ViewData, at: int, title: str, below: Image.Image) -> Image.Ima
     font = ImageFont.load_default(13)
     start_s = view.frame_times[at] / 1000
     pen.text((8, 5), _fitting(title, WIDTH_PX - 220, font), TEXT, font)
-    said = ["simulated"] if view.simulated else []
-    said += [f"arrows {ARROWS:g} x"] if view.dot_xy_px is not None else []
-    clock = "   ".join([", ".join(said), f"{start_s:.3f} s"])
+    remarks = ["simulated"] if view.simulated else []
+    remarks += [f"arrows {ARROWS:g} x"] if view.dot_xy_px is not None else []
+    clock = "   ".join([", ".join(remarks), f"{start_s:.3f} s"])
     pen.text((WIDTH_PX - 8, 5), clock, TEXT, font, anchor="ra")
     _dots(pen, view, at, scale, left)
     x = round(_across(view, start_s))
@@ -80,7 +80,7 @@ def _dots(pen: ImageDraw.ImageDraw, view: ViewData, at: int, scale: float, left:
 
 
 def _below(view: ViewData) -> Image.Image:
-    """Events a millisecond, and who says slip when: the same under every frame."""
+    """The chart of events a millisecond and the stretches of slip: the same under every frame."""
     image = Image.new("RGB", (WIDTH_PX, CHART_PX + LANE_PX * len(view.lanes) + 8), PAPER)
     pen = ImageDraw.Draw(image)
     font = ImageFont.load_default(10)
@@ -97,23 +97,23 @@ def _below(view: ViewData) -> Image.Image:
 
 
 def _across(view: ViewData, t_s: float) -> float:
-    """Where a time lies from left to right, in px."""
+    """The x coordinate of a time, in px."""
     first, last = (at / 1000 for at in view.span)
     return GUTTER_PX + (t_s - first) / max(last - first, 1e-3) * (WIDTH_PX - 9 - GUTTER_PX)
 
 
 def _chart(pen: ImageDraw.ImageDraw, view: ViewData) -> None:
-    """The first series of the page."""
+    """Draw the first series of the page."""
     panel = view.panels[0]
     values = [np.log10(line.value) if panel.logarithmic else line.value for line in panel.lines]
     low = min(float(np.nanmin(value)) for value in values)
     high = max(float(np.nanmax(value)) for value in values)
     up = (CHART_PX - 14) / max(high - low, 1e-9)
     for line, value in zip(panel.lines, values, strict=True):
-        there = np.isfinite(value)
+        finite = np.isfinite(value)
         points = [
             (_across(view, float(t_s)), CHART_PX - 4 - (float(height) - low) * up)
-            for t_s, height in zip(line.t_s[there], value[there], strict=True)
+            for t_s, height in zip(line.t_s[finite], value[finite], strict=True)
         ]
         if len(points) > 1:
             pen.line(points, QUIET if line.colour == INK else line.colour, 1)

@@ -1,7 +1,7 @@
 """The page that view writes: one HTML file that needs no network.
 
 Time series are drawn by Bokeh, whose script is put into the page (1.3 MB); the event images, and the dots over them, by
-the small script in view.html. Text that comes from files is escaped, and only placed by us: Bokeh is given numbers.
+the small script in page.html. Text from files is escaped and placed by this module: Bokeh gets numbers only.
 """
 
 import html
@@ -20,7 +20,7 @@ from evetac_cli.resources import PACKAGE
 
 LARGEST_BYTES = 20_000_000
 LONGEST_TEXT = 300
-NEUTRAL = "#7f8790"  # of lines that are seen on white and on black
+NEUTRAL = "#7f8790"  # of lines: legible on white and on black
 UNKNOWN = "#9aa1a9"
 
 
@@ -84,7 +84,7 @@ def _data(view: ViewData) -> dict[str, Any]:
         "lost": _base64(view.lost),
         "true_dots": 0 if view.true_xy_px is None else view.true_xy_px.shape[1],
         "true": _base64(view.true_xy_px),
-        "onsets": {who: slice_ for who, slice_ in view.onsets.items() if slice_ is not None},
+        "onsets": {source: slice_ for source, slice_ in view.onsets.items() if slice_ is not None},
     }
 
 
@@ -97,7 +97,7 @@ def _short(value: Any) -> str:
 
 
 def _inner(table: Any, *names: str) -> Any:
-    """A value inside nested tables of a header, which may hold anything; None where it is not there."""
+    """A value inside nested tables of a header, which may hold anything; None where there is none."""
     for name in names:
         table = table.get(name) if isinstance(table, dict) else None
     return table
@@ -112,7 +112,7 @@ def _recording_parameters(trial: Trial) -> Any:
 
 def _heading(trial: Trial, title: str, simulated: bool) -> str:
     made = _recording_parameters(trial)
-    said = [
+    badge_values = [
         ("scene", _inner(made, "scene", "name")),
         ("object", _inner(made, "object")),
         ("", _inner(made, "object_row", "material")),
@@ -121,7 +121,7 @@ def _heading(trial: Trial, title: str, simulated: bool) -> str:
     ]
     badges = '<span class="badge simulated">simulated</span>' if simulated else ""
     badges += "".join(
-        f'<span class="badge">{name} <b>{_short(value)}</b></span>' for name, value in said if value is not None
+        f'<span class="badge">{name} <b>{_short(value)}</b></span>' for name, value in badge_values if value is not None
     )
     summary = _inner(made, "scene", "summary")
     lead = f'<p class="lead">{_short(summary)}</p>' if isinstance(summary, str) else ""
@@ -147,7 +147,7 @@ def _files(trial: Trial) -> str:
 
 
 def _empty(view: ViewData) -> str:
-    """What to say instead of pictures and series, where there is nothing to draw."""
+    """The sentence instead of images and series, where there is nothing to draw."""
     if view.slices == 0:
         return "<p class='empty'>This recording is empty: it holds not one slice of a millisecond.</p>"
     if view.pictures and not any(view.events) and view.panels and (view.panels[0].lines[0].value <= 1).all():
@@ -161,15 +161,15 @@ def _onsets(view: ViewData) -> str:
         return ""
     reference = next((slice_ for slice_ in view.onsets.values() if slice_ is not None), None)
     cells = []
-    for who, slice_ in view.onsets.items():
-        simulated = " <small>(simulated)</small>" if who == "truth" else ""
+    for source, slice_ in view.onsets.items():
+        simulated = " <small>(simulated)</small>" if source == "truth" else ""
         if slice_ is None or reference is None:
-            cells.append(f"<span>{who}{simulated} <b>none</b></span>")
+            cells.append(f"<span>{source}{simulated} <b>none</b></span>")
             continue
         away = slice_ - reference
         later = f" <small>{away:+d} ms</small>" if away else ""
         cells.append(
-            f"<button type='button' class='jump' data-ms='{slice_}'>{who}{simulated} "
+            f"<button type='button' class='jump' data-ms='{slice_}'>{source}{simulated} "
             f"<b>{slice_ / 1000:.3f} s</b>{later}</button>"
         )
     since = f" after {view.span[0] / 1000:.3f} s" if view.span[0] else ""
@@ -298,7 +298,7 @@ def _panel_figure(panel: Panel, x_range: Any, number: int) -> Any:
 
 
 def _lane_figure(lanes: list[Lane], x_range: Any) -> Any:
-    """Truth, label and model under each other: a bar where each says slip, a thin one where nobody looked."""
+    """Truth, label and model under each other: a bar where each says slip, a thin one where it did not examine."""
     chart = _bare_figure(x_range, height=18 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)])
     chart.ygrid.grid_line_color = None
     for lane in lanes:

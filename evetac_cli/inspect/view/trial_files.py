@@ -1,4 +1,4 @@
-"""The files of one trial, for view: those named, and what lies beside them and belongs to the same recording."""
+"""The files of one trial, for view: those given, and those beside them that belong to the same recording."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,12 +10,12 @@ from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.read import Recording
 
 KINDS = ("recording", "tracks", "labels", "features")
-MOST_NEIGHBOURS = 200  # recordings of other names that are looked at for the one a file was made from
+MOST_NEIGHBOURS = 200  # recordings of other names among which the one that a file was made from is searched
 
 
 @dataclass
 class Trial:
-    """A recording and what was computed from it, as far as found, all open; and what was left out."""
+    """A recording and what was computed from it, all open, as far as it exists; and notes on what was left out."""
 
     recording_id: str
     recording: Recording | None = None
@@ -27,9 +27,9 @@ class Trial:
 
     @property
     def files(self) -> list[StageFile]:
-        """All that are there."""
-        found = (self.recording, self.tracks, self.labels, self.features, self.model)
-        return [file for file in found if file is not None]
+        """The files that exist."""
+        files = (self.recording, self.tracks, self.labels, self.features, self.model)
+        return [file for file in files if file is not None]
 
     @property
     def slices(self) -> int:
@@ -40,7 +40,7 @@ class Trial:
         return max(file.length(path) for file, path in rows if file is not None)
 
     def add(self, file: StageFile) -> None:
-        """Take in one more file."""
+        """Add a file under its kind."""
         setattr(self, file.kind, file)
 
 
@@ -106,10 +106,10 @@ def _one_recording(named: list[StageFile]) -> str:
     of_trial = [file for file in named if file.kind != "model"]
     if not of_trial:
         raise InputError(
-            "a model alone has nothing to look at",
+            "a model alone has nothing to show",
             where=str(named[0].path),
             expected=", ".join(KINDS),
-            hint="name features too, and the page shows what the model says of them",
+            hint="name features too, and the page shows the model's slip probability on them",
         )
     first = _recording_id(of_trial[0])
     for file in of_trial:
@@ -129,10 +129,10 @@ def _one_recording(named: list[StageFile]) -> str:
 def _check_model(trial: Trial) -> None:
     if trial.model is None or trial.features is None:
         return
-    wanted, found = (file.read("dot_shape").tolist() for file in (trial.model, trial.features))
-    if wanted != found:
+    expected, found = (file.read("dot_shape").tolist() for file in (trial.features, trial.model))
+    if expected != found:
         raise InputError(
-            "the model is for another dot grid", where=str(trial.model.path), expected=str(found), found=str(wanted)
+            "the model is for another dot grid", where=str(trial.model.path), expected=str(expected), found=str(found)
         )
 
 
@@ -149,8 +149,8 @@ def _search_recording(trial: Trial, folder: Path, stack: ExitStack) -> None:
     for path in sorted(folder.glob("*.recording.h5"))[:MOST_NEIGHBOURS]:
         try:
             with StageFile(path, "recording") as file:
-                found = file.header["id"] == trial.recording_id
-            if found:
+                same = file.header["id"] == trial.recording_id
+            if same:
                 trial.recording = stack.enter_context(Recording(path))
                 return
         except InputError:

@@ -1,4 +1,4 @@
-"""What view shows of a trial: series, stretches of slip, pictures, dots."""
+"""The data that view draws of a trial: series, stretches of slip, event images, dots."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ INK, BLUE, ORANGE, GREEN, PINK = "ink", "#2f82c4", "#d55e00", "#009e73", "#cc79a
 
 @dataclass(frozen=True)
 class Line:
-    """One series: what it is, and at most two values a bin."""
+    """One series over time, of at most two values a bin."""
 
     name: str
     colour: str
@@ -32,7 +32,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Lane:
-    """When somebody says slip, and when nobody looked: stretches of time in s."""
+    """Stretches of time, in s, in which one source (truth, label, model) says slip, and that it did not examine."""
 
     name: str
     colour: str
@@ -42,7 +42,7 @@ class Lane:
 
 @dataclass
 class ViewData:
-    """All that a page or an animation draws."""
+    """All that a page or an animation draws; frames are the times at which there is an event image."""
 
     slices: int
     span: tuple[int, int]  # slices shown, end excluded
@@ -50,15 +50,15 @@ class ViewData:
     simulated: bool
     frame_px: tuple[int, int]
     window_px: tuple[int, int, int, int] | None
-    onsets: dict[str, int | None]  # who says it -> slice, None where there is none
+    onsets: dict[str, int | None]  # truth, label, model or detector -> first slice of slip
     panels: list[Panel]
     lanes: list[Lane]
     notes: list[str]
     frame_times: NDArray[np.int64]  # first slice of each image
-    dense: dict[str, int]  # what the images are dense around
-    pictures: list[bytes]  # PNG of each moment; none without a recording
+    dense: dict[str, int]  # slices around which images are dense, and why
+    pictures: list[bytes]  # PNG of each frame; none without a recording
     events: list[int]  # in each picture
     rest_xy_px: NDArray[np.float64] | None  # (dots, 2)
-    dot_xy_px: NDArray[np.float32] | None  # (moments, dots, 2), at the end of what the picture shows
-    lost: NDArray[np.uint8] | None  # (moments, dots)
-    true_xy_px: NDArray[np.float32] | None  # (moments, dots, 2), simulated
+    dot_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), at the end of what the picture shows
+    lost: NDArray[np.uint8] | None  # (frames, dots)
+    true_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), simulated

@@ -26,9 +26,8 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import slice_starts
 from evetac_cli.inspect import view
-from evetac_cli.inspect.view import lines, pictures
+from evetac_cli.inspect.view import collect_view, event_images, time_series
 from evetac_cli.inspect.view import page as view_page
-from evetac_cli.inspect.view.collect import collect_view
 from evetac_cli.inspect.view.trial_files import open_trial
 from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.kernels.slip.features import event_image
@@ -143,17 +142,16 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def shown(path: Path, **chosen: Any) -> ViewData:
-    """What would be drawn."""
-    params = View(**chosen)
+    """The data that the page of a trial draws."""
     with open_trial([path]) as trial:
-        return collect_view(trial, params, view._span(trial, params), lambda done, total: None)
+        return collect_view(trial, View(**chosen), lambda done, total: None)
 
 
-def data_of(page: Path) -> dict[str, Any]:
-    """What the page's script is given."""
-    found = re.search(r'id="data">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
-    assert found is not None
-    return dict(json.loads(found[1]))
+def page_data(page: Path) -> dict[str, Any]:
+    """The data in a page that its script draws."""
+    match = re.search(r'id="data">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
+    assert match is not None
+    return dict(json.loads(match[1]))
 
 
 # Decimation -----------------------------------------------------------------------------------------------------------
@@ -168,14 +166,14 @@ def test_extremes_are_kept(length: int, seed: int, holes: bool) -> None:
     if holes:
         rows[rng.random(rows.shape) < 0.3] = np.nan
         rows[rng.random(rows.shape) < 0.01] = np.inf
-    asked: list[int] = []
+    read_rows: list[int] = []
 
     def read(start: int, stop: int) -> np.ndarray:
-        asked.append(stop - start)
+        read_rows.append(stop - start)
         return rows[start:stop]
 
-    for column, (at, value) in zip(rows.T, lines.extremes(length, read), strict=True):
-        assert len(at) == len(value) <= 2 * lines.BINS
+    for column, (at, value) in zip(rows.T, time_series.extremes(length, read), strict=True):
+        assert len(at) == len(value) <= 2 * time_series.BINS
         assert (np.diff(at) > 0).all()
         finite = np.isfinite(value)
         np.testing.assert_array_equal(value[finite], column[at][finite])
@@ -183,7 +181,7 @@ def test_extremes_are_kept(length: int, seed: int, holes: bool) -> None:
         known = column[np.isfinite(column)]
         if len(known):
             assert (np.nanmin(value), np.nanmax(value)) == (known.min(), known.max())
-    assert max(asked) <= lines.BLOCK_ROWS
+    assert max(read_rows) <= time_series.BLOCK_ROWS
 
 
 @settings(deadline=None, max_examples=25)
@@ -193,34 +191,34 @@ def test_no_slip_is_lost(length: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     states = rng.choice(np.array([-1, 0, 1], np.int8), length, p=[0.3, 0.6, 0.1])
     states = np.repeat(states, 3)[:length]
-    slip, unknown = lines.stretches(length, lambda first, last: states[first:last, None])
+    slip, unknown = time_series.stretches(length, lambda first, last: states[first:last, None])
     covered = np.zeros(length, np.int8)
-    for value, found in ((1, slip), (-1, unknown)):
-        for first, last in found:
+    for value, rows in ((1, slip), (-1, unknown)):
+        for first, last in rows:
             assert first < last
             assert (covered[first:last] == 0).all()
             covered[first:last] = value
     assert (covered[states == 1] == 1).all()
-    if length <= lines.BINS:
+    if length <= time_series.BINS:
         np.testing.assert_array_equal(covered, states)
 
 
 def test_a_picture_is_the_paper_s(trial: Path) -> None:
-    """Assert that the PNG of a moment holds white, black and grey where the event image has +1, -1 and 0."""
+    """Assert that a PNG holds white, black and grey where the event image has +1, -1 and 0."""
     with open_recording(trial) as recording:
-        png, count = pictures.picture(recording, 20, 5)
+        png, count = event_images.picture(recording, 20, 5)
         events = recording.between(20, 25)
     levels = np.asarray(Image.open(io.BytesIO(png)).convert("L")).astype(int)
-    expected = np.array(pictures.GREYS)[event_image(events.x, events.y, events.p, (WIDTH, HEIGHT)) + 1]
+    expected = np.array(event_images.GREYS)[event_image(events.x, events.y, events.p, (WIDTH, HEIGHT)) + 1]
     np.testing.assert_array_equal(levels, expected)
     assert count == events.size == 20
 
 
 def test_many_events_are_drawn_from_the_end(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that at a huge rate only the last events of a moment are read and drawn, and all are counted."""
-    monkeypatch.setattr(pictures, "MOST_EVENTS", 3)
+    """Assert that at a huge rate only the last events of an image are read and drawn, and all are counted."""
+    monkeypatch.setattr(event_images, "MOST_EVENTS", 3)
     with open_recording(trial) as recording:
-        png, count = pictures.picture(recording, 20, 5)
+        png, count = event_images.picture(recording, 20, 5)
         last = recording.between(24, 25)
     levels = np.asarray(Image.open(io.BytesIO(png)).convert("L"))
     drawn = event_image(last.x[1:], last.y[1:], last.p[1:], (WIDTH, HEIGHT))
@@ -234,8 +232,8 @@ def test_a_large_frame_is_drawn_coarsely(tmp_path: Path, monkeypatch: pytest.Mon
     write_recording(path, 10, truth=False)
     with open_recording(path) as recording:
         monkeypatch.setattr(type(recording), "frame_px", (65535, 65535))
-        png, _ = pictures.picture(recording, 0, 5)
-    assert max(Image.open(io.BytesIO(png)).size) <= pictures.LARGEST_IMAGE_PX
+        png, _ = event_images.picture(recording, 0, 5)
+    assert max(Image.open(io.BytesIO(png)).size) <= event_images.LARGEST_IMAGE_PX
 
 
 # What is shown --------------------------------------------------------------------------------------------------------
@@ -243,8 +241,8 @@ def test_a_large_frame_is_drawn_coarsely(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_everything_of_a_trial(trial: Path) -> None:
     """Assert that panels, lanes, onsets and dots are there, and that truth says simulated."""
-    found = shown(trial)
-    assert [panel.title for panel in found.panels] == [
+    data = shown(trial)
+    assert [panel.title for panel in data.panels] == [
         "Events a millisecond",
         "Gripper, current",
         "Gripper, width between the fingers",
@@ -252,39 +250,39 @@ def test_everything_of_a_trial(trial: Path) -> None:
         "Dots, distance from rest",
         "Flow that labels slip",
     ]
-    assert [panel.simulated for panel in found.panels] == [False, True, True, True, False, False]
-    events, current, _, forces, dots, flow = found.panels
+    assert [panel.simulated for panel in data.panels] == [False, True, True, True, False, False]
+    events, current, _, forces, dots, flow = data.panels
     assert (events.lines[0].value == 4).all()
     assert current.lines[0].t_s[-1] == pytest.approx(0.298)
     np.testing.assert_allclose(forces.lines[1].value, np.sqrt(2), rtol=1e-6)
     np.testing.assert_allclose(dots.lines[1].value, np.linspace(0, 4, SLICES), atol=1e-5)
     assert flow.levels == {"threshold": 0.3}
-    assert found.onsets == {"truth": ONSET, "label": ONSET + 3}
-    truth, label = found.lanes
+    assert data.onsets == {"truth": ONSET, "label": ONSET + 3}
+    truth, label = data.lanes
     assert truth.slip == [(0.2, 0.3)]
     assert (label.slip, label.unknown) == ([(0.203, 0.3)], [(0.0, 0.05)])
-    assert found.frame_times.tolist() == list(range(SLICES - 4))
-    assert found.dot_xy_px is not None
-    np.testing.assert_allclose(found.dot_xy_px, moving()[4:].astype(np.float32))
+    assert data.frame_times.tolist() == list(range(SLICES - 4))
+    assert data.dot_xy_px is not None
+    np.testing.assert_allclose(data.dot_xy_px, moving()[4:].astype(np.float32))
 
 
 def test_images_are_bounded_and_dense_near_slip(trial: Path) -> None:
     """Assert that there are no more images than asked for, over the whole span, closest around the onsets."""
-    found = shown(trial, images=60)
-    assert len(found.frame_times) <= 60
-    assert (found.frame_times[0], found.frame_times[-1]) == (0, SLICES - 5)
-    gaps = np.diff(found.frame_times)
-    assert gaps[(found.frame_times[:-1] > 192) & (found.frame_times[:-1] < 204)].max() <= 2 < gaps.max()
+    data = shown(trial, images=60)
+    assert len(data.frame_times) <= 60
+    assert (data.frame_times[0], data.frame_times[-1]) == (0, SLICES - 5)
+    gaps = np.diff(data.frame_times)
+    assert gaps[(data.frame_times[:-1] > 192) & (data.frame_times[:-1] < 204)].max() <= 2 < gaps.max()
     assert len(shown(trial, images=1).frame_times) == 1
 
 
 def test_a_part(trial: Path) -> None:
     """Assert that --start-s and --stop-s bound images and series, and that nothing is found before the start."""
-    found = shown(trial, start_s=0.22, stop_s=0.25)
-    assert found.span == (220, 250)
-    assert (found.frame_times[0], found.frame_times[-1]) == (220, 245)
-    assert all(0.22 <= t < 0.25 for panel in found.panels for line in panel.lines for t in line.t_s)
-    assert found.onsets == {"truth": 220, "label": 220}
+    data = shown(trial, start_s=0.22, stop_s=0.25)
+    assert data.span == (220, 250)
+    assert (data.frame_times[0], data.frame_times[-1]) == (220, 245)
+    assert all(0.22 <= t < 0.25 for panel in data.panels for line in panel.lines for t in line.t_s)
+    assert data.onsets == {"truth": 220, "label": 220}
     assert shown(trial, stop_s=99.0).span == (0, SLICES)
     for wrong in ({"start_s": 0.3}, {"start_s": 0.2, "stop_s": 0.2}, {"start_s": 9.0, "stop_s": 8.0}):
         with pytest.raises(InputError, match="no time is left"):
@@ -293,15 +291,16 @@ def test_a_part(trial: Path) -> None:
 
 @pytest.mark.parametrize(("method", "levels"), [("dis", 1), ("event-flow", 0), ("truth", 0), ("<b>", 0)])
 def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
-    """Assert that the method of labels is named, its threshold is drawn where it is one, and copied truth is owned."""
+    """Assert that a page names the method of labels, escaped, draws a threshold of flow, and notes copied truth."""
     with open_recording(trial) as recording:
         header = recording.header
     write_labels(trial.with_name("a.labels.h5"), header, method=method)
-    found = shown(trial, images=1)
-    assert found.panels[-1].title == f"Flow that labels slip, {method}"
-    assert len(found.panels[-1].levels) == levels
-    assert ("The labels were copied from the truth (simulated)." in found.notes) == (method == "truth")
-    assert "<b>" not in view_page._head(found.panels[-1].title, "px", False, "").replace("&lt;b&gt;", "")
+    data = shown(trial, images=1)
+    assert data.panels[-1].title == f"Flow that labels slip, {method}"
+    assert len(data.panels[-1].levels) == levels
+    assert ("The labels were copied from the truth (simulated)." in data.notes) == (method == "truth")
+    view.run([trial], View(images=1), None)
+    assert f"Flow that labels slip, {html.escape(method)} " in trial.with_name("a.html").read_text(encoding="utf-8")
 
 
 def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -326,9 +325,9 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         real.features, real.model = features, model  # type: ignore[assignment]
         real_files = [file for file in real.files if file not in (features, model)]
         monkeypatch.setattr(type(real), "files", real_files)
-        whole = collect_view(real, View(), (0, SLICES), lambda done, total: None)
-        monkeypatch.setattr(lines, "BLOCK_ROWS", 7)
-        part = lines.model_output(real, (40, 90))
+        whole = collect_view(real, View(), lambda done, total: None)
+        monkeypatch.setattr(time_series, "BLOCK_ROWS", 7)
+        part = time_series.model_output(real, (40, 90))
     (panel,) = [panel for panel in whole.panels if panel.title == "Slip probability, model"]
     lane = whole.lanes[-1]
     np.testing.assert_allclose(part, panel.lines[0].value[40:90], rtol=1e-6)
@@ -344,23 +343,23 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_neighbours_are_found_from_any_file(trial: Path) -> None:
     """Assert that each file of a trial leads to the others, also to a recording of another name."""
     for kind in ("recording", "tracks", "labels"):
-        with open_trial([trial.with_name(f"a.{kind}.h5")]) as found:
-            assert [file.kind for file in found.files] == ["recording", "tracks", "labels"]
+        with open_trial([trial.with_name(f"a.{kind}.h5")]) as opened:
+            assert [file.kind for file in opened.files] == ["recording", "tracks", "labels"]
     trial.rename(trial.with_name("renamed.recording.h5"))
-    with open_trial([trial.with_name("a.labels.h5")]) as found:
-        assert found.recording is not None
-        assert found.recording.path.name == "renamed.recording.h5"
+    with open_trial([trial.with_name("a.labels.h5")]) as opened:
+        assert opened.recording is not None
+        assert opened.recording.path.name == "renamed.recording.h5"
 
 
 def test_without_the_recording(trial: Path) -> None:
     """Assert that tracks alone show dots and their series, and say that there are no event images."""
     trial.unlink()
-    found = shown(trial.with_name("a.tracks.h5"))
-    assert found.pictures == []
-    assert found.dot_xy_px is not None
-    assert "not beside these files" in found.notes[0]
-    found = shown(trial.with_name("a.labels.h5"))
-    assert [panel.title for panel in found.panels][-1] == "Flow that labels slip"
+    data = shown(trial.with_name("a.tracks.h5"))
+    assert data.pictures == []
+    assert data.dot_xy_px is not None
+    assert "not beside these files" in data.notes[0]
+    data = shown(trial.with_name("a.labels.h5"))
+    assert [panel.title for panel in data.panels][-1] == "Flow that labels slip"
     view.run([trial.with_name("a.labels.h5")], View(), None)
 
 
@@ -371,9 +370,9 @@ def test_strangers_beside_are_left_out(trial: Path, tmp_path: Path) -> None:
     write_labels(tmp_path / "a.labels.h5", other)
     tracks = tmp_path / "a.tracks.h5"
     os.truncate(tracks, tracks.stat().st_size // 2)
-    with open_trial([trial]) as found:
-        assert [file.kind for file in found.files] == ["recording"]
-        assert sorted(note.split(":")[1].split()[0] for note in found.notes) == ["a.labels.h5", "a.tracks.h5"]
+    with open_trial([trial]) as opened:
+        assert [file.kind for file in opened.files] == ["recording"]
+        assert sorted(note.split(":")[1].split()[0] for note in opened.notes) == ["a.labels.h5", "a.tracks.h5"]
     with pytest.raises(InputError, match="two trials"):
         view.run([trial, tmp_path / "a.labels.h5"], View(), None)
     with pytest.raises(InputError, match="truncated"):
@@ -395,12 +394,12 @@ def test_tracks_that_are_short_or_not_finite(trial: Path) -> None:
     tracks = trial.with_name("a.tracks.h5")
     tracks.unlink()
     write_tracks(tracks, header, dots)
-    found = shown(trial)
-    assert "tracks end at 0.120 s, 180 ms before" in found.notes[0]
-    assert found.dot_xy_px is not None
-    assert np.isnan(found.dot_xy_px[116:]).all()
-    assert np.isfinite(found.dot_xy_px[100:116]).all()
-    (panel,) = [panel for panel in found.panels if panel.title == "Dots, distance from rest"]
+    data = shown(trial)
+    assert "tracks end at 0.120 s, 180 ms before" in data.notes[0]
+    assert data.dot_xy_px is not None
+    assert np.isnan(data.dot_xy_px[116:]).all()
+    assert np.isfinite(data.dot_xy_px[100:116]).all()
+    (panel,) = [panel for panel in data.panels if panel.title == "Dots, distance from rest"]
     assert np.isnan(panel.lines[0].value[10:20]).all()
     outcome = view.run([trial], View(film=trial.with_name("a.gif"), images=30), None)
     assert outcome.rows[0]["images"] > 10
@@ -425,22 +424,22 @@ def test_nothing_long_is_read_at_once(trial: Path, monkeypatch: pytest.MonkeyPat
     """Assert that dots and forces, which are gigabytes in an hour, are read in blocks."""
     from evetac_cli.store.files import StageFile
 
-    asked: dict[str, int] = {}
+    longest: dict[str, int] = {}
     read = StageFile.read
 
     def spy(self: StageFile, path: str, start: int = 0, stop: int | None = None) -> Any:
         value = read(self, path, start, stop)
         if np.ndim(value):
-            asked[f"{self.kind} {path}"] = max(asked.get(f"{self.kind} {path}", 0), len(value))
+            longest[f"{self.kind} {path}"] = max(longest.get(f"{self.kind} {path}", 0), len(value))
         return value
 
     monkeypatch.setattr(StageFile, "read", spy)
     for name, value in {"BINS": 20, "BLOCK_ROWS": 40}.items():
-        monkeypatch.setattr(lines, name, value)
-    found = shown(trial, images=5)
-    assert all(len(line.value) <= 40 for panel in found.panels for line in panel.lines)
+        monkeypatch.setattr(time_series, name, value)
+    data = shown(trial, images=5)
+    assert all(len(line.value) <= 40 for panel in data.panels for line in panel.lines)
     for path in ("recording truth/normal_force_n", "labels relative_flow_px", "recording gripper/current_ma"):
-        assert asked[path] <= 60, path
+        assert longest[path] <= 60, path
 
 
 # The page as a file ---------------------------------------------------------------------------------------------------
@@ -455,10 +454,10 @@ def test_command(trial: Path) -> None:
     few = ("--images", "5")
     result = evetac("view", trial, "--json", "--film", trial.with_name("film.gif"), *few)
     assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)
-    (row,) = told["rows"]
+    answer = json.loads(result.stdout)
+    (row,) = answer["rows"]
     page = trial.with_name("a.html")
-    assert (told["command"], told["simulated"], row["page"]) == ("view", True, str(page))
+    assert (answer["command"], answer["simulated"], row["page"]) == ("view", True, str(page))
     assert row["size_bytes"] == page.stat().st_size < view_page.LARGEST_BYTES
     assert (row["images"], row["files"]) == (5, "a.recording.h5 a.tracks.h5 a.labels.h5")
     before = page.read_bytes()
@@ -474,11 +473,16 @@ def test_command(trial: Path) -> None:
 def test_where_the_page_goes(tmp_path: Path) -> None:
     """Assert that -o takes a file or a folder, and that the default is NAME.html beside the input."""
     (tmp_path / "dotted.d").mkdir()
-    file = tmp_path / "a.b.tracks.h5"
-    assert view._target(file, None) == tmp_path / "a.b.html"
-    assert view._target(file, tmp_path / "new") == tmp_path / "new" / "a.b.html"
-    assert view._target(file, tmp_path / "dotted.d") == tmp_path / "dotted.d" / "a.b.html"
-    assert view._target(file, tmp_path / "c.HTML") == tmp_path / "c.HTML"
+    file = tmp_path / "a.b.recording.h5"
+    write_recording(file, 0, truth=False)
+    for out, expected in (
+        (None, tmp_path / "a.b.html"),
+        (tmp_path / "new", tmp_path / "new" / "a.b.html"),
+        (tmp_path / "dotted.d", tmp_path / "dotted.d" / "a.b.html"),
+        (tmp_path / "c.HTML", tmp_path / "c.HTML"),
+    ):
+        assert view.run([file], View(), out).rows[0]["page"] == str(expected)
+        assert expected.is_file()
 
 
 def test_outputs_that_are_refused(trial: Path) -> None:
@@ -491,7 +495,7 @@ def test_outputs_that_are_refused(trial: Path) -> None:
     (trial.with_name("folder.html") / "a.html").mkdir()
     assert "the output is a folder" in evetac("view", trial, "-f", "-o", trial.with_name("folder.html")).stderr
     with pytest.raises(EvetacError, match="the output folder is a file"):
-        view._write(trial / "below-a-file.html", b"")
+        view.run([trial], View(images=1), trial / "below-a-file.html")
     assert sorted(path.name for path in trial.parent.iterdir()) == [
         "a.labels.h5",
         "a.recording.h5",
@@ -500,10 +504,12 @@ def test_outputs_that_are_refused(trial: Path) -> None:
     ]
 
 
-def test_libraries_are_missed_in_words() -> None:
-    """Assert that a missing library is named before any work, with how to get it."""
-    with pytest.raises(EvetacError, match=r"evetac\[plot\]"):
-        view._check_libraries(["no_such_library_at_all"])
+def test_libraries_that_are_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing library is named before any file is opened, with how to get it."""
+    monkeypatch.setattr(view, "find_spec", lambda name: None if name == "bokeh" else object())
+    with pytest.raises(EvetacError, match="bokeh.*is not installed") as raised:
+        view.run([tmp_path / "missing.recording.h5"], View(), None)
+    assert "[plot]" in raised.value.hint
 
 
 def test_page_needs_no_network(page: Path) -> None:
@@ -523,19 +529,19 @@ def test_text_from_files_is_escaped(tmp_path: Path) -> None:
     assert "document.title='owned'" not in text
     assert "<img" not in text
     assert html.escape(path.name) in text
-    assert len(data_of(tmp_path / "p.html")["frame_times"]) == 16
+    assert len(page_data(tmp_path / "p.html")["frame_times"]) == 16
 
 
 def test_page_is_bounded(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that images are thinned evenly where they would be too many bytes, with a note; else it is refused."""
     whole = shown(trial)
     size = sum(map(len, whole.pictures))
-    monkeypatch.setattr(pictures, "IMAGE_BYTES", size // 3)
-    found = shown(trial)
-    assert sum(map(len, found.pictures)) <= size // 3
-    assert found.frame_times.tolist() == whole.frame_times.tolist()[::4]
-    assert "only every 4th" in found.notes[-1]
-    assert len(found.events) == len(found.pictures) == len(found.frame_times)
+    monkeypatch.setattr(event_images, "IMAGE_BYTES", size // 3)
+    data = shown(trial)
+    assert sum(map(len, data.pictures)) <= size // 3
+    assert data.frame_times.tolist() == whole.frame_times.tolist()[::4]
+    assert "only every 4th" in data.notes[-1]
+    assert len(data.events) == len(data.pictures) == len(data.frame_times)
     monkeypatch.setattr(view_page, "LARGEST_BYTES", 1_000_000)
     with pytest.raises(EvetacError, match="too large"):
         view.run([trial], View(images=1), None)
@@ -548,7 +554,7 @@ def test_page_says_what_it_shows(page: Path) -> None:
         assert recording.header["id"] in text
     for words in (">simulated<", "scene <b>slip</b>", "object <b>8</b>", "a.tracks.h5", "0.200 s", "+3 ms"):
         assert words in text, words
-    data = data_of(page)
+    data = page_data(page)
     tracked = np.frombuffer(base64.b64decode(data["tracked"]), "<f4").reshape(-1, 6, 2)
     np.testing.assert_allclose(tracked, moving()[4:].astype(np.float32))
     assert data["onsets"] == {"truth": ONSET, "label": ONSET + 3}
@@ -658,19 +664,19 @@ class Browser:
 
     def complaints(self) -> list[Any]:
         """Errors and warnings on the console, exceptions, and requests to anywhere."""
-        found = []
+        events = []
         for event in self.events:
             params = event.get("params", {})
             match event.get("method"):
                 case "Runtime.exceptionThrown" | "Log.entryAdded":
-                    found.append(params)
+                    events.append(params)
                 case "Runtime.consoleAPICalled" if params["type"] in ("error", "warning", "assert"):
-                    found.append(params)
+                    events.append(params)
                 case "Network.requestWillBeSent" if not params["request"]["url"].startswith(
                     ("file:", "data:", "blob:")
                 ):
-                    found.append(params)
-        return found
+                    events.append(params)
+        return events
 
     def close(self) -> None:
         self.call("Browser.close")
@@ -685,9 +691,9 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
     if program is None:
         pytest.skip("no Chromium is installed here: the page is not tried in a browser")
-    found = Browser(program, tmp_path_factory.mktemp("chromium"))
-    yield found
-    found.close()
+    chromium = Browser(program, tmp_path_factory.mktemp("chromium"))
+    yield chromium
+    chromium.close()
 
 
 INDEX = "Number(document.getElementById('image').dataset.index)"

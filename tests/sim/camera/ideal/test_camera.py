@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import erfinv
 
 from evetac_cli.events import Events, concatenate
-from evetac_cli.numerics.simulator import camera_cost
-from evetac_cli.numerics.simulator.camera_cost import FineEvents, Workload, fine, match, reference_events
+from evetac_cli.numerics.camera import cost as camera_cost
+from evetac_cli.numerics.camera.cost import Workload
+from evetac_cli.numerics.camera.reference import FineEvents, fine, match, reference_events
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
@@ -184,7 +185,7 @@ def test_error_falls_with_the_square_of_substeps() -> None:
 def test_camera_cost_rows() -> None:
     """Assert a flat row of plain numbers for every choice of sub-steps and for the scanning camera."""
     load = Workload("tone", QUIET, np.array([[40.3, 40.6]]), lambda t: 0.3 * np.sin(1.2 * t)[:, None] * [0.8, 0.6], 5)
-    rows = camera_cost.camera_cost(loads=[load])
+    rows = list(camera_cost.camera_rows(0, [load]))
     assert len(rows) == len(camera_cost.SUBSTEPS) + 1
     for row in rows:
         assert all(type(value) in (float, str) for value in row.values())

@@ -1,0 +1,153 @@
+"""The Python interface: what `import evetac_cli as evetac` offers; a test runs the example of every name.
+
+The examples read files that the commands made: `a.recording.h5`, `a.labels.h5` and so on.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli import resources
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
+from evetac_cli.store.files import StageFile
+
+
+def open_labels(path: str | Path) -> StageFile:
+    """Open a labels file: `label` (1 slip, 0 none, -1 not examined, a slice each) and `onset_slice` (-1 if none).
+
+    InputError if it is anything else.
+
+    >>> with evetac.open_labels("a.labels.h5") as labels:
+    ...     slip, onset_ms = labels.read("label"), int(labels.read("onset_slice"))
+    >>> bool(slip[onset_ms])
+    True
+    """
+    return StageFile(Path(path), "labels")
+
+
+def open_tracks(path: str | Path) -> StageFile:
+    """Open a tracks file: `dot_xy_px` (slices, dots, 2), `events_per_dot` and `lost` (slices, dots).
+
+    InputError if it is anything else.
+
+    >>> with evetac.open_tracks("a.tracks.h5") as tracks:
+    ...     moved_px = tracks.read("dot_xy_px") - tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+    >>> moved_px.shape[1:]
+    (56, 2)
+    """
+    return StageFile(Path(path), "tracks")
+
+
+def open_features(path: str | Path) -> StageFile:
+    """Open a features file: `displacement_px`, `events_per_dot` (slices, dots), `displacement_xy_px`, labels if any.
+
+    InputError if it is anything else.
+
+    >>> with evetac.open_features("a.features.h5") as features:
+    ...     features.read("displacement_px", 0, 10).shape      # the first 10 slices only
+    (10, 56)
+    """
+    return StageFile(Path(path), "features")
+
+
+def open_forces(path: str | Path) -> StageFile:
+    """Open a forces file: shear force in N, (slices, 2), by `regression_n` and by `network_n`.
+
+    InputError if it is anything else.
+
+    >>> with evetac.open_forces("a.forces.h5") as forces:
+    ...     forces.read("network_n").shape[1]
+    2
+    """
+    return StageFile(Path(path), "forces")
+
+
+def open_model(path: str | Path) -> StageFile:
+    """Open a slip detector's model file: weights as arrays, `onnx` graph, `threshold`, training curve.
+
+    InputError if it is anything else. To run it on events see `SlipDetector`.
+
+    >>> with evetac.open_model("slip.model.h5") as model:
+    ...     model.read("architecture")
+    'hist10'
+    """
+    return StageFile(Path(path), "model")
+
+
+def open_report(path: str | Path) -> StageFile:
+    """Open a report of `evaluate`: `rows` and `summary` are JSON texts, as `--json` prints them.
+
+    InputError if it is anything else.
+
+    >>> import json
+    >>> with evetac.open_report("a.report.h5") as report:
+    ...     row = json.loads(report.read("rows"))[0]
+    >>> report.header["simulated"]
+    True
+    """
+    return StageFile(Path(path), "report")
+
+
+class DotTracker:
+    """Follows the dots of a gel: a slice of events in, dot centres out, as the command `track` does.
+
+    dot_xy_px: centres at rest, (rows, columns, 2) or (n, 2) in px; NaN for a missing dot. preset: see
+    `evetac.presets()["tracker"]`. dot_radius_px: radius of the printed dots. ValueError for dots that cannot be tracked.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     tracker = evetac.DotTracker(recording.dot_xy_px)
+    ...     for events in recording:
+    ...         dot_xy_px = tracker.step(events)
+    >>> dot_xy_px.shape
+    (56, 2)
+    """
+
+    def __init__(self, dot_xy_px: NDArray[np.float64], preset: str = "stable", dot_radius_px: float = 15.0) -> None:
+        if preset not in tracker.PRESETS:
+            raise InputError("unknown preset of the tracker", expected=", ".join(tracker.PRESETS), found=preset)
+        constants = tracker.PRESETS[preset].for_dots(dot_radius_px)
+        self._state = tracker.start(np.asarray(dot_xy_px, np.float64).reshape(-1, 2), constants)
+
+    def step(self, events: Events) -> NDArray[np.float64]:
+        """Dot centres after one more slice, (n, 2) in px: a view that the next step changes."""
+        tracker.step(self._state, events.x, events.y, events.p)
+        return self._state.dot_xy_px
+
+    @property
+    def events_per_dot(self) -> NDArray[np.int32]:
+        """Events of the last slice near each dot, (n,): a view that the next step changes."""
+        return self._state.events_per_dot
+
+
+class SlipDetector:
+    """Says from events, slice by slice, how probable slip is: the tracker and network that `grasp` runs.
+
+    dot_xy_px: centres at rest, (rows, columns, 2) in px. window_px: x0, y0, x1, y1 of a cut gel's window, None for a
+    closed gel. model: a model file; the package's own by default. InputError if the model is for another dot grid.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     detector = evetac.SlipDetector(recording.dot_xy_px, recording.window_px)
+    ...     probability = [detector.step(events) for events in recording]
+    >>> 0.0 <= probability[-1] <= 1.0
+    True
+    """
+
+    def __init__(
+        self,
+        dot_xy_px: NDArray[np.float64],
+        window_px: tuple[int, int, int, int] | None = None,
+        model: str | Path | None = None,
+        tracker_preset: str = "stable",
+    ) -> None:
+        if tracker_preset not in tracker.PRESETS:
+            raise InputError("unknown preset of the tracker", expected=", ".join(tracker.PRESETS), found=tracker_preset)
+        with StageFile(Path(model) if model is not None else resources.MODEL, "model") as file:
+            self._detector = OnlineSlipDetector.start(file, dot_xy_px, window_px, tracker.PRESETS[tracker_preset])
+
+    def step(self, events: Events) -> float:
+        """Slip probability after one more slice, NaN until the history of the network is full."""
+        return self._detector.step(events)

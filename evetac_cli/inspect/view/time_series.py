@@ -1,0 +1,265 @@
+"""The series and stretches of slip that view draws, decimated so that an hour is no larger than a second.
+
+Series are cut into bins, about one a pixel column, of which the least and the greatest value are drawn. Arrays are read
+block by block: an hour of tracks is gigabytes.
+"""
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.inspect.view.trial_files import Trial
+from evetac_cli.inspect.view.view_data import BLUE, GREEN, INK, ORANGE, PINK, Lane, Line, Panel
+from evetac_cli.sim.gripper import gap_m
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.read import Recording
+
+BINS = 3000
+BLOCK_ROWS = 16384
+
+Read = Callable[[int, int], NDArray[Any]]
+
+
+def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Least and greatest value of every bin, in their order, for each column of read(start, stop) -> (rows, columns).
+
+    All values where there are no more than two a bin. What is not finite comes out as NaN, where a bin holds nothing
+    else. Returns (row, value) a column.
+    """
+    if length <= 2 * BINS:
+        rows = read(0, length).astype(np.float64)
+        rows[~np.isfinite(rows)] = np.nan
+        return [(np.arange(length), column) for column in rows.T]
+    columns: list[list[tuple[int, float]]] = []
+    for start, rows, edges in _blocks(length, read):
+        columns = columns or [[] for _ in range(rows.shape[1])]
+        for column, picked in zip(rows.T, columns, strict=True):
+            for first, last in pairwise(edges):
+                part = column[first:last].astype(np.float64)
+                finite = np.flatnonzero(np.isfinite(part))
+                if not len(finite):
+                    picked.append((start + first, np.nan))
+                    continue
+                ends = {int(finite[np.argmin(part[finite])]), int(finite[np.argmax(part[finite])])}
+                picked += [(start + first + at, float(part[at])) for at in sorted(ends)]
+    return [(np.array([at for at, _ in picked]), np.array([value for _, value in picked])) for picked in columns]
+
+
+def stretches(length: int, read: Read) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Rows [first, last) that are 1, and those that are negative (not examined), to within a bin.
+
+    A bin with any 1 counts as 1, so that no short slip is lost. read(start, stop) -> (rows, 1).
+    """
+    states: list[int] = []
+    borders = [0]
+    for start, rows, edges in _blocks(length, read):
+        for first, last in pairwise(edges):
+            part = rows[first:last, 0]
+            states.append(1 if (part == 1).any() else -1 if (part < 0).all() else 0)
+            borders.append(start + last)
+    by_state: dict[int, list[tuple[int, int]]] = {1: [], 0: [], -1: []}
+    begin = 0
+    for at, state in enumerate(states):
+        if at + 1 == len(states) or states[at + 1] != state:
+            by_state[state].append((borders[begin], borders[at + 1]))
+            begin = at + 1
+    return by_state[1], by_state[-1]
+
+
+def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[int]]]:
+    """Rows in pieces of whole bins: (first row, the rows, edges of the bins counted from it)."""
+    edges = np.linspace(0, length, min(length, BINS) + 1).astype(np.int64)
+    at_once = max(1, int(BLOCK_ROWS * (len(edges) - 1) / max(length, 1)))
+    for first in range(0, len(edges) - 1, at_once):
+        piece = edges[first : first + at_once + 1]
+        yield int(piece[0]), read(int(piece[0]), int(piece[-1])), (piece - piece[0]).tolist()
+
+
+def _rows(file: StageFile, path: str, start: int) -> Read:
+    """Rows of a one-dimensional dataset, counted from `start`, as a column."""
+    return lambda first, last: file.read(path, start + first, start + last)[:, None]
+
+
+def _lines(names: dict[str, str], start: int, length: int, read: Read) -> list[Line]:
+    """A line for each column of read, without those that are NaN all over; names -> colours."""
+    lines = [
+        Line(name, colour, (start + at) / 1000, value)
+        for (name, colour), (at, value) in zip(names.items(), extremes(length, read), strict=True)
+    ]
+    return [line for line in lines if np.isfinite(line.value).any()]
+
+
+def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
+    """Series of the slices of the span, from all files of the trial; `probability` is that of model_output."""
+    start, stop = span
+    panels = []
+    recording, tracks, labels = trial.recording, trial.tracks, trial.labels
+    if recording is not None:
+        per_slice = np.diff(recording.starts[start : stop + 1])
+        drawn = np.maximum(per_slice, 1)[:, None]  # a logarithmic axis has no 0
+        lines = _lines({"events": BLUE}, start, stop - start, lambda first, last: drawn[first:last])
+        panels.append(Panel("Events a millisecond", "", lines, logarithmic=True))
+        if recording.has("gripper"):
+            panels += _gripper(recording, span)
+    if recording is not None and recording.has("truth"):
+
+        def forces(first: int, last: int) -> NDArray[Any]:
+            normal = recording.read("truth/normal_force_n", start + first, start + last)
+            shear = recording.read("truth/shear_force_n", start + first, start + last)
+            return np.stack((normal, np.hypot(shear[:, 0], shear[:, 1])), axis=1)
+
+        lines = _lines({"normal": INK, "shear": ORANGE}, start, stop - start, forces)
+        panels.append(Panel("Forces on one pad, truth", "N", lines, simulated=True))
+        if recording.has("truth/tone_hz"):
+            lines = _lines({"tone": PINK}, start, stop - start, _rows(recording, "truth/tone_hz", start))
+            panels.append(Panel("Tone, truth", "Hz", lines, simulated=True))
+    if tracks is not None:
+        rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+
+        def moved(first: int, last: int) -> NDArray[Any]:
+            away = np.linalg.norm(tracks.read("dot_xy_px", start + first, start + last) - rest, axis=2)
+            away[~np.isfinite(away)] = np.nan
+            known = np.maximum(np.isfinite(away).sum(axis=1), 1)
+            mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / known, np.nan)
+            return np.stack((mean, np.fmax.reduce(away, axis=1, initial=np.nan)), axis=1)
+
+        lines = _lines({"mean": BLUE, "farthest": PINK}, start, _length(tracks, "dot_xy_px", span), moved)
+        panels.append(Panel("Dots, distance from rest", "px", lines))
+    if labels is not None:
+        length = _length(labels, "relative_flow_px", span)
+        lines = _lines({"window against gel": GREEN}, start, length, _rows(labels, "relative_flow_px", start))
+        method, threshold = (labels.header["parameters"].get(name) for name in ("method", "threshold_px"))
+        # The threshold is one of this flow only where images are compared.
+        compared = method in (None, "farneback", "dis") and isinstance(threshold, (int, float))
+        levels = {"threshold": float(threshold)} if compared else {}
+        how = f", {method}" if isinstance(method, str) else ""
+        panels.append(Panel(f"Flow that labels slip{how}", "px", lines, levels))
+    levels = {"threshold": float(trial.model.read("threshold"))} if trial.model is not None else {}
+    if probability is not None:
+        column = probability[:, None]
+        lines = _lines({"model": PINK}, start, len(column), lambda first, last: column[first:last])
+        panels.append(Panel("Slip probability, model", "", lines, levels))
+    elif recording is not None and recording.has("control/probability"):
+        lines = _lines({"detector": PINK}, start, stop - start, _rows(recording, "control/probability", start))
+        panels.append(Panel("Slip probability, detector while grasping", "", lines))
+    return [panel for panel in panels if panel.lines]
+
+
+def _gripper(recording: Recording, span: tuple[int, int]) -> list[Panel]:
+    t_s, first, last = _timed(recording, "gripper/t_us", span)
+
+    def at(names: dict[str, str], read: Read) -> list[Line]:
+        return [
+            Line(line.name, line.colour, t_s[np.rint(line.t_s * 1000).astype(np.int64)], line.value)
+            for line in _lines(names, 0, last - first, read)
+        ]
+
+    def currents(start: int, stop: int) -> NDArray[Any]:
+        names = ("current_ma", "current_target_ma")
+        return np.stack([recording.read(f"gripper/{name}", first + start, first + stop) for name in names], axis=1)
+
+    simulated = bool(recording.header["simulated"])
+    ticks = at({"width": BLUE}, _rows(recording, "gripper/position_ticks", first))
+    width = [
+        Line(line.name, line.colour, line.t_s, np.array([1000 * gap_m(value) for value in line.value]))
+        for line in ticks
+    ]
+    return [
+        Panel("Gripper, current", "mA", at({"measured": ORANGE, "target": INK}, currents), simulated=simulated),
+        Panel("Gripper, width between the fingers", "mm", width, simulated=simulated),
+    ]
+
+
+def _timed(recording: Recording, path: str, span: tuple[int, int]) -> tuple[NDArray[np.float64], int, int]:
+    """Times in s of rows that have their own clock, and which of all rows lie in the span."""
+    t_us = recording.read(path)
+    first, last = np.searchsorted(t_us, np.array(span) * SLICE_US).tolist()
+    return t_us[first:last] / 1e6, first, last
+
+
+def _length(file: StageFile, path: str, span: tuple[int, int]) -> int:
+    """Rows that a file holds of the span: it may be shorter than the recording."""
+    return max(0, min(file.length(path), span[1]) - span[0])
+
+
+# Slip: truth, labels, model -------------------------------------------------------------------------------------------
+
+
+def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | None:
+    """Slip probability of each slice of the span, NaN before the first; None without a model or features."""
+    if trial.model is None or trial.features is None:
+        return None
+    from evetac_cli.stages.slip_detectors import load_detector, series_of
+
+    detector = load_detector(trial.model)
+    start = span[0]
+    length = _length(trial.features, "displacement_px", span)
+    probability = np.full(length, np.nan, np.float32)
+    for first in range(0, length, BLOCK_ROWS):
+        last = min(first + BLOCK_ROWS, length)
+        # a full history, and as far back as a prediction is held
+        before = min(start + first, detector.architecture.history + detector.architecture.every - 2)
+        rows = slice(start + first - before, start + last)
+        series = series_of(trial.features, detector.architecture, rows.start, rows.stop)
+        probability[first:last] = detector.over(series, rows.start)[before:]
+    return probability
+
+
+def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> dict[str, int | None]:
+    """First slice of slip after the start of the span, by truth, label and model or detector, as far as known."""
+    start, stop = span
+    onsets: dict[str, int | None] = {}
+    if trial.recording is not None and trial.recording.has("truth"):
+        onsets["truth"] = _first(trial.recording.read("truth/slip", start, stop) > 0, start)
+    examined = start
+    source = trial.labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
+    if source is not None:
+        label = source.read("label", start, stop)
+        onsets["label"] = _first(label == 1, start)
+        examined = _first(label >= 0, start) or start
+    if probability is not None and trial.model is not None:
+        detected = probability >= float(trial.model.read("threshold"))  # NaN is no slip
+        onsets["model"] = _first(detected[examined - start :], examined)
+    elif trial.recording is not None and trial.recording.has("control"):
+        t_s, first, last = _timed(trial.recording, "control/t_us", span)
+        slip = np.flatnonzero(trial.recording.read("control/slip", first, last))
+        onsets["detector"] = int(t_s[slip[0]] * 1000) if len(slip) else None
+    return onsets
+
+
+def _first(slip: NDArray[np.bool_], start: int) -> int | None:
+    slices = np.flatnonzero(slip)
+    return start + int(slices[0]) if len(slices) else None
+
+
+def slip_lanes(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Lane]:
+    """Stretches of slip in the span, by truth, label and model or detector, as far as known."""
+    start, stop = span
+    lanes = []
+
+    def lane(name: str, colour: str, length: int, read: Read, t_s: Callable[[int], float]) -> None:
+        slip, unknown = ([(t_s(first), t_s(last)) for first, last in rows] for rows in stretches(length, read))
+        lanes.append(Lane(name, colour, slip, unknown))
+
+    def by_slice(at: int) -> float:
+        return (start + at) / 1000
+
+    recording, labels = trial.recording, trial.labels
+    if recording is not None and recording.has("truth"):
+        lane("truth", INK, stop - start, _rows(recording, "truth/slip", start), by_slice)
+    source = labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
+    if source is not None:
+        lane("label", GREEN, _length(source, "label", span), _rows(source, "label", start), by_slice)
+    if probability is not None and trial.model is not None:
+        slip = (probability >= float(trial.model.read("threshold"))).astype(np.int8)
+        slip[np.isnan(probability)] = -1
+        lane("model", PINK, len(slip), lambda first, last: slip[first:last, None], by_slice)
+    elif recording is not None and recording.has("control"):
+        t_s, first, last = _timed(recording, "control/t_us", span)
+        ends = np.append(t_s, stop / 1000)
+        lane("detector", PINK, last - first, _rows(recording, "control/slip", first), lambda at: float(ends[at]))
+    return lanes

@@ -1,0 +1,1 @@
+"""The simulated cameras: error against run time, extreme cases."""

@@ -1,0 +1,138 @@
+"""Error against run time of the simulated cameras: wrong times and lost events, on small seeded workloads.
+
+Both cameras are compared with the events of `reference`, which visits every pixel 100,000 times a second.
+"""
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US, concatenate
+from evetac_cli.numerics.camera.reference import FineEvents, fine, match, reference_events
+from evetac_cli.numerics.rows import Row, run_times
+from evetac_cli.sim.camera.ideal import camera as ideal
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
+
+REFERENCE_STEPS_PER_MS = 100
+SUBSTEPS = (1, 2, 4, 8, 16, 32)
+STILL = (0.0, 0.0)
+
+# Displacement of all dots over time: (times,) in ms -> (times, 2) in px.
+Motion = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+class Workload(NamedTuple):
+    """Dots (dots, 2) in px that are all displaced by `motion` for some slices, before a camera `model`."""
+
+    name: str
+    model: CameraModel
+    dot_xy_px: NDArray[np.float64]
+    motion: Motion
+    slices: int
+
+    def path_px(self, steps_per_ms: int) -> NDArray[np.float64]:
+        """Where the dots are at the ends of all steps, shape (slices * steps_per_ms + 1, dots, 2)."""
+        times_ms = np.arange(self.slices * steps_per_ms + 1) / steps_per_ms
+        return self.dot_xy_px[None] + self.motion(times_ms)[:, None]
+
+
+def play_ideal(state: CameraState, load: Workload, substeps: int) -> tuple[FineEvents, NDArray[np.float64]]:
+    """Events of an ideal camera that starts as `state`, whose dots' paths have `substeps` pieces a slice.
+
+    Also the run time of every slice, in us.
+    """
+    run = ideal.from_references(copy.deepcopy(state))
+    path = load.path_px(substeps)
+    rng = np.random.default_rng(0)
+    parts = []
+    took_us = np.empty(load.slices)
+    for k in range(load.slices):
+        piece = path[k * substeps : (k + 1) * substeps + 1]
+        begin = time.perf_counter()
+        parts.append(ideal.step(run, piece[0], piece[-1], STILL, STILL, 0.0, k * SLICE_US, rng, piece))
+        took_us[k] = (time.perf_counter() - begin) * 1e6
+    return fine(concatenate(parts)), took_us
+
+
+def play_scans(state: CameraState, load: Workload) -> tuple[FineEvents, NDArray[np.float64]]:
+    """Events of a scanning camera that starts as `state`, and the run time of every slice, in us."""
+    run = copy.deepcopy(state)
+    path = load.path_px(1)
+    rng = np.random.default_rng(0)
+    parts = []
+    took_us = np.empty(load.slices)
+    for k in range(load.slices):
+        begin = time.perf_counter()
+        parts.append(camera.step(run, path[k], path[k + 1], STILL, STILL, 0.0, k * SLICE_US, rng))
+        took_us[k] = (time.perf_counter() - begin) * 1e6
+    return fine(concatenate(parts)), took_us
+
+
+def workloads() -> list[Workload]:
+    """Eight dots for 20 ms: a slow shear, a turning slip, a tone. Without noise every error is the method's."""
+    model = CameraModel(frame_px=(320, 180), noise_rate_hz=0.0, hot_pixels=0)
+    column, row = np.meshgrid(np.arange(4), np.arange(2))
+    xy = np.stack([40.3 + 62.5 * column.ravel(), 45.6 + 62.5 * row.ravel()], axis=1)
+    return [
+        Workload("shear 3 px at 5 Hz", model, xy, lambda t: oscillation(t, 3.0, 5.0), 20),
+        Workload("slip from 0.2 to 1 px/ms", model, xy, _slip, 20),
+        Workload("tone 0.3 px at 200 Hz", model, xy, lambda t: oscillation(t, 0.3, 200.0), 20),
+    ]
+
+
+def oscillation(times_ms: NDArray[np.float64], amplitude_px: float, frequency_hz: float) -> NDArray[np.float64]:
+    """A sine along (0.8, 0.6): times in ms -> displacements (times, 2) in px."""
+    shift_px = amplitude_px * np.sin(2.0 * np.pi * 1e-3 * frequency_hz * times_ms)
+    return np.stack([0.8 * shift_px, 0.6 * shift_px], axis=1)
+
+
+def _slip(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Twice as fast each 8.6 ms, while the direction turns by a quarter in 20 ms."""
+    distance_px = 0.2 * times_ms + 0.02 * times_ms**2
+    turn = times_ms * np.pi / 40.0
+    return np.stack([distance_px * np.cos(turn), distance_px * np.sin(turn)], axis=1)
+
+
+def row_count(loads: Sequence[Workload]) -> int:
+    """How many rows `camera_rows` gives."""
+    return len(loads) * (len(SUBSTEPS) + 1)
+
+
+def camera_rows(seed: int, loads: Sequence[Workload]) -> Iterator[Row]:
+    """Rows of error and run time for the ideal camera with SUBSTEPS pieces a slice, and for the scanning camera.
+
+    `error_us_*` is the time error of events within 1 ms of one of the reference's, of which the ideal camera's whole
+    microseconds make 0.25 us in the median; `error_share_count` is |events / reference - 1|; run times are those of
+    one slice, compiled.
+    """
+    for number, load in enumerate(loads):
+        rng = np.random.default_rng((seed, number))
+        state = camera.start(load.model, load.path_px(1)[0], None, None, None, rng)
+        truth = reference_events(state, load.path_px(REFERENCE_STEPS_PER_MS), SLICE_US / REFERENCE_STEPS_PER_MS)
+        if number == 0:  # compile
+            play_ideal(state, load, 1)
+            play_scans(state, load)
+        for substeps in SUBSTEPS:
+            yield _row(f"ideal, {load.name}, {substeps} sub-steps", truth, *play_ideal(state, load, substeps))
+        setting = f"dvxplorer, {load.name}, {load.model.scans_per_ms} scans"
+        yield _row(setting, truth, *play_scans(state, load))
+
+
+def _row(setting: str, truth: FineEvents, events: FineEvents, took_us: NDArray[np.float64]) -> Row:
+    agreement = match(events, truth)
+    error_us = agreement.error_us if agreement.error_us.size else np.array([math.inf])
+    return {
+        "part": "camera",
+        "setting": setting,
+        "error_us_median": float(np.median(error_us)),
+        "error_us_p95": float(np.percentile(error_us, 95)),
+        "error_share_count": abs(float(agreement.count_share)),
+        "f1_10us": float(agreement.f1),
+        **run_times(took_us),
+    }

@@ -1,0 +1,195 @@
+"""The slow, exact events that simulated cameras are compared with, and how well two streams of events agree.
+
+The reference visits every pixel that a dot comes near many times a millisecond, takes its level from the closed form
+of the edge instead of a table, and interpolates linearly between visits. It shares no code with the cameras, and starts
+from the same references and thresholds.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events
+from evetac_cli.sim.camera.scanning.camera import CameraState
+
+TOLERANCE_US = 10.0
+FARTHEST_US = 1000.0  # two events that are farther apart than this are not the same one
+EDGE_SIGMAS = 6.0  # an edge farther off than this changes a level by less than 1e-8
+
+
+class FineEvents(NamedTuple):
+    """Columns of events with times that need not be whole: t in us, x and y in px, p 0 or 1."""
+
+    t: NDArray[np.float64]
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+    p: NDArray[np.int64]
+
+
+class Match(NamedTuple):
+    """How well a camera's events agree with a reference's.
+
+    `count_share` is events / reference - 1, `f1` counts a pair within the tolerance as right, `error_us` are the
+    absolute differences in time of all pairs within FARTHEST_US.
+    """
+
+    count_share: float
+    f1: float
+    error_us: NDArray[np.float64]
+
+
+def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: float) -> FineEvents:
+    """Every crossing of every pixel near a path (steps + 1, dots, 2) of dots without window, sampled each `step_us`.
+
+    `state` gives references and thresholds at the start and is left as it is. A level is the erf edge of the nearest
+    dot, linear between samples. The events come pixel after pixel.
+    """
+    given = (
+        path_px,
+        float(step_us),
+        state.reference,
+        state.threshold,
+        state.model.dot_radius_px,
+        state.model.edge_sigma_px,
+        state.model.log_contrast,
+    )
+    columns = _empty_columns(_crossings(*given, *_empty_columns(0)))  # counts first
+    _crossings(*given, *columns)
+    return FineEvents(*columns)
+
+
+def _empty_columns(size: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    return np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
+
+
+@njit(cache=True)
+def _crossings(
+    path: NDArray[np.float64],
+    step_us: float,
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    radius: float,
+    sigma: float,
+    contrast: float,
+    event_t: NDArray[np.float64],
+    event_x: NDArray[np.int64],
+    event_y: NDArray[np.int64],
+    event_p: NDArray[np.int64],
+) -> int:
+    """Write as many events as there is room for, and return how many there are."""
+    samples, dots, _ = path.shape
+    height, width = reference.shape
+    reach = radius + EDGE_SIGMAS * sigma
+    near = np.empty(dots, np.int64)
+    made = 0
+    low = np.empty((dots, 2))
+    high = np.empty((dots, 2))
+    for dot in range(dots):
+        for axis in range(2):
+            low[dot, axis] = path[:, dot, axis].min() - reach
+            high[dot, axis] = path[:, dot, axis].max() + reach
+    for y in range(height):
+        for x in range(width):
+            count = 0
+            for dot in range(dots):
+                if low[dot, 0] <= x <= high[dot, 0] and low[dot, 1] <= y <= high[dot, 1]:
+                    near[count] = dot
+                    count += 1
+            if count == 0:
+                continue
+            level = np.float64(reference[y, x])
+            step = np.float64(threshold[y, x])
+            before = _edge_level(x, y, path[0], near[:count], radius, sigma, contrast)
+            for sample in range(1, samples):
+                after = _edge_level(x, y, path[sample], near[:count], radius, sigma, contrast)
+                while abs(after - level) >= step:
+                    brighter = after > level
+                    level += step if brighter else -step
+                    if made < len(event_t):
+                        event_t[made] = (sample - 1 + (level - before) / (after - before)) * step_us
+                        event_x[made] = x
+                        event_y[made] = y
+                        event_p[made] = int(brighter)
+                    made += 1
+                before = after
+    return made
+
+
+@njit(cache=True)
+def _edge_level(
+    x: int,
+    y: int,
+    dot_xy: NDArray[np.float64],
+    near: NDArray[np.int64],
+    radius: float,
+    sigma: float,
+    contrast: float,
+) -> float:
+    """Log intensity at a pixel by the nearest of some dots: 0 on the gel, -contrast in the ink."""
+    least2 = np.inf
+    for dot in near:
+        least2 = min(least2, (x - dot_xy[dot, 0]) ** 2 + (y - dot_xy[dot, 1]) ** 2)
+    sigmas = (math.sqrt(least2) - radius) / sigma
+    if sigmas > EDGE_SIGMAS:
+        return 0.0
+    if sigmas < -EDGE_SIGMAS:
+        return -contrast
+    ink = math.exp(-contrast)
+    return math.log(ink + (1.0 - ink) * 0.5 * math.erfc(-sigmas / math.sqrt(2.0)))
+
+
+def match(events: FineEvents, reference: FineEvents, tolerance_us: float = TOLERANCE_US) -> Match:
+    """Pair the events of each pixel and polarity, each at most once, first come first paired.
+
+    F1 = 2 pairs / (events + reference) for pairs within `tolerance_us`. Two empty streams agree.
+    """
+    both = events.t.size + reference.t.size
+    if both == 0:
+        return Match(0.0, 1.0, np.empty(0))
+    sides = [_sorted_by_pixel(events), _sorted_by_pixel(reference)]
+    pairs = _pair(*sides[0], *sides[1], tolerance_us)
+    share = events.t.size / reference.t.size - 1.0 if reference.t.size else math.inf
+    return Match(share, 2.0 * len(pairs) / both, _pair(*sides[0], *sides[1], FARTHEST_US))
+
+
+def _sorted_by_pixel(events: FineEvents) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Pixel and polarity as one number, and times, sorted by both."""
+    group = (events.y * 65536 + events.x) * 2 + events.p
+    order = np.lexsort((events.t, group))
+    return group[order], events.t[order]
+
+
+@njit(cache=True)
+def _pair(
+    group_a: NDArray[np.int64],
+    time_a: NDArray[np.float64],
+    group_b: NDArray[np.int64],
+    time_b: NDArray[np.float64],
+    tolerance_us: float,
+) -> NDArray[np.float64]:
+    """Absolute time differences of the pairs within the tolerance."""
+    apart = np.empty(min(len(group_a), len(group_b)))
+    pairs = 0
+    a = 0
+    b = 0
+    while a < len(group_a) and b < len(group_b):
+        same = group_a[a] == group_b[b]
+        if same and abs(time_a[a] - time_b[b]) <= tolerance_us:
+            apart[pairs] = abs(time_a[a] - time_b[b])
+            pairs += 1
+            a += 1
+            b += 1
+        elif group_a[a] < group_b[b] or (same and time_a[a] < time_b[b]):
+            a += 1
+        else:
+            b += 1
+    return apart[:pairs]
+
+
+def fine(events: Events) -> FineEvents:
+    """Events of a camera, whose times are rounded down, at the middle of their microsecond."""
+    x, y, p = (column.astype(np.int64) for column in events[1:])
+    return FineEvents(events.t.astype(np.float64) + 0.5, x, y, p)

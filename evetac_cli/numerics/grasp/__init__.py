@@ -1,0 +1,1 @@
+"""Short simulated grasps: what delays and other detectors cost, extreme cases."""

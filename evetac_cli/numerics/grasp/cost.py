@@ -1,0 +1,134 @@
+"""The part `grasp`: what a grasp loses by a late detector, a slow controller, or another detector.
+
+Each setting differs from the usual one (no added latency, 500 Hz, the package's detector) in one thing, and is made
+with every controller on the same few seeded trials. `error_share_lost` is the share of trials whose object was not held
+to the end, `error_mm_moved` how far the held objects moved in the gripper (mean), `force_n` how firmly they were held
+at the end. Run times are those of the detector: tracker, features and network of one slice. Beside the network stands
+the simulation's own knowledge of slip (`detector truth`): no detector can know more of the present, though one may
+predict.
+"""
+
+import glob
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli import resources
+from evetac_cli.devices import Rig
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Progress
+from evetac_cli.numerics.grasp.trials import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
+from evetac_cli.numerics.rows import Extent, Row, collect, run_times
+from evetac_cli.params import EvaluateCost
+from evetac_cli.stages.evaluate import Rows, picture
+from evetac_cli.stages.grasp.loop import Sense
+
+OBJECTS = Extent[tuple[int, ...]](quick=(11, 17), full=(10, 11, 12, 13, 17, 18))
+TRIALS = Extent(quick=1, full=3)  # of each object
+CONTROLLERS = Extent[tuple[str, ...]](
+    quick=("paper", "load-proportional"), full=("paper", "paper-reset", "load-proportional")
+)
+LATENCIES_MS = Extent[tuple[int, ...]](quick=(5, 10, 20, 50), full=(2, 5, 10, 20, 30, 50))
+RATES_HZ = Extent[tuple[float, ...]](quick=(50.0, 100.0, 1000.0), full=(50.0, 100.0, 200.0, 250.0, 1000.0))
+BALANCE_S = 8.0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How slip is detected and the gripper controlled."""
+
+    name: str
+    latency_ms: int = 0
+    control_hz: float = 500.0
+    truth: bool = False
+    model: Path | None = None
+
+
+def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
+    """The package's model, then those named by `--model`: a file, a folder or a glob."""
+    if files:
+        raise InputError(
+            "grasps are simulated, not read from files",
+            where="evaluate cost grasp",
+            expected="no files; detectors to compare with after --model",
+            found=f"{len(files)} files",
+        )
+    if model is None:
+        return (resources.MODEL,)
+    pattern = str(model / "*.model.h5") if model.is_dir() else str(model)
+    return (resources.MODEL, *(map(Path, sorted(glob.glob(pattern))) or (model,)))
+
+
+def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
+    """Rows of every setting with every controller."""
+    chosen = settings(params.full, inputs[1:])
+    return collect(_rows(chosen, params), len(CONTROLLERS.pick(params.full)) * len(chosen), progress)
+
+
+def summary(rows: Rows) -> dict[str, Any]:
+    """How many settings and trials there are."""
+    return {"settings": len(rows), "trials": sum(row["trials"] for row in rows)}
+
+
+def settings(full: bool, models: Sequence[Path]) -> list[Setting]:
+    """The usual setting and all that differ from it."""
+    usual = Setting("500 Hz, no latency")
+    return [
+        usual,
+        *(replace(usual, name=f"latency {ms} ms", latency_ms=ms) for ms in LATENCIES_MS.pick(full)),
+        *(replace(usual, name=f"control at {hz:g} Hz", control_hz=hz) for hz in RATES_HZ.pick(full)),
+        replace(usual, name="detector truth", truth=True),
+        *(replace(usual, name=f"detector {path.name.partition('.')[0]}", model=path) for path in models),
+    ]
+
+
+def _rows(settings: Sequence[Setting], params: EvaluateCost) -> Iterator[Row]:
+    for controller in CONTROLLERS.pick(params.full):
+        for setting in settings:
+            short = ShortGrasp(
+                0, controller, balance_s=BALANCE_S, latency_ms=setting.latency_ms, control_hz=setting.control_hz
+            )
+            wrap_detector = ground_truth_detector if setting.truth else _unchanged
+            results = [
+                run_short_grasp(
+                    replace(short, object=number), params.seed + trial, setting.model, wrap_detector=wrap_detector
+                )
+                for number in OBJECTS.pick(params.full)
+                for trial in range(TRIALS.pick(params.full))
+            ]
+            yield {"setting": f"{controller}, {setting.name}", **_figures(results)}
+
+
+def _unchanged(detector: Sense, devices: Rig) -> Sense:
+    return detector
+
+
+def _figures(results: Sequence[GraspResult]) -> Row:
+    """Errors over the trials of a setting; distance and force over those that held their object."""
+    held = [result.figures for result in results if result.figures["balanced"]]
+    return {
+        "trials": len(results),
+        "error_share_lost": 1 - len(held) / len(results),
+        "error_mm_moved": float(np.mean([figures["moved_mm"] for figures in held])) if held else None,
+        "force_n": float(np.mean([figures["force_end_n"] for figures in held])) if held else None,
+        **run_times(np.concatenate([result.detector_us for result in results])),
+    }
+
+
+def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
+    """Errors and force of every setting, a colour for each controller."""
+    settings = list(dict.fromkeys(row["setting"].partition(", ")[2] for row in rows))
+    columns = (*errors, "force_n")
+    for axes, name in zip(figure.subplots(1, len(columns), sharey=True), columns, strict=True):
+        for controller in dict.fromkeys(row["setting"].partition(", ")[0] for row in rows):
+            known = [row for row in rows if row["setting"].startswith(f"{controller}, ") and row[name] is not None]
+            heights = [settings.index(row["setting"].partition(", ")[2]) for row in known]
+            axes.plot([row[name] for row in known], heights, marker="o", linestyle="none", label=controller)
+        axes.set_xlabel(name)
+        picture.quiet_grid(axes)
+    axes.set_yticks(range(len(settings)), settings)
+    axes.invert_yaxis()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)

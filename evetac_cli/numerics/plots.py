@@ -1,0 +1,77 @@
+"""The picture of error against run time: a row of panels for each kind of workload, a panel for each error."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.stages.evaluate import Rows, picture
+
+REAL_TIME_US = 1000.0  # run time of a simulated millisecond, at real time
+UNITS = ("um", "us", "px", "ms", "share")
+
+
+def size_in(rows: Rows) -> tuple[float, float]:
+    """Width and height in inches: as high as there are different values in the column `part`."""
+    return 13.0, 5.5 * len({row.get("part") for row in rows})
+
+
+def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
+    """Draw log error over log run time, a line for each integrator or mode.
+
+    A setting is `line, knob`; one without a knob (`8 x 10 nodes`) belongs to no line and is not drawn.
+    """
+    parts = list(dict.fromkeys(row["part"] for row in rows))
+    for subfigure, part in zip(figure.subfigures(len(parts), 1, squeeze=False)[:, 0], parts, strict=True):
+        part_rows = [row for row in rows if row["part"] == part]
+        names = [name for name in errors if name in part_rows[0]]
+        subfigure.suptitle(part, fontsize=13)
+        panels = subfigure.subplots(1, len(names), squeeze=False)[0]
+        for axes, name in zip(panels, names, strict=True):
+            draw_panel(axes, part_rows, name)
+        legend: dict[str, Any] = {}
+        for axes in panels:
+            handles, labels = axes.get_legend_handles_labels()
+            legend |= dict(zip(labels, handles, strict=True))
+        subfigure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+
+
+def draw_panel(axes: Any, rows: Rows, error: str) -> None:
+    """Draw one kind of error; an error of 0 has no place on a logarithmic axis and is left out."""
+    lines: dict[str, Rows] = {}
+    for row in rows:
+        line, comma, _ = row["setting"].rpartition(", ")
+        if row["setting"].startswith("reference"):
+            axes.axhline(
+                row[error], color="0.5", linewidth=1, linestyle=":", label="bound of the reference's own error"
+            )
+        elif comma:
+            lines.setdefault(line, []).append(row)
+    for number, (line, members) in enumerate(lines.items()):
+        points = [row for row in members if row[error] and np.isfinite(row[error])]
+        unstable = [row for row in members if str(row.get("outcome")).startswith("blew up")]
+        if points:
+            times, errors = np.array([(row["time_us_median"], row[error]) for row in points]).T
+            knobs = [row["setting"].rpartition(", ")[2] for row in members]
+            label = f"{line}, {_knob_range(knobs[len(unstable)], knobs[-1])}"
+            label += f"; blows up from {knobs[len(unstable) - 1]} on" if unstable else ""
+            style = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "markersize": 5}
+            axes.loglog(times, errors, label=label, **style)
+    axes.axvline(REAL_TIME_US, color="0.3", linewidth=1, linestyle="--", label="real time")
+    first, *rest = error.removeprefix("error_").split("_")
+    title, unit = (" ".join(rest), f" [{first}]") if first in UNITS else (" ".join((first, *rest)), "")
+    axes.set(title=title, xlabel="run time of a simulated millisecond, median [us]", ylabel=f"error{unit}")
+    picture.quiet_grid(axes)
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        # whole decades, and labels at these alone: those between would lie on each other
+        axis.set_minor_formatter("")
+        if axis.get_scale() == "log":
+            axis.set_view_interval(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)), ignore=True)
+
+
+def _knob_range(first: str, last: str) -> str:
+    """`dt 10 ms`, `dt 0.1 ms` as `dt 10 to 0.1 ms`."""
+    if first == last:
+        return first
+    unit = last.rpartition(" ")[2]
+    return f"{first.removesuffix(f' {unit}')} to {last.removeprefix('dt ')}"

@@ -1,0 +1,126 @@
+"""The part `sim`: the simulated gel, gripper and cameras, in error against run time and in extreme cases."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.jobs import Progress
+from evetac_cli.numerics.camera import cost as camera_cost
+from evetac_cli.numerics.camera.stability import camera_cases, camera_row, wrong_models, wrong_slices
+from evetac_cli.numerics.gel import cost as gel_cost
+from evetac_cli.numerics.gel.stability import COULOMB, X_RANGE_M, Y_RANGE_M, gel_cases, gel_row, random_case
+from evetac_cli.numerics.gripper import finger_cases, finger_curve, finger_row
+from evetac_cli.numerics.rows import Extent, Row, collect, refusal
+from evetac_cli.params import EvaluateCost
+from evetac_cli.sim import gripper
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.contact import pad_nodes
+from evetac_cli.stages.evaluate import Rows
+
+THETAS = Extent[tuple[float, ...]](quick=(0.55,), full=(0.55, 1.0, 0.5))
+GEL_STEPS = Extent(quick=100, full=1000)
+CAMERA_SLICES = 10
+RANDOM_CASES = Extent(quick=10, full=200)
+
+
+def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
+    """Rows of the gel's mechanics and, after them, of the cameras."""
+    loads = camera_cost.workloads()
+    rows = chain(gel_cost.mechanics_rows(params.seed, params.full), camera_cost.camera_rows(params.seed, loads))
+    return collect(rows, gel_cost.row_count(params.full) + camera_cost.row_count(loads), progress)
+
+
+def summary(rows: Rows) -> dict[str, Any]:
+    """How far the reference itself is off; which explicit steps blow up; what the implicit step saves.
+
+    implicit_saves_times: run time of the most accurate explicit integration over that of the cheapest implicit one
+    which is at least as accurate, by the object's position.
+    """
+    mechanics = [row for row in rows if row["part"] == "mechanics"]
+    (reference,) = (row for row in mechanics if row["setting"].startswith("reference"))
+    explicit = [row for row in mechanics if row["setting"].startswith("explicit")]
+    blown_up = [row for row in explicit if row["outcome"].startswith("blew up")]
+    stable = [row for row in explicit if row["error_um_object_rms"] is not None]
+    best = min(stable, key=lambda row: row["error_um_object_rms"], default=None)
+    saved = None
+    if best:
+        implicit = (row for row in mechanics if row["setting"].startswith("theta"))
+        enough = [row for row in implicit if row["error_um_object_rms"] <= best["error_um_object_rms"]]
+        saved = max((best["time_us_median"] / row["time_us_median"] for row in enough), default=None)
+    return {
+        "rows": len(rows),
+        "reference_um_object_at_most": reference["error_um_object_rms"],
+        "reference_um_gel_at_most": reference["error_um_gel_rms"],
+        "explicit_blows_up_at": ", ".join(row["setting"].removeprefix("explicit, dt ") for row in blown_up) or None,
+        "implicit_saves_times": saved,
+    }
+
+
+def cases(seed: int, full: bool) -> list[Callable[[], Row]]:
+    """Every case of gel, gripper and camera; `full` takes every theta, ten times the steps, many more random cases."""
+    chosen = gel_cases() + [random_case(seed, number) for number in range(RANDOM_CASES.pick(full))]
+    runs: list[Callable[[], Row]] = []
+    for theta in THETAS.pick(full):
+        named = [replace(case, name=f"{case.name}, theta {theta:g}") if full else case for case in chosen]
+        runs += [partial(gel_row, case, GEL_STEPS.pick(full), theta) for case in named]
+    runs += [partial(finger_row, case) for case in finger_cases()]
+    runs += [partial(camera_row, case, CAMERA_SLICES, seed) for case in camera_cases()]
+    runs += [partial(refusal, name, call) for name, call in nonsense()]
+    return runs
+
+
+def nonsense() -> Iterator[tuple[str, Callable[[], object]]]:
+    """Calls with values that make no sense, by name; every one has to be refused."""
+    bad = (math.nan, math.inf, -1.0)
+    nodes = pad_nodes(8, 6, X_RANGE_M, Y_RANGE_M)
+
+    def gel_state() -> gel.GelState:
+        return gel.start(nodes, gel.GelMaterial(), 0.1, 4e-5)
+
+    def step(**changes: Any) -> object:
+        given: dict[str, Any] = {"nodal_force_n": np.full((6, 8), 0.04), "body_force_n": (0.98, 0.0, 0.0)}
+        given |= {"friction": COULOMB, "dt_s": 1e-3}
+        return gel.step(gel_state(), **(given | changes))
+
+    parts: tuple[tuple[str, Any, dict[str, float]], ...] = (
+        ("gel", gel.GelMaterial, {}),
+        ("friction", gel.Friction, {"static": 0.8, "kinetic": 0.5}),
+        ("gripper", gripper.Drive, {}),
+    )
+    for what, kind, required in parts:
+        for item in fields(kind):
+            if item.type is float:
+                for value in bad:
+                    yield f"{what}, {item.name} {value:g}", partial(kind, **{**required, item.name: value})
+    for value in (*bad, 0.0):
+        yield f"object of {value:g} kg", partial(gel.start, nodes, gel.GelMaterial(), value, 4e-5)
+        yield f"moment of inertia {value:g}", partial(gel.start, nodes, gel.GelMaterial(), 0.1, value)
+        yield f"time step {value:g} s", partial(step, dt_s=value)
+    for value in bad:
+        yield f"grip of {value:g} N", partial(step, nodal_force_n=np.full((6, 8), value))
+        yield f"theta {value:g}", partial(step, theta=value)
+        yield f"gripper, time step {value:g} s", partial(_step_gripper, 10.0, value)
+        yield from wrong_models(value)
+    for value in (math.nan, math.inf, -math.inf):
+        yield f"force of {value:g} N on the object", partial(step, body_force_n=(value, 0.0, 0.0))
+        yield f"prescribed speed {value:g} m/s", partial(step, prescribed_twist=(value, 0.0, 0.0))
+        yield f"gripper, command {value:g}", partial(_step_gripper, value, 1e-3)
+        yield from wrong_slices(value)
+    yield "nodes that are no regular grid", partial(gel.start, nodes**2 + nodes, gel.GelMaterial(), 0.1, 4e-5)
+    yield "a state overwritten with NaN", partial(_step_from_nan, gel_state())
+
+
+def _step_from_nan(state: gel.GelState) -> object:
+    state.displacement_m[2, 3] = math.nan
+    return gel.step(state, np.full((6, 8), 0.1), (0.98, 0.0, 0.0), COULOMB, 1e-3)
+
+
+def _step_gripper(command: float, dt_s: float) -> object:
+    drive, curve = gripper.Drive(), finger_curve(1.8e3)
+    return gripper.step(gripper.start(drive, curve, gripper.ticks_at_gap(0.06)), drive, curve, "current", command, dt_s)

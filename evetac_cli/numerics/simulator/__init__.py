@@ -1,1 +1,0 @@
-"""Error, run time and stability of the simulated gel and camera."""

@@ -1,0 +1,1 @@
+"""The dot tracker: error against run time, extreme cases."""

@@ -1,0 +1,114 @@
+"""The extreme cases of the gel in a short form: each stays finite and gains no energy, and faults would be seen."""
+
+import math
+
+import pytest
+
+from evetac_cli.numerics.gel import stability
+from evetac_cli.numerics.gel.stability import GelCase, gel_cases, gel_row, random_case
+from evetac_cli.sim.gel import gel
+
+CASES = {case.name: case for case in gel_cases()}
+RANDOM = [random_case(seed=1, number=number) for number in range(12)]
+
+
+def ok_and_finite(row):
+    """A valid case may not hide behind a refusal."""
+    return row["ok"] and row["outcome"].startswith("finite")
+
+
+# -- the cases ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("theta", [0.5, 0.55, 1.0])
+@pytest.mark.parametrize("name", CASES)
+def test_extremes_of_the_gel(name, theta):
+    """Assert that an extreme is finite, in balance within 1e-6, and gains no energy, at every theta."""
+    row = gel_row(CASES[name], steps=25, theta=theta)
+    assert ok_and_finite(row), row
+    assert row["residual_max"] <= 1e-6
+    assert 1 <= row["sweeps_mean"] <= row["sweeps_max"] < 400
+
+
+@pytest.mark.parametrize("case", RANDOM, ids=lambda case: case.name)
+def test_random_cases_of_the_gel(case):
+    """Assert the same of cases that are drawn."""
+    row = gel_row(case, steps=40)
+    assert ok_and_finite(row), row
+    assert row["residual_max"] <= 1e-6
+
+
+def test_the_search_ends_wherever_it_begins(monkeypatch):
+    """Assert that a case with two loaded nodes, one about to slip, finds its balance also from the gel's own velocity.
+
+    There, in its sixth step, that node slips so slowly that rounding hides in which direction.
+    """
+
+    def step(state, *given, **changes):
+        state._mean_m_s[...] = state.velocity_m_s
+        return real(state, *given, **changes)
+
+    real = gel.step
+    monkeypatch.setattr(stability.gel, "step", step)
+    row = gel_row(random_case(0, 106), theta=0.5)
+    assert row["outcome"] == "finite"
+    assert row["sweeps_max"] < 400
+
+
+def test_seeds_draw_other_cases():
+    """Assert that a case is drawn by seed and number alone."""
+    one, same, other, next_seed = (random_case(*by) for by in ((0, 3), (0, 3), (0, 4), (1, 3)))
+    assert one.material == same.material
+    assert one.dt_s == same.dt_s
+    assert len({one.mass_kg, other.mass_kg, next_seed.mass_kg}) == 3
+
+
+# -- that a fault would be seen ----------------------------------------------------------------------------------------
+
+
+def test_gained_energy_is_seen(monkeypatch):
+    """Assert that energy from nowhere is not ok: here every step makes the object faster by itself."""
+
+    def step(state, *given, **changes):
+        info = real(state, *given, **changes)
+        state.twist *= 1.01
+        return info
+
+    real = gel.step
+    monkeypatch.setattr(stability.gel, "step", step)
+    row = gel_row(CASES["impact at 100 m/s"], 10)
+    assert not row["ok"]
+    assert row["outcome"] == "finite, energy gained"
+    assert row["energy_gained_j"] > 0
+
+
+def test_what_is_not_finite_is_seen(monkeypatch):
+    """Assert that a pose which became NaN without a refusal is not ok."""
+
+    def step(state, *given, **changes):
+        info = real(state, *given, **changes)
+        if state.pose[0] > 1e-5:
+            state.pose[1] = math.nan
+        return info
+
+    real = gel.step
+    monkeypatch.setattr(stability.gel, "step", step)
+    row = gel_row(GelCase("falls", load=lambda _: 0.0), 2)
+    assert not row["ok"]
+    assert row["outcome"].startswith("not finite")
+
+
+def test_steps_without_balance_are_told(monkeypatch):
+    """Assert that the outcome counts the steps whose residual is too large."""
+    real = gel.step
+    monkeypatch.setattr(stability.gel, "step", lambda *given, **how: real(*given, **how)._replace(residual=1e-3))
+    row = gel_row(GelCase("one node", columns=1, rows=1), 3)
+    assert row["outcome"] == "finite, 3 of 3 steps without balance"
+    assert row["residual_max"] == 1e-3
+
+
+def test_a_wrong_case_is_refused():
+    """Assert that a case which the gel refuses is ok, and says why."""
+    row = gel_row(GelCase("heavy", mass_kg=math.nan), 2)
+    assert row["outcome"].startswith("refused: body_mass_kg must be finite")
+    assert row["ok"]

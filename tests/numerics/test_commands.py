@@ -1,0 +1,311 @@
+"""The commands evaluate cost and evaluate stability: every part measured for real in small, reports, the picture."""
+
+import importlib.util
+import json
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli import params
+from evetac_cli.cli import main
+from evetac_cli.console import plain
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import validate
+from evetac_cli.jobs import Outcome
+from evetac_cli.numerics import cost, plots, simulator, stability
+from evetac_cli.numerics.camera import cost as camera_cost
+from evetac_cli.numerics.gel import cost as gel_cost
+from evetac_cli.numerics.rows import Extent
+from evetac_cli.sim.camera.scanning.camera import CameraModel
+from evetac_cli.sim.gel import gel
+from evetac_cli.stages.evaluate import picture
+from evetac_cli.store.files import StageFile
+
+needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
+BESIDE = picture.beside
+MECHANICS_ROWS = 3 * 2 + 2 + 1 + 5
+CAMERA = [
+    {"part": "camera", "setting": f"ideal, tone, {n} sub-steps", "error_us_median": late, "error_share_count": 0.0,
+     "time_us_median": 100.0 * n, "time_us_p99": 200.0 * n}
+    for n, late in ((1, 5.0), (2, math.inf), (4, 0.3))
+]  # fmt: skip
+STAGES = [("cost", cost, params.EvaluateCost), ("stability", stability, params.EvaluateStability)]
+each = pytest.mark.parametrize(("name", "stage", "cls"), STAGES, ids=[stage[0] for stage in STAGES])
+
+
+def tiny_workloads():
+    """Two dots for 5 ms on a circle, before a small camera without noise."""
+    dots = np.array([[20.3, 22.6], [60.8, 23.1]])
+
+    def circle(times_ms):
+        turn = 2.0 * np.pi * times_ms / 8.0
+        return 5.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    model = CameraModel(frame_px=(84, 48), noise_rate_hz=0.0, hot_pixels=0)
+    return [camera_cost.Workload("circle", model, dots, circle, 5)]
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch, tmp_path):
+    """In a folder of its own, the least that the part sim can measure, and no pictures: those take longer."""
+    trial, cases = gel_cost.draw_trial, stability.PARTS["sim"].cases
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(picture, "beside", lambda outcome, *_: outcome)
+    for name, amount in {
+        "STEPS_US": (10_000, 1_000), "EXPLICIT_US": (1_000, 100), "REFERENCE_US": 100.0, "NODES": ((6, 4),),
+        "FINEST_NODES": (10, 8),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(gel_cost, name, Extent(amount, amount))
+    monkeypatch.setattr(gel_cost, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6, seconds=0.05))
+    monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
+    monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
+    few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
+    monkeypatch.setitem(stability.PARTS, "sim", few)
+
+
+@pytest.fixture
+def pictures(small, monkeypatch):
+    """With pictures after all."""
+    monkeypatch.setattr(picture, "beside", BESIDE)
+
+
+def make(stage, chosen, out=None, **how):
+    (job,) = stage.jobs([], chosen, out)
+    return job.output, stage.run(job, chosen, **how)
+
+
+def evetac(*arguments):
+    wide = {"COLUMNS": "400", "TERM": "dumb", "NO_COLOR": "1"}
+    return CliRunner().invoke(main.app, ["evaluate", *map(str, arguments)], env=wide)
+
+
+@each
+def test_where_the_report_goes(name, stage, cls, tmp_path):
+    """Assert that a report goes to the present folder, to the folder given, or is the file given."""
+    (job,) = stage.jobs([], cls(), None)
+    assert str(job.output) == f"sim.{name}.report.h5"
+    assert job.inputs == stage.INPUTS == ()
+    assert stage.jobs([], cls(), tmp_path / "a")[0].output == tmp_path / "a" / f"sim.{name}.report.h5"
+    assert stage.jobs([], cls(), tmp_path / "b.h5")[0].output == tmp_path / "b.h5"
+
+
+@each
+def test_the_report_is_valid_and_says_simulated(name, stage, cls):
+    """Assert that the report holds the rows shown, is valid, has no parents, and says simulated and its parameters."""
+    output, outcome = make(stage, cls(seed=3))
+    assert outcome.made
+    assert outcome.simulated
+    assert outcome.summary["report"] == str(output)
+    assert [row["faults"] for row in validate.run([output]).rows] == [None]
+    with StageFile(output, "report") as file:
+        assert file.header["simulated"] is True
+        assert file.header["parents"] == []
+        expected = {"command": f"evaluate {name}", "part": "sim", "seed": 3, "full": False}
+        assert file.header["parameters"] == expected
+        assert json.loads(file.read("rows")) == plain(outcome.rows)
+        assert json.loads(file.read("summary")).items() <= plain(outcome.summary).items()
+
+
+@each
+def test_a_report_is_kept(name, stage, cls):
+    """Assert that the same recipe measures nothing again, and another one is refused until forced."""
+    output, first = make(stage, cls())
+    before = output.read_bytes()
+    _, again = make(stage, cls(), progress=lambda *_: pytest.fail("measured again"))
+    assert not again.made
+    assert again.simulated
+    assert again.rows == plain(first.rows)
+    with pytest.raises(InputError, match="another recipe"):
+        make(stage, cls(seed=1))
+    assert output.read_bytes() == before
+    assert make(stage, cls(seed=1), force=True)[1].made
+
+
+@each
+def test_progress_ends_at_its_total(name, stage, cls):
+    """Assert that progress rises to the total announced from the start."""
+    reports = []
+    make(stage, cls(), progress=lambda done, total: reports.append((done, total)))
+    assert [done for done, _ in reports] == list(range(1, reports[-1][1] + 1))
+    assert len({total for _, total in reports}) == 1
+
+
+@each
+def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
+    """Assert that Ctrl-C while measuring leaves no file."""
+
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(stage, cls(), progress=interrupt)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cost_of_the_simulator():
+    """Assert real rows of mechanics and camera, in this order, with errors that fall the finer a setting is."""
+    _, outcome = make(cost, params.EvaluateCost())
+    assert [row["part"] for row in outcome.rows] == ["mechanics"] * MECHANICS_ROWS + ["camera"] * 7
+    for row in outcome.rows:
+        assert 0 < row["time_us_median"] <= row["time_us_p99"]
+        assert {name for name in row if name.startswith("error_")} < set(cost.PARTS["sim"].errors)
+    rows = {row["setting"]: row for row in outcome.rows}
+    for theta in ("1", "0.55", "0.5"):
+        coarse, fine = (rows[f"theta {theta}, dt {dt} ms"]["error_um_object_rms"] for dt in (10, 1))
+        assert fine < coarse
+    substeps = [rows[f"ideal, circle, {n} sub-steps"]["error_us_p95"] for n in camera_cost.SUBSTEPS[:4]]
+    assert substeps == sorted(substeps, reverse=True)
+    assert rows["ideal, circle, 32 sub-steps"]["error_share_count"] < 0.01
+    assert rows["ideal, circle, 32 sub-steps"]["error_us_p95"] < outcome.rows[-1]["error_us_p95"]  # scans are coarser
+    assert outcome.summary["rows"] == len(outcome.rows)
+    assert outcome.summary["explicit_blows_up_at"] == "1 ms, 0.1 ms"
+    assert outcome.summary["reference_um_object_at_most"] == outcome.rows[0]["error_um_object_rms"]
+
+
+def test_every_part_is_a_choice():
+    """Assert that the tables hold the parts that the commands accept, no more and no fewer."""
+    for parts, cls in ((cost.PARTS, params.EvaluateCost), (stability.PARTS, params.EvaluateStability)):
+        assert list(parts) == list(cls.__dataclass_fields__["part"].metadata["choices"])
+
+
+@pytest.mark.parametrize("given", [{"part": "track", "model": "a.model.h5"}, {"part": "grasp"}, {"part": "label"}])
+def test_parts_without_files(given, tmp_path):
+    """Assert that files and --model are refused where a part does not take them."""
+    chosen = params.EvaluateCost(**given)
+    with pytest.raises(InputError):
+        cost.jobs([] if chosen.model else [tmp_path / "a.features.h5"], chosen, None)
+
+
+@needs_matplotlib
+def test_the_picture_lies_beside_the_report(pictures, tmp_path):
+    """Assert that the picture has the report's name, is drawn again only where it is missing, and leaves no trace."""
+    output, outcome = make(cost, params.EvaluateCost(), tmp_path / "here.h5")
+    picture = tmp_path / "here.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert outcome.summary["plot"] == str(picture)
+    written = picture.stat().st_mtime_ns
+    assert "plot" not in make(cost, params.EvaluateCost(), output)[1].summary
+    assert picture.stat().st_mtime_ns == written
+    picture.unlink()
+    make(cost, params.EvaluateCost(), output)
+    assert picture.exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["here.h5", "here.png"]
+
+
+@needs_matplotlib
+def test_a_picture_that_cannot_be_written(tmp_path):
+    """Assert that this is an error in words, and leaves nothing behind."""
+    (tmp_path / "sim.cost.report.png").mkdir()
+    (tmp_path / "sim.cost.report.png" / "x").touch()
+    with pytest.raises(InputError, match="sim.cost.report.png: cannot be written"):
+        BESIDE(Outcome(CAMERA, True), tmp_path / "sim.cost.report.h5", lambda figure: None, (1.0, 1.0))
+    assert [path.name for path in tmp_path.iterdir()] == ["sim.cost.report.png"]
+
+
+@needs_matplotlib
+def test_lines_of_the_picture():
+    """Assert a panel for each error, a line for each integrator, and no points for a blow-up, 0, or infinity."""
+    from matplotlib.figure import Figure
+
+    _, outcome = make(cost, params.EvaluateCost())
+    axes = Figure().subplots()
+    plots.draw_panel(axes, outcome.rows[:MECHANICS_ROWS], "error_um_object_rms")
+    labels = axes.get_legend_handles_labels()[1]
+    assert labels[:2] == ["bound of the reference's own error", "theta 1, dt 10 to 1 ms"]
+    assert not [label for label in labels if "nodes" in label or "layer" in label or "explicit" in label]
+    axes = Figure().subplots()
+    plots.draw_panel(axes, CAMERA, "error_us_median")
+    assert axes.lines[0].get_xydata().tolist() == [[100.0, 5.0], [400.0, 0.3]]
+    assert axes.lines[0].get_label() == "ideal, tone, 1 to 4 sub-steps"
+    assert axes.get_ylabel() == "error [us]"
+    axes = Figure().subplots()
+    plots.draw_panel(axes, CAMERA, "error_share_count")
+    assert axes.get_legend_handles_labels()[1] == ["real time"]
+
+
+def test_without_matplotlib(pictures, monkeypatch, tmp_path):
+    """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    output, outcome = make(cost, params.EvaluateCost())
+    assert "evetac[plot]" in outcome.summary["plot"]
+    assert [path.name for path in tmp_path.iterdir()] == [output.name]
+
+
+def test_stability_counts_what_is_ok(monkeypatch):
+    """Assert that the summary counts cases, refusals, and names what is not ok; columns that a case lacks are None."""
+    rows = [
+        {"case": "a", "ok": True, "outcome": "finite", "residual_max": 1e-9},
+        {"case": "b", "ok": False, "outcome": "not finite", "residual_max": 1e-3},
+        {"case": "c", "ok": True, "outcome": "refused: no"},
+    ]
+    part = stability.PARTS["sim"]._replace(cases=lambda seed, full: [lambda row=row: row for row in rows])
+    monkeypatch.setitem(stability.PARTS, "sim", part)
+    outcome = make(stability, params.EvaluateStability())[1]
+    assert outcome.summary.items() >= {"cases": 3, "ok": 2, "refused": 1, "not_ok": "b", "residual_max": 1e-3}.items()
+    assert {tuple(row) for row in outcome.rows} == {("case", "ok", "outcome", *part.columns)}
+    assert outcome.rows[2]["residual_max"] is None
+
+
+def test_a_fault_in_the_gel_is_reported(monkeypatch):
+    """Assert that all real cases are ok, and that a step which gives the object energy turns some to not ok."""
+    assert make(stability, params.EvaluateStability())[1].summary["not_ok"] is None
+    real = gel.step
+
+    def step(state, *given, **changes):
+        info = real(state, *given, **changes)
+        state.twist += 1.0
+        return info
+
+    monkeypatch.setattr(gel, "step", step)
+    faulty = make(stability, params.EvaluateStability(seed=1), force=True)[1]
+    assert any(row["outcome"] == "finite, energy gained" and not row["ok"] for row in faulty.rows)
+    assert faulty.summary["ok"] < faulty.summary["cases"]
+
+
+@pytest.mark.parametrize("name", ["cost", "stability"])
+def test_commands(name):
+    """Assert that `evaluate cost sim` prints one JSON object, and that the part may be left out."""
+    result = evetac(name, "sim", "--json")
+    assert result.exit_code == 0, result.output
+    shown = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert (shown["command"], shown["simulated"]) == (f"evaluate {name}", True)
+    assert len(shown["rows"]) > 10
+    result = evetac(name)
+    assert result.exit_code == 0
+    assert f"evaluate {name} (simulated)" in result.stdout
+    assert "up to date" in result.stderr
+
+
+@pytest.mark.parametrize("name", ["cost", "stability"])
+@pytest.mark.parametrize("given", [["simm"], ["sim", "sim"], ["sim", "--seed", "-1"], ["--part", "sim"]])
+def test_wrong_arguments(name, given, tmp_path):
+    """Assert that another part, two parts, and a part as a flag are refused before any work."""
+    result = evetac(name, *given)
+    assert result.exit_code == 2
+    assert (result.stdout, list(tmp_path.iterdir())) == ("", [])
+    if given == ["simm"]:
+        assert "PART: unknown value" in result.stderr
+        assert "did you mean sim?" in result.stderr
+
+
+def test_help_names_the_part():
+    """Assert that the help lists PART as an argument, which is not a flag."""
+    text = evetac("cost", "--help").output
+    assert "[PART]" in text
+    assert "--part" not in text
+
+
+def test_config_file(tmp_path):
+    """Assert that part, seed and full come from a config file too, and a flag goes before it."""
+    config = tmp_path / "c.toml"
+    config.write_text('[evaluate.stability]\npart = "sim"\nseed = 5\n')
+    assert evetac("stability", "--config", config).exit_code == 0
+    with StageFile(tmp_path / "sim.stability.report.h5") as file:
+        assert file.header["parameters"]["seed"] == 5
+    assert evetac("stability", "--config", config, "--seed", 6, "--force").exit_code == 0
+    with StageFile(tmp_path / "sim.stability.report.h5") as file:
+        assert file.header["parameters"]["seed"] == 6

@@ -1,0 +1,61 @@
+"""The part `sim`: all its extreme cases are there, nonsense is refused, and figures of its rows by hand."""
+
+import pytest
+
+from evetac_cli.numerics import simulator, stability
+from evetac_cli.numerics.rows import Extent, refusal
+
+NONSENSE = dict(simulator.nonsense())
+
+
+@pytest.mark.parametrize("name", NONSENSE)
+def test_nonsense_is_refused(name):
+    """Assert that NaN, infinite and negative values are refused with the reason."""
+    row = refusal(name, NONSENSE[name])
+    assert row["ok"]
+    assert len(row["outcome"]) > len("refused: ") + 10
+
+
+def test_the_suite_holds_all_that_it_should(monkeypatch):
+    """Assert that the extremes which the physics names are among the cases, and that nothing has two names."""
+    monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
+    monkeypatch.setattr(simulator, "CAMERA_SLICES", 1)
+    rows = [run() for run in simulator.cases(0, False)]
+    assert all(row["ok"] for row in rows)
+    assert {name for row in rows for name in row} == {"case", "ok", "outcome", *stability.PARTS["sim"].columns}
+    names = [row["case"] for row in rows]
+    assert len(names) == len(set(names))
+    for wanted in (
+        "mu 0", "mu 1000", "object of 1e-06 kg", "object of 1000 kg", "gel 0.01 times as stiff",
+        "gel 1e+06 times as stiff", "impact at 100 m/s", "impact at 1e4 m/s", "spin of 1e4 rad/s",
+        "grip lost and regained", "grip of 0 N", "grip of 1e+06 N", "time step 1e-07 s", "time step 0.1 s",
+        "force of 498 Hz, time step 1 ms", "force of 498 Hz, time step 0.1 ms", "Maxwell time 1e-09 s",
+        "Maxwell time 1e+09 s", "gel without mass and without losses", "grid of 1 x 1 nodes", "grid of 64 x 48 nodes",
+        "time step nan s", "object of inf kg", "grip of -1 N", "camera: nothing moves, no noise",
+        "camera: noise of 1e4 Hz a pixel", "camera: all dots jump by 50 px and back", "camera, a dot at nan px",
+    ):  # fmt: skip
+        assert wanted in names
+
+
+def test_what_the_implicit_step_saves():
+    """Assert that it is the best explicit run time over the least implicit one of no greater error."""
+
+    def row(setting, error, time_us):
+        outcome = "finished" if error else "blew up after 1 ms"
+        errors = {"error_um_object_rms": error, "error_um_gel_rms": error}
+        return {"part": "mechanics", "setting": setting, **errors, "time_us_median": time_us, "outcome": outcome}
+
+    rows = [
+        row("reference: theta 0.51, dt 5 us", 0.01, 1e4),
+        row("theta 1, dt 1 ms", 20.0, 10.0),
+        row("theta 0.55, dt 1 ms", 9.0, 40.0),
+        row("theta 0.55, dt 0.5 ms", 3.0, 80.0),
+        row("explicit, dt 10 us", None, 100.0),
+        row("explicit, dt 5 us", 100.0, 1000.0),
+        row("explicit, dt 1 us", 10.0, 8000.0),
+    ]
+    summary = simulator.summary(rows)
+    assert summary["implicit_saves_times"] == 200.0
+    assert summary["explicit_blows_up_at"] == "10 us"
+    assert simulator.summary([rows[0], rows[4]])["implicit_saves_times"] is None
+    assert simulator.summary([rows[0], rows[1], rows[6]])["implicit_saves_times"] is None
