@@ -122,21 +122,21 @@ def test_agrees_with_plain_reference_in_a_crowd() -> None:
         assert np.abs(state.dot_xy_px - expected).max() < 1e-6
 
 
-def test_hot_pixels_say_nothing() -> None:
+def test_events_of_hot_pixels_are_left_out() -> None:
     """Assert that events of hot pixels anywhere among the others, and some outside the frame, change no bit."""
     rng = np.random.default_rng(8)
     cool = contact_edges(rng, grid() + rng.uniform(-1, 1, (30, 2)), np.array([0.05, 0.02]))
     hot_xy = np.round(grid()[:20] + (15, 4)).astype(np.uint16)
     more_x, more_y = np.concatenate([hot_xy, [(640, 100), (300, 480), (65535, 65535)]]).astype(np.uint16).T
-    kept = ~(np.stack(cool[:2], axis=1)[:, None] == hot_xy).all(axis=2).any(axis=1)
-    cool = tuple(column[kept] for column in cool)  # type: ignore[assignment]
+    apart = ~(np.stack(cool[:2], axis=1)[:, None] == hot_xy).all(axis=2).any(axis=1)
+    cool = tuple(column[apart] for column in cool)  # type: ignore[assignment]
     order = rng.permutation(len(cool[0]) + len(more_x))
     more = more_x, more_y, rng.integers(0, 2, len(more_x), dtype=np.uint8)
     mixed = [np.concatenate(columns)[order] for columns in zip(cool, more, strict=True)]
     places = []
     for x, y, p in (cool, mixed):
         state = tracker.start(grid(), STABLE)
-        state.fired[hot_xy[:, 1] + 1, hot_xy[:, 0] + 1] = 0xFFFF
+        state.record["pixel_events"][0, hot_xy[:, 1] + 1, hot_xy[:, 0] + 1] = 0xFFFF
         tracker.step(state, x, y, p)
         places.append((state.dot_xy_px.tobytes(), state.events_per_dot.tobytes()))
     assert np.frombuffer(places[0][1], np.int32).sum() == len(cool[0])
@@ -256,9 +256,9 @@ def edge_over(x_px: int, p: int) -> Slice:
 def test_an_edge_of_one_polarity_does_not_take_dots_along(stops_px: int) -> None:
     """Assert that edges which stop on still dots move them by less than half of what they would without polarity."""
     moved_px = []
-    for told in (1e5, 0.0):  # of either polarity, before: the edges alone would tell nothing of the other
+    for darker_before in (1e5, 0.0):  # without any before, the camera is taken to send brighter events only
         state = tracker.start(grid(), replace(STABLE, hot_pixel_events=0))
-        state.told[0] = told
+        state.record["polarity_weight"][0, 0] = darker_before
         for _ in range(4):
             for x_px in range(0, stops_px, 4):
                 tracker.step(state, *edge_over(x_px, BRIGHTER))
@@ -284,11 +284,11 @@ def lose(state: TrackerState, dot: int) -> None:
 
 
 def test_a_lost_dot_is_found_again_at_rest() -> None:
-    """Assert that after rest_slices quiet slices a lost dot is where its neighbours say, and no longer lost."""
+    """Assert that a lost dot is where its neighbours say after rest_slices slices without events, and not lost."""
     state = tracker.start(grid(), STABLE)
     state.dot_xy_px[:] += (1.0, -0.5)  # at rest again, but for a little
     lose(state, 14)
-    for _ in range(STABLE.rest_slices - state.quiet[0] - 1):
+    for _ in range(STABLE.rest_slices - int(state.record["slices_at_rest"][0]) - 1):
         tracker.step(state, *nothing())
         assert state.lost[14]
     tracker.step(state, *nothing())
@@ -312,8 +312,8 @@ def test_a_lost_dot_stays_lost(why: str) -> None:
         lose(state, 14)
     others = np.delete(grid(), 14, axis=0)
     for k in range(3 * STABLE.rest_slices):
-        way = np.array([0.02 * (-1) ** k, 0.0])
-        slice_ = contact_edges(rng, others, way) if why == "events" else nothing()
+        motion_px = np.array([0.02 * (-1) ** k, 0.0])
+        slice_ = contact_edges(rng, others, motion_px) if why == "events" else nothing()
         tracker.step(state, *slice_)
     assert np.flatnonzero(state.lost).tolist() == [14]
 
