@@ -181,8 +181,8 @@ STATE = np.dtype(
 class TrackerState:
     """What the tracker knows after the slices so far: `record`, of dtype STATE, and views of the fields to be read.
 
-    `step` changes the record in place. To lay a state into shared memory, wrap the record that lies there:
-    `TrackerState(np.frombuffer(memory, STATE, 1))`. ValueError if it is not an array of one such record.
+    `step` changes the record in place. `TrackerState(np.frombuffer(memory, STATE, 1))` is a state that was saved as
+    bytes, or lies in shared memory. ValueError if the record is not an array of one STATE.
     """
 
     __slots__ = ("dot_xy_px", "events_per_dot", "lost", "neighbours", "record", "rest_xy_px")
@@ -191,25 +191,17 @@ class TrackerState:
         if record.dtype != STATE or record.shape != (1,):
             raise ValueError(f"record: expected an array of one STATE, found {record.shape} of {record.dtype}")
         self.record = record
-        (record,) = record
-        n = int(record["dots"])
-        self.dot_xy_px: NDArray[np.float64] = record["centre_xy_px"][:n]  # (n, 2) now; NaN for a missing dot
+        n = int(record["dots"][0])
+        self.dot_xy_px: NDArray[np.float64] = record["centre_xy_px"][0, :n]  # (n, 2) now; NaN for a missing dot
         # (n,) events of the last slice nearer than count_radius_px to where the dot was before it:
-        self.events_per_dot: NDArray[np.int32] = record["events"][:n]
-        self.lost: NDArray[np.bool_] = record["lost"][:n].view(np.bool_)  # (n,) see lost_dots.py
-        self.rest_xy_px: NDArray[np.float64] = record["rest_xy_px"][:n]  # (n, 2) at the start
-        self.neighbours: NDArray[np.int32] = record["neighbours"][:n]  # (n, 8) indices first, then -1
-
-    @classmethod
-    def from_bytes(cls, state: bytes) -> "TrackerState":
-        """A state from the bytes of another's record. ValueError if there are more or fewer than STATE has."""
-        if len(state) != STATE.itemsize:
-            raise ValueError(f"state: expected {STATE.itemsize} bytes, found {len(state)}")
-        return cls(np.frombuffer(bytearray(state), STATE))
+        self.events_per_dot: NDArray[np.int32] = record["events"][0, :n]
+        self.lost: NDArray[np.bool_] = record["lost"][0, :n].view(np.bool_)  # (n,) see lost_dots.py
+        self.rest_xy_px: NDArray[np.float64] = record["rest_xy_px"][0, :n]  # (n, 2) at the start
+        self.neighbours: NDArray[np.int32] = record["neighbours"][0, :n]  # (n, 8) indices first, then -1
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles are of the record: the views of a copy are of its own record."""
-        return TrackerState.from_bytes, (self.record.tobytes(),)
+        return TrackerState, (self.record.copy(),)
 
     @property
     def constants(self) -> TrackerConstants:
