@@ -7,8 +7,8 @@ bits. Dots are flattened row by row from (rows, columns). What a network makes o
 Why so:
 - Places are rounded to float32 before the distance is taken, because tracks are stored that way: a live track and the
   same track read from a file then have the same features.
-- Event images are kept as their pixels that are not 0: a slice of 259,200 pixels has a few hundred of them, and trials
-  of images would not fit into memory.
+- Event images are stored as their pixels that are not 0: a slice of 259,200 pixels has a few hundred of them, and
+  trials of images would not fit into memory.
 - The paper rotates windows of the 7 x 8 grid by quarter turns, "crop and pad" without saying how. `rotate` turns the
   middle square of the grid counter-clockwise (as seen in the image) and leaves zeros beside it. The odd column over,
   for 7 x 8 the leftmost, is the one cut. So three quarter turns undo one, and four give back the square in its place.
@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.slip.slip import CHANNELS, GEL_PX
-
 
 DOT_CAPACITY = 256  # dots that a state has room for
 HISTORY_CAPACITY = 128  # slices
@@ -46,14 +45,20 @@ STATE = np.dtype(
 class FeatureState:
     """The last `history` slices of n dots: `record`, an array of one STATE, and views of its fields.
 
-    `step` changes the record in place. Why so: see tracker.py. ValueError if the record is of another dtype or shape.
+    `step` changes the record in place. `FeatureState(np.frombuffer(memory, STATE, 1))` is a state that was saved as
+    bytes, or lies in shared memory. Why so: as in tracker.py. ValueError if the record is not a writable array of one
+    STATE.
     """
 
     __slots__ = ("history", "record", "rest_xy_px", "ring")
 
     def __init__(self, record: NDArray[np.void]) -> None:
-        if record.dtype != STATE or record.shape != (1,):
-            raise ValueError(f"record: expected an array of one STATE, found {record.shape} of {record.dtype}")
+        if record.dtype != STATE or record.shape != (1,) or not record.flags.writeable:
+            raise ValueError(
+                f"record: expected a writable array of one STATE, {STATE.itemsize} bytes, found"
+                f" {'a writable' if record.flags.writeable else 'a read-only'} one, {record.shape} of"
+                f" {record.dtype.itemsize} bytes"
+            )
         self.record = record
         n, self.history = int(record["dots"][0]), int(record["history"][0])
         shape = 2 * self.history, n, len(CHANNELS)

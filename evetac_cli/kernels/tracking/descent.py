@@ -5,7 +5,7 @@ distance from its neighbours that it had at the start (paper, "Signal Processing
 
 Why so:
 - The paper moves a dot only "if more than 10 events are triggered at its location". We count the events in the ring,
-  those that pull: events inside the dot say nothing about where it is.
+  those that pull: events inside the dot carry no information about where it is.
 - Whether an event lies in a ring is close to a coin toss, and a wrong guess of the processor costs more than the pull.
   So every event adds its pull, times 0 or 1.
 """

@@ -1,14 +1,14 @@
-"""How far all dots moved in a slice, solved for from what their rims' events say: the preset `stable` of the tracker.
+"""How far all dots moved in a slice, solved for from the events of their rims: the preset `stable` of the tracker.
 
-An event of a dot's ring at distance d from its centre, in direction n, says three things:
+An event of a dot's ring at distance d from its centre, in direction n, is evidence of three things:
 - The rim is there. beyond = d - rim is how far the dot has to go along n; a least-squares problem over all of its
   events (Gauss-Newton of the paper's data term), damped by 1 / (2 step_size) so that few events move a dot as the
   paper's step would.
 - Which side it is on. A dark dot makes events that get darker on its leading rim and brighter ones on its trailing rim,
-  so the sum of +n and -n points where it goes, and grows with the way: `event_px` for each event, the motion seen.
-  Both rims say the same, where it is the dot that moves.
-- It came late. A pixel fires when its level has changed by the contrast threshold, so the rim of either side is found
-  `rim_lag_px` behind the motion; knowing the side takes that away.
+  so the sum of +n and -n points where it goes, and grows with the motion: `event_px` for each event, the motion seen.
+  Both rims agree, where it is the dot that moves.
+- It came late. A pixel has an event when its level has changed by the contrast threshold, so the rim of either side is
+  found `rim_lag_px` behind the motion; knowing the side takes that away.
 
 Events come evenly during the slice, so the rims are found where they were half way: with H = sum w n n^T,
 s = sum w beyond n and f the motion seen, the correction c to f solves H c = s - H f / 2.
@@ -20,10 +20,10 @@ Why so:
   nothing. A dot that goes 2 px in a slice makes 600, and all of them have to count: f sees too little of such a jump,
   as a pixel has one event a scan. (With 200, dots that swing at 498 Hz, 2 px a slice, were off by 2 px.)
 - An edge of something that slides over the gel is brighter or darker than what it covers: its events have one polarity.
-  A dot that moves makes as many of both. So what one rim says beyond the other, and beyond chance, is not the dot's
-  motion; and the more a dot's events have one polarity, the less they know of its rim: H and s are scaled down by as
-  much. Without this, every rub of an edge over a dot takes it along by some tenths of a pixel. (A camera that has told
-  one polarity only, up to now, cannot be judged so.)
+  A dot that moves makes as many of both. So what one rim shows beyond the other, and beyond chance, is not the dot's
+  motion; and the more a dot's events have one polarity, the less they show of its rim: H and s are scaled down by as
+  much. Without this, every rub of an edge over a dot takes it along by some tenths of a pixel. (A camera that
+  has sent only one polarity up to now cannot be judged so.)
 - w = (1 - (beyond / half ring)^2)^2 falls to zero at the sides of the ring: events that fit the rim badly, badly count.
 - Every sweep takes a mean of bounded values with weights that are not negative, or a damped solution of a positive
   definite system, for any finite constants; the step is limited to `trust_px` in the end.

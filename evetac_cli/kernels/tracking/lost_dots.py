@@ -1,4 +1,4 @@
-"""Dots that have lost track: flagged when they are far from where their neighbours say, put back when all is at rest.
+"""Dots that have lost track: flagged when they are far from where their neighbours place them, put back at rest.
 
 Why so: a dot that has lost track finds no rim of its own. When few events have come for a while and its neighbours are
 back where they began, its place is known without events, and it starts anew from there (only with `rest_slices`, so
@@ -95,7 +95,7 @@ def _put_back(
     neighbours: NDArray[np.int32],
     lost: NDArray[np.uint8],
 ) -> None:
-    """Put lost dots where their neighbours, if these are at rest, say that they are, and clear their flags."""
+    """Put lost dots where their neighbours place them, if these are at rest, and clear their flags."""
     for i in range(lost.shape[0]):
         if not lost[i]:
             continue

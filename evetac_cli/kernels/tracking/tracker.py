@@ -1,13 +1,13 @@
 """Where the dots are: one slice of events at a time, by the paper's descent or by fitting the rims of the dots.
 
-Every event near the rim of a dot says where the rim is. The paper's tracker and its relatives (presets `paper`,
+Every event near the rim of a dot shows where the rim is. The paper's tracker and its relatives (presets `paper`,
 `official`, `unregularised`) add up a gradient step an event, and an elastic term keeps dots at the distance from their
 neighbours that they had at the start (descent.py). The preset `stable` solves for the motion that the events of
 a slice stand for (fit.py). `start` and `step` are the only way in, for a file and for a live camera alike.
 
 Why so:
 - All that the tracker remembers is one numpy record of the dtype STATE: it is handed to numba as one argument, and is
-  copied, saved, compared and laid into shared memory as one thing. Its size depends neither on the dots nor on the
+  copied, saved, compared and laid into shared memory as a whole. Its size depends neither on the dots nor on the
   preset, because numba compiles anew for every dtype. What a slice needs besides is made anew for it.
 - The published code moves centres up the gradient of its data term, with an edge 1.25 times as wide as the dots it was
   calibrated with and a ring inside them: sign, edge and ring hold each other up. So `official` is one setting, for dots
@@ -170,7 +170,7 @@ STATE = np.dtype(
         ("bucket_start", np.uint32, buckets.BUCKETS + 1),  # where each bucket's dots begin in bucket_dots
         ("bucket_dots", np.uint32, buckets.most_entries(CAPACITY, MAX_REACH_PX)),
         ("pixel_events", np.uint16, hot_pixels.COUNTS_SHAPE),  # recent events of every pixel, see hot_pixels.py
-        ("lost", np.uint8, CAPACITY),  # 1: far from where its neighbours say, see lost_dots.py
+        ("lost", np.uint8, CAPACITY),  # 1: far from where its neighbours place it, see lost_dots.py
         *((item.name, np.uint8) for item in fields(TrackerConstants) if item.type is bool),
         ("_end", np.uint8, 2),  # up to a multiple of 8 bytes
     ],
@@ -182,14 +182,18 @@ class TrackerState:
     """What the tracker knows after the slices so far: `record`, of dtype STATE, and views of the fields to be read.
 
     `step` changes the record in place. `TrackerState(np.frombuffer(memory, STATE, 1))` is a state that was saved as
-    bytes, or lies in shared memory. ValueError if the record is not an array of one STATE.
+    bytes, or lies in shared memory. ValueError if the record is not a writable array of one STATE.
     """
 
     __slots__ = ("dot_xy_px", "events_per_dot", "lost", "neighbours", "record", "rest_xy_px")
 
     def __init__(self, record: NDArray[np.void]) -> None:
-        if record.dtype != STATE or record.shape != (1,):
-            raise ValueError(f"record: expected an array of one STATE, found {record.shape} of {record.dtype}")
+        if record.dtype != STATE or record.shape != (1,) or not record.flags.writeable:
+            raise ValueError(
+                f"record: expected a writable array of one STATE, {STATE.itemsize} bytes, found"
+                f" {'a writable' if record.flags.writeable else 'a read-only'} one, {record.shape} of"
+                f" {record.dtype.itemsize} bytes"
+            )
         self.record = record
         n = int(record["dots"][0])
         self.dot_xy_px: NDArray[np.float64] = record["centre_xy_px"][0, :n]  # (n, 2) now; NaN for a missing dot

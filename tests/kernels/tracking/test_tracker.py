@@ -235,17 +235,17 @@ def test_regulariser_is_the_gradient_of_its_energy() -> None:
 def test_translation_changes_nothing_but_the_place() -> None:
     """Assert that dots and events moved by whole pixels give the same motion at the new place."""
     rng = np.random.default_rng(4)
-    there = np.array([23, 11])
-    here_state, there_state = tracker.start(grid(4, 5), PAPER), tracker.start(grid(4, 5) + there, PAPER)
+    offset_px = np.array([23, 11])
+    state, moved_state = tracker.start(grid(4, 5), PAPER), tracker.start(grid(4, 5) + offset_px, PAPER)
     for _ in range(20):
         x, y = random_events(rng, grid(4, 5), 800)
         near = (x < 400) & (y < 400)  # so that none enters or leaves the frame
         x, y = x[near], y[near]
-        step(here_state, x, y)
-        step(there_state, x + np.uint16(there[0]), y + np.uint16(there[1]))
-    assert np.abs(there_state.dot_xy_px - there - here_state.dot_xy_px).max() < 1e-9
-    assert (there_state.events_per_dot == here_state.events_per_dot).all()
-    assert np.abs(here_state.dot_xy_px - grid(4, 5)).max() > 0.05
+        step(state, x, y)
+        step(moved_state, x + np.uint16(offset_px[0]), y + np.uint16(offset_px[1]))
+    assert np.abs(moved_state.dot_xy_px - offset_px - state.dot_xy_px).max() < 1e-9
+    assert (moved_state.events_per_dot == state.events_per_dot).all()
+    assert np.abs(state.dot_xy_px - grid(4, 5)).max() > 0.05
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
@@ -353,7 +353,7 @@ def test_one_dot_moves() -> None:
 
 
 def test_given_neighbours_are_used() -> None:
-    """Assert that a tracker told of no neighbours moves like the unregularised one and not like the regularised."""
+    """Assert that a tracker without neighbours moves like the unregularised one and not like the regularised."""
     rng = np.random.default_rng(9)
     alone = tracker.start(grid(), PAPER, np.full((ROWS * COLUMNS, 8), -1, np.int32))
     unregularised, paper = tracker.start(grid(), PRESETS["unregularised"]), tracker.start(grid(), PAPER)
@@ -468,7 +468,7 @@ def test_events_outside_the_frame_are_ignored() -> None:
 
 
 def test_lost_dots_are_flagged() -> None:
-    """Assert that a dot is lost when over 40 px from where its neighbours say, but not by motion in common."""
+    """Assert that a dot is lost when over 40 px from where its neighbours place it, but not by motion in common."""
     state = tracker.start(grid(), PAPER)
     strayed = 3 * COLUMNS + 4
     wake = on_edge(grid()[[0]] + 20)  # events for one dot: flags are looked at when something moved
@@ -599,8 +599,10 @@ def test_a_state_round_trips_through_bytes_and_shared_memory() -> None:
     rng = np.random.default_rng(16)
     state = tracker.start(grid(), PRESETS["stable"])
     step(state, *random_events(rng, grid() + 1, 2000))
-    with pytest.raises(ValueError, match="record: expected an array of one STATE, found"):
+    with pytest.raises(ValueError, match="record: expected a writable array of one STATE, .* found a writable one"):
         TrackerState(np.zeros(2, STATE))
+    with pytest.raises(ValueError, match="record: expected a writable array of one STATE, .* found a read-only one"):
+        TrackerState(np.frombuffer(state.record.tobytes(), STATE))
     saved = TrackerState(np.frombuffer(bytearray(state.record.tobytes()), STATE))
     memory = mmap.mmap(-1, STATE.itemsize)
     memory.write(state.record.tobytes())
