@@ -124,12 +124,10 @@ def fill(
 
 @njit(cache=True)
 def nearby_dot(
+    state: np.void,
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
-    pixel_events: NDArray[np.uint16],
     any_hot: bool,
-    centre_xy_px: NDArray[np.float64],
-    first_dot: NDArray[np.uint32],
     bucket: NDArray[np.uint16],
     near_dot: NDArray[np.uint32],
     near_px: NDArray[np.float64],
@@ -138,7 +136,10 @@ def nearby_dot(
 
     Fills near_dot, near_px (2, ...) from the dot's centre to the event, and bucket. If `any_hot`, events of hot pixels
     (hot_pixels.py) go to the dummy dot. So do those in buckets of several dots, until `nearby_dots` pairs them.
+    state: tracker.STATE.
     """
+    centre_xy_px, first_dot = state["centre_xy_px"][: state["dots"] + 1], state["first_dot"][:]
+    pixel_events = state["pixel_events"][:]
     for k in range(x.shape[0]):
         inside = (x[k] < FRAME_PX[0]) & (y[k] < FRAME_PX[1])
         b = (y[k] >> np.uint16(_BITS)) * np.uint16(COLUMNS) + (x[k] >> np.uint16(_BITS))
@@ -167,14 +168,11 @@ def nearby_dot(
 
 @njit(cache=True)
 def nearby_dots(
+    state: np.void,
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
     p: NDArray[np.uint8],
     begin: int,
-    centre_xy_px: NDArray[np.float64],
-    first_dot: NDArray[np.uint32],
-    bucket_start: NDArray[np.uint32],
-    bucket_dots: NDArray[np.uint32],
     bucket: NDArray[np.uint16],
     near_dot: NDArray[np.uint32],
     near_px: NDArray[np.float64],
@@ -183,9 +181,11 @@ def nearby_dots(
     """Pair the events of a block in buckets of several dots, from `begin` on, with every dot that they may belong to.
 
     Fills near_dot, near_px and, where p is not empty, near_p; returns where to go on, and how many pairs. There is room
-    for BLOCK pairs and as many as there are dots. `bucket` as from `nearby_dot`.
+    for BLOCK pairs and as many as there are dots. `bucket` as from `nearby_dot`; state: tracker.STATE.
     """
-    dummy_dot = np.uint32(centre_xy_px.shape[0] - 1)
+    centre_xy_px, first_dot = state["centre_xy_px"][: state["dots"] + 1], state["first_dot"][:]
+    bucket_start, bucket_dots = state["bucket_start"][:], state["bucket_dots"][:]
+    dummy_dot = np.uint32(state["dots"])
     pairs = 0
     k = begin
     while k < x.shape[0] and pairs < BLOCK:

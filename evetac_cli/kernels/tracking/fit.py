@@ -71,13 +71,9 @@ def measure_rims(
     """
     if x.shape[0] == 0:
         return
-    dots = state["dots"]
-    centre_xy_px = state["centre_xy_px"][: dots + 1]
-    pixel_events = state["pixel_events"][:]
-    first_dot, bucket_start, bucket_dots = state["first_dot"][:], state["bucket_start"][:], state["bucket_dots"][:]
     half_ring_px = state["ring_outer_px"] - state["radius_px"]
     constants = state["radius_px"], half_ring_px, state["rim_lag_px"], state["count_radius_px"]
-    room = buckets.BLOCK + dots + 1
+    room = buckets.BLOCK + state["dots"] + 1
     bucket = np.empty(buckets.BLOCK, np.uint16)
     near_dot = np.empty(room, np.uint32)
     near_px = np.empty((2, room))
@@ -88,13 +84,11 @@ def measure_rims(
         xs = x[begin:end]
         ys = y[begin:end]
         ps = p[begin:end]
-        several = buckets.nearby_dot(xs, ys, pixel_events, any_hot, centre_xy_px, first_dot, bucket, near_dot, near_px)
+        several = buckets.nearby_dot(state, xs, ys, any_hot, bucket, near_dot, near_px)
         _add_rims(end - begin, near_dot, near_px, ps, constants, terms, sums)
         k = 0 if several else len(xs)
         while k < len(xs):
-            k, pairs = buckets.nearby_dots(
-                xs, ys, ps, k, centre_xy_px, first_dot, bucket_start, bucket_dots, bucket, near_dot, near_px, near_p
-            )
+            k, pairs = buckets.nearby_dots(state, xs, ys, ps, k, bucket, near_dot, near_px, near_p)
             _add_rims(pairs, near_dot, near_px, near_p, constants, terms, sums)
 
 
