@@ -23,13 +23,13 @@ TOUCH_MS, LIFT_MS = 1500, 10_000
 OBJECTS = (8, 11, 17, 18)
 
 
-def timed(what: Callable[[], object], repeat: int) -> np.ndarray:
+def timed(call: Callable[[], object], repeat: int) -> np.ndarray:
     """Seconds of each repetition, the first (compilation, caches) left out."""
-    what()
+    call()
     times = []
     for _ in range(repeat):
         started = time.perf_counter()
-        what()
+        call()
         times.append(time.perf_counter() - started)
     return np.array(times)
 
@@ -42,24 +42,24 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
     kind = "lift" if name == "lift" else "ramp"
     plan = scene.plan(name, str(number), "evetac", (kind,))[0]
     for slices in (100, 100_000):  # the first compiles
-        world = GraspSimulation(plan, *(np.random.default_rng([1, part]) for part in range(2)))
-        mechanics, camera = Stopwatch(world._move), Stopwatch(world.gel_camera.render)
-        world._move, world.gel_camera.render = mechanics, camera  # type: ignore[method-assign, assignment]
-        held_ma, law = world.command[1], paper.start()
+        simulated = GraspSimulation(plan, *(np.random.default_rng([1, part]) for part in range(2)))
+        mechanics, camera = Stopwatch(simulated._move), Stopwatch(simulated.gel_camera.render)
+        simulated._move, simulated.gel_camera.render = mechanics, camera  # type: ignore[method-assign, assignment]
+        start_ma, law = simulated.command[1], paper.start()
         started = time.thread_time()
-        while not world.finished and world.slices < slices:
-            if world.slices % 2 == 0:
+        while not simulated.finished and simulated.slices < slices:
+            if simulated.slices % 2 == 0:
                 if kind == "lift":
-                    phase = paper.Phase((world.slices >= TOUCH_MS) + (world.slices >= TOUCH_MS + LIFT_MS))
-                    goal = paper.step(law, phase, world._slip.slips, world.finger.position_ticks)
-                    world.command = ("position", goal)
-                elif world.slices >= 900:
-                    world.command = ("current", round(held_ma - 0.01375 * (world.slices - 900) / 2))
-            world.step()
+                    phase = paper.Phase((simulated.slices >= TOUCH_MS) + (simulated.slices >= TOUCH_MS + LIFT_MS))
+                    goal = paper.step(law, phase, simulated._slip.slips, simulated.finger.position_ticks)
+                    simulated.command = ("position", goal)
+                elif simulated.slices >= 900:
+                    simulated.command = ("current", round(start_ma - 0.01375 * (simulated.slices - 900) / 2))
+            simulated.step()
         seconds = time.thread_time() - started
-    what = f"simulate {name}, object {number}, {world.slices / 1000:.1f} s"
+    what = f"simulate {name}, object {number}, {simulated.slices / 1000:.1f} s"
     parts = (("", seconds), (": mechanics", mechanics.seconds), (": camera", camera.seconds))
-    return [row(what + part, np.array([spent / world.slices])) for part, spent in parts]
+    return [row(what + part, np.array([part_s / simulated.slices])) for part, part_s in parts]
 
 
 class Stopwatch:
@@ -69,11 +69,11 @@ class Stopwatch:
         self._call = call
         self.seconds = 0.0
 
-    def __call__(self, *given: object, **named: object) -> object:
+    def __call__(self, *arguments: object, **named: object) -> object:
         started = time.thread_time()
-        answer = self._call(*given, **named)
+        result = self._call(*arguments, **named)
         self.seconds += time.thread_time() - started
-        return answer
+        return result
 
 
 def row(what: str, seconds: np.ndarray, slices: float = 1.0) -> dict[str, object]:

@@ -1,7 +1,7 @@
-"""The controllers of a grasp by name, behind one `step`: what was felt and where the fingers are in, a goal out.
+"""The controllers of a grasp by name, behind one `step`: slip signal and finger position in, goal position out.
 
-The paper's law with both readings of its latch, ours (`load-proportional`), and two without feeling: `none`, the paper's control
-experiment, stays where light contact ended; `fixed:N` closes N ticks beyond it and stays there.
+The paper's law with both readings of its latch, ours (`load-proportional`), and two that use no detector: `none`, the
+paper's control experiment, stays where light contact ended; `fixed:N` closes N ticks beyond it and stays there.
 """
 
 import math
@@ -22,11 +22,11 @@ MOST_FIXED_TICKS = 300
 
 
 class SlipSignal(NamedTuple):
-    """What the detector tells the controller: few numbers, so that they fit into shared memory."""
+    """What the detector sends to the controller: few numbers, so that they fit into shared memory."""
 
     slips: int = 0  # slices with slip so far: a count that only rises
     probability: float = math.nan  # of slip, in the last slice
-    mean_displacement_x_px: float = 0.0  # mean displacement of the dots: a load cell (see grip_by_load)
+    mean_displacement_x_px: float = 0.0  # of all dots: a load cell (see load_proportional.py)
     mean_displacement_y_px: float = 0.0
 
 
@@ -38,9 +38,10 @@ class FixedGrip:
 
 
 def make_law(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
-    """The law of a controller: paper, paper-reset, load-proportional, none, or fixed:N. ValueError if there is no such controller.
+    """The law of a controller: paper, paper-reset, load-proportional, none, or fixed:N.
 
-    gain: K_p of the paper's law in balance, in multiples; the others have none.
+    gain: K_p of the paper's law in balance, in multiples; the others have none. ValueError if there is no controller of
+    this name, or none with a gain.
     """
     if name.startswith(FIXED):
         ticks = name.removeprefix(FIXED)
@@ -60,26 +61,28 @@ def make_law(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
     return replace(law, gain=gain)
 
 
-def feels(law: GripLaw | LoadLaw | FixedGrip) -> bool:
-    """Whether a controller listens to the detector at all."""
+def uses_detector(law: GripLaw | LoadLaw | FixedGrip) -> bool:
+    """Whether the goals of a controller depend on the slip detector at all."""
     return not isinstance(law, FixedGrip)
 
 
 @dataclass
 class Control:
-    """A controller at work, stepped at control_hz; u_ff, x_ref and slip are for the record."""
+    """A controller with its state, stepped at control_hz; slip, u_ff_ticks and x_ref_ticks are what is recorded of it.
+
+    ValueError for a rate that is not finite and above 0.
+    """
 
     law: GripLaw | LoadLaw | FixedGrip
     control_hz: float = paper.PAPER_HZ
-    slip: bool = False  # counted since the step before
-    _seen: int = 0
+    slip: bool = False  # since the step before
+    _slips: int = 0  # slices with slip up to the step before
     _state: Any = None
     _law: GripLaw = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Begin; ValueError for a rate that is none."""
         if not (math.isfinite(self.control_hz) and self.control_hz > 0.0):
-            raise ValueError(f"control_hz: expected above 0, found {self.control_hz}")
+            raise ValueError(f"control_hz: expected finite and above 0, found {self.control_hz}")
         if isinstance(self.law, LoadLaw):
             self._law, self._state = paper.PAPER, load_proportional.start()
         elif isinstance(self.law, GripLaw):
@@ -87,16 +90,16 @@ class Control:
         else:
             self._law, self._state = paper.PAPER, paper.start()
 
-    def step(self, phase: Phase, felt: SlipSignal, position_ticks: int) -> int:
-        """One step: the goal in ticks."""
-        self.slip = felt.slips > self._seen
-        self._seen = felt.slips
+    def step(self, phase: Phase, signal: SlipSignal, position_ticks: int) -> int:
+        """One control step: the goal position in ticks."""
+        self.slip = signal.slips > self._slips
+        self._slips = signal.slips
         if isinstance(self.law, LoadLaw):
             return load_proportional.step(
                 self._state,
                 phase,
                 self.slip,
-                (felt.mean_displacement_x_px, felt.mean_displacement_y_px),
+                (signal.mean_displacement_x_px, signal.mean_displacement_y_px),
                 position_ticks,
                 1.0 / self.control_hz,
                 self.law,
@@ -111,12 +114,12 @@ class Control:
 
     @property
     def u_ff_ticks(self) -> float:
-        """Feed-forward term of the paper's law, negative closes; of the others the push beyond the position."""
+        """Feed-forward term of the paper's law; with the others, how far the goal is beyond the fingers. < 0 closes."""
         return float(self._state.u_ff)
 
     @property
     def x_ref_ticks(self) -> float:
-        """Reference position; NaN where there is none yet."""
+        """Reference position of the law; NaN before it has one."""
         return float(self._state.x_ref)
 
     def parameters(self) -> dict[str, Any]:

@@ -4,15 +4,19 @@ The paper writes u_c = K_p (x_e + u_ff) with opening widths, so that a negative 
 by K_p (its position P gain register); what the host writes is the goal position x_ref + u_ff. The encoder counts
 upwards when closing, hence goal_ticks = reference_ticks - u_ff.
 
-Why so: a K_p of twice as much is a goal twice as far from where the gripper is. So a higher gain needs no register, and
-is the same for every gripper; it doubles what 2 ms old positions and whole ticks are wrong by, as the register would.
+Why so:
+- A K_p of twice as much is a goal twice as far from where the gripper is. So a higher gain needs no register, and is
+  the same for every gripper; it doubles the errors by 2 ms old positions and by whole ticks, as the register would.
+- The states of the grip laws are dataclasses and not numpy records as those of the kernels in numba: a step is some
+  tens of operations on single numbers in plain Python. It takes 1.1 us here and 2.0 us in load_proportional.py; with
+  the fields of a record 20 and 32 us.
 """
 
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-PAPER_HZ = 500.0  # at which the increments of the law are meant
+PAPER_HZ = 500.0  # rate of control for which the paper states the increments
 
 
 class Phase(IntEnum):
@@ -29,9 +33,9 @@ class GripLaw:
 
     approach: float = -2.0  # feed-forward in the contact phase: just sufficient to make the gripper move
     lift_slip: float = -1.0  # increment of u_ff in a step with slip
-    lift_quiet: float = 0.01  # ... without slip
+    lift_no_slip: float = 0.01  # ... without slip
     balance_slip: float = -2.0
-    balance_quiet: float = 0.01
+    balance_no_slip: float = 0.01
     lowest: float = -5.0  # clip of u_ff, closing
     highest_open: float = 2.0  # clip of u_ff in balance, until the first slip
     first_tick: int = 0
@@ -40,11 +44,11 @@ class GripLaw:
     gain: float = 1.0  # K_p in balance, in multiples of the servo's
 
     def __post_init__(self) -> None:
-        """Refuse what is no law."""
+        """Refuse constants that are out of range."""
         for name in ("approach", "lift_slip", "balance_slip", "lowest"):
             if not -1000.0 <= getattr(self, name) <= 0.0:
                 raise ValueError(f"{name}: expected -1000 to 0 ticks, found {getattr(self, name)}")
-        for name in ("lift_quiet", "balance_quiet", "highest_open"):
+        for name in ("lift_no_slip", "balance_no_slip", "highest_open"):
             if not 0.0 <= getattr(self, name) <= 1000.0:
                 raise ValueError(f"{name}: expected 0 to 1000 ticks, found {getattr(self, name)}")
         if not 0.0 < self.gain <= 100.0:
@@ -60,9 +64,9 @@ class GripLaw:
         return replace(
             self,
             lift_slip=self.lift_slip * times,
-            lift_quiet=self.lift_quiet * times,
+            lift_no_slip=self.lift_no_slip * times,
             balance_slip=self.balance_slip * times,
-            balance_quiet=self.balance_quiet * times,
+            balance_no_slip=self.balance_no_slip * times,
         )
 
 
@@ -79,7 +83,7 @@ class GripState:
     x_ref: float = math.nan  # ticks; NaN: x_e is zero, the reference is the present position
     slipped: bool = False  # s(t - 1)
     position: int = 0  # x_g(t - 1)
-    caught: bool = False  # balance: the first slip has been seen
+    slipped_in_balance: bool = False  # the first slip of that phase has come
 
 
 def start() -> GripState:
@@ -98,7 +102,7 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
     if phase != state.phase:
         if phase is Phase.LIFT:
             state.u_ff = 0.0  # "u_ff is initialized as zero"
-            state.slipped = False  # the detector is listened to from here on: making contact is no slip
+            state.slipped = False  # the detector counts from here on: making contact is not slip
         else:  # balance goes on with the same u_ff, but x_e is zero again until slip begins in this phase
             state.x_ref = math.nan
         state.phase = phase
@@ -107,17 +111,17 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
         state.u_ff = law.approach
         reference = float(position_ticks)
     elif phase is Phase.LIFT:
-        state.u_ff = _clip(state.u_ff + (law.lift_slip if slip else law.lift_quiet), law.lowest, 0.0)
+        state.u_ff = _clip(state.u_ff + (law.lift_slip if slip else law.lift_no_slip), law.lowest, 0.0)
         if state.slipped and not slip:
             state.x_ref = float(position_ticks)
         reference = position_ticks if math.isnan(state.x_ref) else state.x_ref
     else:
         gain = law.gain
-        state.u_ff += law.balance_slip if slip else law.balance_quiet
-        if slip and not state.slipped and (law.paper_reset or not state.caught):
-            state.caught = True
+        state.u_ff += law.balance_slip if slip else law.balance_no_slip
+        if slip and not state.slipped and (law.paper_reset or not state.slipped_in_balance):
+            state.slipped_in_balance = True
             state.x_ref = float(state.position)
-        state.u_ff = _clip(state.u_ff, law.lowest, 0.0 if state.caught else law.highest_open)
+        state.u_ff = _clip(state.u_ff, law.lowest, 0.0 if state.slipped_in_balance else law.highest_open)
         reference = position_ticks if math.isnan(state.x_ref) else state.x_ref
     state.slipped = slip
     state.position = position_ticks

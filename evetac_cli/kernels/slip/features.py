@@ -7,17 +7,16 @@ bits. Dots are flattened row by row from (rows, columns). What a network makes o
 Why so:
 - Places are rounded to float32 before the distance is taken, because tracks are stored that way: a live track and the
   same track read from a file then have the same features.
-- Event images are kept as their pixels that are not 0: a slice of 259,200 pixels has a few hundred of them, and trials
-  of images would not fit into memory.
+- Event images are stored as their pixels that are not 0: a slice of 259,200 pixels has a few hundred of them, and
+  trials of images would not fit into memory.
 - The paper rotates windows of the 7 x 8 grid by quarter turns, "crop and pad" without saying how. `rotate` turns the
   middle square of the grid counter-clockwise (as seen in the image) and leaves zeros beside it. The odd column over,
   for 7 x 8 the leftmost, is the one cut. So three quarter turns undo one, and four give back the square in its place.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import isnan, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,18 +25,54 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.slip.slip import CHANNELS, GEL_PX
 
+DOT_CAPACITY = 256  # dots that a state has room for
+HISTORY_CAPACITY = 128  # slices
 
-@dataclass(slots=True)
+STATE = np.dtype(
+    [
+        ("dots", np.int64),  # n
+        ("history", np.int64),  # slices that `latest` gives
+        ("slices", np.int64),  # taken so far
+        ("rest_xy_px", np.float64, (DOT_CAPACITY, 2)),  # the first n rows are used
+        # (2 * history, n, channels), flat: every slice is written twice, `history` rows apart, so that the last slices
+        # always lie in one piece, the newest last.
+        ("ring", np.float32, 2 * HISTORY_CAPACITY * DOT_CAPACITY * len(CHANNELS)),
+    ],
+    align=True,
+)
+
+
 class FeatureState:
-    """The last `history` slices of n dots; `step` changes it in place.
+    """The last `history` slices of n dots: `record`, an array of one STATE, and views of its fields.
 
-    Every slice is written twice, `history` rows apart, so the last slices always lie in one piece, the newest last.
+    `step` changes the record in place. `FeatureState(np.frombuffer(memory, STATE, 1))` is a state that was saved as
+    bytes, or lies in shared memory. Why so: as in tracker.py. ValueError if the record is not a writable array of one
+    STATE.
     """
 
-    rest_xy_px: NDArray[np.float64]  # (n, 2)
-    history: int
-    ring: NDArray[np.float32]  # (2 * history, n, channels)
-    slices: int = 0  # taken so far
+    __slots__ = ("history", "record", "rest_xy_px", "ring")
+
+    def __init__(self, record: NDArray[np.void]) -> None:
+        if record.dtype != STATE or record.shape != (1,) or not record.flags.writeable:
+            raise ValueError(
+                f"record: expected a writable array of one STATE, {STATE.itemsize} bytes, found"
+                f" {'a writable' if record.flags.writeable else 'a read-only'} one, {record.shape} of"
+                f" {record.dtype.itemsize} bytes"
+            )
+        self.record = record
+        n, self.history = int(record["dots"][0]), int(record["history"][0])
+        shape = 2 * self.history, n, len(CHANNELS)
+        self.rest_xy_px: NDArray[np.float64] = record["rest_xy_px"][0, :n]  # (n, 2)
+        self.ring: NDArray[np.float32] = record["ring"][0, : np.prod(shape)].reshape(shape)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and pickles are of the record: the views of a copy are of its own record."""
+        return FeatureState, (self.record.copy(),)
+
+    @property
+    def slices(self) -> int:
+        """How many slices were taken so far."""
+        return int(self.record["slices"][0])
 
     @property
     def full(self) -> bool:
@@ -48,26 +83,31 @@ class FeatureState:
 def start(rest_xy_px: NDArray[np.floating], history: int) -> FeatureState:
     """Begin collecting features of dots whose places at rest are rest_xy_px, (n, 2), NaN for a missing dot.
 
-    ValueError if the places are infinite or of another shape, or if history is less than 1.
+    ValueError if the places are infinite, of another shape or more than DOT_CAPACITY, or if history is not from 1 to
+    HISTORY_CAPACITY.
     """
     rest = _checked_rest(rest_xy_px)
-    if history < 1:
-        raise ValueError(f"history: expected at least 1 slice, found {history}")
-    state = FeatureState(rest, history, np.zeros((2 * history, len(rest), len(CHANNELS)), np.float32))
-    # Compiles or loads the kernel now and not in the first slice; writes zeros over zeros.
-    _push(rest, np.zeros(len(rest), np.int32), rest, state.ring, 0)
-    return state
+    if len(rest) > DOT_CAPACITY:
+        raise ValueError(f"rest_xy_px: expected at most {DOT_CAPACITY} dots, found {len(rest)}")
+    if not 1 <= history <= HISTORY_CAPACITY:
+        raise ValueError(f"history: expected 1 to {HISTORY_CAPACITY} slices, found {history}")
+    record = np.zeros(1, STATE)
+    record["dots"], record["history"] = len(rest), history
+    record["rest_xy_px"][0, : len(rest)] = rest
+    # Compiles or loads the kernel now and not in the first slice; on a copy, which is no slice.
+    _step(record.copy(), rest, np.zeros(len(rest), np.int32))
+    return FeatureState(record)
 
 
 def step(state: FeatureState, dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
     """Take in one slice: the dots' places, (n, 2) in px, and their events, (n,). ValueError for other shapes."""
-    if dot_xy_px.shape != state.rest_xy_px.shape or events_per_dot.shape != dot_xy_px.shape[:1]:
+    rest = state.rest_xy_px
+    if dot_xy_px.shape != rest.shape or events_per_dot.shape != dot_xy_px.shape[:1]:
         raise ValueError(
-            f"expected places {state.rest_xy_px.shape} and events {state.rest_xy_px.shape[:1]}, "
+            f"expected places {rest.shape} and events {rest.shape[:1]}, "
             f"found {dot_xy_px.shape} and {events_per_dot.shape}"
         )
-    _push(dot_xy_px, events_per_dot, state.rest_xy_px, state.ring, state.slices % state.history)
-    state.slices += 1
+    _step(state.record, dot_xy_px, events_per_dot)
 
 
 def latest(state: FeatureState) -> NDArray[np.float32]:
@@ -75,9 +115,10 @@ def latest(state: FeatureState) -> NDArray[np.float32]:
 
     ValueError as long as the state is not `full`.
     """
-    if not state.full:
-        raise ValueError(f"latest: expected at least {state.history} slices, found {state.slices}")
-    first = state.slices % state.history
+    slices = state.slices
+    if slices < state.history:
+        raise ValueError(f"latest: expected at least {state.history} slices, found {slices}")
+    first = slices % state.history
     return state.ring[first : first + state.history]
 
 
@@ -216,8 +257,8 @@ def gel_image(
     x0, y0, x1, y1 = (0, 0, 0, 0) if window_px is None else (int(edge) for edge in window_px)
     pixel, sign = np.empty(len(x), np.uint32), np.empty(len(x), np.int8)
     _draw(x, y, p, blank)
-    found = _lift_off(x, y, x0, y0, x1, y1, blank, pixel, sign)
-    return pixel[:found], sign[:found]
+    pixels = _take_pixels(x, y, (x0, y0, x1, y1), blank, pixel, sign)
+    return pixel[:pixels], sign[:pixels]
 
 
 def _checked_dots(
@@ -281,21 +322,21 @@ def _offsets(
 
 
 @njit(cache=True)
-def _push(
-    dot_xy_px: NDArray[np.floating],
-    events_per_dot: NDArray[np.int32],
-    rest_xy_px: NDArray[np.float64],
-    ring: NDArray[np.float32],
-    row: int,
-) -> None:
-    again = row + ring.shape[0] // 2
-    for i in range(rest_xy_px.shape[0]):
-        ring[row, i, 0] = _distance(dot_xy_px[i, 0], dot_xy_px[i, 1], rest_xy_px[i, 0], rest_xy_px[i, 1])
-        ring[row, i, 1] = np.float32(events_per_dot[i])
-        ring[row, i, 2] = _offset(dot_xy_px[i, 0], rest_xy_px[i, 0])
-        ring[row, i, 3] = _offset(dot_xy_px[i, 1], rest_xy_px[i, 1])
-        for channel in range(ring.shape[2]):
-            ring[again, i, channel] = ring[row, i, channel]
+def _step(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
+    state = record[0]
+    dots, history = state["dots"], state["history"]
+    rest_xy_px, ring = state["rest_xy_px"][:dots], state["ring"][:]
+    row = state["slices"] % history
+    first, again = row * dots * len(CHANNELS), (row + history) * dots * len(CHANNELS)
+    for i in range(dots):
+        x_px, y_px, rest_x_px, rest_y_px = dot_xy_px[i, 0], dot_xy_px[i, 1], rest_xy_px[i, 0], rest_xy_px[i, 1]
+        distance, events = _distance(x_px, y_px, rest_x_px, rest_y_px), np.float32(events_per_dot[i])
+        right, down = _offset(x_px, rest_x_px), _offset(y_px, rest_y_px)
+        for k in (first, again):
+            ring[k], ring[k + 1], ring[k + 2], ring[k + 3] = distance, events, right, down
+        first += len(CHANNELS)
+        again += len(CHANNELS)
+    state["slices"] += 1
 
 
 @njit(cache=True)
@@ -307,26 +348,24 @@ def _draw(x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], im
 
 
 @njit(cache=True)
-def _lift_off(
+def _take_pixels(
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
-    x0: int,
-    y0: int,
-    x1: int,
-    y1: int,
+    window_px: tuple[int, int, int, int],
     image: NDArray[np.int8],
     pixel: NDArray[np.uint32],
     sign: NDArray[np.int8],
 ) -> int:
     """Move what the events drew from the image, outside the window, to lists; returns their length."""
     height, width = image.shape
-    found = 0
+    x0, y0, x1, y1 = window_px
+    pixels = 0
     for k in range(x.shape[0]):
         if x[k] >= width or y[k] >= height or image[y[k], x[k]] == 0:
             continue
         if not (x0 <= x[k] < x1 and y0 <= y[k] < y1):
-            pixel[found] = np.uint32(y[k]) * np.uint32(width) + np.uint32(x[k])
-            sign[found] = image[y[k], x[k]]
-            found += 1
+            pixel[pixels] = np.uint32(y[k]) * np.uint32(width) + np.uint32(x[k])
+            sign[pixels] = image[y[k], x[k]]
+            pixels += 1
         image[y[k], x[k]] = 0
-    return found
+    return pixels

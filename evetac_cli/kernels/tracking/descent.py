@@ -1,11 +1,11 @@
-"""A gradient step a slice: events pull dots by their rims, neighbours hold them (presets but `stable` of the tracker).
+"""A gradient step a slice: events pull the rims of dots, neighbours hold them (all presets but `stable`).
 
 Every event in the ring of a dot pulls it until the event lies on its rim, and an elastic term keeps the dot at the
 distance from its neighbours that it had at the start (paper, "Signal Processing - Dot Tracking").
 
 Why so:
 - The paper moves a dot only "if more than 10 events are triggered at its location". We count the events in the ring,
-  those that pull: events inside the dot say nothing about where it is.
+  those that pull: events inside the dot carry no information about where it is.
 - Whether an event lies in a ring is close to a coin toss, and a wrong guess of the processor costs more than the pull.
   So every event adds its pull, times 0 or 1.
 """
@@ -18,50 +18,39 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.calibration.grid import MAX_NEIGHBOURS
 from evetac_cli.kernels.tracking import buckets
-from evetac_cli.kernels.tracking.buckets import UNITS
+from evetac_cli.kernels.tracking.buckets import RING_EVENT, UNITS
+
+SUMS = 3  # of every dot: pull (x, y), counts (buckets.py)
+COUNTS = 2  # which of the three are the counts
 
 
 @njit(cache=True)
 def pull_dots(
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
-    fired: NDArray[np.uint16],
-    hot: bool,
-    centre_xy_px: NDArray[np.float64],
-    first_dot: NDArray[np.uint32],
-    bucket_start: NDArray[np.uint32],
-    bucket_dots: NDArray[np.uint32],
-    radius_px: float,
-    ring_inner_px: float,
-    ring_outer_px: float,
-    count_radius_px: float,
-    sums: NDArray[np.int64],
-    ring_events: NDArray[np.int32],
-    events: NDArray[np.int32],
+    state: np.void, x: NDArray[np.uint16], y: NDArray[np.uint16], any_hot: bool, sums: NDArray[np.int64]
 ) -> None:
-    """Give every event to the dots it is near: count it, and add its pull d - r d / |d|, d from centre to event."""
-    room = buckets.BLOCK + centre_xy_px.shape[0]
+    """Add every event to the sums of the dots it is near: its pull d - r d / |d|, d from centre to event, and counts.
+
+    state: tracker.STATE; sums: (dots + 1, SUMS), zero before.
+    """
+    if x.shape[0] == 0:
+        return
+    constants = state["radius_px"], state["ring_inner_px"], state["ring_outer_px"], state["count_radius_px"]
+    room = buckets.BLOCK + state["dots"] + 1
     bucket = np.empty(buckets.BLOCK, np.uint16)
     near_dot = np.empty(room, np.uint32)
     near_px = np.empty((2, room))
-    near_p = np.empty(0, np.uint8)
-    pull = np.empty((2, room), np.int64)
-    in_ring = np.empty(room, np.bool_)
-    counts = np.empty(room, np.bool_)
-    constants = radius_px, ring_inner_px, ring_outer_px, count_radius_px
+    no_p = np.empty(0, np.uint8)
+    terms = np.empty((SUMS, room), np.int64)
     for begin in range(0, x.shape[0], buckets.BLOCK):
         end = min(begin + buckets.BLOCK, x.shape[0])
         xs = x[begin:end]
         ys = y[begin:end]
-        crowd = buckets.look_up(xs, ys, fired, hot, centre_xy_px, first_dot, bucket, near_dot, near_px)
-        _add_pulls(end - begin, near_dot, near_px, *constants, pull, in_ring, counts, sums, ring_events, events)
-        k = 0 if crowd else len(xs)
+        several = buckets.nearby_dot(state, xs, ys, any_hot, bucket, near_dot, near_px)
+        _add_pulls(end - begin, near_dot, near_px, constants, terms, sums)
+        k = 0 if several else len(xs)
         while k < len(xs):
-            k, pairs = buckets.look_up_crowd(
-                xs, ys, p, k, centre_xy_px, first_dot, bucket_start, bucket_dots, bucket, near_dot, near_px, near_p
-            )
-            _add_pulls(pairs, near_dot, near_px, *constants, pull, in_ring, counts, sums, ring_events, events)
+            k, pairs = buckets.nearby_dots(state, xs, ys, no_p, k, bucket, near_dot, near_px, no_p)
+            _add_pulls(pairs, near_dot, near_px, constants, terms, sums)
 
 
 @njit(cache=True)
@@ -69,18 +58,12 @@ def _add_pulls(
     pairs: int,
     near_dot: NDArray[np.uint32],
     near_px: NDArray[np.float64],
-    radius_px: float,
-    ring_inner_px: float,
-    ring_outer_px: float,
-    count_radius_px: float,
-    pull: NDArray[np.int64],
-    in_ring: NDArray[np.bool_],
-    counts: NDArray[np.bool_],
+    constants: tuple[float, float, float, float],
+    terms: NDArray[np.int64],
     sums: NDArray[np.int64],
-    ring_events: NDArray[np.int32],
-    events: NDArray[np.int32],
 ) -> None:
-    """Count pairs of an event and a dot, and add the pulls; pull, in_ring and counts are work space."""
+    """Add pairs of an event and a dot to the dots' sums; terms is work space."""
+    radius_px, ring_inner_px, ring_outer_px, count_radius_px = constants
     ring_inner_px2 = ring_inner_px * ring_inner_px
     ring_outer_px2 = ring_outer_px * ring_outer_px
     count_radius_px2 = count_radius_px * count_radius_px
@@ -88,18 +71,17 @@ def _add_pulls(
         dx = near_px[0, k]
         dy = near_px[1, k]
         distance_px2 = dx * dx + dy * dy
-        in_ring[k] = (distance_px2 > ring_inner_px2) & (distance_px2 < ring_outer_px2)
+        in_ring = (distance_px2 > ring_inner_px2) & (distance_px2 < ring_outer_px2)
         # An event on the very centre has no direction and is in no ring: any finite stretch will do.
-        stretch = (1.0 - radius_px / sqrt(max(distance_px2, 1e-12))) * (in_ring[k] * UNITS)
-        pull[0, k] = int(stretch * dx)
-        pull[1, k] = int(stretch * dy)
-        counts[k] = distance_px2 < count_radius_px2
+        stretch = (1.0 - radius_px / sqrt(max(distance_px2, 1e-12))) * (in_ring * UNITS)
+        terms[0, k] = int(stretch * dx)
+        terms[1, k] = int(stretch * dy)
+        terms[COUNTS, k] = in_ring * RING_EVENT + (distance_px2 < count_radius_px2)
     for k in range(pairs):
         i = np.uint64(near_dot[k])
-        sums[i, 0] += pull[0, k]
-        sums[i, 1] += pull[1, k]
-        ring_events[i] += in_ring[k]
-        events[i] += counts[k]
+        sums[i, 0] += terms[0, k]
+        sums[i, 1] += terms[1, k]
+        sums[i, COUNTS] += terms[COUNTS, k]
 
 
 @njit(cache=True)
@@ -126,24 +108,22 @@ def _regulariser_gradient(
 
 @njit(cache=True)
 def gradient_step(
-    centre_xy_px: NDArray[np.float64],
-    neighbours: NDArray[np.int32],
-    rest_distance_px2: NDArray[np.float64],
-    sums: NDArray[np.int64],
-    ring_events: NDArray[np.int32],
-    shift_px: NDArray[np.float64],
-    radius_px: float,
-    step_size: float,
-    regulariser_weight: float,
-    min_events: int,
-    gradient_clip: float,
-    ascend: bool,
+    state: np.void, sums: NDArray[np.int64], ring_events: NDArray[np.int32], shift_px: NDArray[np.float64]
 ) -> bool:
-    """Fill shift_px (n, 2) of the dots with enough events, all from the positions before; tell whether there is one."""
+    """Fill shift_px (dots, 2) of the dots with enough events; returns whether there is one.
+
+    All are taken from the positions before. state: tracker.STATE.
+    """
+    dots = state["dots"]
+    centre_xy_px = state["centre_xy_px"][: dots + 1]
+    neighbours = state["neighbours"][:dots]
+    rest_distance_px2 = state["rest_distance_px2"][:dots]
+    radius_px, step_size, regulariser_weight = state["radius_px"], state["step_size"], state["regulariser_weight"]
+    min_events, gradient_clip = state["min_events"], state["gradient_clip"]
     moved = False
     # The data term's gradient is -2 times the sum of pulls.
-    to_gradient = (2.0 if ascend else -2.0) / UNITS
-    for i in range(shift_px.shape[0]):
+    to_gradient = (2.0 if state["ascend"] else -2.0) / UNITS
+    for i in range(dots):
         if ring_events[i] <= min_events:
             continue
         moved = True

@@ -1,14 +1,14 @@
-"""How far all dots moved in a slice, solved for from what their rims' events say: the preset `stable` of the tracker.
+"""How far all dots moved in a slice, solved for from the events of their rims: the preset `stable` of the tracker.
 
-An event of a dot's ring at distance d from its centre, in direction n, says three things:
+An event of a dot's ring at distance d from its centre, in direction n, is evidence of three things:
 - The rim is there. beyond = d - rim is how far the dot has to go along n; a least-squares problem over all of its
   events (Gauss-Newton of the paper's data term), damped by 1 / (2 step_size) so that few events move a dot as the
   paper's step would.
 - Which side it is on. A dark dot makes events that get darker on its leading rim and brighter ones on its trailing rim,
-  so the sum of +n and -n points where it goes, and grows with the way: `event_px` for each event, the motion seen.
-  Both rims say the same, where it is the dot that moves.
-- It came late. A pixel fires when its level has changed by the contrast threshold, so the rim of either side is found
-  `rim_lag_px` behind the motion; knowing the side takes that away.
+  so the sum of +n and -n points where it goes, and grows with the motion: `event_px` for each event, the motion seen.
+  Both rims agree, where it is the dot that moves.
+- It came late. A pixel has an event when its level has changed by the contrast threshold, so the rim of either side is
+  found `rim_lag_px` behind the motion; knowing the side takes that away.
 
 Events come evenly during the slice, so the rims are found where they were half way: with H = sum w n n^T,
 s = sum w beyond n and f the motion seen, the correction c to f solves H c = s - H f / 2.
@@ -20,10 +20,10 @@ Why so:
   nothing. A dot that goes 2 px in a slice makes 600, and all of them have to count: f sees too little of such a jump,
   as a pixel has one event a scan. (With 200, dots that swing at 498 Hz, 2 px a slice, were off by 2 px.)
 - An edge of something that slides over the gel is brighter or darker than what it covers: its events have one polarity.
-  A dot that moves makes as many of both. So what one rim says beyond the other, and beyond chance, is not the dot's
-  motion; and the more a dot's events have one polarity, the less they know of its rim: H and s are scaled down by as
-  much. Without this, every rub of an edge over a dot takes it along by some tenths of a pixel. (A camera that has told
-  one polarity only, up to now, cannot be judged so.)
+  A dot that moves makes as many of both. So what one rim shows beyond the other, and beyond chance, is not the dot's
+  motion; and the more a dot's events have one polarity, the less they show of its rim: H and s are scaled down by as
+  much. Without this, every rub of an edge over a dot takes it along by some tenths of a pixel. (A camera that
+  has sent only one polarity up to now cannot be judged so.)
 - w = (1 - (beyond / half ring)^2)^2 falls to zero at the sides of the ring: events that fit the rim badly, badly count.
 - Every sweep takes a mean of bounded values with weights that are not negative, or a damped solution of a positive
   definite system, for any finite constants; the step is limited to `trust_px` in the end.
@@ -39,59 +39,57 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.calibration.grid import MAX_NEIGHBOURS
 from evetac_cli.kernels.tracking import buckets
-from evetac_cli.kernels.tracking.buckets import UNITS
+from evetac_cli.kernels.tracking.buckets import RING_EVENT, UNITS
 
-SUMS = 10  # of every dot: w beyond n (2), w n n^T (xx, xy), then of events that get darker w, w n (2), and of brighter
-SOLVER = 8  # numbers of every dot: inverse matrix (xx, xy, yy), right side (2), correction (2), weight of a neighbour
+SIDE = 4
+SUMS = (
+    3 * SIDE
+)  # of every dot: w beyond n (2), w n n^T (xx, xy); of events that get darker w, w n (2), counts; of brighter
+DARKER = SIDE
+BRIGHTER = 2 * SIDE
+COUNTS = 3  # of either side, which of its four are its counts (buckets.py)
+SYSTEM = 8  # numbers of every dot: inverse matrix (xx, xy, yy), right side (2), correction (2), weight of a neighbour
 CHANCE = 1.0  # both sides may differ by so many standard deviations: sqrt of the sum of w
-ANYTHING = 1e12  # of a chance that explains every difference
-LEAST_SHARE = 0.01  # a camera that has told less than this of one polarity tells only the other
+UNLIMITED = 1e12  # ... so many explain every difference
+LEAST_SHARE = 0.01  # less than this of one polarity: the camera sends only the other
 LEAST_DAMPING = 1e-9  # of the matrix: below this, rounding would decide
 MOST_WEIGHT = 1e12  # beyond this, neighbours are one body to the last bit
 
 
 @njit(cache=True)
 def measure_rims(
+    state: np.void,
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
     p: NDArray[np.uint8],
-    fired: NDArray[np.uint16],
-    hot: bool,
-    centre_xy_px: NDArray[np.float64],
-    first_dot: NDArray[np.uint32],
-    bucket_start: NDArray[np.uint32],
-    bucket_dots: NDArray[np.uint32],
-    radius_px: float,
-    half_ring_px: float,
-    rim_lag_px: float,
-    count_radius_px: float,
+    any_hot: bool,
     sums: NDArray[np.int64],
-    ring_events: NDArray[np.int32],
-    events: NDArray[np.int32],
 ) -> None:
-    """Give every event to the dots it is near: count it, and add what it says of the rim."""
-    room = buckets.BLOCK + centre_xy_px.shape[0]
+    """Add every event to the sums of the dots it is near: where it shows the rim to be, and counts.
+
+    state: tracker.STATE; sums: (dots + 1, SUMS), zero before.
+    """
+    if x.shape[0] == 0:
+        return
+    half_ring_px = state["ring_outer_px"] - state["radius_px"]
+    constants = state["radius_px"], half_ring_px, state["rim_lag_px"], state["count_radius_px"]
+    room = buckets.BLOCK + state["dots"] + 1
     bucket = np.empty(buckets.BLOCK, np.uint16)
     near_dot = np.empty(room, np.uint32)
     near_px = np.empty((2, room))
     near_p = np.empty(room, np.uint8)
-    terms = np.empty((7, room), np.int64)
-    in_ring = np.empty(room, np.bool_)
-    counts = np.empty(room, np.bool_)
-    constants = radius_px, half_ring_px, rim_lag_px, count_radius_px
+    terms = np.empty((2 * SIDE, room), np.int64)
     for begin in range(0, x.shape[0], buckets.BLOCK):
         end = min(begin + buckets.BLOCK, x.shape[0])
         xs = x[begin:end]
         ys = y[begin:end]
         ps = p[begin:end]
-        crowd = buckets.look_up(xs, ys, fired, hot, centre_xy_px, first_dot, bucket, near_dot, near_px)
-        _add_rims(end - begin, near_dot, near_px, ps, *constants, terms, in_ring, counts, sums, ring_events, events)
-        k = 0 if crowd else len(xs)
+        several = buckets.nearby_dot(state, xs, ys, any_hot, bucket, near_dot, near_px)
+        _add_rims(end - begin, near_dot, near_px, ps, constants, terms, sums)
+        k = 0 if several else len(xs)
         while k < len(xs):
-            k, pairs = buckets.look_up_crowd(
-                xs, ys, ps, k, centre_xy_px, first_dot, bucket_start, bucket_dots, bucket, near_dot, near_px, near_p
-            )
-            _add_rims(pairs, near_dot, near_px, near_p, *constants, terms, in_ring, counts, sums, ring_events, events)
+            k, pairs = buckets.nearby_dots(state, xs, ys, ps, k, bucket, near_dot, near_px, near_p)
+            _add_rims(pairs, near_dot, near_px, near_p, constants, terms, sums)
 
 
 @njit(cache=True)
@@ -100,18 +98,12 @@ def _add_rims(
     near_dot: NDArray[np.uint32],
     near_px: NDArray[np.float64],
     near_p: NDArray[np.uint8],
-    radius_px: float,
-    half_ring_px: float,
-    rim_lag_px: float,
-    count_radius_px: float,
+    constants: tuple[float, float, float, float],
     terms: NDArray[np.int64],
-    in_ring: NDArray[np.bool_],
-    counts: NDArray[np.bool_],
     sums: NDArray[np.int64],
-    ring_events: NDArray[np.int32],
-    events: NDArray[np.int32],
 ) -> None:
-    """Count pairs of an event and a dot, and add what they say; terms (7, ...), in_ring and counts are work space."""
+    """Add pairs of an event and a dot to the dots' sums; terms is work space."""
+    radius_px, half_ring_px, rim_lag_px, count_radius_px = constants
     per_half_ring = 1.0 / half_ring_px
     count_radius_px2 = count_radius_px * count_radius_px
     for k in range(pairs):
@@ -135,11 +127,10 @@ def _add_rims(
         terms[4, k] = int(weight)
         terms[5, k] = int(weight * nx)
         terms[6, k] = int(weight * ny)
-        in_ring[k] = shape > 0.0
-        counts[k] = distance_px2 < count_radius_px2
+        terms[DARKER + COUNTS, k] = (shape > 0.0) * RING_EVENT + (distance_px2 < count_radius_px2)
     for k in range(pairs):
         i = np.uint64(near_dot[k])
-        side = np.uint64(4 + 3 * (near_p[k] != 0))  # no branch: the processor could not guess it
+        side = np.uint64(DARKER + SIDE * (near_p[k] != 0))  # no branch: the processor could not guess it
         sums[i, 0] += terms[0, k]
         sums[i, 1] += terms[1, k]
         sums[i, 2] += terms[2, k]
@@ -147,57 +138,48 @@ def _add_rims(
         sums[i, side] += terms[4, k]
         sums[i, side + np.uint64(1)] += terms[5, k]
         sums[i, side + np.uint64(2)] += terms[6, k]
-        ring_events[i] += in_ring[k]
-        events[i] += counts[k]
+        sums[i, side + np.uint64(COUNTS)] += terms[DARKER + COUNTS, k]
 
 
 @njit(cache=True)
 def solve(
-    sums: NDArray[np.int64],
-    ring_events: NDArray[np.int32],
-    neighbours: NDArray[np.int32],
-    min_events: int,
-    step_size: float,
-    regulariser_weight: float,
-    sweeps: int,
-    trust_px: float,
-    event_px: float,
-    most_events: float,
-    told: NDArray[np.float64],
-    solver: NDArray[np.float64],
-    shift_px: NDArray[np.float64],
+    state: np.void, sums: NDArray[np.int64], ring_events: NDArray[np.int32], shift_px: NDArray[np.float64]
 ) -> bool:
-    """Fill shift_px (n, 2) with every dot's motion; tell whether a dot has more than min_events events, else do not."""
-    dots = shift_px.shape[0]
+    """Fill shift_px (dots, 2) with every dot's motion, if a dot has more than min_events events; returns whether.
+
+    state: tracker.STATE.
+    """
+    dots = state["dots"]
+    neighbours, neighbour_count = state["neighbours"][:dots], state["neighbour_count"][:dots]
+    polarity_weight = state["polarity_weight"][:]
     moves = False
     for i in range(dots):
-        moves |= ring_events[i] > min_events
+        moves |= ring_events[i] > state["min_events"]
     if not moves:
         return False
     for i in range(dots):
-        told[0] += sums[i, 4] / UNITS
-        told[1] += sums[i, 7] / UNITS
-    chance = CHANCE if min(told[0], told[1]) > LEAST_SHARE * (told[0] + told[1]) else ANYTHING
-    damping = 0.5 / step_size
+        polarity_weight[0] += sums[i, DARKER] / UNITS
+        polarity_weight[1] += sums[i, BRIGHTER] / UNITS
+    both = polarity_weight[0] + polarity_weight[1]
+    chance = CHANCE if min(polarity_weight[0], polarity_weight[1]) > LEAST_SHARE * both else UNLIMITED
+    damping = 0.5 / state["step_size"]
+    constants = damping, state["regulariser_weight"], state["trust_px"], state["event_px"], state["most_events"], chance
+    system = np.empty((dots, SYSTEM))
     for i in range(dots):
-        _set_up(
-            i, sums, neighbours, damping, regulariser_weight, trust_px, event_px, most_events, chance, solver, shift_px
-        )
-    for _ in range(sweeps):
+        _set_up(i, sums, neighbour_count[i], constants, system, shift_px)
+    for _ in range(state["sweeps"]):
         for i in range(dots):
-            right_x = solver[i, 3]
-            right_y = solver[i, 4]
-            weight = solver[i, 7]
-            for entry in range(MAX_NEIGHBOURS):
-                j = neighbours[i, entry]
-                if j < 0:
-                    break
-                right_x += weight * solver[j, 5]
-                right_y += weight * solver[j, 6]
-            solver[i, 5] = solver[i, 0] * right_x + solver[i, 1] * right_y
-            solver[i, 6] = solver[i, 1] * right_x + solver[i, 2] * right_y
+            right_x = system[i, 3]
+            right_y = system[i, 4]
+            weight = system[i, 7]
+            for entry in range(neighbour_count[i]):
+                j = np.uint64(neighbours[i, entry])
+                right_x += weight * system[j, 5]
+                right_y += weight * system[j, 6]
+            system[i, 5] = system[i, 0] * right_x + system[i, 1] * right_y
+            system[i, 6] = system[i, 1] * right_x + system[i, 2] * right_y
     for i in range(dots):
-        correction_x, correction_y = _limited(solver[i, 5], solver[i, 6], trust_px)
+        correction_x, correction_y = _limited(system[i, 5], system[i, 6], state["trust_px"])
         shift_px[i, 0] += correction_x
         shift_px[i, 1] += correction_y
     return True
@@ -207,44 +189,37 @@ def solve(
 def _set_up(
     i: int,
     sums: NDArray[np.int64],
-    neighbours: NDArray[np.int32],
-    damping: float,
-    regulariser_weight: float,
-    trust_px: float,
-    event_px: float,
-    most_events: float,
-    chance: float,
-    solver: NDArray[np.float64],
+    neighbour_count: int,
+    constants: tuple[float, float, float, float, float, float],
+    system: NDArray[np.float64],
     shift_px: NDArray[np.float64],
 ) -> None:
     """The motion seen by dot i, into shift_px, and its row of the system for the correction, which starts at 0."""
+    damping, regulariser_weight, trust_px, event_px, most_events, chance = constants
     xx = sums[i, 2] / UNITS
     xy = sums[i, 3] / UNITS
-    total = (sums[i, 4] + sums[i, 7]) / UNITS
+    total = (sums[i, DARKER] + sums[i, BRIGHTER]) / UNITS
     yy = total - xx  # n is a unit vector
     by_chance = chance * sqrt(total)
     both_x, both_y = _both_rims(i, sums, by_chance)
     seen_x, seen_y = _limited(event_px * both_x, event_px * both_y, trust_px)
-    of_one_polarity = max(abs(sums[i, 4] - sums[i, 7]) / UNITS - by_chance, 0.0)
+    of_one_polarity = max(abs(sums[i, DARKER] - sums[i, BRIGHTER]) / UNITS - by_chance, 0.0)
     scale = min(1.0, most_events / max(total, 1e-12)) * (1.0 - of_one_polarity / max(total, 1e-12))
     damping += LEAST_DAMPING * (1.0 + scale * total)
-    count = 0
-    while count < MAX_NEIGHBOURS and neighbours[i, count] >= 0:
-        count += 1
-    weight = MAX_NEIGHBOURS * min(regulariser_weight, MOST_WEIGHT) / max(count, 1)
-    a = scale * xx + damping + weight * count
+    weight = MAX_NEIGHBOURS * min(regulariser_weight, MOST_WEIGHT) / max(neighbour_count, 1)
+    a = scale * xx + damping + weight * neighbour_count
     b = scale * xy
-    c = scale * yy + damping + weight * count
+    c = scale * yy + damping + weight * neighbour_count
     # Divided by a, not by the determinant: that of huge numbers is infinite.
     rest = c - b * (b / a)
-    solver[i, 2] = 1.0 / rest
-    solver[i, 1] = -(b / a) / rest
-    solver[i, 0] = 1.0 / a + (b / a) * (b / a) / rest
-    solver[i, 3] = scale * (sums[i, 0] / UNITS - 0.5 * (xx * seen_x + xy * seen_y))
-    solver[i, 4] = scale * (sums[i, 1] / UNITS - 0.5 * (xy * seen_x + yy * seen_y))
-    solver[i, 5] = 0.0
-    solver[i, 6] = 0.0
-    solver[i, 7] = weight
+    system[i, 2] = 1.0 / rest
+    system[i, 1] = -(b / a) / rest
+    system[i, 0] = 1.0 / a + (b / a) * (b / a) / rest
+    system[i, 3] = scale * (sums[i, 0] / UNITS - 0.5 * (xx * seen_x + xy * seen_y))
+    system[i, 4] = scale * (sums[i, 1] / UNITS - 0.5 * (xy * seen_x + yy * seen_y))
+    system[i, 5] = 0.0
+    system[i, 6] = 0.0
+    system[i, 7] = weight
     shift_px[i, 0] = seen_x
     shift_px[i, 1] = seen_y
 
@@ -252,10 +227,10 @@ def _set_up(
 @njit(cache=True)
 def _both_rims(i: int, sums: NDArray[np.int64], by_chance: float) -> tuple[float, float]:
     """Sum of +n on the leading and -n on the trailing rim of dot i, as far as the two agree but for chance."""
-    leading_x = sums[i, 5] / UNITS
-    leading_y = sums[i, 6] / UNITS
-    trailing_x = -sums[i, 8] / UNITS
-    trailing_y = -sums[i, 9] / UNITS
+    leading_x = sums[i, DARKER + 1] / UNITS
+    leading_y = sums[i, DARKER + 2] / UNITS
+    trailing_x = -sums[i, BRIGHTER + 1] / UNITS
+    trailing_y = -sums[i, BRIGHTER + 2] / UNITS
     off_x = leading_x - trailing_x
     off_y = leading_y - trailing_y
     off2 = off_x * off_x + off_y * off_y

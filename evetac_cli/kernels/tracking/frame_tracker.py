@@ -18,7 +18,7 @@ STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.03)
 
 @dataclass
 class FrameTracker:
-    """What is known after a frame."""
+    """The last frame, and where the dots are in it."""
 
     frame: NDArray[np.uint8]  # (height, width)
     dot_xy_px: NDArray[np.float32]  # (dots, 2)
@@ -28,7 +28,7 @@ class FrameTracker:
 def start(frame: NDArray[np.uint8], dot_xy_px: ArrayLike) -> FrameTracker:
     """Begin with the first frame (height, width) and the places of the dots in it (dots, 2) in px.
 
-    ValueError unless the frame is grey, and there are dots and their places finite.
+    ValueError if the frame is not grey, or the places are none or not finite.
     """
     dots = np.array(dot_xy_px, np.float32)
     if dots.ndim != 2 or dots.shape[1] != 2 or not len(dots) or not np.isfinite(dots).all():
@@ -43,9 +43,9 @@ def step(state: FrameTracker, frame: NDArray[np.uint8]) -> None:
     if frame.shape != state.frame.shape or frame.dtype != np.uint8:
         raise ValueError(f"frame: expected uint8 {state.frame.shape}, found {frame.dtype} {frame.shape}")
     places = state.dot_xy_px[:, None]
-    found, status, _ = cv2.calcOpticalFlowPyrLK(
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
         state.frame, frame, places, np.empty_like(places), winSize=WINDOW_PX, maxLevel=LEVELS, criteria=STOP
     )
     state.lost = status[:, 0] == 0
-    state.dot_xy_px = np.where(state.lost[:, None], state.dot_xy_px, found[:, 0])
+    state.dot_xy_px = np.where(state.lost[:, None], state.dot_xy_px, moved[:, 0])
     state.frame = frame

@@ -1,29 +1,34 @@
 """Where the dots are: one slice of events at a time, by the paper's descent or by fitting the rims of the dots.
 
-Every event near the rim of a dot says where the rim is. The paper's tracker and its relatives (presets `paper`,
+Every event near the rim of a dot shows where the rim is. The paper's tracker and its relatives (presets `paper`,
 `official`, `unregularised`) add up a gradient step an event, and an elastic term keeps dots at the distance from their
 neighbours that they had at the start (descent.py). The preset `stable` solves for the motion that the events of
-a slice speak of (fit.py). `start` and `step` are the only way in, for a file and for a live camera alike; what
-they do with a slice, in which order, is in step.py.
+a slice stand for (fit.py). `start` and `step` are the only way in, for a file and for a live camera alike.
 
-Why so: the published code moves centres up the gradient of its data term, with an edge 1.25 times as wide as the dots
-it was calibrated with and a ring inside them: sign, edge and ring hold each other up. So `official` is one setting, for
-dots whose true radius is about 8 px; with dots of 15 px it loses them, as the code does.
+Why so:
+- All that the tracker remembers is one numpy record of the dtype STATE: it is handed to numba as one argument, and is
+  copied, saved, compared and laid into shared memory as a whole. Its size depends neither on the dots nor on the
+  preset, because numba compiles anew for every dtype. What a slice needs besides is made anew for it.
+- The published code moves centres up the gradient of its data term, with an edge 1.25 times as wide as the dots it was
+  calibrated with and a ring inside them: sign, edge and ring hold each other up. So `official` is one setting, for dots
+  whose true radius is about 8 px; with dots of 15 px it loses them, as the code does.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import inf
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.kernels.tracking import buckets, hot_pixels
-from evetac_cli.kernels.tracking import fit as tracker_fit
-from evetac_cli.kernels.tracking import step as tracker_step
+from evetac_cli.kernels.tracking import buckets, descent, fit, hot_pixels, lost_dots
 
+CAPACITY = 256  # dots that a state has room for
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
+_PIXEL, _POLARITY = np.dtype(np.uint16), np.dtype(np.uint8)
 _NO_POLARITY = np.empty(0, np.uint8)
 
 
@@ -100,9 +105,9 @@ class TrackerConstants:
     def for_dots(self, dot_radius_px: float) -> "TrackerConstants":
         """The constants for dots of this radius: with `fit` the ring moves along, without they stay what they are.
 
-        The widths of ring and count stay. A rim makes events in proportion to its length, so each speaks of a shorter
-        way on a longer rim. The paper's presets name their radii as part of what they are. ValueError if the radius is
-        not above half the width of the ring, or the ring out of reach.
+        The widths of ring and count stay. A rim makes events in proportion to its length, so on a longer rim each
+        stands for a shorter motion. The paper's presets name their radii as part of what they are. ValueError if the
+        radius is not above half the width of the ring, or the ring out of reach.
         """
         if not self.fit:
             return self
@@ -144,40 +149,70 @@ PRESETS: dict[str, TrackerConstants] = {
 }
 
 
-@dataclass(slots=True)
+# n is the number of dots; of the arrays with room for CAPACITY dots, the first n rows are used. Ordered by the size of
+# their numbers, the fields have no gaps, whose bytes would differ between equal states.
+STATE = np.dtype(
+    [
+        ("dots", np.int64),  # n
+        ("slices", np.int64),  # so far
+        ("slices_at_rest", np.int64),  # up to now, see lost_dots.py
+        *((item.name, np.int64) for item in fields(TrackerConstants) if item.type is int),
+        *((item.name, np.float64) for item in fields(TrackerConstants) if item.type is float),
+        ("polarity_weight", np.float64, 2),  # sum of the weights of ring events, darker and brighter, up to now
+        ("centre_xy_px", np.float64, (CAPACITY + 1, 2)),  # see dot_xy_px; row n is the dummy dot (buckets.py)
+        ("rest_xy_px", np.float64, (CAPACITY, 2)),  # centres at the start
+        ("rest_distance_px2", np.float64, (CAPACITY, grid.MAX_NEIGHBOURS)),  # squared, to each neighbour at the start
+        ("listed_xy_px", np.float64, (CAPACITY, 2)),  # centres when the buckets were filled, see buckets.py
+        ("neighbours", np.int32, (CAPACITY, grid.MAX_NEIGHBOURS)),  # indices first, then -1
+        ("neighbour_count", np.int32, CAPACITY),  # how many indices that are
+        ("events", np.int32, CAPACITY + 1),  # see events_per_dot; row n is the dummy dot
+        ("first_dot", np.uint32, buckets.BUCKETS + 1),  # which dot is near, if only one is
+        ("bucket_start", np.uint32, buckets.BUCKETS + 1),  # where each bucket's dots begin in bucket_dots
+        ("bucket_dots", np.uint32, buckets.most_entries(CAPACITY, MAX_REACH_PX)),
+        ("pixel_events", np.uint16, hot_pixels.COUNTS_SHAPE),  # recent events of every pixel, see hot_pixels.py
+        ("lost", np.uint8, CAPACITY),  # 1: far from where its neighbours place it, see lost_dots.py
+        *((item.name, np.uint8) for item in fields(TrackerConstants) if item.type is bool),
+        ("_end", np.uint8, 2),  # up to a multiple of 8 bytes
+    ],
+    align=True,
+)
+
+
 class TrackerState:
-    """What the tracker knows after the slices so far; `step` changes the arrays in place, n is the number of dots."""
+    """What the tracker knows after the slices so far: `record`, of dtype STATE, and views of the fields to be read.
 
-    constants: TrackerConstants
-    centre_xy_px: NDArray[np.float64]  # (n + 1, 2), see dot_xy_px; the last row is nobody (buckets.py)
-    events: NDArray[np.int32]  # (n + 1,), see events_per_dot
-    lost: NDArray[np.bool_]  # (n,), far from where its neighbours say, see lost_dots.py
-    rest_xy_px: NDArray[np.float64]  # (n, 2), centres at the start
-    neighbours: NDArray[np.int32]  # (n, 8), indices first, then -1
-    rest_distance_px2: NDArray[np.float64]  # (n, 8), squared distance to each neighbour at the start
-    sums: NDArray[np.int64]  # (n + 1, 2), of pulls, or (n + 1, 10), see fit.py; in units of 2**-36
-    ring_events: NDArray[np.int32]  # (n + 1,), how many events those sums have
-    quiet: NDArray[np.int64]  # (1,), slices of rest up to now
-    told: NDArray[np.float64]  # (2,), sum of the weights of ring events that got darker and brighter up to now
-    shift_px: NDArray[np.float64]  # (n, 2), work space
-    solver: NDArray[np.float64]  # (n, 8), work space
-    listed_xy_px: NDArray[np.float64]  # (n, 2), centres when the buckets were filled, see buckets.py
-    first_dot: NDArray[np.uint32]  # (buckets + 1,), which dot is near, if only one is
-    bucket_start: NDArray[np.uint32]  # (buckets + 1,), where each bucket's dots begin in bucket_dots
-    bucket_dots: NDArray[np.uint32]
-    fired: NDArray[np.uint16]  # recent events of every pixel, see hot_pixels.py
-    passed: NDArray[np.uint32]  # (at least as many as events in a slice,), work space
-    slices: int = 0
+    `step` changes the record in place. `TrackerState(np.frombuffer(memory, STATE, 1))` is a state that was saved as
+    bytes, or lies in shared memory. ValueError if the record is not a writable array of one STATE.
+    """
+
+    __slots__ = ("dot_xy_px", "events_per_dot", "lost", "neighbours", "record", "rest_xy_px")
+
+    def __init__(self, record: NDArray[np.void]) -> None:
+        if record.dtype != STATE or record.shape != (1,) or not record.flags.writeable:
+            raise ValueError(
+                f"record: expected a writable array of one STATE, {STATE.itemsize} bytes, found"
+                f" {'a writable' if record.flags.writeable else 'a read-only'} one, {record.shape} of"
+                f" {record.dtype.itemsize} bytes"
+            )
+        self.record = record
+        n = int(record["dots"][0])
+        self.dot_xy_px: NDArray[np.float64] = record["centre_xy_px"][0, :n]  # (n, 2) now; NaN for a missing dot
+        # (n,) events of the last slice nearer than count_radius_px to where the dot was before it:
+        self.events_per_dot: NDArray[np.int32] = record["events"][0, :n]
+        self.lost: NDArray[np.bool_] = record["lost"][0, :n].view(np.bool_)  # (n,) see lost_dots.py
+        self.rest_xy_px: NDArray[np.float64] = record["rest_xy_px"][0, :n]  # (n, 2) at the start
+        self.neighbours: NDArray[np.int32] = record["neighbours"][0, :n]  # (n, 8) indices first, then -1
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and pickles are of the record: the views of a copy are of its own record."""
+        return TrackerState, (self.record.copy(),)
 
     @property
-    def dot_xy_px(self) -> NDArray[np.float64]:
-        """Centres now, (n, 2), a view; NaN for a missing dot."""
-        return self.centre_xy_px[:-1]
-
-    @property
-    def events_per_dot(self) -> NDArray[np.int32]:
-        """Events of the last slice nearer than count_radius_px to where the dot was before it, (n,), a view."""
-        return self.events[:-1]
+    def constants(self) -> TrackerConstants:
+        """What the tracker was started with."""
+        return TrackerConstants(
+            **{item.name: item.type(self.record[item.name][0]) for item in fields(TrackerConstants)}  # type: ignore[operator]
+        )
 
 
 def start(
@@ -185,37 +220,28 @@ def start(
 ) -> TrackerState:
     """Begin tracking dots from their centres at rest.
 
-    dot_xy_px: (n, 2) in any order, inside the frame and apart from each other; a row of NaN is a missing dot, which
-    never moves, never has events and is no dot's neighbour. neighbours: (n, 8) indices filled up with -1; found by
-    `grid.neighbours` if not given. ValueError if the dots or the neighbours are not like this.
+    dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and apart from each other; a row of NaN is a
+    missing dot, which never moves, never has events and is no dot's neighbour. neighbours: (n, 8) indices filled up
+    with -1; from `grid.neighbours` if not given. ValueError if the dots or the neighbours are not like this.
     """
     rest = _checked_dots(dot_xy_px)
     n = len(rest)
     pairs = grid.neighbours(rest) if neighbours is None else _checked_neighbours(neighbours, rest)
-    entries = buckets.most_entries(n, max(constants.ring_outer_px, constants.count_radius_px))
-    state = TrackerState(
-        constants=constants,
-        centre_xy_px=np.vstack([rest, buckets.DUMMY_DOT_XY_PX]),
-        events=np.zeros(n + 1, np.int32),
-        lost=np.zeros(n, np.bool_),
-        rest_xy_px=rest,
-        neighbours=pairs,
-        rest_distance_px2=np.where(pairs >= 0, np.sum((rest[:, None] - rest[pairs]) ** 2, axis=2), 0.0),
-        sums=np.zeros((n + 1, tracker_fit.SUMS if constants.fit else 2), np.int64),
-        ring_events=np.zeros(n + 1, np.int32),
-        quiet=np.zeros(1, np.int64),
-        told=np.zeros(2),
-        shift_px=np.zeros((n, 2)),
-        solver=np.zeros((n, tracker_fit.SOLVER)),
-        listed_xy_px=np.full((n, 2), -inf),  # far from everywhere: the first step fills the buckets
-        first_dot=np.zeros(buckets.BUCKETS + 1, np.uint32),
-        bucket_start=np.zeros(buckets.BUCKETS + 1, np.uint32),
-        bucket_dots=np.zeros(entries, np.uint32),
-        fired=np.zeros(hot_pixels.FIRED_SHAPE, np.uint16),
-        passed=np.zeros(4096, np.uint32),
-    )
-    nothing = np.empty(0, np.uint16)
-    step(state, nothing, nothing, np.empty(0, np.uint8))  # compiles or loads the kernel now and not in the first slice
+    array = np.zeros(1, STATE)
+    record = array[0]
+    for item in fields(TrackerConstants):
+        record[item.name] = getattr(constants, item.name)
+    record["dots"] = n
+    record["centre_xy_px"][:n] = rest
+    record["centre_xy_px"][n] = buckets.DUMMY_DOT_XY_PX
+    record["rest_xy_px"][:n] = rest
+    record["neighbours"][:n] = pairs
+    record["neighbour_count"][:n] = (pairs >= 0).sum(axis=1)
+    record["rest_distance_px2"][:n] = np.where(pairs >= 0, np.sum((rest[:, None] - rest[pairs]) ** 2, axis=2), 0.0)
+    record["listed_xy_px"][:n] = -inf  # far from everywhere: the first step fills the buckets
+    state = TrackerState(array)
+    no_events = np.empty(0, np.uint16)
+    step(state, no_events, no_events, _NO_POLARITY)  # compiles or loads the kernel now and not in the first slice
     return state
 
 
@@ -224,73 +250,65 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
 
     A dot moves if it has more than min_events ring events. Without `fit` it moves by -step_size * (gradient of the data
     term + regulariser_weight * gradient of the distance term), all taken at the positions before the slice. The data
-    gradient is clipped to gradient_clip, the motion to radius_px, per axis. With `fit` see fit.py: this needs
-    the polarities p, which the others ignore. A dot stays inside the frame. Events outside the frame are ignored.
-    Read-only or strided columns do, but the first of them costs a compilation. ValueError if x, y (uint16) and p
-    (uint8) are no columns of equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
+    gradient is clipped to gradient_clip, the motion to radius_px, per axis. With `fit` see fit.py: this needs the
+    polarities p, which the others ignore. A dot stays inside the frame. Events outside the frame are ignored. Read-only
+    or strided columns do, but the first of them costs a compilation. ValueError if x, y (uint16) and p (uint8) are no
+    columns of equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
     """
-    if x.dtype != np.uint16 or y.dtype != np.uint16 or x.ndim != 1 or x.shape != y.shape:
+    if x.dtype != _PIXEL or y.dtype != _PIXEL or x.ndim != 1 or x.shape != y.shape:
         raise ValueError(
             f"expected two uint16 columns of equal length, found {x.dtype} {x.shape} and {y.dtype} {y.shape}"
         )
-    constants = state.constants
-    if constants.fit and (p is None or p.dtype != np.uint8 or p.shape != x.shape):
-        found = "none" if p is None else f"{p.dtype} {p.shape}"
-        raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {found}")
-    if len(x) > len(state.passed):
-        state.passed = np.zeros(2 * len(x), np.uint32)
-    common = (
-        state.centre_xy_px,
-        state.events,
-        state.lost,
-        state.rest_xy_px,
-        state.neighbours,
-        state.sums,
-        state.ring_events,
-        state.quiet,
-        state.shift_px,
-        state.listed_xy_px,
-        state.first_dot,
-        state.bucket_start,
-        state.bucket_dots,
-        state.fired,
-        state.passed,
-        state.slices,
-        constants.hot_pixel_events,
-        constants.radius_px,
-        constants.ring_inner_px,
-        constants.ring_outer_px,
-        constants.count_radius_px,
-        constants.step_size,
-        constants.regulariser_weight,
-        constants.min_events,
-        constants.rest_slices,
-    )
-    if constants.fit:
-        tracker_step.by_fit(
-            x,
-            y,
-            p,
-            *common,
-            state.told,
-            state.solver,
-            constants.sweeps,
-            constants.trust_px,
-            constants.rim_lag_px,
-            constants.event_px,
-            constants.most_events,
-        )
+    if p is None:
+        if state.record["fit"][0]:
+            raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found none")
+        p = _NO_POLARITY
+    elif p.dtype != _POLARITY or p.shape != x.shape:
+        raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {p.dtype} {p.shape}")
+    _step(state.record, x, y, p)
+
+
+@njit(cache=True)
+def _step(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]) -> None:
+    """Count hot pixels, refill the buckets, sum over the events, move the dots, look for lost dots."""
+    state = record[0]
+    dots = state["dots"]
+    centre_xy_px, listed_xy_px = state["centre_xy_px"][: dots + 1], state["listed_xy_px"][:dots]
+    events, ring_events = state["events"][: dots + 1], np.empty(dots + 1, np.int32)
+    any_hot = False
+    if state["hot_pixel_events"] > 0:
+        any_hot = hot_pixels.count(x, y, state["pixel_events"][:], state["slices"], state["hot_pixel_events"])
+    if buckets.left_margin(centre_xy_px, listed_xy_px):
+        first_dot, bucket_start, bucket_dots = state["first_dot"][:], state["bucket_start"][:], state["bucket_dots"][:]
+        reach_px = max(state["ring_outer_px"], state["count_radius_px"])
+        buckets.fill(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots)
+    shift_px = np.empty((dots, 2))
+    if state["fit"]:
+        sums = np.zeros((dots + 1, fit.SUMS), np.int64)
+        fit.measure_rims(state, x, y, p, any_hot, sums)
+        counts = sums[:, fit.DARKER + fit.COUNTS] + sums[:, fit.BRIGHTER + fit.COUNTS]
+        buckets.split_counts(counts, events, ring_events)
+        moved = fit.solve(state, sums, ring_events, shift_px)
     else:
-        tracker_step.by_descent(
-            x, y, _NO_POLARITY, *common, state.rest_distance_px2, constants.gradient_clip, constants.ascend
-        )
-    state.slices += 1
+        sums = np.zeros((dots + 1, descent.SUMS), np.int64)
+        descent.pull_dots(state, x, y, any_hot, sums)
+        buckets.split_counts(sums[:, descent.COUNTS], events, ring_events)
+        moved = descent.gradient_step(state, sums, ring_events, shift_px)
+    if moved:
+        for i in range(dots):
+            if ring_events[i] > state["min_events"]:
+                centre_xy_px[i, 0] = min(max(centre_xy_px[i, 0] + shift_px[i, 0], 0.0), FRAME_PX[0] - 1.0)
+                centre_xy_px[i, 1] = min(max(centre_xy_px[i, 1] + shift_px[i, 1], 0.0), FRAME_PX[1] - 1.0)
+    lost_dots.update(state, moved, ring_events)
+    state["slices"] += 1
 
 
 def _checked_dots(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     dots = np.array(dot_xy_px, dtype=np.float64, order="C")
     if dots.ndim != 2 or dots.shape[1] != 2:
         raise ValueError(f"dot_xy_px: expected shape (n, 2), found {dots.shape}")
+    if len(dots) > CAPACITY:
+        raise ValueError(f"dot_xy_px: expected at most {CAPACITY} dots, found {len(dots)}")
     missing = np.isnan(dots)
     if (missing[:, 0] != missing[:, 1]).any():
         raise ValueError("dot_xy_px: expected NaN in both coordinates of a missing dot, found it in one")

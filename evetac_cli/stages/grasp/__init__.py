@@ -40,7 +40,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> list[Job]:
     """One recording for every object and trial."""
     refuse_unused_options(params)
     law = make_law(params)
-    if not grip_control.feels(law) and params.model is not None:
+    if not grip_control.uses_detector(law) and params.model is not None:
         raise InputError(
             f"no detector is used with --controller {params.controller}", where="--model", found=str(params.model)
         )

@@ -29,7 +29,7 @@ def make_law(params: Grasp) -> Any:
 
 def model_path_for(params: Grasp) -> Path | None:
     """The model file that a grasp feels with: the one named, else the package's; None without a detector."""
-    if not grip_control.feels(make_law(params)):
+    if not grip_control.uses_detector(make_law(params)):
         return None
     return params.model if params.model is not None else resources.MODEL
 
@@ -59,7 +59,7 @@ def grasp_parameters(job: Job, params: Grasp, control: Control) -> dict[str, Any
         "law": control.parameters(),
         "latency_ms": params.latency_ms,
         "control_hz": params.control_hz,
-        "tracker": feeling if grip_control.feels(control.law) else None,
+        "tracker": feeling if grip_control.uses_detector(control.law) else None,
         "lift_s": params.lift_s,
         "balance_s": params.balance_s,
     }

@@ -1,11 +1,11 @@
-"""Controllers by name: which law, what it hears, and the two that do not feel."""
+"""Controllers by name: which law, which signals reach it, and the two that use no detector."""
 
 import math
 
 import pytest
 
 from evetac_cli.kernels.grip import load_proportional, paper
-from evetac_cli.kernels.grip.control import LAWS, Control, FixedGrip, SlipSignal, feels, make_law
+from evetac_cli.kernels.grip.control import LAWS, Control, FixedGrip, SlipSignal, make_law, uses_detector
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
 from evetac_cli.kernels.grip.paper import Phase
 
@@ -13,19 +13,19 @@ CONTACT, LIFT, BALANCE = Phase.CONTACT, Phase.LIFT, Phase.BALANCE
 
 
 def test_names() -> None:
-    """Assert that each name is its law, and that only contact alone and fixed grips do not feel."""
+    """Assert that each name is its law, and that only contact alone and fixed grips use no detector."""
     assert make_law("paper") == paper.PAPER
     assert make_law("paper-reset") == paper.PAPER_RESET
     assert make_law("load-proportional") == LoadLaw()
     assert make_law("paper", 2.0) == paper.GripLaw(gain=2.0)
     assert make_law("none") == FixedGrip(0)
     assert make_law("fixed:12") == FixedGrip(12)
-    assert [feels(make_law(name)) for name in (*LAWS, "none", "fixed:3")] == [True] * 3 + [False] * 2
+    assert [uses_detector(make_law(name)) for name in (*LAWS, "none", "fixed:3")] == [True] * 3 + [False] * 2
 
 
 @pytest.mark.parametrize("name", ["", "Paper", "fixed", "fixed:", "fixed:0", "fixed:-3", "fixed:1.5", "fixed:9999"])
 def test_no_such_controller(name: str) -> None:
-    """Assert that a name that is none is refused with those that are."""
+    """Assert that an unknown name is refused with a list of those that exist."""
     with pytest.raises(ValueError, match="expected"):
         make_law(name)
 
@@ -38,22 +38,22 @@ def test_only_the_paper_has_a_gain(name: str) -> None:
 
 
 def test_slip_is_a_count_that_rose() -> None:
-    """Assert that slip is told once for however many slices, and not again until the count rises."""
+    """Assert that slip counts once for however many slices, and not again until the count rises."""
     control = Control(make_law("paper"))
-    told = []
+    slips = []
     for count in (0, 0, 3, 3, 4, 4, 9):
         control.step(LIFT, SlipSignal(count), 100)
-        told.append(control.slip)
-    assert told == [False, False, True, False, True, False, True]
+        slips.append(control.slip)
+    assert slips == [False, False, True, False, True, False, True]
 
 
 @pytest.mark.parametrize("name", ["paper", "paper-reset"])
-def test_the_paper_s_law_is_what_it_was(name: str) -> None:
+def test_the_paper_s_law_behind_its_name(name: str) -> None:
     """Assert that behind its name the law gives the goals of its own step, with u_ff and x_ref for the record."""
     control, state, seen = Control(make_law(name)), paper.start(), 0
-    heard = ((CONTACT, 0, 90), (CONTACT, 2, 100), (LIFT, 2, 101), (LIFT, 5, 103), (LIFT, 5, 108), (BALANCE, 5, 107),
+    steps = ((CONTACT, 0, 90), (CONTACT, 2, 100), (LIFT, 2, 101), (LIFT, 5, 103), (LIFT, 5, 108), (BALANCE, 5, 107),
              (BALANCE, 6, 103), (BALANCE, 6, 104), (BALANCE, 7, 101))  # fmt: skip
-    for phase, count, position in heard:
+    for phase, count, position in steps:
         goal = paper.step(state, phase, count > seen, position, LAWS[name])
         seen = count
         assert control.step(phase, SlipSignal(count), position) == goal
@@ -61,14 +61,17 @@ def test_the_paper_s_law_is_what_it_was(name: str) -> None:
         assert control.x_ref_ticks == pytest.approx(state.x_ref, nan_ok=True)
 
 
-def test_by_load_hears_the_drag() -> None:
-    """Assert that ours is given the drag and the time of a step at its own rate."""
+def test_load_proportional_gets_the_mean_displacement() -> None:
+    """Assert that it is given the mean displacement and the time of a step at its own rate."""
     control, state = Control(make_law("load-proportional"), 250.0), load_proportional.start()
-    for phase, felt, position in ((CONTACT, SlipSignal(0, 0.0, 0.1, 0.2), 100), (LIFT, SlipSignal(1, 0.9, 3.1, 0.2), 100),
-                                  (LIFT, SlipSignal(1, 0.1, 3.1, 0.3), 108)):  # fmt: skip
-        slip = felt.slips > 0 and position == 100
-        goal = load_proportional.step(state, phase, slip, felt[2:], position, 1 / 250, LoadLaw())
-        assert control.step(phase, felt, position) == goal
+    for phase, signal, position in (
+        (CONTACT, SlipSignal(0, 0.0, 0.1, 0.2), 100),
+        (LIFT, SlipSignal(1, 0.9, 3.1, 0.2), 100),
+        (LIFT, SlipSignal(1, 0.1, 3.1, 0.3), 108),
+    ):
+        slip = signal.slips > 0 and position == 100
+        goal = load_proportional.step(state, phase, slip, signal[2:], position, 1 / 250, LoadLaw())
+        assert control.step(phase, signal, position) == goal
     assert control.x_ref_ticks == state.wanted_ticks
 
 
@@ -80,8 +83,8 @@ def test_contact_alone_stays_without_a_push() -> None:
         assert control.step(phase, SlipSignal(count), position) == position
 
 
-def test_a_fixed_grip_stays_where_it_is_told() -> None:
-    """Assert that after light contact the goal is N ticks beyond where contact ended, whatever is felt."""
+def test_a_fixed_grip_stays_where_it_closed_to() -> None:
+    """Assert that after light contact the goal is N ticks beyond where contact ended, slip or not."""
     control = Control(make_law("fixed:7"))
     control.step(CONTACT, SlipSignal(), 100)
     for phase, count, position in ((LIFT, 5, 104), (LIFT, 9, 108), (BALANCE, 12, 99)):
@@ -92,8 +95,8 @@ def test_a_fixed_grip_stays_where_it_is_told() -> None:
     assert control.step(LIFT, SlipSignal(), 702) == paper.PAPER.last_tick
 
 
-def test_a_rate_that_is_none() -> None:
-    """Assert that a controller that never steps is refused."""
+def test_a_rate_out_of_range() -> None:
+    """Assert that a rate of control that is not finite and above 0 is refused."""
     for hz in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="control_hz"):
             Control(make_law("load-proportional"), hz)

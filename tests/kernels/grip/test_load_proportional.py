@@ -1,4 +1,4 @@
-"""The grip in proportion to the load: against hand-made loads, and against a gripper that does what it is told."""
+"""The grip in proportion to the load: against hand-made loads, and against an ideal gripper."""
 
 import math
 from dataclasses import fields
@@ -74,12 +74,12 @@ def test_the_grip_follows_the_load(load_px: float) -> None:
 
 
 def test_the_load_has_no_direction() -> None:
-    """Assert that drag in any direction is a load, and that only drag since light contact counts."""
+    """Assert that displacement in any direction is a load, and that only what came since light contact counts."""
     wanted = []
-    for drag in ((3.0, 0.0), (0.0, 3.0), (-1.8, -2.4)):
+    for shear in ((3.0, 0.0), (0.0, 3.0), (-1.8, -2.4)):
         state = start()
         step(state, CONTACT, False, (7.0, -5.0), 100, DT_S, LAW)
-        step(state, LIFT, False, (7.0 + drag[0], -5.0 + drag[1]), 100, DT_S, LAW)
+        step(state, LIFT, False, (7.0 + shear[0], -5.0 + shear[1]), 100, DT_S, LAW)
         wanted.append(state.wanted_ticks)
     assert wanted == pytest.approx([wanted[0]] * 3)
 
@@ -113,8 +113,8 @@ def test_release_is_the_same_share_a_second() -> None:
     assert fingers.closed_ticks == pytest.approx(LAW.least_ratio * 4.0 + LAW.spare_ticks, abs=1.0)
 
 
-def test_slip_is_caught_and_teaches() -> None:
-    """Assert that slip, seen in the drag too, closes well beyond where it came, and the grip returns to just above."""
+def test_the_grip_closes_on_slip_and_stays_above_it() -> None:
+    """Assert that slip confirmed by the load closes well beyond where it came, and the grip returns to just above."""
     fingers = balancing()
     fingers.follow(BALANCE, 4.0, seconds=2.0)
     came_at = fingers.state.ratio
@@ -128,26 +128,26 @@ def test_slip_is_caught_and_teaches() -> None:
     assert fingers.state.ratio == needed
 
 
-def test_slip_without_a_trace_in_the_drag_is_doubted() -> None:
-    """Assert that such slip ends the release for a while, is caught only if it lasts, and teaches nothing even then."""
+def test_slip_that_the_load_does_not_confirm() -> None:
+    """Assert that it ends the release for a while, closes the grip only if it lasts, and sets no needed ratio."""
     fingers = balancing()
     fingers.follow(BALANCE, 4.0, seconds=1.0)
     came_at = fingers.state.ratio
-    fingers.follow(BALANCE, 4.0, slip=True, seconds=LAW.sure_s - 2 * DT_S)
+    fingers.follow(BALANCE, 4.0, slip=True, seconds=LAW.unconfirmed_s - 2 * DT_S)
     fingers.follow(BALANCE, 4.0, seconds=LAW.quiet_s - DT_S)
     assert fingers.state.ratio == came_at
     fingers.follow(BALANCE, 4.0, seconds=1.0)
     released = fingers.state.ratio
     assert released < came_at
-    fingers.follow(BALANCE, 4.0, slip=True, seconds=LAW.sure_s + DT_S)
+    fingers.follow(BALANCE, 4.0, slip=True, seconds=LAW.unconfirmed_s + DT_S)
     assert fingers.state.ratio > (1 + LAW.catch) * released
     assert fingers.state.needed == 0.0
     fingers.follow(BALANCE, 4.0, seconds=5.0)
     assert fingers.state.ratio < released
 
 
-def test_a_falling_drag_is_slip() -> None:
-    """Assert that under a steady grip a load that falls by more than its share is caught without the detector."""
+def test_a_falling_load_is_slip() -> None:
+    """Assert that a steady grip closes on a load that falls by more than its share, without the detector."""
     fingers = balancing()
     fingers.follow(BALANCE, 4.0, seconds=1.0)
     came_at = fingers.state.ratio
@@ -157,18 +157,18 @@ def test_a_falling_drag_is_slip() -> None:
 
 
 def test_a_sinking_object_ends_the_release() -> None:
-    """Assert that drag that grows while the grip falls ends the release where it is, without a catch."""
+    """Assert that a load that grows while the grip falls ends the release where it is, and does not close."""
     fingers = balancing()
     fingers.follow(BALANCE, 4.0, seconds=1.0)
     came_at = fingers.state.ratio
-    fingers.follow(BALANCE, 4.0 * (1 + 1.5 * LAW.creep) + LAW.creep_px, seconds=0.1)
+    fingers.follow(BALANCE, 4.0 * (1 + 1.5 * LAW.sink) + LAW.sink_px, seconds=0.1)
     assert came_at * 0.95 < fingers.state.needed == fingers.state.ratio <= came_at
-    fingers.follow(BALANCE, 4.0 * (1 + 1.5 * LAW.creep) + LAW.creep_px, seconds=5.0)
+    fingers.follow(BALANCE, 4.0 * (1 + 1.5 * LAW.sink) + LAW.sink_px, seconds=5.0)
     assert fingers.state.ratio == fingers.state.needed
 
 
 def test_more_weight_is_gripped_at_once() -> None:
-    """Assert that twice the load finds twice the grip within 50 ms, by what slip has taught before."""
+    """Assert that twice the load finds twice the grip within 50 ms, by the ratio that slip has shown before."""
     fingers = balancing(2.0)
     fingers.follow(BALANCE, 2.0, seconds=1.0)
     fingers.follow(BALANCE, 2.06, slip=True)
@@ -198,7 +198,7 @@ def test_bounds(contact: list, lift: list, balance: list) -> None:
 
 
 @pytest.mark.parametrize("name", [item.name for item in fields(LoadLaw)])
-def test_what_is_no_law(name: str) -> None:
+def test_constants_out_of_range(name: str) -> None:
     """Assert that a constant that is negative or not finite is refused by its name."""
     for value in (-1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match=name):

@@ -13,7 +13,7 @@ CONTACT, LIFT, BALANCE = Phase.CONTACT, Phase.LIFT, Phase.BALANCE
 
 
 def lifting(position: int = 100) -> GripState:
-    """A controller that has made contact and taken one quiet step of lifting."""
+    """A controller that has made contact and taken one step of lifting without slip."""
     state = start()
     step(state, CONTACT, False, position)
     step(state, LIFT, False, position)
@@ -46,7 +46,7 @@ def test_contact_closes_by_two_ticks_from_where_it_is() -> None:
 
 
 def test_lift_starts_with_zero() -> None:
-    """Assert that u_ff "is initialized as zero": the first quiet step leaves it there, one with slip at -1."""
+    """Assert that u_ff "is initialized as zero": a first step without slip leaves it there, with slip it is -1."""
     for slip, u_ff in ((False, 0.0), (True, -1.0)):
         state = start()
         step(state, CONTACT, False, 100)
@@ -63,10 +63,10 @@ def test_lift_is_clipped_to_closing() -> None:
     """Assert that u_ff stays within [-5, 0]: six steps with slip end at -5, and 501 without at 0, exactly."""
     state = lifting()
     assert feed(state, LIFT, "ssssss") == [-1.0, -2.0, -3.0, -4.0, -5.0, -5.0]
-    quiet = feed(state, LIFT, "." * 501)
-    assert quiet[0] == pytest.approx(-4.99)
-    assert quiet[-1] == 0.0
-    assert max(quiet) == 0.0
+    no_slip = feed(state, LIFT, "." * 501)
+    assert no_slip[0] == pytest.approx(-4.99)
+    assert no_slip[-1] == 0.0
+    assert max(no_slip) == 0.0
 
 
 def test_lift_reference_before_the_first_switch() -> None:
@@ -185,7 +185,13 @@ def test_goal_is_in_whole_ticks() -> None:
 def test_other_constants() -> None:
     """Assert that a law with other constants is followed, each in its place."""
     law = GripLaw(
-        approach=-3, lift_slip=-0.5, lift_quiet=0.1, balance_slip=-1, balance_quiet=0.2, lowest=-1.2, highest_open=0.3
+        approach=-3,
+        lift_slip=-0.5,
+        lift_no_slip=0.1,
+        balance_slip=-1,
+        balance_no_slip=0.2,
+        lowest=-1.2,
+        highest_open=0.3,
     )
     state = start()
     assert step(state, CONTACT, False, 50, law) == 53
@@ -201,8 +207,8 @@ def test_other_constants() -> None:
 
 def test_the_paper_law() -> None:
     """Assert the constants of the paper, because every header carries them."""
-    assert (PAPER.approach, PAPER.lift_slip, PAPER.lift_quiet) == (-2.0, -1.0, 0.01)
-    assert (PAPER.balance_slip, PAPER.balance_quiet, PAPER.lowest, PAPER.highest_open) == (-2.0, 0.01, -5.0, 2.0)
+    assert (PAPER.approach, PAPER.lift_slip, PAPER.lift_no_slip) == (-2.0, -1.0, 0.01)
+    assert (PAPER.balance_slip, PAPER.balance_no_slip, PAPER.lowest, PAPER.highest_open) == (-2.0, 0.01, -5.0, 2.0)
 
 
 steps = st.tuples(st.booleans(), st.integers(0, 740))
@@ -211,7 +217,7 @@ steps = st.tuples(st.booleans(), st.integers(0, 740))
 @given(st.lists(steps, min_size=1, max_size=20), st.lists(steps, max_size=40), st.lists(steps, max_size=40))
 @settings(deadline=None)
 def test_bounds(contact: list[tuple[bool, int]], lift: list[tuple[bool, int]], balance: list[tuple[bool, int]]) -> None:
-    """Assert, whatever comes, that u_ff keeps its range, x_ref is a position that was there, and goals are near it."""
+    """Assert, whatever comes, that u_ff keeps its range, x_ref is a position that came, and goals are near it."""
     state, positions = start(), set()
     for phase, sequence in ((CONTACT, contact), (LIFT, lift), (BALANCE, balance)):
         switched = False
@@ -254,7 +260,7 @@ def test_paper_reset_takes_every_beginning_of_slip() -> None:
 def test_paper_reset_is_the_paper_until_slip_begins_twice(
     contact: list[tuple[bool, int]], lift: list[tuple[bool, int]], balance: list[tuple[bool, int]]
 ) -> None:
-    """Assert that both readings of the latch say the same until slip begins for the second time in balance."""
+    """Assert that both readings of the latch give the same goals until slip begins for the second time in balance."""
     once, every, beginnings, before = start(), start(), 0, True
     for phase, sequence in ((CONTACT, contact), (LIFT, lift), (BALANCE, balance)):
         for slip, position in sequence:
@@ -282,10 +288,10 @@ def test_another_rate_changes_u_ff_as_much_a_second() -> None:
     """Assert that 0.2 s of slip, or of none, at 50, 100, 250 and 1000 Hz move u_ff as at 500 Hz, clipped alike."""
     for hz in (50, 100, 250, 500, 1000):
         law = PAPER.at(hz)
-        quiet = balancing()
+        no_slip = balancing()
         for _ in range(hz // 5):
-            step(quiet, BALANCE, False, 100, law)
-        assert quiet.u_ff == pytest.approx(1.0)
+            step(no_slip, BALANCE, False, 100, law)
+        assert no_slip.u_ff == pytest.approx(1.0)
         slipping = lifting()
         step(slipping, LIFT, True, 100, law)
         assert slipping.u_ff == pytest.approx(max(-500 / hz, -5.0))
@@ -294,7 +300,7 @@ def test_another_rate_changes_u_ff_as_much_a_second() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"approach": 1.0}, {"lift_slip": math.nan}, {"lift_quiet": -0.1}, {"gain": 0.0}, {"gain": math.inf},
+    [{"approach": 1.0}, {"lift_slip": math.nan}, {"lift_no_slip": -0.1}, {"gain": 0.0}, {"gain": math.inf},
      {"lowest": 1.0}, {"highest_open": math.inf}, {"first_tick": 741}],
 )  # fmt: skip
 def test_what_is_no_law(wrong: dict[str, float]) -> None:

@@ -1,5 +1,10 @@
 """Touch features: hand-made values, live equals whole recording bit for bit, and what a rotation keeps."""
 
+import copy
+import mmap
+import pickle
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import features
+from evetac_cli.kernels.slip.features import DOT_CAPACITY, HISTORY_CAPACITY, STATE, FeatureState
 
 REST = np.array([[100.0, 50.0], [200.0, 50.0], [np.nan, np.nan]])
 
@@ -75,9 +81,52 @@ def test_live_equals_recording(seed: int, history: int, n: int) -> None:
         features.step(state, tracks[k], events[k])
         assert state.full == (k >= history - 1)
         if state.full:
-            found = features.latest(state)
-            assert found.dtype == np.float32
-            assert found.tobytes() == expected[k - history + 1 : k + 1].tobytes()
+            windows = features.latest(state)
+            assert windows.dtype == np.float32
+            assert windows.tobytes() == expected[k - history + 1 : k + 1].tobytes()
+
+
+@pytest.mark.parametrize("make", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
+def test_a_copy_goes_on_alike_and_alone(make: Callable[[FeatureState], FeatureState]) -> None:
+    """Assert that a copy has the same bytes and goes on with the same bits, and that neither changes the other."""
+    rest, tracks, events = recording(5, 30, 56)
+    state = features.start(rest, 10)
+    for k in range(15):
+        features.step(state, tracks[k], events[k])
+    other = make(state)
+    before = state.record.tobytes()
+    assert other.record.tobytes() == before
+    features.step(other, tracks[20], events[20])
+    assert state.record.tobytes() == before != other.record.tobytes()
+    features.step(state, tracks[20], events[20])
+    assert features.latest(state).tobytes() == features.latest(other).tobytes()
+    assert state.record.tobytes() == other.record.tobytes()
+
+
+def test_a_state_round_trips_through_bytes_and_shared_memory() -> None:
+    """Assert that a state from bytes, and one that lies in memory of another owner, go on with the same bits there."""
+    rest, tracks, events = recording(6, 30, 63)
+    state = features.start(rest, 3)
+    for k in range(7):
+        features.step(state, tracks[k], events[k])
+    saved = FeatureState(np.frombuffer(bytearray(state.record.tobytes()), STATE))
+    memory = mmap.mmap(-1, STATE.itemsize)
+    memory.write(state.record.tobytes())
+    shared = FeatureState(np.frombuffer(memory, STATE, 1))
+    for one in (state, saved, shared):
+        features.step(one, tracks[20], events[20])
+    assert saved.record.tobytes() == memory[:] == state.record.tobytes()
+    assert features.latest(shared).tobytes() == features.latest(state).tobytes()
+
+
+def test_the_largest_state_fits() -> None:
+    """Assert that as many dots and slices as there is room for give what the whole recording gives, to the last bit."""
+    rest, tracks, events = recording(7, HISTORY_CAPACITY + 5, DOT_CAPACITY)
+    state = features.start(rest, HISTORY_CAPACITY)
+    for dot_xy_px, counts in zip(tracks, events, strict=True):
+        features.step(state, dot_xy_px, counts)
+    expected = features.series(features.displacement(tracks, rest), events, features.displacement_xy(tracks, rest))
+    assert features.latest(state).tobytes() == expected[5:].tobytes()
 
 
 def test_channels_by_hand() -> None:
@@ -94,8 +143,8 @@ def test_channels_by_hand() -> None:
 
 def test_series_without_directions() -> None:
     """Assert that a recording whose features have no directions has zeros for them."""
-    found = features.series(np.ones((3, 2), np.float32), np.full((3, 2), 5, np.int32))
-    assert found.tolist() == [[[1, 5, 0, 0]] * 2] * 3
+    series = features.series(np.ones((3, 2), np.float32), np.full((3, 2), 5, np.int32))
+    assert series.tolist() == [[[1, 5, 0, 0]] * 2] * 3
 
 
 def test_not_enough_history() -> None:
@@ -115,6 +164,11 @@ def test_wrong_shapes_are_refused() -> None:
         lambda: features.start(np.zeros((3, 3)), 1),
         lambda: features.start(np.full((3, 2), np.inf), 1),
         lambda: features.start(REST, 0),
+        lambda: features.start(REST, HISTORY_CAPACITY + 1),
+        lambda: features.start(np.zeros((DOT_CAPACITY + 1, 2)), 1),
+        lambda: FeatureState(np.zeros(2, STATE)),
+        lambda: FeatureState(np.frombuffer(bytes(STATE.itemsize), STATE)),
+        lambda: FeatureState(np.zeros(1)),
         lambda: features.step(state, REST[:2], np.zeros(3, np.int32)),
         lambda: features.step(state, REST, np.zeros(2, np.int32)),
         lambda: features.displacement(REST[:2], REST),
@@ -173,13 +227,13 @@ def test_quarter_turn_by_hand() -> None:
 def test_quarter_turns_add_up_to_the_crop() -> None:
     """Assert that 1 + 3, 3 + 1 and 1 + 1 + 1 + 1 quarter turns give back all but the leftmost column, in its place."""
     windows = numbered()
-    kept = windows.copy()
-    kept[:, :, 0] = 0
+    expected = windows.copy()
+    expected[:, :, 0] = 0
     for turns in ((1, 3), (3, 1), (1, 1, 1, 1), (3, 3, 3, 3)):
         turned = windows
         for turn in turns:
             turned = features.rotate(turned, turn)
-        assert (turned == kept).all()
+        assert (turned == expected).all()
 
 
 @pytest.mark.parametrize(("rows", "columns", "first"), [(7, 9, 1), (3, 3, 0), (2, 5, 2), (1, 4, 2)])
@@ -246,6 +300,6 @@ def test_images_are_cut_and_joined() -> None:
     start = np.cumsum([0, *rng.integers(0, 5, 9)])
     whole = features.EventImages(start, rng.integers(0, 9, start[-1]).astype(np.uint32), np.ones(start[-1], np.int8))
     joined = features.join_images([whole.part(0, 4), whole.part(4, 4), whole.part(4, 9)])
-    for found, expected in zip(joined, whole, strict=True):
-        assert found.dtype == expected.dtype
-        np.testing.assert_array_equal(found, expected)
+    for column, expected in zip(joined, whole, strict=True):
+        assert column.dtype == expected.dtype
+        np.testing.assert_array_equal(column, expected)

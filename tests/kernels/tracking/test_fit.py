@@ -27,22 +27,22 @@ def grid() -> NDArray[np.float64]:
 def contact_edges(
     rng: np.random.Generator,
     before: NDArray[np.float64],
-    way: NDArray[np.float64],
+    motion_px: NDArray[np.float64],
     a_px: float = 300.0,
     dot_radius_px: float = 15.0,
 ) -> Slice:
     """Events of dots (n, 2) that all go the same way within a slice: darker ahead, brighter behind, evenly in time."""
-    length = np.linalg.norm(way)
+    length = np.linalg.norm(motion_px)
     dot = np.repeat(np.arange(len(before)), rng.poisson(a_px * length, len(before)))
     side = rng.choice([-1.0, 1.0], len(dot))
     sine = rng.uniform(-1, 1, len(dot))
-    horizon_ms = way / max(length, 1e-12)
-    normal = (side * np.sqrt(1 - sine**2))[:, None] * horizon_ms + sine[:, None] * np.array(
-        [-horizon_ms[1], horizon_ms[0]]
+    direction = motion_px / max(length, 1e-12)
+    normal = (side * np.sqrt(1 - sine**2))[:, None] * direction + sine[:, None] * np.array(
+        [-direction[1], direction[0]]
     )
     lag_px = -STABLE.rim_lag_px * np.sign(side)  # found behind the motion, on either side
     radius_px = dot_radius_px + lag_px + 0.5 * rng.standard_normal(len(dot))
-    place = before[dot] + rng.random(len(dot))[:, None] * way + radius_px[:, None] * normal
+    place = before[dot] + rng.random(len(dot))[:, None] * motion_px + radius_px[:, None] * normal
     x, y = np.round(place).astype(np.uint16).T.copy()
     return x, y, np.where(side > 0, DARKER, BRIGHTER).astype(np.uint8)
 
@@ -122,21 +122,21 @@ def test_agrees_with_plain_reference_in_a_crowd() -> None:
         assert np.abs(state.dot_xy_px - expected).max() < 1e-6
 
 
-def test_hot_pixels_say_nothing() -> None:
+def test_events_of_hot_pixels_are_left_out() -> None:
     """Assert that events of hot pixels anywhere among the others, and some outside the frame, change no bit."""
     rng = np.random.default_rng(8)
     cool = contact_edges(rng, grid() + rng.uniform(-1, 1, (30, 2)), np.array([0.05, 0.02]))
     hot_xy = np.round(grid()[:20] + (15, 4)).astype(np.uint16)
     more_x, more_y = np.concatenate([hot_xy, [(640, 100), (300, 480), (65535, 65535)]]).astype(np.uint16).T
-    kept = ~(np.stack(cool[:2], axis=1)[:, None] == hot_xy).all(axis=2).any(axis=1)
-    cool = tuple(column[kept] for column in cool)  # type: ignore[assignment]
+    apart = ~(np.stack(cool[:2], axis=1)[:, None] == hot_xy).all(axis=2).any(axis=1)
+    cool = tuple(column[apart] for column in cool)  # type: ignore[assignment]
     order = rng.permutation(len(cool[0]) + len(more_x))
     more = more_x, more_y, rng.integers(0, 2, len(more_x), dtype=np.uint8)
     mixed = [np.concatenate(columns)[order] for columns in zip(cool, more, strict=True)]
     places = []
     for x, y, p in (cool, mixed):
         state = tracker.start(grid(), STABLE)
-        state.fired[hot_xy[:, 1] + 1, hot_xy[:, 0] + 1] = 0xFFFF
+        state.record["pixel_events"][0, hot_xy[:, 1] + 1, hot_xy[:, 0] + 1] = 0xFFFF
         tracker.step(state, x, y, p)
         places.append((state.dot_xy_px.tobytes(), state.events_per_dot.tobytes()))
     assert np.frombuffer(places[0][1], np.int32).sum() == len(cool[0])
@@ -167,16 +167,16 @@ def rms(errors: NDArray[np.float64]) -> float:
 
 
 def shaken(amplitude_px: float, frequency_hz: float, slices: int) -> NDArray[np.float64]:
-    way = amplitude_px * np.sin(2e-3 * np.pi * frequency_hz * np.arange(slices + 1))
-    return np.stack([0.8 * way, 0.6 * way], axis=1)
+    motion_px = amplitude_px * np.sin(2e-3 * np.pi * frequency_hz * np.arange(slices + 1))
+    return np.stack([0.8 * motion_px, 0.6 * motion_px], axis=1)
 
 
 def test_creep_below_the_papers_gate() -> None:
     """Assert that dots with one and a half events a slice are followed, where the paper's preset does not move."""
-    way = np.outer(np.arange(401), [0.004, -0.003])
-    errors, still = follow(STABLE, way)
+    motion_px = np.outer(np.arange(401), [0.004, -0.003])
+    errors, still = follow(STABLE, motion_px)
     assert rms(errors) < 0.15 * rms(still)
-    unmoved, _ = follow(PRESETS["paper"], way)
+    unmoved, _ = follow(PRESETS["paper"], motion_px)
     assert rms(unmoved) == pytest.approx(rms(still), rel=1e-12)
 
 
@@ -189,17 +189,17 @@ def test_shear_and_tone(amplitude_px: float, frequency_hz: float, share: float) 
 
 @pytest.mark.parametrize("dot_radius_px", [8.0, 13.0, 15.0, 17.0])
 def test_dots_of_any_radius(dot_radius_px: float) -> None:
-    """Assert that dots of a stated radius are followed about as well as those of 15 px, and worse if it is not told."""
-    way = shaken(3.0, 5.0, 300)
+    """Assert that dots of a stated radius are followed as well as those of 15 px, and worse with the wrong radius."""
+    motion_px = shaken(3.0, 5.0, 300)
     a_px = 20.0 * dot_radius_px  # a longer rim makes more events
-    told, still = follow(STABLE.for_dots(dot_radius_px), way, a_px=a_px, dot_radius_px=dot_radius_px)
-    assert rms(told) < 0.1 * rms(still)
-    untold, _ = follow(STABLE, way, a_px=a_px, dot_radius_px=dot_radius_px)
-    assert dot_radius_px == 15.0 or rms(untold) > 2 * rms(told)
+    tracked, still = follow(STABLE.for_dots(dot_radius_px), motion_px, a_px=a_px, dot_radius_px=dot_radius_px)
+    assert rms(tracked) < 0.1 * rms(still)
+    mistaken, _ = follow(STABLE, motion_px, a_px=a_px, dot_radius_px=dot_radius_px)
+    assert dot_radius_px == 15.0 or rms(mistaken) > 2 * rms(tracked)
 
 
 def test_the_constants_for_a_radius() -> None:
-    """Assert that ring, count and way an event go with the radius, that 15 px change no bit, and others never."""
+    """Assert that ring, count and motion an event go with the radius, that 15 px change no bit, and others never."""
     small = STABLE.for_dots(8.0)
     assert (small.radius_px, small.ring_inner_px, small.ring_outer_px, small.count_radius_px) == (8.0, 4.0, 12.0, 13.0)
     assert small.event_px == pytest.approx(STABLE.event_px * 15 / 8)
@@ -217,8 +217,8 @@ def test_the_constants_for_a_radius() -> None:
 @pytest.mark.parametrize("changes", [{"event_px": 0.0}, {"rim_lag_px": 0.0}])
 def test_polarity_helps(changes: dict[str, float]) -> None:
     """Assert that without the motion seen, or without the lag of rims known by side, errors are larger."""
-    way = shaken(1.0, 100.0, 200)
-    assert rms(follow(replace(STABLE, **changes), way)[0]) > 1.2 * rms(follow(STABLE, way)[0])  # type: ignore[arg-type]
+    motion_px = shaken(1.0, 100.0, 200)
+    assert rms(follow(replace(STABLE, **changes), motion_px)[0]) > 1.2 * rms(follow(STABLE, motion_px)[0])  # type: ignore[arg-type]
 
 
 def test_a_still_dot_among_moving_ones_stays() -> None:
@@ -256,9 +256,9 @@ def edge_over(x_px: int, p: int) -> Slice:
 def test_an_edge_of_one_polarity_does_not_take_dots_along(stops_px: int) -> None:
     """Assert that edges which stop on still dots move them by less than half of what they would without polarity."""
     moved_px = []
-    for told in (1e5, 0.0):  # of either polarity, before: the edges alone would tell nothing of the other
+    for darker_before in (1e5, 0.0):  # without any before, the camera is taken to send brighter events only
         state = tracker.start(grid(), replace(STABLE, hot_pixel_events=0))
-        state.told[0] = told
+        state.record["polarity_weight"][0, 0] = darker_before
         for _ in range(4):
             for x_px in range(0, stops_px, 4):
                 tracker.step(state, *edge_over(x_px, BRIGHTER))
@@ -284,11 +284,11 @@ def lose(state: TrackerState, dot: int) -> None:
 
 
 def test_a_lost_dot_is_found_again_at_rest() -> None:
-    """Assert that after rest_slices quiet slices a lost dot is where its neighbours say, and no longer lost."""
+    """Assert that a lost dot is where its neighbours place it after rest_slices slices without events, and not lost."""
     state = tracker.start(grid(), STABLE)
     state.dot_xy_px[:] += (1.0, -0.5)  # at rest again, but for a little
     lose(state, 14)
-    for _ in range(STABLE.rest_slices - state.quiet[0] - 1):
+    for _ in range(STABLE.rest_slices - int(state.record["slices_at_rest"][0]) - 1):
         tracker.step(state, *nothing())
         assert state.lost[14]
     tracker.step(state, *nothing())
@@ -312,8 +312,8 @@ def test_a_lost_dot_stays_lost(why: str) -> None:
         lose(state, 14)
     others = np.delete(grid(), 14, axis=0)
     for k in range(3 * STABLE.rest_slices):
-        way = np.array([0.02 * (-1) ** k, 0.0])
-        slice_ = contact_edges(rng, others, way) if why == "events" else nothing()
+        motion_px = np.array([0.02 * (-1) ** k, 0.0])
+        slice_ = contact_edges(rng, others, motion_px) if why == "events" else nothing()
         tracker.step(state, *slice_)
     assert np.flatnonzero(state.lost).tolist() == [14]
 

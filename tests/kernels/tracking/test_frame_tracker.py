@@ -35,7 +35,7 @@ def test_rest_is_rest() -> None:
 
 
 def test_a_lost_dot_stays() -> None:
-    """Assert that a dot whose flow cannot be found is told as lost and stays where it was."""
+    """Assert that a dot whose flow cannot be found is reported as lost and stays where it was."""
     blank = np.full((120, 160), 180, np.uint8)
     state = frame_tracker.start(blank, REST)
     frame_tracker.step(state, blank)

@@ -1,10 +1,14 @@
 """The dot tracker's descent against closed forms, a slow reference of the paper's formulas, invariances, extremes.
 
-What only the preset `stable` does is in test_kernels_tracker_fit.py.
+What only the preset `stable` does is in test_fit.py.
 """
 
+import copy
 import json
-from collections.abc import Sequence
+import math
+import mmap
+import pickle
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +20,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants, TrackerState
+from evetac_cli.kernels.tracking.tracker import CAPACITY, PRESETS, STATE, TrackerConstants, TrackerState
 
 PAPER = PRESETS["paper"]
 DESCENTS = [name for name, constants in PRESETS.items() if not constants.fit]
@@ -63,6 +67,51 @@ def step(state: TrackerState, x: Column, y: Column) -> None:
 def single(offset_px: tuple[float, float] = (0.0, 0.0), constants: TrackerConstants = PAPER) -> TrackerState:
     """A tracker of one dot that takes itself to be at (300, 200) + offset."""
     return tracker.start(np.array([[300.0, 200.0]]) + offset_px, constants)
+
+
+def exact_step(
+    centres: list[tuple[float, float]],
+    rest: list[tuple[float, float]],
+    neighbours: list[list[int]],
+    constants: TrackerConstants,
+    events: list[tuple[int, int]],
+) -> list[tuple[float, float]]:
+    """The paper's step in plain Python numbers, sums as integers of 2**-36: centres after it, to the last bit."""
+    one = 2.0**36
+
+    def clip(value: float, bound: float) -> float:
+        return min(max(value, -bound), bound)
+
+    result = []
+    for i, (cx, cy) in enumerate(centres):
+        pull_x = pull_y = ring_events = 0
+        for x, y in events:
+            dx, dy = x - cx, y - cy
+            square = dx * dx + dy * dy
+            if x < 640 and y < 480 and constants.ring_inner_px**2 < square < constants.ring_outer_px**2:
+                stretch = (1.0 - constants.radius_px / math.sqrt(square)) * one
+                pull_x, pull_y, ring_events = pull_x + int(stretch * dx), pull_y + int(stretch * dy), ring_events + 1
+        if ring_events <= constants.min_events:
+            result.append((cx, cy))
+            continue
+        elastic_x = elastic_y = 0.0
+        for j in neighbours[i]:
+            dx, dy = cx - centres[j][0], cy - centres[j][1]
+            (ax, ay), (bx, by) = rest[i], rest[j]
+            stretch = 4.0 * (dx * dx + dy * dy - ((ax - bx) * (ax - bx) + (ay - by) * (ay - by)))
+            elastic_x, elastic_y = elastic_x + stretch * dx, elastic_y + stretch * dy
+        scale, weight = 8 / max(len(neighbours[i]), 1), constants.regulariser_weight
+        sign = 2.0 if constants.ascend else -2.0
+        shift_x = -constants.step_size * (
+            clip(sign / one * pull_x, constants.gradient_clip) + weight * (scale * elastic_x)
+        )
+        shift_y = -constants.step_size * (
+            clip(sign / one * pull_y, constants.gradient_clip) + weight * (scale * elastic_y)
+        )
+        new_x = min(max(cx + clip(shift_x, constants.radius_px), 0.0), 639.0)
+        new_y = min(max(cy + clip(shift_y, constants.radius_px), 0.0), 479.0)
+        result.append((new_x, new_y))
+    return result
 
 
 class Reference:
@@ -186,17 +235,17 @@ def test_regulariser_is_the_gradient_of_its_energy() -> None:
 def test_translation_changes_nothing_but_the_place() -> None:
     """Assert that dots and events moved by whole pixels give the same motion at the new place."""
     rng = np.random.default_rng(4)
-    there = np.array([23, 11])
-    here_state, there_state = tracker.start(grid(4, 5), PAPER), tracker.start(grid(4, 5) + there, PAPER)
+    offset_px = np.array([23, 11])
+    state, moved_state = tracker.start(grid(4, 5), PAPER), tracker.start(grid(4, 5) + offset_px, PAPER)
     for _ in range(20):
         x, y = random_events(rng, grid(4, 5), 800)
         near = (x < 400) & (y < 400)  # so that none enters or leaves the frame
         x, y = x[near], y[near]
-        step(here_state, x, y)
-        step(there_state, x + np.uint16(there[0]), y + np.uint16(there[1]))
-    assert np.abs(there_state.dot_xy_px - there - here_state.dot_xy_px).max() < 1e-9
-    assert (there_state.events_per_dot == here_state.events_per_dot).all()
-    assert np.abs(here_state.dot_xy_px - grid(4, 5)).max() > 0.05
+        step(state, x, y)
+        step(moved_state, x + np.uint16(offset_px[0]), y + np.uint16(offset_px[1]))
+    assert np.abs(moved_state.dot_xy_px - offset_px - state.dot_xy_px).max() < 1e-9
+    assert (moved_state.events_per_dot == state.events_per_dot).all()
+    assert np.abs(state.dot_xy_px - grid(4, 5)).max() > 0.05
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
@@ -304,7 +353,7 @@ def test_one_dot_moves() -> None:
 
 
 def test_given_neighbours_are_used() -> None:
-    """Assert that a tracker told of no neighbours moves like the unregularised one and not like the regularised."""
+    """Assert that a tracker without neighbours moves like the unregularised one and not like the regularised."""
     rng = np.random.default_rng(9)
     alone = tracker.start(grid(), PAPER, np.full((ROWS * COLUMNS, 8), -1, np.int32))
     unregularised, paper = tracker.start(grid(), PRESETS["unregularised"]), tracker.start(grid(), PAPER)
@@ -419,7 +468,7 @@ def test_events_outside_the_frame_are_ignored() -> None:
 
 
 def test_lost_dots_are_flagged() -> None:
-    """Assert that a dot is lost when over 40 px from where its neighbours say, but not by motion in common."""
+    """Assert that a dot is lost when over 40 px from where its neighbours place it, but not by motion in common."""
     state = tracker.start(grid(), PAPER)
     strayed = 3 * COLUMNS + 4
     wake = on_edge(grid()[[0]] + 20)  # events for one dot: flags are looked at when something moved
@@ -500,6 +549,93 @@ def test_wrong_columns_are_refused() -> None:
         step(state, np.zeros(3, np.int64), np.zeros(3, np.int64))
     with pytest.raises(ValueError, match="expected two uint16 columns"):
         step(state, np.zeros(3, np.uint16), np.zeros(2, np.uint16))
+
+
+@pytest.mark.parametrize("preset", DESCENTS)
+def test_descent_is_exact(preset: str) -> None:
+    """Assert that every step gives the very bits of the equations in plain Python, also where dots share events."""
+    rng = np.random.default_rng(21)
+    rest = np.stack(np.meshgrid(np.arange(5), np.arange(4)), axis=-1).reshape(-1, 2) * 27.0 + 40.0
+    constants = replace(PRESETS[preset], hot_pixel_events=0)
+    state = tracker.start(rest, constants)
+    neighbours = [[int(j) for j in row if j >= 0] for row in state.neighbours]
+    expected = [(float(x), float(y)) for x, y in rest]
+    places = list(expected)
+    for count in (0, 5, 300, 1000, 700, 2):
+        x, y = random_events(rng, rest + 1.5, count)
+        expected = exact_step(expected, places, neighbours, constants, list(zip(x.tolist(), y.tolist(), strict=True)))
+        step(state, x, y)
+        assert state.dot_xy_px.tobytes() == np.array(expected).tobytes()
+    assert np.abs(state.dot_xy_px - rest).max() > 0.1
+
+
+def test_the_record_has_no_gaps() -> None:
+    """Assert that every byte of a state belongs to a field, so that equal states have equal bytes."""
+    sizes = [STATE[name].itemsize for name in STATE.names or ()]
+    assert sum(sizes) == STATE.itemsize
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("make", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
+def test_a_copy_goes_on_alike_and_alone(preset: str, make: Callable[[TrackerState], TrackerState]) -> None:
+    """Assert that a copy has the same bytes and goes on with the same bits, and that neither changes the other."""
+    rng = np.random.default_rng(15)
+    state = tracker.start(grid(), PRESETS[preset])
+    for _ in range(5):
+        step(state, *random_events(rng, grid() + 1, 2000))
+    other = make(state)
+    assert other.constants == state.constants == PRESETS[preset]
+    assert other.record.tobytes() == state.record.tobytes()
+    before, slice_ = state.record.tobytes(), random_events(rng, grid() + 2, 2000)
+    step(other, *slice_)
+    assert state.record.tobytes() == before != other.record.tobytes()
+    assert (other.dot_xy_px != state.dot_xy_px).any()
+    step(state, *slice_)
+    assert state.record.tobytes() == other.record.tobytes()
+
+
+def test_a_state_round_trips_through_bytes_and_shared_memory() -> None:
+    """Assert that a state from bytes, and one that lies in memory of another owner, go on with the same bits there."""
+    rng = np.random.default_rng(16)
+    state = tracker.start(grid(), PRESETS["stable"])
+    step(state, *random_events(rng, grid() + 1, 2000))
+    with pytest.raises(ValueError, match="record: expected a writable array of one STATE, .* found a writable one"):
+        TrackerState(np.zeros(2, STATE))
+    with pytest.raises(ValueError, match="record: expected a writable array of one STATE, .* found a read-only one"):
+        TrackerState(np.frombuffer(state.record.tobytes(), STATE))
+    saved = TrackerState(np.frombuffer(bytearray(state.record.tobytes()), STATE))
+    memory = mmap.mmap(-1, STATE.itemsize)
+    memory.write(state.record.tobytes())
+    shared = TrackerState(np.frombuffer(memory, STATE, 1))
+    slice_ = random_events(rng, grid() + 2, 2000)
+    for one in (state, saved, shared):
+        step(one, *slice_)
+    assert saved.record.tobytes() == state.record.tobytes()
+    assert memory[:] == state.record.tobytes()
+
+
+def test_more_dots_than_there_is_room_for_are_refused() -> None:
+    """Assert that CAPACITY dots are tracked as they would be alone, and one more is refused with both numbers."""
+    dots = np.stack(np.meshgrid(np.arange(17), np.arange(16)), axis=-1).reshape(-1, 2) * 27.0 + 30.0
+    with pytest.raises(ValueError, match=f"dot_xy_px: expected at most {CAPACITY} dots, found {CAPACITY + 1}"):
+        tracker.start(dots[: CAPACITY + 1], PAPER)
+    state = tracker.start(dots[:CAPACITY], PRESETS["unregularised"])
+    few = tracker.start(dots[CAPACITY - 1 : CAPACITY], PRESETS["unregularised"])
+    slice_ = columns(np.repeat(dots[[CAPACITY - 1]] + (18, 0), 11, axis=0))
+    step(state, *slice_)
+    step(few, *slice_)
+    assert state.dot_xy_px[-1].tolist() == few.dot_xy_px[0].tolist() != dots[CAPACITY - 1].tolist()
+    assert state.events_per_dot[-1] == 11
+
+
+def test_the_reach_of_every_dot_at_once_fits() -> None:
+    """Assert that as many dots as there is room for, each in reach of as much as it may, have room in the lists."""
+    middle = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1).reshape(-1, 2) * 1.0 + (312.5, 232.5)
+    wide = replace(PRESETS["unregularised"], ring_outer_px=tracker.MAX_REACH_PX)
+    state = tracker.start(middle, wide)
+    step(state, *columns([(320, 240)]))
+    listed = int(state.record["bucket_start"][0, -1])
+    assert 16 * 16 * 16 * 16 < listed <= STATE["bucket_dots"].shape[0]
 
 
 def test_start_copies_and_step_works_in_place() -> None:
