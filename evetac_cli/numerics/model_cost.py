@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.kernels.slip import slip
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.numerics import tracker_cost
@@ -144,7 +144,7 @@ def _untrained() -> list[Candidate]:
     from evetac_cli.kernels.slip import networks  # imports torch
 
     found = []
-    for name, architecture in slip.ARCHITECTURES.items():
+    for name, architecture in ARCHITECTURES.items():
         network = networks.build(architecture, *GRID)
         graph = networks.onnx_graph(network)
         found.append(Candidate(name, Detector(graph, architecture), GRID, networks.parameters(network), len(graph)))
@@ -175,7 +175,7 @@ def _row(candidate: Candidate, times: dict[str, float]) -> dict[str, Any]:
 
 def _one_judgement(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
     architecture = candidate.detector.architecture
-    if isinstance(architecture, slip.ImageArchitecture):
+    if isinstance(architecture, ImageArchitecture):
         shape: tuple[int, ...] = architecture.input_shape
     else:
         shape = (candidate.dot_shape[0] * candidate.dot_shape[1], architecture.inputs_per_dot)
@@ -191,7 +191,7 @@ def _one_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], An
         expected, found = "at most 7 x 9 dots", f"{rows} x {columns}"
         raise InputError("no events to time this grid on", where=candidate.setting, expected=expected, found=found)
     rest = whole[:rows, :columns].reshape(-1, 2)
-    window = None if columns == whole.shape[1] else (slip.GEL_PX[0], 0, 640, 480)
+    window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
     state = tracker.start(rest, TRACKER)
     live = Live(candidate.detector, rest, window)
     slices = [_rims(rng, float(rest[:, 0].max()) + 20.0) for _ in range(DISTINCT)]

@@ -12,7 +12,7 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.slip import features
-from evetac_cli.kernels.slip.slip import GEL_PX
+from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.params import Featurize, recipe_of
 from evetac_cli.stages import one_file
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage

@@ -5,15 +5,18 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import features, inputs, slip
+from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.labels import shift_labels
+from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages.splits import object_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
 
-def read_trajectory(path: Path, architecture: slip.Architecture) -> Trajectory:
+def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:
     """What an architecture sees of a labelled features file, and its labels."""
     with StageFile(path, "features") as file:
         if not file.has("label"):
@@ -28,11 +31,9 @@ def read_trajectory(path: Path, architecture: slip.Architecture) -> Trajectory:
         )
 
 
-def series_of(
-    file: StageFile, architecture: slip.Architecture, start: int = 0, stop: int | None = None
-) -> inputs.Series:
+def series_of(file: StageFile, architecture: Architecture, start: int = 0, stop: int | None = None) -> inputs.Series:
     """What an architecture sees of the slices [start, stop) of a features file; InputError if it is not there."""
-    if isinstance(architecture, slip.ImageArchitecture):
+    if isinstance(architecture, ImageArchitecture):
         if not file.has("image"):
             raise InputError(
                 f"{architecture.name} sees event images, and these features have none",
@@ -54,7 +55,7 @@ def series_of(
     return features.series(file.read("displacement_px", start, stop), file.read("events_per_dot", start, stop), across)
 
 
-def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> slip.Prediction:
+def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> Prediction:
     """What a detector says of a trajectory, beside its labels, from the first slice that is labelled.
 
     The labels are shifted by `ahead_ms`, as F1 is counted; the onset is not, as the timing is judged.
@@ -67,8 +68,8 @@ def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_
         begin = max(0, int(examined[0]) - architecture.history - architecture.every + 2)
         probability[begin:] = detector.over(inputs.part(trajectory.series, begin, slices), begin)
         probability[: examined[0]] = np.nan
-    label = slip.shift(trajectory.label, horizon_ms)
-    return slip.Prediction(probability, label, trajectory.onset, object_of(header))
+    label = shift_labels(trajectory.label, horizon_ms)
+    return Prediction(probability, label, trajectory.onset, object_of(header))
 
 
 def horizon_ms_of(model: StageFile) -> int:
@@ -79,10 +80,10 @@ def horizon_ms_of(model: StageFile) -> int:
 def load_detector(model: StageFile) -> Detector:
     """The detector in a model file; InputError if its architecture is unknown or its graph damaged."""
     name = model.read("architecture")
-    if name not in slip.ARCHITECTURES:
-        known = ", ".join(slip.ARCHITECTURES)
+    if name not in ARCHITECTURES:
+        known = ", ".join(ARCHITECTURES)
         raise InputError("unknown architecture", where=str(model.path), expected=known, found=str(name))
     try:
-        return Detector(model.read("onnx").tobytes(), slip.ARCHITECTURES[name])
+        return Detector(model.read("onnx").tobytes(), ARCHITECTURES[name])
     except ValueError as error:
         raise InputError(str(error), where=str(model.path), hint="the file is damaged; train it again") from error

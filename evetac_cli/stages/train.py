@@ -19,9 +19,12 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
-from evetac_cli.kernels.slip import sampling, slip
+from evetac_cli.kernels.slip import sampling
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.sampling import Samples
+from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
 from evetac_cli.params import Train, recipe_of
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
@@ -98,14 +101,14 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
     torch.set_num_threads(1)  # these networks are too small to share, and one thread gives one result
     shape = _common_shape(job.inputs)
-    architecture = slip.ARCHITECTURES[params.model]
-    predictions: list[list[slip.Prediction]] = []
+    architecture = ARCHITECTURES[params.model]
+    predictions: list[list[Prediction]] = []
     try:
         for number, fold in enumerate(folds):
             learned = (read_trajectory(job.inputs[index], architecture) for index in fold.learned)
             samples = sampling.gather(learned, architecture, *shape, params.horizon_ms)
             result, resumed = _train(job, params, recipe, samples, (number, len(folds)), progress)
-            kept = result.checkpoints[-slip.LAST_CHECKPOINTS :]
+            kept = result.checkpoints[-LAST_CHECKPOINTS:]
             graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in kept]
             detectors = [Detector(graph, architecture) for graph in graphs]
             predictions = predictions or [[] for _ in detectors]
@@ -113,7 +116,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
                 trajectory = read_trajectory(job.inputs[index], architecture)
                 for detector, found in zip(detectors, predictions, strict=True):
                     found.append(predict(detector, trajectory, headers[index], params.horizon_ms))
-        choice = slip.choose_threshold(predictions)
+        choice = choose_threshold(predictions)
     except ValueError as error:
         raise InputError(
             f"cannot be trained: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more"

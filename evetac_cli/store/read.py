@@ -148,16 +148,10 @@ class SlipWindows:
         return len(self._index)
 
     def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
-        from evetac_cli.kernels.slip import (  # brings numba, which a mere reader need not wait for
-            features,
-            inputs,
-            slip,
-        )
+        from evetac_cli.kernels.slip import inputs  # brings numba, which a mere reader need not wait for
 
         trial, slice_ = self._index[index]
         displacement, events, label = self._trials[trial]
-        first = slice_ + 1 - self.history
-        series = features.series(displacement[first : slice_ + 1], events[first : slice_ + 1])
-        views = tuple(slip.View(channel, self.history) for channel in ("distance", "events"))
-        (window,) = inputs.at(slip.DotArchitecture("window", views, 1, 1), series, np.array([self.history - 1]))
+        rows = slice(slice_ + 1 - self.history, slice_ + 1)
+        (window,) = inputs.windows(displacement[rows], events[rows], np.array([self.history - 1]), self.history)
         return window, np.float32(label[slice_])

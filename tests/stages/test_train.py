@@ -11,8 +11,8 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.kernels.slip.slip import ARCHITECTURES
 from evetac_cli.params import Train
 from evetac_cli.stages import slip_detectors, splits, train
 from evetac_cli.store.files import StageFile, write_stage

@@ -6,9 +6,9 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import features, inputs, slip
+from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip.architectures import GEL_PX, Architecture, DotArchitecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.slip import GEL_PX
 
 BATCH_VALUES = 1 << 22  # inputs at a time, 16 MiB
 
@@ -16,7 +16,7 @@ BATCH_VALUES = 1 << 22  # inputs at a time, 16 MiB
 class Detector:
     """A network behind onnxruntime, on one thread (faster than two for networks this small)."""
 
-    def __init__(self, graph: bytes, architecture: slip.Architecture) -> None:
+    def __init__(self, graph: bytes, architecture: Architecture) -> None:
         """Load a graph as kept in a model file; ValueError if onnxruntime refuses it."""
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
@@ -56,7 +56,7 @@ class Detector:
 
     def _inputs_of(self, series: inputs.Series) -> int:
         """How many values one input has."""
-        if isinstance(self.architecture, slip.ImageArchitecture):
+        if isinstance(self.architecture, ImageArchitecture):
             return int(np.prod(self.architecture.input_shape))
         return 1 if isinstance(series, EventImages) else int(series.shape[1]) * self.architecture.inputs_per_dot
 
@@ -78,11 +78,11 @@ class Live:
         history = detector.architecture.history
         self._dots = features.start(rest_xy_px, history)
         self._newest = np.array([history - 1])
-        if isinstance(detector.architecture, slip.DotArchitecture):
-            self._table = inputs.table(detector.architecture)
+        if isinstance(detector.architecture, DotArchitecture):
+            self._views = inputs.view_table(detector.architecture.views)
             shape = (1, len(self._dots.rest_xy_px), detector.architecture.inputs_per_dot)
             self._batch = np.zeros(shape, np.float32)
-            inputs.fill(self._dots.ring[:history], self._newest, self._table, self._batch)  # compiles or loads it now
+            inputs.fill(self._dots.ring[:history], self._newest, self._views, self._batch)  # compiles or loads it now
         self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=history)
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
 
@@ -96,7 +96,7 @@ class Live:
     ) -> float:
         """Slip probability after one more slice, its dots and its events; NaN until the history is full."""
         wanted = self.detector.architecture
-        images = isinstance(wanted, slip.ImageArchitecture)
+        images = isinstance(wanted, ImageArchitecture)
         if images:
             self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
         else:
@@ -107,7 +107,7 @@ class Live:
             if images:
                 batch = inputs.at(wanted, self._stack(), self._newest)
             else:
-                inputs.fill(features.latest(self._dots), self._newest, self._table, self._batch)
+                inputs.fill(features.latest(self._dots), self._newest, self._views, self._batch)
                 batch = self._batch
             self._probability = float(self.detector.probability(batch)[0])
         return self._probability

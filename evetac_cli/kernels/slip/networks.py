@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from evetac_cli.kernels.slip.slip import Architecture, DotArchitecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture, ImageArchitecture
 
 CONV1 = 16  # channels, the same in all rows of the paper's table
 CONV2 = 32

@@ -19,9 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import inputs, slip
+from evetac_cli.kernels.slip import inputs
+from evetac_cli.kernels.slip.architectures import CHANNELS, Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.labels import check_labels, shift_labels
 
 BUSY_EVENTS = 25  # a slice with more is busy
 SLIP_SHARE = 32  # samples of each pool in a batch
@@ -41,7 +43,7 @@ class Samples:
     history is long (2.4 GB for 360 trajectories of 1.5 s and hist10), and gathering takes a small part of a step.
     """
 
-    architecture: slip.Architecture
+    architecture: Architecture
     rows: int
     columns: int
     series: inputs.Series
@@ -56,7 +58,7 @@ class Samples:
 
 def gather(
     trajectories: Iterable[Trajectory],
-    architecture: slip.Architecture,
+    architecture: Architecture,
     rows: int = 7,
     columns: int = 8,
     horizon_ms: int = 0,
@@ -64,9 +66,9 @@ def gather(
     """Sort the slices of trajectories into the three pools; what no sample sees is left out.
 
     A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
-    50 ms beyond. A slice is a sample when its history is full and it is labelled. With `ahead_ms` the same slices are
-    labelled as in `slip.shift`. ValueError where shapes, values or the onset do not fit, or where the slip or the busy
-    pool would be empty; the quiet pool may be.
+    50 ms beyond. A slice is a sample when its history is full and it is labelled. With `horizon_ms` the same slices are
+    labelled as by `shift_labels`. ValueError where shapes, values or the onset do not fit, or where the slip or the
+    busy pool would be empty; the quiet pool may be.
     """
     history = architecture.history
     pools: dict[str, list[NDArray[np.int64]]] = {"slip": [], "busy": [], "quiet": []}
@@ -76,7 +78,7 @@ def gather(
         count += 1
         try:
             _check(trajectory, rows * columns)
-            shifted = slip.shift(trajectory.label, horizon_ms)
+            shifted = shift_labels(trajectory.label, horizon_ms)
         except ValueError as error:
             raise ValueError(f"trajectory {index}: {error}") from error
         slices = len(shifted)
@@ -155,7 +157,7 @@ def augment(samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int6
 
 def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of each channel over what a batch holds: every pool counts by its share."""
-    images = isinstance(samples.architecture, slip.ImageArchitecture)
+    images = isinstance(samples.architecture, ImageArchitecture)
     over = (0, 2, 3) if images else (0, 1)
     most = NORMALISE_IMAGES if images else NORMALISE_SAMPLES
     at_once = max(1, NORMALISE_VALUES // samples.inputs(samples.slip[:1]).size)
@@ -191,7 +193,7 @@ def _check(trajectory: Trajectory, dots: int) -> None:
         raise ValueError(f"series: expected {slices} slices as labelled, found {inputs.length(trajectory.series)}")
     if trajectory.events_outside.shape != (slices,):
         raise ValueError(f"events_outside: expected shape {(slices,)}, found {trajectory.events_outside.shape}")
-    slip.check_labels(trajectory.label, trajectory.onset)
+    check_labels(trajectory.label, trajectory.onset)
     outside = trajectory.events_outside
     if outside.dtype.kind not in "iu" or np.any(outside < 0):
         raise ValueError(
@@ -199,7 +201,7 @@ def _check(trajectory: Trajectory, dots: int) -> None:
         )
     if isinstance(trajectory.series, EventImages):
         return
-    if trajectory.series.shape[1:] != (dots, len(slip.CHANNELS)):
+    if trajectory.series.shape[1:] != (dots, len(CHANNELS)):
         raise ValueError(f"series: expected {dots} dots, found shape {trajectory.series.shape}")
     if not np.isfinite(trajectory.series).all():
         raise ValueError("series: expected finite numbers")

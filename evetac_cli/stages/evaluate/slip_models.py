@@ -9,9 +9,9 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
-from evetac_cli.kernels.slip import slip
+from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.kernels.slip.slip import Prediction
+from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages.slip_detectors import horizon_ms_of, load_detector, predict, read_trajectory
 from evetac_cli.stages.splits import check_disjoint, object_of
 from evetac_cli.store.files import StageFile
@@ -26,7 +26,7 @@ class Model:
 
     path: Path
     header: Header
-    architecture: slip.Architecture
+    architecture: Architecture
     graph_bytes: int
     horizon_ms: int
     threshold: float

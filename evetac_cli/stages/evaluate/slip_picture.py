@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.jobs import Outcome
-from evetac_cli.kernels.slip import slip
+from evetac_cli.kernels.slip import metrics
 from evetac_cli.stages.evaluate import Rows, picture
 
 SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
@@ -76,7 +76,7 @@ def _draw_cdf(axes: Any, trajectories: Rows, title: str) -> None:
             axes.plot(late_by, np.full(len(late_by), -0.04), "|", color="black", markersize=5, alpha=0.4)
         else:
             axes.step(steps, share, where="post", color=f"C{number % 10}", linewidth=0.8, label=f"object {name}")
-    axes.axvspan(slip.EARLIEST_MS, slip.LATEST_MS, color=picture.CORRECT, alpha=0.08)
+    axes.axvspan(metrics.EARLIEST_MS, metrics.LATEST_MS, color=picture.CORRECT, alpha=0.08)
     axes.axvline(0, color="0.5", linewidth=0.8)
     axes.set(xlim=SHOWN_MS, ylim=(-0.08, 1.02), xlabel="t_m - t_c [ms]")
     axes.set_title(textwrap.fill(title, TITLE_WIDTH, break_on_hyphens=False), fontsize=8)

@@ -6,20 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.kernels.slip import slip
-from evetac_cli.kernels.slip.slip import Prediction
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows
 from evetac_cli.stages.evaluate.slip_models import Model
 
 # Where t_m - t_c is, in ms: the borders of the paper's "Evaluating Slip Timing".
 MOMENTS = (
-    ("earlier", -np.inf, slip.EARLIEST_MS - 1),
-    ("50_to_31_ms_ahead", slip.EARLIEST_MS, -31),
+    ("earlier", -np.inf, metrics.EARLIEST_MS - 1),
+    ("50_to_31_ms_ahead", metrics.EARLIEST_MS, -31),
     ("30_to_11_ms_ahead", -30, -11),
     ("10_to_0_ms_ahead", -10, 0),
-    ("1_to_20_ms_after", 1, slip.LATEST_MS),
-    ("later", slip.LATEST_MS + 1, np.inf),
+    ("1_to_20_ms_after", 1, metrics.LATEST_MS),
+    ("later", metrics.LATEST_MS + 1, np.inf),
 )
 
 
@@ -58,7 +58,7 @@ def tables(
     models: Sequence[Model], thresholds: Sequence[float], judged: Sequence[list[Prediction]], paths: Sequence[Path]
 ) -> tuple[Rows, dict[str, Any]]:
     """All rows, and a summary; `judged`: the predictions of each model, one for each path."""
-    scores = [slip.score(predictions, at) for predictions, at in zip(judged, thresholds, strict=True)]
+    scores = [metrics.score(predictions, at) for predictions, at in zip(judged, thresholds, strict=True)]
     settings: Rows = []
     timing_bins: Rows = []
     objects: Rows = []
@@ -113,12 +113,12 @@ def by_object(predictions: Sequence[Prediction], threshold: float) -> dict[str, 
     groups: dict[str, list[Prediction]] = {}
     for prediction in predictions:
         groups.setdefault(prediction.object, []).append(prediction)
-    return {name: slip.score(members, threshold) for name, members in groups.items()}
+    return {name: metrics.score(members, threshold) for name, members in groups.items()}
 
 
 def _late_by(prediction: Prediction, threshold: float) -> int | None:
     """t_m - t_c in ms; None where nothing was detected."""
-    first = slip.onset(prediction.detected(threshold))
+    first = metrics.onset(prediction.detected(threshold))
     return first - prediction.onset if first >= 0 else None
 
 
@@ -190,7 +190,7 @@ def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:
 
 
 def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Prediction, path: Path) -> dict[str, Any]:
-    first = slip.onset(prediction.detected(threshold))
+    first = metrics.onset(prediction.detected(threshold))
     labelled = prediction.onset >= 0
     return {
         "setting": setting,
@@ -200,7 +200,7 @@ def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Pr
         "t_c_ms": prediction.onset if labelled else None,
         "t_m_ms": first if first >= 0 else None,
         "t_m_minus_t_c_ms": first - prediction.onset if labelled and first >= 0 else None,
-        "timing": slip.timing(first, prediction.onset) if labelled else None,
+        "timing": metrics.timing(first, prediction.onset) if labelled else None,
         "f1": prediction.counts(threshold).f1,
     }
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip.control import SlipSignal
+from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.stages.slip_detectors import load_detector
@@ -86,7 +87,7 @@ class OnlineSlipDetector:
         if self.known is not None:
             dots, counts = dots[self.known], counts[self.known]
         self.probability = self.live.step(dots, counts, events.x, events.y, events.p)
-        self.count += self.probability >= self.threshold
+        self.count += is_slip(self.probability, self.threshold)
         return self.probability
 
     @property

@@ -1,4 +1,9 @@
-"""The detector without torch: what it says of a trajectory is what it says slice by slice."""
+"""The detector without torch: what it says of a trajectory is what it says slice by slice, bit for bit.
+
+Why so: nothing in onnxruntime promises that a sample has the same bits alone and in a batch. It had them in all of
+65,876 pairs that were compared on x86-64 (8 networks of dots, 1951 to 2000 samples each; 4 of images, 31 to 300 each;
+each with four sizes of batch), so these tests ask for equal bits, of images too, and would show where that ends.
+"""
 
 import subprocess
 import sys
@@ -11,9 +16,9 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from evetac_cli.kernels.slip import detector, features, inputs, networks
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.slip import ARCHITECTURES, ImageArchitecture
 
 ROWS = {name: row for name, row in ARCHITECTURES.items() if not name.endswith("-img")}
 REST = np.stack(np.meshgrid(61 + 62.3 * np.arange(8), 41 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
@@ -53,14 +58,14 @@ def series_of(name: str, slices: int) -> inputs.Series:
 
 @pytest.mark.parametrize("name", ROWS)
 def test_live_is_over(name: str) -> None:
-    """Assert that slice by slice and over the whole trajectory a detector says the same, NaN before its history."""
+    """Assert that a detector gives the same bits slice by slice and over the trajectory, NaN before its history."""
     found = trained(name)
     history = found.architecture.history
     slices = history + 23
     offline = found.over(series_of(name, slices))
     live = Live(found, REST, WINDOW)
     online = [live.step(*dots, *events) for *dots, events in zip(*trial(slices), strict=True)]
-    np.testing.assert_allclose(online, offline, atol=1e-6)
+    np.testing.assert_array_equal(np.array(online, np.float32), offline)
     np.testing.assert_array_equal(np.isnan(offline), np.arange(slices) < history - 1)
     assert np.ptp(offline[history:]) > 1e-5
 
@@ -73,7 +78,7 @@ def test_down5_predicts_every_fifth_slice_and_holds() -> None:
     assert np.flatnonzero(np.diff(said[49:])).tolist() == [4, 9, 14, 19, 24, 29]
     for t in (49, 54, 79):
         alone = found.probability(inputs.at(found.architecture, series, np.array([t])))
-        assert said[t] == pytest.approx(alone[0], abs=1e-6)
+        assert said[t] == alone[0]
 
 
 @pytest.mark.parametrize("name", ["hist10", "down5", "disp-xy"])
@@ -84,16 +89,17 @@ def test_a_part_is_judged_as_in_the_whole(name: str, first: int) -> None:
     series = series_of(name, 160)
     full = found.architecture.history + found.architecture.every - 2
     part = found.over(inputs.part(series, first, 160), first)
-    np.testing.assert_allclose(part[full:], found.over(series)[first + full :], atol=1e-6)
+    np.testing.assert_array_equal(part[full:], found.over(series)[first + full :])
 
 
-def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that few inputs at a time give what many give."""
-    found = trained("fast-slow")
-    series = series_of("fast-slow", 90)
+@pytest.mark.parametrize("name", ROWS)
+def test_batches_do_not_matter(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that few inputs at a time give what many give, bit for bit."""
+    found = trained(name)
+    series = series_of(name, 90)
     whole = found.over(series)
     monkeypatch.setattr(detector, "BATCH_VALUES", 5000)
-    np.testing.assert_allclose(found.over(series), whole, atol=1e-6)
+    np.testing.assert_array_equal(found.over(series), whole)
 
 
 @pytest.mark.parametrize("name", ["hist10", "no-hist-img-6x6"])

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture, View
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.slip import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture, View
 
 DOTS = {name: row for name, row in ARCHITECTURES.items() if isinstance(row, DotArchitecture)}
 SMALL = {name: row for name, row in ARCHITECTURES.items() if not name.endswith("-img")}

@@ -7,8 +7,8 @@ import torch
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import networks
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture
 from evetac_cli.kernels.slip.networks import ImageNet, Network, SlipNet
-from evetac_cli.kernels.slip.slip import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture
 
 HIST10 = ARCHITECTURES["hist10"]
 assert isinstance(HIST10, DotArchitecture)

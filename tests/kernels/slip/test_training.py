@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from evetac_cli.kernels.slip import features, sampling, training
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.networks import from_weights
 from evetac_cli.kernels.slip.sampling import Samples
-from evetac_cli.kernels.slip.slip import ARCHITECTURES
 from evetac_cli.kernels.slip.training import PRESETS, Training
 
 HIST10 = ARCHITECTURES["hist10"]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.slip.slip import Prediction
+from evetac_cli.kernels.slip.decision import is_slip
+from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.params import EvaluateSlip, Train
 from evetac_cli.stages import slip_detectors, train
 from evetac_cli.stages.evaluate import slip, slip_tables
@@ -170,7 +171,7 @@ def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -
     assert row["t_c_ms"] == ONSET
     model = Model.read(path)
     trajectory = slip_detectors.read_trajectory(world["known"][0], model.architecture)
-    detected = model.detector().over(trajectory.series) >= model.threshold
+    detected = is_slip(model.detector().over(trajectory.series), model.threshold)
     label = np.arange(SLICES) >= ONSET - 10
     kept = slice(0, ONSET + 20)
     sklearn = pytest.importorskip("sklearn.metrics")
