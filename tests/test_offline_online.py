@@ -18,7 +18,7 @@ from evetac_cli.params import Featurize, Track
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
-from evetac_cli.stages.slip_detectors import load_detector, series_of
+from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording, open_recording
 from tests.conftest import Made
@@ -90,7 +90,7 @@ def test_live_features_are_those_of_the_files(made: Made, model_path: Path, cuts
         detector = load_detector(model)
     with StageFile(made.beside(path, "tracks")) as tracks, StageFile(made.beside(path, "features")) as features:
         expected_dots, expected_counts = tracks.read("dot_xy_px"), tracks.read("events_per_dot")
-        offline = detector.over(series_of(features, detector.architecture))
+        offline = detector.over(read_series(features, detector.architecture))
     # A threshold that a probability just reaches in float32 and misses in float64: both sides must round alike.
     highest = float(np.nanmax(offline[: len(offline) // 2]))
     online.threshold = highest * (1 + 1e-9)
@@ -121,7 +121,7 @@ def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
     featurize.run(job, chosen)
     with StageFile(made.model) as model, StageFile(job.output) as features, open_recording(made.grasp) as recording:
         detector, threshold = load_detector(model), float(model.read("threshold"))
-        offline = detector.over(series_of(features, detector.architecture))
+        offline = detector.over(read_series(features, detector.architecture))
         np.testing.assert_array_equal(recording.read("control/probability"), offline)
         last_seen = recording.read("control/t_us") // SLICE_US - 1  # the slice that ended as a control step began
         step_slip = recording.read("control/slip")

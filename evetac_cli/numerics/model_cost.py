@@ -30,9 +30,9 @@ from evetac_cli.numerics import tracker_cost
 from evetac_cli.params import EvaluateCost, Grasp, recipe_of
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report, report_job
-from evetac_cli.stages.evaluate.slip import sort_out
+from evetac_cli.stages.evaluate.slip import split_models
 from evetac_cli.stages.evaluate.slip_models import Model
-from evetac_cli.stages.evaluate.slip_tables import settings_of
+from evetac_cli.stages.evaluate.slip_tables import group_by_setting
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
@@ -68,7 +68,7 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
     """One report: beside that of `evaluate slip`, or without files in the present folder."""
     if not files and params.model is None:
         return [Job((), own_report("model", "cost", out))]
-    judged, models = sort_out(files, params.model)
+    judged, models = split_models(files, params.model)
     if len(judged) != 1:
         raise InputError(
             "how well do they judge?",
@@ -116,7 +116,11 @@ def _told(path: Path, models: Sequence[Model]) -> tuple[list[Header], dict[str, 
     behind = {id_ for id_ in header["parents"] if header["history"][id_]["kind"] == "model"}
     told = {row["setting"]: row for row in rows if "seeds" in row}
     given = {model.header["id"] for model in models}
-    if header["parameters"].get("command") != "evaluate slip" or given != behind or {*settings_of(models)} != {*told}:
+    if (
+        header["parameters"].get("command") != "evaluate slip"
+        or given != behind
+        or {*group_by_setting(models)} != {*told}
+    ):
         raise InputError(
             "this is not the report of `evaluate slip` on the models given",
             where=str(path),
@@ -128,7 +132,7 @@ def _told(path: Path, models: Sequence[Model]) -> tuple[list[Header], dict[str, 
 
 def _judged(models: Sequence[Model], told: dict[str, dict[str, Any]]) -> list[Candidate]:
     found = []
-    for setting, members in settings_of(models).items():
+    for setting, members in group_by_setting(models).items():
         first, row = models[members[0]], told[setting]
         errors = {
             f"error_share_{name}": None if row[figure] is None else 1 - row[figure] for name, figure in FIGURES.items()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from evetac_cli.kernels import vibration
-from evetac_cli.kernels.vibration import CELL_PX, Spectrum, add_events, cells_of, find, locate, strongest_of_counts
+from evetac_cli.kernels.vibration import CELL_PX, Spectrum, add_events, cell_grid, find, locate, strongest_of_counts
 
 RATE_HZ = 1000
 BINS = 1000
@@ -45,7 +45,7 @@ def tone_of(tally: NDArray[np.int16], rate_hz: float = RATE_HZ, **how: Any) -> v
 def test_events_are_added_where_and_when_they_were(seed: int, rate_hz: int) -> None:
     """Assert that every event counts once, with its sign, in its cell and bin, and those outside not at all."""
     rng = np.random.default_rng(seed)
-    across, down = cells_of((100, 50))
+    across, down = cell_grid((100, 50))
     t_us = np.sort(rng.integers(0, 30_000, 500))
     x_px, y_px = (rng.integers(0, most, 500).astype(np.uint16) for most in (across * CELL_PX, down * CELL_PX))
     brighter = rng.integers(0, 2, 500).astype(np.uint8)
@@ -63,7 +63,7 @@ def test_events_are_added_where_and_when_they_were(seed: int, rate_hz: int) -> N
 @pytest.mark.parametrize(("frame_px", "cells"), [((640, 480), (40, 30)), ((346, 260), (22, 17)), ((1, 1), (1, 1))])
 def test_cells_cover_the_frame(frame_px: tuple[int, int], cells: tuple[int, int]) -> None:
     """Assert that every pixel has a cell."""
-    assert cells_of(frame_px) == cells
+    assert cell_grid(frame_px) == cells
 
 
 @given(place=st.floats(20.0, 40.0), height=st.floats(1e-3, 1e6))
@@ -199,10 +199,10 @@ def test_nothing_folds(tone_hz: float, folded_hz: float) -> None:
     tally = trains(rng, tone_hz=tone_hz, depth=0.8, bins=5000, rate_hz=5000)
     found = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
     assert found.tone is None
-    assert found.beyond is not None
-    assert found.beyond.frequency_hz == pytest.approx(tone_hz, abs=0.2)
+    assert found.above_band is not None
+    assert found.above_band.frequency_hz == pytest.approx(tone_hz, abs=0.2)
     within = find(vibration.spectrum(tally, 5000), 25.0, 2500.0).tone
-    assert within is not None and within.frequency_hz == found.beyond.frequency_hz
+    assert within is not None and within.frequency_hz == found.above_band.frequency_hz
     counts = rng.poisson(50 * (1 + 0.8 * np.cos(2 * np.pi * tone_hz * np.arange(1000) / 1000)))
     assert strongest_of_counts(counts, 1000, 25.0) == pytest.approx(folded_hz)
 
@@ -271,7 +271,7 @@ def test_counts_below_the_lowest_are_removed() -> None:
         (lambda good: find(good, 25.0, 20.0), "lowest < highest"),
         (lambda good: find(good, 25.0, math.inf), "lowest < highest"),
         (lambda good: find(good, 25.0, 500.0, 1.0), "between 0 and 1"),
-        (lambda good: cells_of((0, 5)), "at least 1 x 1"),
+        (lambda good: cell_grid((0, 5)), "at least 1 x 1"),
     ],
 )
 def test_nonsense_is_refused(call: Any, says: str) -> None:

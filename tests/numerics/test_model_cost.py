@@ -159,7 +159,7 @@ def test_what_is_refused(world: dict[str, list[Path]], tmp_path: Path) -> None:
     """Assert that files for another part, models without their report, and reports on others are errors."""
     with pytest.raises(InputError, match="only the part model"):
         cost.jobs(world["features"], EvaluateCost(part="sim"), tmp_path)
-    with pytest.raises(InputError, match="which model"):
+    with pytest.raises(InputError, match="no model file"):
         cost.jobs(world["features"], EvaluateCost(part="model"), tmp_path)
     for others in ([], world["features"]):
         with pytest.raises(InputError, match="one report of `evaluate slip`"):

@@ -118,7 +118,7 @@ def worst_px(path: Path, truth: Grid) -> float:
 def test_every_dot_from_scratch(pressed: Path, truth: Grid) -> None:
     """Assert that all dots are found within 0.5 px in their places, and that the file says how, and how well."""
     row, path = calibrated(pressed)
-    assert (row["dots"], row["missing"], row["rows"], row["columns"], row["gel"]) == (63, 0, 7, 9, "closed")
+    assert (row["dots"], row["missing_dots"], row["rows"], row["columns"], row["gel"]) == (63, 0, 7, 9, "closed")
     assert worst_px(path, truth) < 0.5
     assert row["error_px_worst"] == pytest.approx(worst_px(path, truth), abs=1e-3)
     assert 0 < row["jitter_px_rms"] < 0.5
@@ -195,7 +195,7 @@ def test_refine(seen: Show, tmp_path: Path, truth: Grid) -> None:
 def test_missing_dot(seen: Show, tmp_path: Path, events: Events, truth: Grid) -> None:
     """Assert that a dot that never shows is missing in its place, and that track and featurize do without it."""
     row, made = calibrated(seen(np.hypot(X - truth[2, 3, 0], Y - truth[2, 3, 1]) > 30))
-    assert (row["dots"], row["missing"]) == (62, 1)
+    assert (row["dots"], row["missing_dots"]) == (62, 1)
     dots = read_calibration(made).dot_xy_px
     assert np.argwhere(np.isnan(dots[..., 0])).tolist() == [[2, 3]]
     table = json.loads(made.read_text())
@@ -224,7 +224,7 @@ def test_hidden_dots(seen: Show, truth: Grid) -> None:
     with pytest.raises(InputError, match="21 dots missing"):
         calibrated(path)
     row, _ = calibrated(path, any_grid=True)
-    assert (row["dots"], row["missing"]) == (42, 21)
+    assert (row["dots"], row["missing_dots"]) == (42, 21)
 
 
 @pytest.mark.slow
@@ -240,7 +240,7 @@ def test_thresholds_that_differ_by_polarity(tmp_path: Path, events: Events, trut
     both = concatenate([seen, noise])
     order = np.argsort(both.t, kind="stable")
     row, made = calibrated(recorded(tmp_path / "odd.recording.h5", kept(both, order)))  # type: ignore[arg-type]
-    assert row["missing"] == 0
+    assert row["missing_dots"] == 0
     assert worst_px(made, truth) < 1.0
 
 
@@ -249,7 +249,7 @@ def test_half_the_resolution(tmp_path: Path, events: Events, truth: Grid) -> Non
     """Assert that a smaller frame, with dots of half the size, is calibrated just so."""
     small = Events(events.t, events.x // 2, events.y // 2, events.p)
     row, made = calibrated(recorded(tmp_path / "small.recording.h5", small, (320, 240)))
-    assert (row["dots"], row["missing"]) == (63, 0)
+    assert (row["dots"], row["missing_dots"]) == (63, 0)
     assert read_calibration(made).frame_px == (320, 240)
     assert worst_px(made, (truth - 0.5) / 2) < 0.5
     assert row["radius_px"] == pytest.approx(7.2, abs=0.5)
@@ -265,7 +265,7 @@ def test_larger_frame(
     with pytest.raises(InputError, match="not the whole grid"):
         calibrated(path)
     row, made = calibrated(path, any_grid=True)
-    assert (row["dots"], row["missing"]) == (63, 0)
+    assert (row["dots"], row["missing_dots"]) == (63, 0)
     assert worst_px(made, truth + (80, 60)) < 0.5
 
 

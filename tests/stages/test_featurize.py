@@ -59,7 +59,7 @@ def test_tracks_and_labels_of_a_folder(tmp_path: Path) -> None:
     found = featurize.jobs(recordings, Featurize(labels=truth), None)
     assert [job.inputs[2] for job in found] == [truth / "a.labels.h5", truth / "b.labels.h5"]
     assert [job.inputs[1] for job in found] == [tmp_path / "a.tracks.h5", tmp_path / "b.tracks.h5"]
-    with pytest.raises(InputError, match="name one file, or a folder"):
+    with pytest.raises(InputError, match="several recordings"):
         featurize.jobs(recordings, Featurize(labels=truth / "a.labels.h5"), None)
     (one,) = featurize.jobs(recordings[:1], Featurize(tracks=truth / "x.h5"), None)
     assert one.inputs[1] == truth / "x.h5"

@@ -103,7 +103,7 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
         if done >= at:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(train, "KEEP_S", 0.0)
+    monkeypatch.setattr(train, "SAVE_S", 0.0)
     with pytest.raises(KeyboardInterrupt):
         run(job, params, stop)
 
@@ -143,7 +143,7 @@ def test_a_cut_run_says_so(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a run ended by --max-steps says how many steps it took of how many, with curve and checkpoints."""
     (job,) = train.jobs(trials, small(), tmp_path)
     (row,) = run(job, small()).rows
-    assert row["cut"]
+    assert row["stopped_early"]
     assert row["steps"] == 120 < row["steps_of_all_epochs"]
     with StageFile(job.output, "model") as model:
         assert model.read("curve/step")[-1] == 120
@@ -191,7 +191,7 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
         (row,) = run(job, params).rows
         assert row["horizon_ms"] == horizon_ms
         with StageFile(job.output, "model") as model:
-            assert slip_detectors.horizon_ms_of(model) == horizon_ms
+            assert slip_detectors.read_horizon_ms(model) == horizon_ms
             found = slip_detectors.load_detector(model)
         trajectory = slip_detectors.read_trajectory(trials[0], found.architecture)
         said[horizon_ms] = found.over(trajectory.series)[ONSET - 10 : ONSET].mean()
@@ -229,7 +229,7 @@ def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path
     (row,) = run(job, params).rows
     assert row["labels"] == "truth"
     (job,) = train.jobs([*truth, trials[1]], params, tmp_path / "mixed")
-    with pytest.raises(InputError, match="labelled in different ways") as refused:
+    with pytest.raises(InputError, match="labelled by different methods") as refused:
         run(job, params)
     assert trials[1].name in str(refused.value)
 
@@ -249,17 +249,17 @@ def test_folds_leave_objects_out(tmp_path: Path) -> None:
     for path in files:
         with StageFile(path, "features") as file:
             headers.append(file.header)
-    assert splits.folds_of(headers, 3, 0) == [splits.Fold([0, 1, 2], [3, 4])]
-    assert splits.folds_of(headers, 3, 3) == [
+    assert splits.make_folds(headers, 3, 0) == [splits.Fold([0, 1, 2], [3, 4])]
+    assert splits.make_folds(headers, 3, 3) == [
         splits.Fold([1, 2], [0, 3]),
         splits.Fold([0, 2], [1, 4]),
         splits.Fold([0, 1], [2]),
         splits.Fold([0, 1, 2], []),
     ]
-    assert [fold.judged for fold in splits.folds_of(headers, 3, 2)] == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
+    assert [fold.judged for fold in splits.make_folds(headers, 3, 2)] == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
     for wrong in (1, 4):
         with pytest.raises(InputError, match=r"(?s)left out.*2 to 3, or 0.*9, 10, 11"):
-            splits.folds_of(headers, 3, wrong)
+            splits.make_folds(headers, 3, wrong)
 
 
 def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -194,7 +194,7 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
     """Slip probability of each slice of the span, where both a model and features are there."""
     if trial.model is None or trial.features is None:
         return None
-    from evetac_cli.stages.slip_detectors import load_detector, series_of
+    from evetac_cli.stages.slip_detectors import load_detector, read_series
 
     detector = load_detector(trial.model)
     start = span[0]
@@ -205,7 +205,7 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
         # a full history, and as far back as a prediction is held
         before = min(start + first, detector.architecture.history + detector.architecture.every - 2)
         rows = slice(start + first - before, start + last)
-        series = series_of(trial.features, detector.architecture, rows.start, rows.stop)
+        series = read_series(trial.features, detector.architecture, rows.start, rows.stop)
         found[first:last] = detector.over(series, rows.start)[before:]
     return found
 

@@ -22,7 +22,7 @@ Timing = Literal["early", "correct", "late"]
 
 
 class Counts(NamedTuple):
-    """Slices by outcome; sums of counts over trajectories are counts again."""
+    """Numbers of slices by outcome; they may be summed over trajectories."""
 
     true_positives: int
     false_positives: int
@@ -102,9 +102,9 @@ class Prediction:
         check_labels(self.label, self.onset)
         if self.probability.shape != self.label.shape:
             raise ValueError(f"expected probabilities {self.label.shape}, found {self.probability.shape}")
-        known = self.probability[np.count_nonzero(np.isnan(self.probability)) :]
-        # a NaN after the first number leaves a NaN in `known`, and no comparison with NaN is true
-        if not np.all((known >= 0) & (known <= 1)):
+        defined = self.probability[np.count_nonzero(np.isnan(self.probability)) :]
+        # a NaN after the first number leaves a NaN in `defined`, and no comparison with NaN is true
+        if not np.all((defined >= 0) & (defined <= 1)):
             raise ValueError("expected probabilities within 0..1, NaN only before the history is full")
 
     def detected(self, threshold: float) -> NDArray[np.bool_]:
@@ -123,7 +123,7 @@ def score(predictions: Sequence[Prediction], threshold: float) -> dict[str, floa
     - slip_early, slip_correct, slip_late: shares of the trajectories with an onset; None where no trajectory has one.
     - f1: the counts are pooled over each object's trajectories, and the objects' F1 are averaged, as in the paper's
       bars. f1_pooled, precision, recall and the counts pool all trajectories; with one object f1 equals f1_pooled.
-    - alarms_without_slip: trajectories without an onset in which something was detected all the same.
+    - alarms_without_slip: trajectories without an onset in which slip was detected.
     """
     if not predictions:
         raise ValueError("expected at least one trajectory to score, found none")

@@ -136,7 +136,7 @@ def build(
 
 
 def parameters(network: Network) -> int:
-    """Count what is trained."""
+    """Number of trained weights and biases."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 

@@ -1,4 +1,4 @@
-"""Which slices a slip detector is trained on, how often each is drawn, and how they are varied.
+"""Which slices a slip detector is trained on, how often each is drawn, and how samples are rotated.
 
 Slip is rare, and most of the rest is silence, so samples are drawn from three pools (paper, Model Training & Data
 Selection):
@@ -7,7 +7,7 @@ Selection):
 - busy: slices labelled no slip with more than 25 events;
 - quiet: all other slices labelled no slip.
 
-"Events" are those outside the window strip, because a detector must not know what the window sees. A batch of 72 holds
+"Events" are those outside the window strip, because a detector must not see the window. A batch of 72 holds
 32, 32 and 8 of them, and an epoch is one pass over the busy pool.
 """
 
@@ -63,7 +63,7 @@ def gather(
     columns: int = 8,
     horizon_ms: int = 0,
 ) -> Samples:
-    """Sort the slices of trajectories into the three pools; what no sample sees is left out.
+    """Sort the slices of trajectories into the three pools; slices that no sample needs are left out.
 
     A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
     50 ms beyond. A slice is a sample when its history is full and it is labelled. With `horizon_ms` the same slices are
@@ -106,7 +106,7 @@ def gather(
 
 
 class Batch(NamedTuple):
-    """The slices that the samples of one batch end at, by pool."""
+    """One batch, by pool: the slices at which its samples end."""
 
     slip: NDArray[np.int64]
     busy: NDArray[np.int64]
@@ -146,7 +146,7 @@ def quarter_turns(samples: int, rng: np.random.Generator) -> NDArray[np.int64]:
 
 
 def augment(samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Turn each input of a batch, as if the object had been gripped that way round; a new array (paper, as above)."""
+    """Rotate each input of a batch by its quarter turns, as if the object had been gripped so; a new array (paper)."""
     result = batch.copy()
     for times in (1, 2, 3):
         chosen = turns == times
@@ -158,7 +158,7 @@ def augment(samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int6
 def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of each channel over what a batch holds: every pool counts by its share."""
     images = isinstance(samples.architecture, ImageArchitecture)
-    over = (0, 2, 3) if images else (0, 1)
+    axes = (0, 2, 3) if images else (0, 1)
     most = NORMALISE_IMAGES if images else NORMALISE_SAMPLES
     at_once = max(1, NORMALISE_VALUES // samples.inputs(samples.slip[:1]).size)
     shares = np.array([SLIP_SHARE, _busy_share(samples), QUIET_SHARE if len(samples.quiet) else 0])
@@ -169,8 +169,8 @@ def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.flo
             chunk = spaced[begin : begin + at_once]
             values = samples.inputs(chunk).astype(np.float64)
             part = share * len(chunk) / len(spaced)
-            mean = mean + part * values.mean(axis=over)
-            square = square + part * np.square(values).mean(axis=over)
+            mean = mean + part * values.mean(axis=axes)
+            square = square + part * np.square(values).mean(axis=axes)
     return mean, np.sqrt(np.maximum(square - np.square(mean), 0))
 
 

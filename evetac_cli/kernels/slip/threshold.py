@@ -36,7 +36,7 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
     thresholds = np.empty(len(checkpoints))
     scores = np.empty(len(checkpoints))
     for index, predictions in enumerate(checkpoints):
-        along_grid = np.array([_goodness(predictions, threshold) for threshold in THRESHOLDS])
+        along_grid = np.array([_timing_and_f1(predictions, threshold) for threshold in THRESHOLDS])
         best = int(np.argmax(along_grid))  # the first of equals, so the lowest threshold
         thresholds[index] = THRESHOLDS[best]
         scores[index] = along_grid[best]
@@ -45,7 +45,7 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
     return Choice(chosen, float(thresholds[chosen]), float(scores[chosen]), thresholds, scores)
 
 
-def _goodness(predictions: Sequence[Prediction], threshold: float) -> float:
+def _timing_and_f1(predictions: Sequence[Prediction], threshold: float) -> float:
     row = score(predictions, threshold)
     if row["slip_correct"] is None or row["f1"] is None:
         raise ValueError("expected at least one validation trajectory with an onset, found none")

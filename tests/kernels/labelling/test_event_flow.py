@@ -92,7 +92,7 @@ def test_onset_is_when_half_a_pixel_is_slid(speed: float, angle: float) -> None:
     assert found.label[found.onset] == 1
     assert (found.label[found.onset + CONSTANTS.after_ms :] == -1).all()
     assert found.confidence > 0.9
-    assert found.pairs == 0
+    assert found.flow_pairs == 0
 
 
 def test_a_turning_object_takes_dots_along_each_its_own_way() -> None:

@@ -44,7 +44,7 @@ def trial(slices: int, seed: int = 0) -> tuple[NDArray[np.float64], NDArray[np.i
     return tracks, rng.poisson(3, (slices, 56)).astype(np.int32), columns
 
 
-def series_of(name: str, slices: int) -> inputs.Series:
+def make_series(name: str, slices: int) -> inputs.Series:
     """The trial as `featurize` would store it."""
     tracks, events, columns = trial(slices)
     if isinstance(ARCHITECTURES[name], ImageArchitecture):
@@ -62,7 +62,7 @@ def test_live_is_over(name: str) -> None:
     found = trained(name)
     history = found.architecture.history
     slices = history + 23
-    offline = found.over(series_of(name, slices))
+    offline = found.over(make_series(name, slices))
     live = Live(found, REST, WINDOW)
     online = [live.step(*dots, *events) for *dots, events in zip(*trial(slices), strict=True)]
     np.testing.assert_array_equal(np.array(online, np.float32), offline)
@@ -73,7 +73,7 @@ def test_live_is_over(name: str) -> None:
 def test_down5_predicts_every_fifth_slice_and_holds() -> None:
     """Assert that down5 says something new at slices 49, 54, ... alone, which is what hist would say there."""
     found = trained("down5")
-    series = series_of("down5", 80)
+    series = make_series("down5", 80)
     said = found.over(series)
     assert np.flatnonzero(np.diff(said[49:])).tolist() == [4, 9, 14, 19, 24, 29]
     for t in (49, 54, 79):
@@ -86,7 +86,7 @@ def test_down5_predicts_every_fifth_slice_and_holds() -> None:
 def test_a_part_is_judged_as_in_the_whole(name: str, first: int) -> None:
     """Assert that a part of a trajectory, told where it begins, has the whole's probabilities once history is full."""
     found = trained(name)
-    series = series_of(name, 160)
+    series = make_series(name, 160)
     full = found.architecture.history + found.architecture.every - 2
     part = found.over(inputs.part(series, first, 160), first)
     np.testing.assert_array_equal(part[full:], found.over(series)[first + full :])
@@ -96,7 +96,7 @@ def test_a_part_is_judged_as_in_the_whole(name: str, first: int) -> None:
 def test_batches_do_not_matter(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that few inputs at a time give what many give, bit for bit."""
     found = trained(name)
-    series = series_of(name, 90)
+    series = make_series(name, 90)
     whole = found.over(series)
     monkeypatch.setattr(detector, "BATCH_VALUES", 5000)
     np.testing.assert_array_equal(found.over(series), whole)
@@ -107,8 +107,8 @@ def test_short_trajectories_have_no_probability(name: str) -> None:
     """Assert that less than a history of slices gives NaN alone, and none gives nothing."""
     found = trained(name)
     short = found.architecture.history - 1
-    assert np.isnan(found.over(inputs.part(series_of(name, 12), 0, short))).all()
-    assert len(found.over(inputs.part(series_of(name, 12), 0, 0))) == 0
+    assert np.isnan(found.over(inputs.part(make_series(name, 12), 0, short))).all()
+    assert len(found.over(inputs.part(make_series(name, 12), 0, 0))) == 0
 
 
 def test_events_in_the_window_reach_no_model() -> None:

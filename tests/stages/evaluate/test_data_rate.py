@@ -136,7 +136,7 @@ def test_slip_from_labels(tmp_path: Path) -> None:
     ((row,), _) = evaluated(path)
     assert row["share_slip"] == pytest.approx(100 * 5 * 1000 / RGB_BYTES_S)
     assert row["share_contact"] is None
-    assert row["not_answered"] == "contact: no truth, and only a simulation knows when it touches"
+    assert row["not_answered"] == "contact: no truth, and contact is known in simulations alone"
     with StageFile(tmp_path / "a.report.h5") as report:
         kinds = {report.header["history"][parent]["kind"] for parent in report.header["parents"]}
     assert kinds == {"recording", "labels"}

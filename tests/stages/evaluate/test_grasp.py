@@ -14,8 +14,7 @@ from evetac_cli.numerics import cost, grasp_cost, grasp_stability, stability
 from evetac_cli.numerics.grasp_trials import GraspResult, Says, Short, grasp, truthful
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
-from evetac_cli.stages.evaluate import grasp_picture
-from evetac_cli.stages.evaluate.grasp import setting_of, tables, without_gain
+from evetac_cli.stages.evaluate.grasp import describe_setting, tables, without_gain
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 PLANNED = {
@@ -75,7 +74,7 @@ def test_figures_are_over_what_was_held() -> None:
     ((whole,), _, _) = split(tables(trials)[0])
     assert whole["moved_mm_median"] == 2.0
     assert whole["moved_mm_mean"] == 5.0
-    assert whole["moved_below_10_mm"] == pytest.approx(2 / 3)
+    assert whole["moved_below_10_mm_share"] == pytest.approx(2 / 3)
     assert whole["opening_after_balance_ticks"] == -7.0
     assert whole["force_end_n"] == 1.0
 
@@ -143,9 +142,9 @@ def test_the_paper_s_failures_make_its_93_percent() -> None:
 )
 def test_a_setting_says_what_is_unusual(changes: dict, setting: str) -> None:
     """Assert the name of each setting, and that a recording of before these flags is a usual one."""
-    assert setting_of({**PLANNED, **changes}) == setting
+    assert describe_setting({**PLANNED, **changes}) == setting
     older = {key: value for key, value in PLANNED.items() if key not in ("gain", "latency_ms", "control_hz")}
-    assert setting_of(older) == "paper"
+    assert describe_setting(older) == "paper"
     assert "gain" not in without_gain(setting)
 
 
@@ -160,8 +159,8 @@ def test_the_picture() -> None:
         [trial(lifted=False)],
     ):
         figure = Figure()
-        grasp_picture.draw(figure, tables(trials)[0])
-        assert len(figure.axes) == len(grasp_picture.PANELS)
+        evaluate_grasp._draw(figure, tables(trials)[0])
+        assert len(figure.axes) == len(evaluate_grasp.PANELS)
 
 
 # --- short grasps, cost and stability ---

@@ -10,9 +10,8 @@ from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info, validate
 from evetac_cli.jobs import Outcome
-from evetac_cli.stages import track_rgb
+from evetac_cli.stages import predict_force, track_rgb, train_force
 from evetac_cli.stages.evaluate import force as evaluate_force
-from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 
@@ -121,7 +120,7 @@ def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
     assert [outcome.rows[2][f"paper_{name}"] for name in ("mae_n_x", "sd_n_x", "mae_n_y", "sd_n_y")] == [
         0.53, 0.49, 0.44, 0.29,
     ]  # fmt: skip
-    assert outcome.summary["force_n_x_most"] <= 10.5
+    assert outcome.summary["true_force_max_x_n"] <= 10.5
 
 
 def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
@@ -139,7 +138,7 @@ def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
     assert rows[0]["mae_n_x"] != rows[1]["mae_n_x"]
     for name in ("mae_n_x", "mae_n_y", "sd_n_x", "sd_n_y", "gain"):
         assert network[name] == pytest.approx((rows[0][name] + rows[1][name]) / 2)
-    assert network["models_sd_n_x"] == pytest.approx(abs(rows[0]["mae_n_x"] - rows[1]["mae_n_x"]) / 2)
+    assert network["sd_over_models_n_x"] == pytest.approx(abs(rows[0]["mae_n_x"] - rows[1]["mae_n_x"]) / 2)
 
 
 def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
@@ -164,7 +163,7 @@ def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
     assert np.abs(regression - true).max() < 0.05
     _, model = train_force.read_model(made / "events.force-model.h5")
     with StageFile(made / "trial3.tracks.h5") as tracks:
-        moved = tracks.read("dot_xy_px") - train_force.rest_of(tracks)
+        moved = tracks.read("dot_xy_px") - train_force.read_rest_px(tracks)
     assert np.allclose(network, train_force.forces.apply_network(model.network, moved), atol=1e-3)
     figures = info.run([output, made / "events.force-model.h5"]).rows
     assert figures[0]["slices"] == SLICES
@@ -181,7 +180,7 @@ def test_what_was_learned_is_not_judged(made: Path, tmp_path: Path) -> None:
     """Assert that a recording that was fitted on is refused, whichever sensor tracked it, and so is one held out."""
     chosen = params.EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
     for number in range(3):
-        refused(evaluate_force, [made / f"trial{number}.tracks.h5"], chosen, "trained on and judged on", tmp_path)
+        refused(evaluate_force, [made / f"trial{number}.tracks.h5"], chosen, "trained on and evaluated on", tmp_path)
     refused(train_force, [made / "trial0.tracks.h5", made / "trial0.tracks.h5"], FIT, "held out", tmp_path)
 
 
@@ -210,10 +209,10 @@ def test_what_cannot_be_answered(made: Path, tmp_path: Path) -> None:
     model = str(made / "events.force-model.h5")
     refused(train_force, [made / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
     refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(model=model), "too short", tmp_path)
-    refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(), "no force model", tmp_path)
-    refused(predict_force, [made / "trial3.tracks.h5"], params.PredictForce(), "no force model", tmp_path)
+    refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(), "no force-model file", tmp_path)
+    refused(predict_force, [made / "trial3.tracks.h5"], params.PredictForce(), "no force-model file", tmp_path)
     real = trial(tmp_path, 9, truth=False)
-    refused(evaluate_force, [real], params.EvaluateForce(model=model), "without truth", tmp_path)
+    refused(evaluate_force, [real], params.EvaluateForce(model=model), "has no truth", tmp_path)
     refused(track_rgb, [tmp_path / "trial9.recording.h5"], params.TrackRgb(), "only a simulation", tmp_path)
 
 
