@@ -45,11 +45,11 @@ def test_slices_do_not_depend_on_packets(seed: int, slices: int, count: int, cut
     """Assert that however a stream is cut into packets, the slices are those of the index, empty ones included."""
     events = stream(np.random.default_rng(seed), slices, count)
     slicer = Slicer()
-    found = [piece for packet in packets(events, cuts) for piece in slicer.push(packet)]
-    found += slicer.close_until(slices)
+    result = [piece for packet in packets(events, cuts) for piece in slicer.push(packet)]
+    result += slicer.close_until(slices)
     starts = slice_starts(events.t, slices)
-    assert len(found) == slices
-    for index, piece in enumerate(found):
+    assert len(result) == slices
+    for index, piece in enumerate(result):
         expected = events.part(int(starts[index]), int(starts[index + 1]))
         assert all((one == other).all() for one, other in zip(piece, expected, strict=True))
 

@@ -84,6 +84,10 @@ class Recording(StageFile):
         """Dot centres at rest (rows, columns, 2), or None where no calibration is stored."""
         return self.read("sensor/dot_xy_px") if self.has("sensor/dot_xy_px") else None
 
+    def sensor_datasets(self) -> dict[str, Any]:
+        """What belongs to the sensor, `sensor/...` by name: dot grid, window, frame size, to be copied along."""
+        return {name: self.read(name) for name in self.contents() if name.startswith("sensor/")}
+
     def between(self, start: int, stop: int) -> Events:
         """All events of the slices [start, stop) in one; t stays absolute."""
         if not 0 <= start <= stop <= len(self):

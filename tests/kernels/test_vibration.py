@@ -98,16 +98,16 @@ def test_frequency_error_against_the_bound() -> None:
     depth, events, cells, duration_s = 0.6, 400.0, 64, BINS / RATE_HZ
     over_noise = depth**2 * events * cells / 4  # of a window without taper
     bound_hz = math.sqrt(6 / over_noise) / (2 * np.pi * duration_s)
-    errors, said = [], []
+    errors, stated_hz = [], []
     for _ in range(100):
         tone_hz = rng.uniform(199.5, 200.5)
-        found = tone_of(trains(rng, tone_hz=tone_hz, depth=depth))
-        assert found is not None
-        errors.append(found.frequency_hz - tone_hz)
-        said.append(found.uncertainty_hz)
+        result = tone_of(trains(rng, tone_hz=tone_hz, depth=depth))
+        assert result is not None
+        errors.append(result.frequency_hz - tone_hz)
+        stated_hz.append(result.uncertainty_hz)
     rms_hz = math.sqrt(np.mean(np.square(errors)))
     assert bound_hz < rms_hz < 2.1 * bound_hz
-    assert 0.7 * rms_hz < math.sqrt(np.mean(np.square(said))) < 1.8 * rms_hz
+    assert 0.7 * rms_hz < math.sqrt(np.mean(np.square(stated_hz))) < 1.8 * rms_hz
     assert abs(np.mean(errors)) < 4 * rms_hz / math.sqrt(len(errors))
 
 
@@ -120,8 +120,8 @@ def test_chance_of_finding_a_weak_tone(wanted: float) -> None:
     threshold = special.gammainccinv(cells, false_alarms / frequencies)
     centrality = _solve(lambda total: stats.ncx2.sf(2 * threshold, 2 * cells, 2 * total), wanted)
     depth = math.sqrt(6 * centrality / (cells * events))
-    found = [tone_of(trains(rng, tone_hz=200.0, depth=depth), false_alarms=false_alarms) for _ in range(trials)]
-    right = sum(line is not None and abs(line.frequency_hz - 200.0) < 1.0 for line in found)
+    result = [tone_of(trains(rng, tone_hz=200.0, depth=depth), false_alarms=false_alarms) for _ in range(trials)]
+    right = sum(line is not None and abs(line.frequency_hz - 200.0) < 1.0 for line in result)
     assert abs(right / trials - wanted) < 0.04 + 3.3 * math.sqrt(wanted * (1 - wanted) / trials)
 
 
@@ -170,9 +170,9 @@ def test_the_tone_and_not_twice_it() -> None:
     tally = np.round(6 * side * speed).astype(np.int16)
     counts = np.abs(tally).sum(axis=0).reshape(-1, 5).sum(axis=1)
     assert strongest_of_counts(counts, 1000, 25.0) == pytest.approx(220.0, abs=0.5)
-    found = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
-    assert found.tone is not None
-    assert found.tone.frequency_hz == pytest.approx(110.0, abs=0.01)
+    result = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
+    assert result.tone is not None
+    assert result.tone.frequency_hz == pytest.approx(110.0, abs=0.01)
 
 
 def test_a_speaker_with_harmonics() -> None:
@@ -185,11 +185,11 @@ def test_a_speaker_with_harmonics() -> None:
     )
     lean = rng.choice([-1.0, 1.0], (40, 1)) * speed * 0.3
     tally = (rng.poisson(np.maximum(1 + lean, 0)) - rng.poisson(np.maximum(1 - lean, 0))).astype(np.int16)
-    found = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
-    assert found.tone is not None
-    assert found.tone.frequency_hz == pytest.approx(150.0, abs=0.02)
+    result = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
+    assert result.tone is not None
+    assert result.tone.frequency_hz == pytest.approx(150.0, abs=0.02)
     for order, share in ((0.5, 0.3), (2.0, 0.45), (3.0, 0.2)):
-        assert found.harmonics[order] == pytest.approx(share, rel=0.1)
+        assert result.harmonics[order] == pytest.approx(share, rel=0.1)
 
 
 @pytest.mark.parametrize(("tone_hz", "folded_hz"), [(600.0, 400.0), (1300.0, 300.0), (1750.0, 250.0)])
@@ -197,12 +197,12 @@ def test_nothing_folds(tone_hz: float, folded_hz: float) -> None:
     """Assert that a tone beyond the band is told as such, where a count a slice shows it folded."""
     rng = np.random.default_rng(5)
     tally = trains(rng, tone_hz=tone_hz, depth=0.8, bins=5000, rate_hz=5000)
-    found = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
-    assert found.tone is None
-    assert found.above_band is not None
-    assert found.above_band.frequency_hz == pytest.approx(tone_hz, abs=0.2)
+    result = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
+    assert result.tone is None
+    assert result.above_band is not None
+    assert result.above_band.frequency_hz == pytest.approx(tone_hz, abs=0.2)
     within = find(vibration.spectrum(tally, 5000), 25.0, 2500.0).tone
-    assert within is not None and within.frequency_hz == found.above_band.frequency_hz
+    assert within is not None and within.frequency_hz == result.above_band.frequency_hz
     counts = rng.poisson(50 * (1 + 0.8 * np.cos(2 * np.pi * tone_hz * np.arange(1000) / 1000)))
     assert strongest_of_counts(counts, 1000, 25.0) == pytest.approx(folded_hz)
 

@@ -81,7 +81,7 @@ def recorded(path: Path, events: Events, frame_px: tuple[int, int] = (640, 480))
     return path
 
 
-def kept(events: Events, keep: NDArray[np.bool_]) -> Events:
+def selected(events: Events, keep: NDArray[np.bool_]) -> Events:
     return Events(*(column[keep] for column in events))
 
 
@@ -184,9 +184,9 @@ def test_refine(seen: Show, tmp_path: Path, truth: Grid) -> None:
     row, made = calibrated(path, refine=default)
     assert row["dots"] == 63
     assert 63 - 7 * 4 >= row["kept_from_default"] >= 63 - 7 * 5
-    found = read_calibration(made).dot_xy_px
-    assert np.abs(found[:, :4] - truth[:, :4]).max() < 0.5
-    assert np.abs(found - truth).max() < 1.0
+    results = read_calibration(made).dot_xy_px
+    assert np.abs(results[:, :4] - truth[:, :4]).max() < 0.5
+    assert np.abs(results - truth).max() < 1.0
     made.unlink()
     row, made = calibrated(path, any_grid=True)
     assert row["columns"] in (4, 5)
@@ -202,7 +202,7 @@ def test_missing_dot(seen: Show, tmp_path: Path, events: Events, truth: Grid) ->
     assert table["mask"][2][3] is False
     assert table["dot_xy_px"][2][3] == [None, None]
     assert table["neighbours"][2 * 9 + 3] == []
-    short = recorded(tmp_path / "short.recording.h5", kept(events, events.t < 300_000))
+    short = recorded(tmp_path / "short.recording.h5", selected(events, events.t < 300_000))
     tracking = params.Track(calibration=made)
     (job,) = track.jobs([short], tracking, None)
     track.run(job, tracking)
@@ -231,7 +231,7 @@ def test_hidden_dots(seen: Show, truth: Grid) -> None:
 def test_thresholds_that_differ_by_polarity(tmp_path: Path, events: Events, truth: Grid) -> None:
     """Assert that a camera that loses a quarter of its darker events, and has noise, moves no centre by 1 px."""
     rng = np.random.default_rng(0)
-    seen = kept(events, (events.p == 1) | (rng.uniform(size=events.size) > 0.25))
+    seen = selected(events, (events.p == 1) | (rng.uniform(size=events.size) > 0.25))
     count = 95 * int(seen.t[-1]) // 1000  # as a bare DVXplorer
     noise = Events(
         rng.integers(0, int(seen.t[-1]), count), rng.integers(0, 640, count).astype(np.uint16),
@@ -239,7 +239,7 @@ def test_thresholds_that_differ_by_polarity(tmp_path: Path, events: Events, trut
     )  # fmt: skip
     both = concatenate([seen, noise])
     order = np.argsort(both.t, kind="stable")
-    row, made = calibrated(recorded(tmp_path / "odd.recording.h5", kept(both, order)))  # type: ignore[arg-type]
+    row, made = calibrated(recorded(tmp_path / "odd.recording.h5", selected(both, order)))  # type: ignore[arg-type]
     assert row["missing_dots"] == 0
     assert worst_px(made, truth) < 1.0
 
@@ -271,11 +271,11 @@ def test_larger_frame(
 
 def test_nothing_moved(tmp_path: Path, events: Events) -> None:
     """Assert that rest, no events at all, and a stroke without rests are refused in words, and leave nothing."""
-    nothing = kept(events, np.zeros(events.size, bool))
+    nothing = selected(events, np.zeros(events.size, bool))
     for name, part, words in (
-        ("rest", kept(events, events.t < 90_000), "no dot was seen to move"),
+        ("rest", selected(events, events.t < 90_000), "no dot was seen to move"),
         ("empty", nothing, "no dot was seen to move"),
-        ("stroke", kept(events, (events.t >= 280_000) & (events.t < 350_000)), "not at rest before and after"),
+        ("stroke", selected(events, (events.t >= 280_000) & (events.t < 350_000)), "not at rest before and after"),
     ):
         part = Events(part.t - (part.t[0] if part.size else 0), *part[1:])  # noqa: PLW2901 - the same, from t = 0
         path = recorded(tmp_path / f"{name}.recording.h5", part)
@@ -294,7 +294,7 @@ def test_noise_is_no_dot(tmp_path: Path) -> None:
         calibrated(job.output)
     with open_recording(job.output) as recording:
         noise = recording.between(0, len(recording))
-    rests = kept(noise, (noise.t // 1000 % 400 >= 100) | (noise.x < 40))
+    rests = selected(noise, (noise.t // 1000 % 400 >= 100) | (noise.x < 40))
     with pytest.raises(InputError, match="no dots were seen to move: 0 found"):
         calibrated(recorded(tmp_path / "strokes.recording.h5", rests))
 

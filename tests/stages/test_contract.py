@@ -315,9 +315,9 @@ def empty_recording(like: Path, path: Path) -> None:
     from evetac_cli.store.provenance import Recipe, content_digest
 
     with StageFile(like) as file:
-        kept = {name: file.read(name) for name in file.contents() if name.startswith("sensor/")}
+        selected = {name: file.read(name) for name in file.contents() if name.startswith("sensor/")}
         columns = {name: file.read(name, 0, 0) for name in file.contents() if name.startswith("events/")}
-    content = {**kept, **columns, "ms_to_idx": np.zeros(1, np.int64), "t_offset": np.int64(0)}
+    content = {**selected, **columns, "ms_to_idx": np.zeros(1, np.int64), "t_offset": np.int64(0)}
     write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
 
 

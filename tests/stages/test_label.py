@@ -59,7 +59,7 @@ def test_every_method_makes_valid_labels_that_name_it(made: Made, tmp_path: Path
     """Assert that each method's labels are valid, are those of a slice-by-slice rule, and name it in their header."""
     output, row = run(made.recordings[0], tmp_path, method=method)
     assert row["method"] == method
-    assert [found["faults"] for found in validate.run([output]).rows] == [None]
+    assert [result["faults"] for result in validate.run([output]).rows] == [None]
     with StageFile(output, "labels") as file:
         assert file.header["parameters"]["method"] == method
         onset = int(file.read("onset_slice"))
@@ -168,7 +168,7 @@ def test_leaving_out_does_not_change_the_onset(made: Made) -> None:
     with open_recording(made.recordings[0]) as recording:
         true = int(np.flatnonzero(recording.read("truth/slip"))[0])
         window, gel = label.regions(recording)
-        found = [
+        result = [
             flow.label(recording.between, true + 12, window, gel, constants, true - 20)
             for constants in (
                 label_cost._constants(coarse_ms=1, plain=True, after_ms=0),
@@ -177,8 +177,8 @@ def test_leaving_out_does_not_change_the_onset(made: Made) -> None:
                 label_cost._constants(coarse_ms=5, after_ms=0),
             )
         ]
-    assert len({labels.onset for labels in found}) == 1
-    assert found[-1].flow_pairs < found[0].flow_pairs
+    assert len({labels.onset for labels in result}) == 1
+    assert result[-1].flow_pairs < result[0].flow_pairs
 
 
 def test_cost_of_labels(monkeypatch: pytest.MonkeyPatch, made: Made, tmp_path: Path) -> None:

@@ -93,9 +93,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_frames_show_where_the_dots_are(made: Path) -> None:
     """Assert that dots tracked in frames are within 0.3 px of truth at each frame, and stay until the next."""
     with StageFile(made / "rgb" / "trial3.tracks.h5") as tracks, StageFile(made / "trial3.recording.h5") as recording:
-        found, true = tracks.read("dot_xy_px"), recording.read("truth/dot_xy_px")
-    assert np.abs(found[::40] - true[::40]).max() < 0.3
-    assert np.array_equal(found, np.repeat(found[::40], 40, axis=0))
+        result, true = tracks.read("dot_xy_px"), recording.read("truth/dot_xy_px")
+    assert np.abs(result[::40] - true[::40]).max() < 0.3
+    assert np.array_equal(result, np.repeat(result[::40], 40, axis=0))
     assert np.abs(true[::40] - true[0]).max() > 20
 
 
@@ -157,8 +157,8 @@ def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
     """Assert that force tells every slice what the model says of it, also of tracks without a recording."""
     chosen = params.PredictForce(model=made / "events.force-model.h5")
     output, _ = run(predict_force, [made / "trial3.tracks.h5"], chosen, tmp_path)
-    with StageFile(output) as told, StageFile(made / "trial3.recording.h5") as recording:
-        regression, network = told.read("regression_n"), told.read("network_n")
+    with StageFile(output) as reported, StageFile(made / "trial3.recording.h5") as recording:
+        regression, network = reported.read("regression_n"), reported.read("network_n")
         true = recording.read("truth/shear_force_n")
     assert np.abs(regression - true).max() < 0.05
     _, model = train_force.read_model(made / "events.force-model.h5")
@@ -170,8 +170,8 @@ def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
     assert figures[1]["sensor"] == "events"
 
 
-def refused(stage: Any, files: list[Path], chosen: Any, said: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=said):
+def refused(stage: Any, files: list[Path], chosen: Any, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
         run(stage, files, chosen, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -24,7 +24,7 @@ Why so:
   are not used, as they may contain the slip.
 
 The constants were fixed on 308 simulated recordings of all 20 objects, recorded with seeds 0, 20, 1000 and 1500; those
-they are judged on have seed 300. Where the rule fails: an object touched beside the picture, a flat one whose last
+they are evaluated on have seed 300. Where the rule fails: an object touched beside the picture, a flat one whose last
 holding corner lies there, and one that turns, of which every part slips for short times only.
 """
 

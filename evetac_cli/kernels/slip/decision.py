@@ -1,8 +1,8 @@
 """The rule that turns a slip probability into a decision, the same in training, evaluation, grasp and view.
 
-Why so: detectors say float32, thresholds are stored as float64, and what `>=` says depends on the precision that it
-compares in: of the grid of thresholds 14 of 41 (0.7 and 0.95 among them) are larger than their own float32. So both are
-rounded to float32 first.
+Why so: probabilities are float32 and thresholds are stored as float64, and the result of `>=` depends on the precision
+of the comparison: of the grid of thresholds 14 of 41 (0.7 and 0.95 among them) are larger than the float32 nearest to
+them. So both are rounded to float32 first.
 """
 
 from typing import overload

@@ -1,4 +1,4 @@
-"""Slip labels as detectors are trained and judged on them: int8 per slice, 1 slip, 0 no slip, -1 not examined."""
+"""Slip labels as detectors are trained and evaluated on them: int8 per slice, 1 slip, 0 no slip, -1 not examined."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -39,7 +39,7 @@ NORMALISE_VALUES = 1 << 22  # at a time
 class Samples:
     """Trajectories end to end, and for each pool the slices (int64) at which a sample's history ends.
 
-    Why so: inputs are gathered anew for each batch, because all of them together hold every slice as often as the
+    Why so: inputs are gathered again for each batch, because all of them together hold every slice as often as the
     history is long (2.4 GB for 360 trajectories of 1.5 s and hist10), and gathering takes a small part of a step.
     """
 

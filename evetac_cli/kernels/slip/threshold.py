@@ -29,7 +29,7 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
     trajectories. The grid is 0 to 1 by 0.025; F1 is `f1` of `score`. Only the last three checkpoints can be chosen,
     but each one's best threshold is reported. Ties within a checkpoint go to the lower threshold, which reacts
     earlier; ties between checkpoints go to the later one, which has seen more. ValueError where no trajectory slips,
-    as the slip-correct share then says nothing.
+    because timing is then undefined.
     """
     if not checkpoints:
         raise ValueError("expected at least one checkpoint, found none")

@@ -218,8 +218,8 @@ class _Run:
         }
         arrays |= {f"weights/{name}": value for name, value in weights(self.network).items()}
         arrays |= {f"average/{name}": value.cpu().numpy().copy() for name, value in self.average.items()}
-        for index, moments in self.optimiser.state_dict()["state"].items():
-            for name, value in moments.items():
+        for index, tensors in self.optimiser.state_dict()["state"].items():
+            for name, value in tensors.items():
                 if value is not None:
                     arrays[f"optimiser/{index}/{name}"] = value.cpu().numpy().copy()
         for checkpoint in self.checkpoints:

@@ -287,14 +287,14 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
         "vibrating": sum(row["frequency_hz"] is not None for row in first if row["method"] == first[0]["method"]),
     }
     table = resources.table("paper")["vibration"]
-    judged = [row for row in second if "correct" in row]
-    for method in dict.fromkeys(row["method"] for row in judged):
-        for window_s in dict.fromkeys(row["window_s"] for row in judged):
-            rows = [row for row in judged if (row["method"], row["window_s"]) == (method, window_s)]
+    with_tone = [row for row in second if "correct" in row]
+    for method in dict.fromkeys(row["method"] for row in with_tone):
+        for window_s in dict.fromkeys(row["window_s"] for row in with_tone):
+            rows = [row for row in with_tone if (row["method"], row["window_s"]) == (method, window_s)]
             if rows:
                 right = sum(row["correct"] for row in rows)
                 summary[f"{method}_share_{window_s:g}_s"] = right / sum(row["windows"] for row in rows)
-    if judged:
+    if with_tone:
         summary |= {
             f"published_share_{length:g}_s": share
             for length, share in zip(table["window_s"], table["all"], strict=True)

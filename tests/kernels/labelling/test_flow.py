@@ -158,10 +158,10 @@ def test_plain_computes_more_for_the_same_labels() -> None:
 def test_smaller_pictures_do_not_change_the_labels(window_px_ms: float, gel_px_ms: float) -> None:
     """Assert that clear slip told from smaller pictures gives the labels of whole ones, for slip, creep and neither."""
     given = (moving(20, window_px_ms, gel_px_ms), 45, WINDOW, GEL)
-    told = flow.label(*given, CONSTANTS, 15)
+    reported = flow.label(*given, CONSTANTS, 15)
     whole = flow.label(*given, replace(CONSTANTS, clear_px=np.inf), 15)
-    assert told.onset == whole.onset
-    np.testing.assert_array_equal(told.label, whole.label)
+    assert reported.onset == whole.onset
+    np.testing.assert_array_equal(reported.label, whole.label)
 
 
 def test_a_window_without_texture_is_refused() -> None:

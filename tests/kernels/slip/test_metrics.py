@@ -95,14 +95,14 @@ def test_f1_is_scikit_learns(data: st.DataObject) -> None:
     detected = rng.random(size) < data.draw(st.floats(0, 1))
     onset = data.draw(st.integers(-1, size - 1))
     counts = metrics.counts(label, detected, onset)
-    kept = (label >= 0) & (np.arange(size) < (size if onset < 0 else onset + 20))
-    if not kept.any():
+    selected = (label >= 0) & (np.arange(size) < (size if onset < 0 else onset + 20))
+    if not selected.any():
         assert counts == (0, 0, 0)
         assert counts.f1 == 0
         return
-    truth, said = label[kept], detected[kept].astype(np.int8)
+    truth, says = label[selected], detected[selected].astype(np.int8)
     for ours, theirs in ((counts.f1, f1_score), (counts.precision, precision_score), (counts.recall, recall_score)):
-        assert ours == pytest.approx(theirs(truth, said, zero_division=0), abs=1e-12)
+        assert ours == pytest.approx(theirs(truth, says, zero_division=0), abs=1e-12)
 
 
 def test_f1_is_the_harmonic_mean() -> None:

@@ -84,11 +84,11 @@ def test_inputs_are_those_of_the_trajectory() -> None:
     one = trajectory(90, 60)._replace(series=rng.random((90, 56, 4), np.float32))
     one.label[:40] = -1
     samples = sampling.gather([trajectory(50, 30), one], HIST10)
-    kept = 60 + 15 - (40 - 9)
-    assert inputs.length(samples.series) == 45 + kept
+    selected = 60 + 15 - (40 - 9)
+    assert inputs.length(samples.series) == 45 + selected
     expected = inputs.at(HIST10, one.series, np.arange(40, 75))
-    found = samples.inputs(np.concatenate([samples.busy[samples.busy >= 45], samples.slip[samples.slip >= 45]]))
-    np.testing.assert_array_equal(found, expected)
+    result = samples.inputs(np.concatenate([samples.busy[samples.busy >= 45], samples.slip[samples.slip >= 45]]))
+    np.testing.assert_array_equal(result, expected)
 
 
 def test_ahead_relabels_the_same_slices() -> None:

@@ -271,14 +271,14 @@ def test_steady_keeps_the_running_mean(problem: Samples) -> None:
     """Assert that its checkpoints are the mean of the weights on the way, in which early weights are soon forgotten."""
     plain = replace(ADAMW, average=0.0)
     idle = replace(plain, learning_rate=0.0)
-    start, way, found = (
+    start, direction, results = (
         training.train(problem, preset, np.random.default_rng(1), max_steps=7) for preset in (idle, plain, ADAMW)
     )
     mean = start.checkpoints[0].weights["fc3.weight"].astype(np.float64)
     for step in range(1, 8):
         share = (1 + step) / (10 + step)
-        mean = share * mean + (1 - share) * way.checkpoints[step - 1].weights["fc3.weight"]
-        np.testing.assert_allclose(found.checkpoints[step - 1].weights["fc3.weight"], mean, atol=1e-6)
+        mean = share * mean + (1 - share) * direction.checkpoints[step - 1].weights["fc3.weight"]
+        np.testing.assert_allclose(results.checkpoints[step - 1].weights["fc3.weight"], mean, atol=1e-6)
 
 
 def test_steady_slows_down(problem: Samples) -> None:

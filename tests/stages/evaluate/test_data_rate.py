@@ -174,9 +174,9 @@ def test_what_is_refused(tmp_path: Path) -> None:
     before = set(tmp_path.iterdir())
     for file, values, match in (
         (path, {}, "belong to another recording"),
-        (empty, {}, "without a single slice"),
-        (other, {"rgb_frame": "540x480"}, "not a frame"),
-        (other, {"rgb_frame": "0x480x3"}, "not a frame"),
+        (empty, {}, "no slices"),
+        (other, {"rgb_frame": "540x480"}, "not the size of a frame"),
+        (other, {"rgb_frame": "0x480x3"}, "not the size of a frame"),
     ):
         with pytest.raises(InputError, match=match):
             evaluated(file, **values)

@@ -58,9 +58,9 @@ def test_balance_counts_trials_that_lifted() -> None:
     """Assert success of both phases, of lifting, and of balance among those that lifted, as the paper counts."""
     trials = [trial(), trial(held=False), trial(lifted=False), trial()]
     ((whole,), (row,), _) = split(tables(trials)[0])
-    for found in (whole, row):
-        assert (found["trials"], found["success"], found["lifted"]) == (4, 0.5, 0.75)
-        assert found["balanced"] == pytest.approx(2 / 3)
+    for result in (whole, row):
+        assert (result["trials"], result["success"], result["lifted"]) == (4, 0.5, 0.75)
+        assert result["balanced"] == pytest.approx(2 / 3)
     nothing = [trial("none", lifted=False)] * 5
     assert split(tables(nothing)[0])[1][0]["balanced"] is None
 
@@ -101,16 +101,16 @@ def test_the_paper_s_figures_stand_beside_their_own() -> None:
     ]
     trials += [trial("paper, gain 2, drop-100g", 16), trial("paper, drop-20g", 16), trial("paper, second", 16)]
     whole, objects, _ = split(tables(trials)[0])
-    said = {
+    published = {
         (row["setting"], row["object"]): (row["paper_success"], row["paper_opening_after_balance_ticks"])
         for row in objects
     }
-    assert said["paper", 12] == (0.9, None)
-    assert said["paper", 14] == (0.6, None)
-    assert said["paper", 17] == (1.0, -7.6)
-    assert said["paper", 18] == (1.0, -13.4)
-    assert said["paper, gain 2", 20] == (1.0, None)
-    assert said["load-proportional", 18] == (None, None)
+    assert published["paper", 12] == (0.9, None)
+    assert published["paper", 14] == (0.6, None)
+    assert published["paper", 17] == (1.0, -7.6)
+    assert published["paper", 18] == (1.0, -13.4)
+    assert published["paper, gain 2", 20] == (1.0, None)
+    assert published["load-proportional", 18] == (None, None)
     over = {row["setting"]: (row["paper_success"], row["paper_reopened_share"]) for row in whole}
     assert over["paper"] == (0.93, 0.43)
     assert over["load-proportional"] == (None, None)
@@ -221,9 +221,9 @@ def test_detectors_that_are_lied_to() -> None:
     for lost, twice, times in ((0.2, 0.0, 0.8), (0.0, 0.2, 1.2)):
         counts = Counts()
         uneven = grasp_stability.Uneven(counts, np.random.default_rng(0), lost, twice)
-        told = [uneven.step(None) for _ in range(5000)]
+        reported = [uneven.step(None) for _ in range(5000)]
         assert counts.slices == pytest.approx(5000 * times, rel=0.03)
-        assert np.isnan(told).mean() == pytest.approx(lost, abs=0.02)
+        assert np.isnan(reported).mean() == pytest.approx(lost, abs=0.02)
     for says in (True, False):
         sense = Says(Counts(), lambda says=says: says)
         assert [sense.step(None) for _ in range(3)] == [float(says)] * 3

@@ -120,7 +120,7 @@ def test_what_is_missing_is_said(world: dict[str, Any], tmp_path: Path) -> None:
     """Assert that no model, no features, and a model that is not there are errors in words."""
     with pytest.raises(InputError, match="no model file"):
         slip.jobs(world["known"], EvaluateSlip(), tmp_path)
-    with pytest.raises(InputError, match="which trajectories"):
+    with pytest.raises(InputError, match="no features files"):
         slip.jobs(world["seeds"], EvaluateSlip(), tmp_path)
     with pytest.raises(InputError, match="wrong kind"):
         slip.jobs(world["known"][1:], EvaluateSlip(model=world["known"][0]), tmp_path)
@@ -173,9 +173,9 @@ def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -
     trajectory = slip_detectors.read_trajectory(world["known"][0], model.architecture)
     detected = is_slip(model.detector().over(trajectory.series), model.threshold)
     label = np.arange(SLICES) >= ONSET - 10
-    kept = slice(0, ONSET + 20)
+    selected = slice(0, ONSET + 20)
     sklearn = pytest.importorskip("sklearn.metrics")
-    assert row["f1"] == pytest.approx(sklearn.f1_score(label[kept], detected[kept]))
+    assert row["f1"] == pytest.approx(sklearn.f1_score(label[selected], detected[selected]))
 
 
 def test_truth_is_a_setting_of_its_own(world: dict[str, Any], tmp_path: Path) -> None:

@@ -94,8 +94,8 @@ def test_a_tone_without_dots(tmp_path: Path) -> None:
     assert 0 < first["uncertainty_hz"] < 0.05
     assert first["correct"] and not second["correct"]
     assert second["frequency_hz"] == pytest.approx(281.0, abs=0.5)
-    told = [(row["method"], row["window_s"], row["windows"]) for row in windows]
-    assert told == [("default", 1.0, 2), ("default", 0.25, 8), ("paper", 1.0, 2), ("paper", 0.25, 8)]
+    reported = [(row["method"], row["window_s"], row["windows"]) for row in windows]
+    assert reported == [("default", 1.0, 2), ("default", 0.25, 8), ("paper", 1.0, 2), ("paper", 0.25, 8)]
     assert [row["share"] for row in windows[:3]] == [1.0, 1.0, 0.0]
     assert (
         windows[2]["windows_at_double_tone"] == 2
