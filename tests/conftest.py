@@ -13,8 +13,7 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
 from evetac_cli.resources import SCENES
-from evetac_cli.stages import featurize, grasp, label, record, track, train
-from evetac_cli.stages.force import train_force
+from evetac_cli.stages import featurize, grasp, label, record, track, train, train_force
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

@@ -26,9 +26,7 @@ class ReplayCamera:
     def __init__(self, path: Path, *, paced: bool = False) -> None:
         self._recording = open_recording(path)
         self.header: Header = self._recording.header
-        self.sensor: Mapping[str, Any] = {
-            name: self._recording.read(name) for name in self._recording.contents() if name.startswith("sensor/")
-        }
+        self.sensor: Mapping[str, Any] = self._recording.sensor_datasets()
         self._slicer = Slicer()
         self._ready: deque[Events] = deque()
         self._read = 0

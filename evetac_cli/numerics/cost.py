@@ -19,7 +19,6 @@ from evetac_cli.stages.evaluate import Rows, own_report, picture, report, report
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
-INPUTS = ()
 OUTPUT = "report"
 METHOD = 1
 

@@ -142,7 +142,7 @@ def _every_slice(recording: Recording) -> tuple[int, float]:
     in_full = flow_constants(plain=True, coarse_ms=1, after_ms=0)
     first, last = _round_onset(recording, SAMPLE_MS)
     labels = flow.label(recording.between, last, *label.regions(recording), in_full, first)
-    return onset, (time.perf_counter() - begin) * US / max(labels.pairs, 1)
+    return onset, (time.perf_counter() - begin) * US / max(labels.flow_pairs, 1)
 
 
 def _searched(recording: Recording) -> tuple[int, float]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
-from evetac_cli.kernels.slip import slip
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.numerics.rows import Row, collect, run_times
@@ -29,9 +29,9 @@ from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
 from evetac_cli.params import EvaluateCost, Grasp
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows, picture
-from evetac_cli.stages.evaluate.slip import sort_out
+from evetac_cli.stages.evaluate.slip import split_models
 from evetac_cli.stages.evaluate.slip_models import Model
-from evetac_cli.stages.evaluate.slip_tables import settings_of
+from evetac_cli.stages.evaluate.slip_tables import group_by_setting
 from evetac_cli.store.files import StageFile
 
 TRACKER = tracker.PRESETS[Grasp().tracker]
@@ -65,7 +65,7 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
     """The report of `evaluate slip`, then the models; empty without any file."""
     if not files and model is None:
         return ()
-    reports, models = sort_out(files, model)
+    reports, models = split_models(files, model)
     if len(reports) != 1:
         raise InputError(
             "the report of `evaluate slip` on these models is missing",
@@ -104,7 +104,7 @@ def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:
     by_setting = {row["setting"]: row for row in rows if "seeds" in row}
     given = {model.header["id"] for model in models}
     command = header["parameters"].get("command")
-    if command != "evaluate slip" or given != reported or {*settings_of(models)} != {*by_setting}:
+    if command != "evaluate slip" or given != reported or {*group_by_setting(models)} != {*by_setting}:
         raise InputError(
             "this is not the report of `evaluate slip` on the models given",
             where=str(path),
@@ -117,7 +117,7 @@ def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:
 def _trained(models: Sequence[Model], report_rows: dict[str, Row]) -> list[Candidate]:
     """One candidate for each setting, with the figures of its row in the report."""
     candidates = []
-    for setting, members in settings_of(models).items():
+    for setting, members in group_by_setting(models).items():
         first, row = models[members[0]], report_rows[setting]
         errors = {
             f"error_share_{name}": None if row[figure] is None else 1 - row[figure] for name, figure in FIGURES.items()
@@ -133,7 +133,7 @@ def _untrained() -> list[Candidate]:
     from evetac_cli.kernels.slip import networks  # imports torch
 
     candidates = []
-    for name, architecture in slip.ARCHITECTURES.items():
+    for name, architecture in ARCHITECTURES.items():
         network = networks.build(architecture, *GRID)
         graph = networks.onnx_graph(network)
         detector, size = Detector(graph, architecture), networks.parameters(network)
@@ -162,7 +162,7 @@ def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
 def _inference(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
     """One inference on one input of random numbers."""
     architecture = candidate.detector.architecture
-    if isinstance(architecture, slip.ImageArchitecture):
+    if isinstance(architecture, ImageArchitecture):
         shape: tuple[int, ...] = architecture.input_shape
     else:
         shape = (candidate.dot_shape[0] * candidate.dot_shape[1], architecture.inputs_per_dot)
@@ -182,7 +182,7 @@ def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], 
             found=f"{rows} x {columns}",
         )
     rest = whole[:rows, :columns].reshape(-1, 2)
-    window = None if columns == whole.shape[1] else (slip.GEL_PX[0], 0, 640, 480)
+    window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
     state = tracker.start(rest, TRACKER)
     live = Live(candidate.detector, rest, window)
     slices = [_rims(rng, float(rest[:, 0].max()) + 20.0) for _ in range(DISTINCT)]

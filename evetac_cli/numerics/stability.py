@@ -16,7 +16,6 @@ from evetac_cli.numerics.tracker import stability as tracker
 from evetac_cli.params import EvaluateStability, recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, report
 
-INPUTS = ()
 OUTPUT = "report"
 METHOD = 1
 

@@ -1,4 +1,4 @@
-"""Which options of `record` and `grasp` belong to what a run may have, so that none is ignored without a word."""
+"""Refuses options of `record` and `grasp` that would have no effect in a run: none is ignored silently."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -11,7 +11,7 @@ from evetac_cli.stages.record.capture_plan import names
 
 
 class Source(StrEnum):
-    """Where events come from, and what is commanded beside; a run has some of these."""
+    """Parts of a run that options belong to: where its events come from, and what it commands."""
 
     IMPORT = "an import (--from)"
     SCENE = "a simulated scene (--camera sim or virtual)"
@@ -24,7 +24,7 @@ class Source(StrEnum):
     GRASPED = "a grasp with devices (--camera virtual, dvxplorer or dv)"
 
 
-# Of a field that is not named here nothing depends on the source, or `names` says what fits together.
+# Options that are not listed have an effect in every run, or `names` checks how they fit together.
 RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("scene", "objects", "sensor", "gel", "readout"), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
@@ -44,24 +44,24 @@ GRASP: dict[str, tuple[Source, ...]] = {
 
 
 def sources(params: Record) -> set[Source]:
-    """What the run has; InputError for devices that there are not, or that do not fit together."""
+    """The parts of a run; InputError for unknown devices, or devices that do not fit together."""
     cameras, gripper = names(params)
     if params.source is not None:
         return {Source.IMPORT}
     if cameras[0].kind == "sim":
         return {Source.SCENE, Source.STEPPED} | ({Source.LIVE} if params.live else set())
-    found = {Source.DEVICE, Source.LIVE if params.live else Source.RECORDED}
+    parts = {Source.DEVICE, Source.LIVE if params.live else Source.RECORDED}
     if any(camera.kind == "virtual" and camera.prepared_events_s is None for camera in cameras):
-        found.add(Source.SCENE)
+        parts.add(Source.SCENE)
     if any(camera.kind != "replay" for camera in cameras):
-        found.add(Source.SENSOR)
+        parts.add(Source.SENSOR)
     if gripper.kind != "none" and not params.live:
-        found.add(Source.MOVED)
-    return found
+        parts.add(Source.MOVED)
+    return parts
 
 
 def refuse_unused_options(params: Record | Grasp) -> None:
-    """InputError for an option that is not at its default and belongs to nothing that this run has."""
+    """InputError for an option that is not at its default and belongs to no part of this run."""
     if isinstance(params, Grasp):
         camera = camera_name(params.camera)
         simulated = camera.kind in ("sim", "virtual") and camera.prepared_events_s is None
@@ -77,14 +77,14 @@ def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], has
         if belongs is None or getattr(params, item.name) == item.default or has.intersection(belongs):
             continue
         raise InputError(
-            f"has no effect here: it belongs to {' or '.join(belongs)}",
+            f"has no effect in this run: it belongs to {' or '.join(belongs)}",
             where=flag_of(item),
-            found=_named(params),
+            found=_source_flags(params),
             hint=f"leave out {flag_of(item)}",
         )
 
 
-def _named(params: Record | Grasp) -> str:
+def _source_flags(params: Record | Grasp) -> str:
     """The flags that say where events come from."""
     if isinstance(params, Record) and params.source is not None:
         return f"--from {params.source}"

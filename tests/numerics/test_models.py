@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from evetac_cli.cli import main
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.slip import slip as kernel
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.numerics import cost, models
 from evetac_cli.params import EvaluateCost, EvaluateSlip
@@ -91,7 +91,7 @@ def untrained() -> list[models.Candidate]:
 
 def test_every_architecture_is_a_candidate(untrained: list[models.Candidate]) -> None:
     """Assert that without models all architectures are there, with the paper's numbers of parameters."""
-    assert [candidate.setting for candidate in untrained] == list(kernel.ARCHITECTURES)
+    assert [candidate.setting for candidate in untrained] == list(ARCHITECTURES)
     parameters = {candidate.setting: candidate.parameters for candidate in untrained}
     expected = {"no-hist": 14_895, "hist10": 15_125, "hist20": 16_385, "fast-slow": 15_990}
     assert {name: parameters[name] for name in expected} == expected
@@ -157,7 +157,7 @@ def test_what_is_refused(files: dict[str, list[Path]], quick: None, tmp_path: Pa
     """Assert that files for another part, models without their report, and reports on others are errors."""
     with pytest.raises(InputError, match="measured without files"):
         cost.jobs(files["features"], EvaluateCost(part="sim"), tmp_path)
-    with pytest.raises(InputError, match="which model"):
+    with pytest.raises(InputError, match="no model file"):
         cost.jobs(files["features"], EvaluateCost(part="model"), tmp_path)
     for others in ([], files["features"]):
         with pytest.raises(InputError, match="one report of `evaluate slip`"):

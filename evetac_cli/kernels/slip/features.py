@@ -23,7 +23,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
-from evetac_cli.kernels.slip.slip import CHANNELS, GEL_PX
+from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX
 
 DOT_CAPACITY = 256  # dots that a state has room for
 HISTORY_CAPACITY = 128  # slices

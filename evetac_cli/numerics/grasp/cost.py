@@ -8,7 +8,6 @@ the simulation's own knowledge of slip (`detector truth`): no detector can know 
 predict.
 """
 
-import glob
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -58,8 +57,7 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
         )
     if model is None:
         return (resources.MODEL,)
-    pattern = str(model / "*.model.h5") if model.is_dir() else str(model)
-    return (resources.MODEL, *(map(Path, sorted(glob.glob(pattern))) or (model,)))
+    return (resources.MODEL, *named_files(model, "model", "--model"))
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:

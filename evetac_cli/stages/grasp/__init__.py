@@ -31,7 +31,6 @@ from evetac_cli.stages.unused_options import refuse_unused_options
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 
-INPUTS = ("model",)
 OUTPUT = "recording"
 METHOD = 4
 

@@ -266,7 +266,7 @@ def _sensor(params: Grasp, camera: CameraName, world: "VirtualWorld | None") -> 
         found = world.sensor
     elif camera.kind == "replay":
         with open_recording(Path(camera.which or "")) as recording:
-            found = {name: recording.read(name) for name in recording.contents() if name.startswith("sensor/")}
+            found = recording.sensor_datasets()
     else:
         found = {}
     if "sensor/dot_xy_px" not in found:

@@ -94,7 +94,7 @@ def run(job: Job, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
         _refuse_unknown_dots(params, recording)
-        sensor = {name: recording.read(name) for name in recording.contents() if name.startswith("sensor/")}
+        sensor = recording.sensor_datasets()
         sensor |= {"t_offset": recording.read("t_offset")}
         sense = None
         if model_path is not None:

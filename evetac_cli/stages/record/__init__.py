@@ -30,7 +30,6 @@ from evetac_cli.store.files import output_path, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.segments import RecordingWriter
 
-INPUTS = ()
 OUTPUT = "recording"
 METHOD = 2
 DRY_SLICES = 200
