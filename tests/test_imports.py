@@ -16,6 +16,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources"})
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli"},
+    "api": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "inspect": GROUND | {"stages", "devices", "formats", "store", "sim", "kernels"},
     "numerics": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "realtime", "kernels"},

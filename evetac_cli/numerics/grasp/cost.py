@@ -24,6 +24,7 @@ from evetac_cli.numerics.rows import Extent, Row, collect, run_times
 from evetac_cli.params import EvaluateCost
 from evetac_cli.stages.evaluate import Rows, picture
 from evetac_cli.stages.grasp.loop import Sense
+from evetac_cli.stages.related_files import named_files
 
 OBJECTS = Extent[tuple[int, ...]](quick=(11, 17), full=(10, 11, 12, 13, 17, 18))
 TRIALS = Extent(quick=1, full=3)  # of each object
