@@ -79,7 +79,7 @@ def _leak_row(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Lower references side by side."""
+    """Lower the references of pixels side by side; one that falls a threshold below its level makes an event."""
     for k in range(len(reference)):
         step = threshold[k]
         if step == np.inf:  # a pixel of the window, which has references of its own

@@ -10,7 +10,6 @@ Why so: down is +x of the image in a grasp from the top, +y in one from the side
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,80 +21,15 @@ from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scenes.shared import STEP_S, THETA, GroundTruthSlip, material, pad
 
 GRAVITY_M_S2 = 9.81
-STEP_S = 1e-3
-THETA = 0.55  # of the time step: second order but for a trace, and no ringing after a stick event
-SLIP_PX = 0.5  # an object that slid further than this in gross slip slips: the true onset
-EPISODE_MS = 3  # gross slip is over after so many slices with a stuck node
-CONTACT_N = 0.01
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
-LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
 GONE_M = 0.02  # an object that slid this far is lost
-PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
 APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
 TEXTURE_PX = (1024, 1024)
 TEXTURE_SEED = 7919  # with the object's number: an object has the same texture in every trial
 INDENTATION_STEP_M = 2e-8  # dilation is evaluated anew when the indentation has changed by this: 0.001 px
-
-
-def pad(scene_: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Gel nodes (rows, columns, 2) in m: a cut gel ends at the window, a closed one at the edge of the frame."""
-    columns, rows = scene_["gel"]["nodes"]
-    mm_per_px = float(sensor_row["mm_per_px"])
-    cut_m = (sensor_row["window_px"][0] - FRAME_PX[0] / 2) * mm_per_px * 1e-3
-    end_m = cut_m if scene_["gel"]["cut"] else FRAME_PX[0] / 2 * mm_per_px * 1e-3
-    more = (end_m - cut_m) / PAD_M[0]
-    return contact.pad_nodes(
-        round(columns * (1 + more)), rows, (cut_m - PAD_M[0], end_m), (-PAD_M[1] / 2, PAD_M[1] / 2)
-    )
-
-
-def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
-    """The gel of a sensor: `GelMaterial` but for its shear modulus, and its loss_tangent where the row names one.
-
-    The loss tangent of spring, dashpot tau and Maxwell arm (share g, time t) at w is
-    (w tau + g wt / (1 + wt^2)) / (1 + g wt^2 / (1 + wt^2)); it is met by the choice of tau.
-    """
-    usual = gel.GelMaterial(shear_modulus_pa=float(sensor_row["shear_modulus_pa"]))
-    if "loss_tangent" not in sensor_row:
-        return usual
-    omega = 2 * np.pi * LOSS_AT_HZ
-    turn = omega * usual.maxwell_time_s
-    stored = 1 + usual.maxwell_share * turn**2 / (1 + turn**2)
-    lost_in_arm = usual.maxwell_share * turn / (1 + turn**2)
-    viscous_time_s = (float(sensor_row["loss_tangent"]) * stored - lost_in_arm) / omega
-    return replace(usual, viscous_time_s=viscous_time_s)
-
-
-class GroundTruthSlip:
-    """Whether the object slips, and how far it slid: gross slip beyond half a pixel, in episodes."""
-
-    def __init__(self, mm_per_px: float) -> None:
-        self._mm_per_px = mm_per_px
-        self._slid_m = 0.0
-        self._since_gross = 0
-        self.slips = False
-        self.fraction = 0.0
-
-    def follow(self, info: gel.StepInfo, force_n: float, along: int) -> None:
-        """Count one step; an episode of gross slip ends after a few slices with a stuck node."""
-        speed = info.slip_velocity_m_s[along]
-        gross = info.slip_fraction >= 1.0 and force_n > CONTACT_N and abs(speed) > 1e-6
-        if gross:
-            self._slid_m += speed * STEP_S
-            self._since_gross = 0
-        else:
-            self._since_gross += 1
-            if self._since_gross > EPISODE_MS:
-                self._slid_m = 0.0
-        self.slips = gross and abs(self.slid_px) > SLIP_PX
-        self.fraction = info.slip_fraction
-
-    @property
-    def slid_px(self) -> float:
-        """Distance slid in the present episode."""
-        return self._slid_m * 1e3 / self._mm_per_px
 
 
 class GraspSimulation:

@@ -17,7 +17,7 @@ from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.gripped import STEP_S, THETA, GroundTruthSlip, material, pad
+from evetac_cli.sim.scenes.shared import STEP_S, THETA, GroundTruthSlip, material, pad
 
 Floats = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.sampling import SampledTrial
-from evetac_cli.sim.scenes.gripped import STEP_S
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
+from evetac_cli.sim.scenes.shared import STEP_S
 
 Floats = NDArray[np.float64]
 

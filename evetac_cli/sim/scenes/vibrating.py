@@ -31,7 +31,7 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
-from evetac_cli.sim.scenes.gripped import material
+from evetac_cli.sim.scenes.shared import material
 
 ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # of the tone: the waves of the surface
 FADE_S = 0.02  # the tone comes and goes smoothly, as its response is the stationary one

@@ -154,7 +154,7 @@ def test_motion_stands_for_levels(
     assert compare(plain, wanted)[1] > 0.9 * tau_us(bandwidth_hz)
 
 
-def test_an_individual_with_a_bandwidth_sees_less_and_later() -> None:
+def test_a_sensor_with_a_bandwidth_sees_less_and_later() -> None:
     """Assert that a row's bandwidth_hz delays what the eye sees, leaves the truth alone, and that 0 is none."""
     row = sensor_row("evetac") | {"noise_hz": 0.0, "hot_pixels": 0}
     made = {}

@@ -17,7 +17,8 @@ from evetac_cli.sim import gripper, sampling, scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.scene import plan
-from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation, material
+from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
+from evetac_cli.sim.scenes.shared import material
 from evetac_cli.stages import record
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made, as_toml
@@ -136,7 +137,7 @@ def test_loss_tangent(tangent: float) -> None:
     assert stiffness.imag / stiffness.real == pytest.approx(tangent, rel=1e-12)
 
 
-def test_gripper_of_an_individual() -> None:
+def test_gripper_of_a_sensor() -> None:
     """Assert that a drawn gripper pushes with its servo's stiffness, at two ticks as hard as named."""
     assert gripper.make_drive(scene.sensor_row("evetac")) == gripper.Drive()
     for number in range(20):
@@ -149,7 +150,7 @@ def test_gripper_of_an_individual() -> None:
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_drawn_individuals_hold(number: int) -> None:
+def test_sampled_sensors_hold(number: int) -> None:
     """Assert that a drawn sensor and gripper hold an object, whose weight moves a softer gel farther."""
     held = world(8, sensor=f"randomized:{number}")
     rows = run(held, 900)

@@ -1,4 +1,4 @@
-"""Scenes in which a face is driven over the gel: shear forces, strokes, dilation, and the noise of individuals."""
+"""Scenes in which a face is driven over the gel: shear forces, strokes, dilation, and the noise of sensors."""
 
 import tomllib
 from pathlib import Path
@@ -86,8 +86,8 @@ def test_lens_and_nothing() -> None:
 
 
 @pytest.mark.parametrize("name", ["evetac", "second", "bare-dvxplorer"])
-def test_individual_is_the_same_in_every_trial(name: str) -> None:
-    """Assert that dots, thresholds and hot pixels belong to the individual, and phases to the trial."""
+def test_sensor_is_the_same_in_every_trial(name: str) -> None:
+    """Assert that dots, thresholds and hot pixels belong to the sensor, and phases to the trial."""
     row = sensor_row(name)
     one, other = (GelCamera(row, cut=True, texture=None, rng=np.random.default_rng(seed)) for seed in (1, 2))
     assert (one.grid_xy_px == other.grid_xy_px).all()

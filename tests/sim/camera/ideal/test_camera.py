@@ -254,7 +254,7 @@ def test_scans_lose_a_known_share(motion: str) -> None:
     assert seen / every == pytest.approx(share, abs=tolerance)
 
 
-def test_same_individual_as_the_scanning_camera() -> None:
+def test_same_sensor_as_the_scanning_camera() -> None:
     """Assert that equal generators give both cameras the same thresholds, phases, hot pixels and noise."""
     noisy = dataclasses.replace(QUIET, noise_rate_hz=50.0, hot_pixels=5)
     one = start([[40.0, 40.0]], noisy)
