@@ -90,10 +90,11 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
 def summary(rows: Rows) -> dict[str, Any]:
     """How many settings there are, and which are on the Pareto fronts."""
-    fronts = {name: [row["setting"] for row in rows if row.get(name)] for name in map("pareto_{}".format, FIGURES)}
-    fronts = {name: settings for name, settings in fronts.items() if name in rows[0]}
-    shown = {name: "; ".join(settings) or None for name, settings in fronts.items()}
-    return {"settings": len(rows), "events_a_step": EVENTS, **shown}
+    figures: dict[str, Any] = {"settings": len(rows), "events_a_step": EVENTS}
+    for name in (f"pareto_{figure}" for figure in FIGURES):
+        if name in rows[0]:
+            figures[name] = "; ".join(row["setting"] for row in rows if row[name]) or None
+    return figures
 
 
 def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:

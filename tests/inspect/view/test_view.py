@@ -1,242 +1,38 @@
-"""view: the page that shows a trial, in a headless browser too; what it draws, decimated; hostile files."""
+"""view: what is shown of a trial, which files belong to it, and the page as a file."""
 
 import base64
 import html
-import io
 import json
 import os
 import re
-import select
 import shutil
-import subprocess
-import time
-from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL import Image
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.events import slice_starts
 from evetac_cli.inspect import view
-from evetac_cli.inspect.view import collect_view, event_images, time_series
+from evetac_cli.inspect.view import event_images, time_series
 from evetac_cli.inspect.view import page as view_page
 from evetac_cli.inspect.view.trial_files import open_trial
-from evetac_cli.inspect.view.view_data import ViewData
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
-from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.params import View
-from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import open_recording
-
-SLICES = 300
-ONSET = 200
-WIDTH, HEIGHT = 64, 48
-REST = np.stack(np.meshgrid([10.0, 25.0, 40.0], [12.0, 32.0]), axis=-1)
-NASTY = "</script><script>document.title='owned'</script><!-- \"quoted\" 'single' & ünïcode \u2028"
-SENSOR = {
-    "sensor/frame_px": np.array([WIDTH, HEIGHT], np.int32),
-    "sensor/name": "evetac",
-    "sensor/dot_xy_px": REST,
-    "sensor/dot_radius_px": np.float64(3.0),
-    "sensor/window_px": np.array([50, 0, WIDTH, HEIGHT], np.int32),
-}
-
-
-def write_recording(
-    path: Path, slices: int = SLICES, rate: int = 4, *, truth: bool = True, scene: str = "slip"
-) -> Header:
-    """A recording whose events wander over the frame, `rate` a slice."""
-    rng = np.random.default_rng(5)
-    t = np.repeat(np.arange(slices, dtype=np.int64) * 1000, rate)
-    count = len(t)
-    arrays: dict[str, Any] = {
-        "events/t": t,
-        "events/x": ((t // 1000 + rng.integers(0, 8, count)) % WIDTH).astype(np.uint16),
-        "events/y": rng.integers(0, HEIGHT, count).astype(np.uint16),
-        "events/p": rng.integers(0, 2, count).astype(np.uint8),
-        "ms_to_idx": slice_starts(t, slices),
-        "t_offset": np.int64(0),
-        **SENSOR,
-    }
-    if truth:
-        commands = np.arange(0, slices, 2)
-        arrays |= {
-            "gripper/t_us": commands * 1000,
-            "gripper/current_target_ma": np.linspace(20.0, 0.0, len(commands)),
-            "gripper/current_written_ma": np.zeros(len(commands), np.int32),
-            "gripper/current_ma": np.linspace(20.0, 0.0, len(commands)).astype(np.float32),
-            "gripper/position_ticks": np.full(len(commands), 300, np.int32),
-            "truth/dot_xy_px": np.tile(REST.reshape(1, -1, 2), (slices, 1, 1)).astype(np.float32),
-            "truth/object_xy_px": np.zeros((slices, 2), np.float32),
-            "truth/slid_px": np.zeros(slices, np.float32),
-            "truth/slip": (np.arange(slices) >= ONSET).astype(np.uint8),
-            "truth/slip_fraction": np.zeros(slices, np.float32),
-            "truth/normal_force_n": np.linspace(2.0, 1.0, slices).astype(np.float32),
-            "truth/shear_force_n": np.ones((slices, 2), np.float32),
-            "truth/sampled_parameters": "{}",
-        }
-    parameters = {"scene": {"name": scene, "summary": scene}, "object": 8, "sensor": "evetac", "slices": slices}
-    return write_stage(path, Recipe("recording", 1, parameters, seed=1, simulated_source=truth), arrays)
-
-
-def write_tracks(path: Path, parent: Header, dots: np.ndarray) -> Header:
-    """Tracks of (slices, 6, 2)."""
-    arrays = {
-        "dot_xy_px": dots.astype(np.float32),
-        "events_per_dot": np.zeros(dots.shape[:2], np.int32),
-        "lost": np.zeros(dots.shape[:2], np.uint8),
-        **SENSOR,
-    }
-    return write_stage(path, Recipe("tracks", 1, {"preset": "paper"}, parents=(parent,)), arrays)
-
-
-def moving(slices: int = SLICES) -> np.ndarray:
-    """Dots that go right by 4 px in all."""
-    return REST.reshape(1, -1, 2) + np.linspace(0, 4, slices)[:, None, None] * np.array([1.0, 0.0])
-
-
-def write_labels(path: Path, parent: Header, onset: int = ONSET + 3, slices: int = SLICES, **more: str) -> Header:
-    label = np.full(slices, -1, np.int8)
-    label[50:] = 0
-    label[onset:] = 1
-    arrays = {
-        "label": label,
-        "relative_flow_px": np.where(label < 0, np.nan, 0.1 + label).astype(np.float32),
-        "onset_slice": np.int64(onset),
-        "confidence": np.float64(1.0),
-        "flow_pairs_computed": np.int64(9),
-    }
-    return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), arrays)
-
-
-def write_trial(folder: Path) -> Path:
-    """A recording with tracks and labels beside it."""
-    path = folder / "a.recording.h5"
-    header = write_recording(path)
-    write_tracks(folder / "a.tracks.h5", header, moving())
-    write_labels(folder / "a.labels.h5", header)
-    return path
-
-
-@pytest.fixture
-def trial(tmp_path: Path) -> Path:
-    """A trial to be changed by a test."""
-    return write_trial(tmp_path)
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of a trial."""
-    recording = write_trial(tmp_path_factory.mktemp("page"))
-    view.run([recording], View(), None)
-    return recording.with_name("a.html")
-
-
-def shown(path: Path, **chosen: Any) -> ViewData:
-    """The data that the page of a trial draws."""
-    with open_trial([path]) as trial:
-        return collect_view(trial, View(**chosen), lambda done, total: None)
-
-
-def page_data(page: Path) -> dict[str, Any]:
-    """The data in a page that its script draws."""
-    match = re.search(r'id="data">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
-    assert match is not None
-    return dict(json.loads(match[1]))
-
-
-# Decimation -----------------------------------------------------------------------------------------------------------
-
-
-@settings(deadline=None, max_examples=25)
-@given(st.integers(0, 40_000), st.integers(0, 2**32 - 1), st.booleans())
-def test_extremes_are_kept(length: int, seed: int, holes: bool) -> None:
-    """Assert that decimated series are values of the series in order of time, few, and hold both extremes."""
-    rng = np.random.default_rng(seed)
-    rows = rng.normal(size=(length, 2)).astype(np.float32)
-    if holes:
-        rows[rng.random(rows.shape) < 0.3] = np.nan
-        rows[rng.random(rows.shape) < 0.01] = np.inf
-    read_rows: list[int] = []
-
-    def read(start: int, stop: int) -> np.ndarray:
-        read_rows.append(stop - start)
-        return rows[start:stop]
-
-    for column, (at, value) in zip(rows.T, time_series.extremes(length, read), strict=True):
-        assert len(at) == len(value) <= 2 * time_series.BINS
-        assert (np.diff(at) > 0).all()
-        finite = np.isfinite(value)
-        np.testing.assert_array_equal(value[finite], column[at][finite])
-        assert not np.isfinite(column[at][~finite]).any()
-        known = column[np.isfinite(column)]
-        if len(known):
-            assert (np.nanmin(value), np.nanmax(value)) == (known.min(), known.max())
-    assert max(read_rows) <= time_series.BLOCK_ROWS
-
-
-@settings(deadline=None, max_examples=25)
-@given(st.integers(0, 20_000), st.integers(0, 2**32 - 1))
-def test_no_slip_is_lost(length: int, seed: int) -> None:
-    """Assert that every slice of slip lies in a stretch of slip, exactly where there are no more slices than bins."""
-    rng = np.random.default_rng(seed)
-    states = rng.choice(np.array([-1, 0, 1], np.int8), length, p=[0.3, 0.6, 0.1])
-    states = np.repeat(states, 3)[:length]
-    slip, unknown = time_series.stretches(length, lambda first, last: states[first:last, None])
-    covered = np.zeros(length, np.int8)
-    for value, rows in ((1, slip), (-1, unknown)):
-        for first, last in rows:
-            assert first < last
-            assert (covered[first:last] == 0).all()
-            covered[first:last] = value
-    assert (covered[states == 1] == 1).all()
-    if length <= time_series.BINS:
-        np.testing.assert_array_equal(covered, states)
-
-
-def test_a_picture_is_the_paper_s(trial: Path) -> None:
-    """Assert that a PNG holds white, black and grey where the event image has +1, -1 and 0."""
-    with open_recording(trial) as recording:
-        png, count = event_images.picture(recording, 20, 5)
-        events = recording.between(20, 25)
-    levels = np.asarray(Image.open(io.BytesIO(png)).convert("L")).astype(int)
-    expected = np.array(event_images.GREYS)[event_image(events.x, events.y, events.p, (WIDTH, HEIGHT)) + 1]
-    np.testing.assert_array_equal(levels, expected)
-    assert count == events.size == 20
-
-
-def test_many_events_are_drawn_from_the_end(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that at a huge rate only the last events of an image are read and drawn, and all are counted."""
-    monkeypatch.setattr(event_images, "MOST_EVENTS", 3)
-    with open_recording(trial) as recording:
-        png, count = event_images.picture(recording, 20, 5)
-        last = recording.between(24, 25)
-    levels = np.asarray(Image.open(io.BytesIO(png)).convert("L"))
-    drawn = event_image(last.x[1:], last.y[1:], last.p[1:], (WIDTH, HEIGHT))
-    np.testing.assert_array_equal(levels != 128, drawn != 0)
-    assert count == 20
-
-
-def test_a_large_frame_is_drawn_coarsely(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a frame of 65535 x 65535 px, which a file may claim, makes a picture of bounded size."""
-    path = tmp_path / "a.recording.h5"
-    write_recording(path, 10, truth=False)
-    with open_recording(path) as recording:
-        monkeypatch.setattr(type(recording), "frame_px", (65535, 65535))
-        png, _ = event_images.picture(recording, 0, 5)
-    assert max(Image.open(io.BytesIO(png)).size) <= event_images.LARGEST_IMAGE_PX
-
-
-# What is shown --------------------------------------------------------------------------------------------------------
+from tests.inspect.view.trials import (
+    NASTY,
+    ONSET,
+    SLICES,
+    moving,
+    page_data,
+    shown,
+    write_labels,
+    write_recording,
+    write_tracks,
+)
 
 
 def test_everything_of_a_trial(trial: Path) -> None:
@@ -266,16 +62,6 @@ def test_everything_of_a_trial(trial: Path) -> None:
     np.testing.assert_allclose(data.dot_xy_px, moving()[4:].astype(np.float32))
 
 
-def test_images_are_bounded_and_dense_near_slip(trial: Path) -> None:
-    """Assert that there are no more images than asked for, over the whole span, closest around the onsets."""
-    data = shown(trial, images=60)
-    assert len(data.frame_times) <= 60
-    assert (data.frame_times[0], data.frame_times[-1]) == (0, SLICES - 5)
-    gaps = np.diff(data.frame_times)
-    assert gaps[(data.frame_times[:-1] > 192) & (data.frame_times[:-1] < 204)].max() <= 2 < gaps.max()
-    assert len(shown(trial, images=1).frame_times) == 1
-
-
 def test_a_part(trial: Path) -> None:
     """Assert that --start-s and --stop-s bound images and series, and that nothing is found before the start."""
     data = shown(trial, start_s=0.22, stop_s=0.25)
@@ -301,43 +87,6 @@ def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
     assert ("The labels were copied from the truth (simulated)." in data.notes) == (method == "truth")
     view.run([trial], View(images=1), None)
     assert f"Flow that labels slip, {html.escape(method)} " in trial.with_name("a.html").read_text(encoding="utf-8")
-
-
-def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a model named beside features gives a series, a lane and an onset, the same in blocks as at once."""
-
-    class Fake:
-        architecture = ARCHITECTURES["hist10"]
-
-        def over(self, series: np.ndarray, first: int) -> np.ndarray:
-            mean = np.convolve(series[:, 0, 0], np.full(10, 0.1), "valid")
-            return np.concatenate((np.full(min(9, len(series)), np.nan), mean)).astype(np.float32)
-
-    monkeypatch.setattr("evetac_cli.stages.slip_detectors.load_detector", lambda model: Fake())
-    displacement = np.linspace(0, 1, SLICES, dtype=np.float32)[:, None]
-    features = SimpleNamespace(
-        length=lambda path: SLICES,
-        read=lambda path, start=0, stop=None: displacement[start:stop],
-        has=lambda path: False,
-    )
-    model = SimpleNamespace(read=lambda path: 0.5)
-    with open_trial([trial]) as real:
-        real.features, real.model = features, model  # type: ignore[assignment]
-        real_files = [file for file in real.files if file not in (features, model)]
-        monkeypatch.setattr(type(real), "files", real_files)
-        whole = collect_view(real, View(), lambda done, total: None)
-        monkeypatch.setattr(time_series, "BLOCK_ROWS", 7)
-        part = time_series.model_output(real, (40, 90))
-    (panel,) = [panel for panel in whole.panels if panel.title == "Slip probability, model"]
-    lane = whole.lanes[-1]
-    np.testing.assert_allclose(part, panel.lines[0].value[40:90], rtol=1e-6)
-    expected = int(np.flatnonzero(panel.lines[0].value >= 0.5)[0])
-    assert whole.onsets["model"] == expected
-    assert (lane.slip, lane.unknown) == ([(expected / 1000, 0.3)], [(0.0, 0.009)])
-    assert panel.levels == {"threshold": 0.5}
-
-
-# Files ----------------------------------------------------------------------------------------------------------------
 
 
 def test_neighbours_are_found_from_any_file(trial: Path) -> None:
@@ -440,9 +189,6 @@ def test_nothing_long_is_read_at_once(trial: Path, monkeypatch: pytest.MonkeyPat
     assert all(len(line.value) <= 40 for panel in data.panels for line in panel.lines)
     for path in ("recording truth/normal_force_n", "labels relative_flow_px", "recording gripper/current_ma"):
         assert longest[path] <= 60, path
-
-
-# The page as a file ---------------------------------------------------------------------------------------------------
 
 
 def evetac(*arguments: str | Path) -> Any:
@@ -571,204 +317,3 @@ def test_film(trial: Path) -> None:
         image.seek(image.n_frames - 1)  # type: ignore[attr-defined]
         assert (np.asarray(image.convert("RGB")) != first).any(axis=2).mean() > 0.001
     assert outcome.rows[0]["film_bytes"] == film.stat().st_size
-
-
-# In a browser ---------------------------------------------------------------------------------------------------------
-
-
-class Browser:
-    """A headless Chromium, told what to do through a pipe (Chrome DevTools Protocol)."""
-
-    def __init__(self, program: str, folder: Path) -> None:
-        theirs_in, self._to = os.pipe()
-        self._from, theirs_out = os.pipe()
-        flags = (
-            "--headless=new",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--remote-debugging-pipe",
-            f"--user-data-dir={folder}",
-        )
-        hand_over = f'exec "$0" "$@" 3<&{theirs_in} 4>&{theirs_out}'  # the protocol wants these two numbers
-        self._process = subprocess.Popen(
-            ["bash", "-c", hand_over, program, *flags, "about:blank"],
-            pass_fds=(theirs_in, theirs_out),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        os.close(theirs_in)
-        os.close(theirs_out)
-        self._buffer = b""
-        self._calls = 0
-        self._session: dict[str, str] = {}
-        self.events: list[dict[str, Any]] = []
-        (page,) = [one for one in self.call("Target.getTargets")["targetInfos"] if one["type"] == "page"]
-        attached = self.call("Target.attachToTarget", targetId=page["targetId"], flatten=True)
-        self._session = {"sessionId": attached["sessionId"]}
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self.call(f"{domain}.enable")
-        self.call("Emulation.setDeviceMetricsOverride", width=1300, height=1200, deviceScaleFactor=1, mobile=False)
-
-    def call(self, method: str, **params: Any) -> dict[str, Any]:
-        self._calls += 1
-        message = {"id": self._calls, "method": method, "params": params, **self._session}
-        os.write(self._to, json.dumps(message).encode() + b"\0")
-        while True:
-            answer = self._read()
-            if answer.get("id") == self._calls:
-                assert "error" not in answer, answer
-                return dict(answer["result"])
-            self.events.append(answer)
-
-    def _read(self) -> dict[str, Any]:
-        while b"\0" not in self._buffer:
-            assert select.select([self._from], [], [], 60)[0], "the browser does not answer"
-            piece = os.read(self._from, 1 << 20)
-            assert piece, "the browser has ended"
-            self._buffer += piece
-        message, _, self._buffer = self._buffer.partition(b"\0")
-        return dict(json.loads(message))
-
-    def run(self, code: str) -> Any:
-        """The value of a JavaScript expression."""
-        answer = self.call("Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in answer, answer
-        return answer["result"].get("value")
-
-    def until(self, code: str) -> Any:
-        """Wait until an expression is true."""
-        ends = time.monotonic() + 60
-        while not (value := self.run(code)):
-            assert time.monotonic() < ends, (code, self.complaints())
-            time.sleep(0.02)
-        return value
-
-    def open(self, page: Path) -> None:
-        """Load a page and wait until all of it is drawn."""
-        self.events.clear()
-        self.call("Page.navigate", url=page.resolve().as_uri())
-        self.until(
-            "document.readyState === 'complete' && location.protocol === 'file:'"
-            " && (document.documentElement.dataset.charts || !document.querySelector('.chart'))"
-            " && (document.getElementById('viewer').hidden || document.getElementById('image').dataset.index)"
-        )
-
-    def key(self, key: str, **more: Any) -> None:
-        for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, **more)
-
-    def mouse(self, x: float, y: float, *kinds: str) -> None:
-        for kind in kinds:
-            button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
-
-    def complaints(self) -> list[Any]:
-        """Errors and warnings on the console, exceptions, and requests to anywhere."""
-        events = []
-        for event in self.events:
-            params = event.get("params", {})
-            match event.get("method"):
-                case "Runtime.exceptionThrown" | "Log.entryAdded":
-                    events.append(params)
-                case "Runtime.consoleAPICalled" if params["type"] in ("error", "warning", "assert"):
-                    events.append(params)
-                case "Network.requestWillBeSent" if not params["request"]["url"].startswith(
-                    ("file:", "data:", "blob:")
-                ):
-                    events.append(params)
-        return events
-
-    def close(self) -> None:
-        self.call("Browser.close")
-        self._process.wait(30)
-        os.close(self._to)
-        os.close(self._from)
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    """The Chromium of this machine."""
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-    if program is None:
-        pytest.skip("no Chromium is installed here: the page is not tried in a browser")
-    chromium = Browser(program, tmp_path_factory.mktemp("chromium"))
-    yield chromium
-    chromium.close()
-
-
-INDEX = "Number(document.getElementById('image').dataset.index)"
-PIXELS = "document.getElementById('image').toDataURL()"
-COLOURS = """(() => { const c = document.getElementById('image');
-  const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer);
-  return new Set(d).size; })()"""
-
-
-def test_page_in_a_browser(browser: Browser, page: Path) -> None:
-    """Assert that the page draws without a complaint, and that slider, keys, pointer, click and play move the image."""
-    browser.open(page)
-    assert browser.run("document.querySelectorAll('.chart').length") == 7
-    assert browser.run("Bokeh.documents[0].roots().length") == 7
-    assert browser.run(COLOURS) > 3
-    assert browser.run(INDEX) == ONSET  # it opens on the first onset
-    before = browser.run(PIXELS)
-    browser.run(
-        "(() => { const s = document.getElementById('scrub'); s.value = 3; s.dispatchEvent(new Event('input')); })()"
-    )
-    browser.until(f"{INDEX} === 3")
-    assert browser.run(PIXELS) != before
-    for key, more, index in (
-        ("ArrowRight", {}, 4),
-        ("ArrowRight", {"modifiers": 8}, 14),
-        ("ArrowLeft", {}, 13),
-        ("End", {}, SLICES - 5),
-        ("Home", {}, 0),
-    ):
-        browser.key(key, **more)
-        browser.until(f"{INDEX} === {index}")
-    assert browser.run("document.getElementById('time').textContent") == "0.000 s"
-    left, width, top = browser.run(
-        "(({left, width, top}) => [left, width, top])"
-        "(document.querySelector('.chart .bk-Figure').getBoundingClientRect())"
-    )
-    at = left + 58 + (width - 58 - 14) / 2, top + 50
-    browser.mouse(*at, "mouseMoved")
-    browser.until(f"Math.abs({INDEX} - {SLICES // 2}) <= 8")  # it follows the pointer
-    browser.run("document.getElementById('follow').click()")
-    browser.key("Home")
-    browser.until(f"{INDEX} === 0")
-    browser.mouse(*at, "mouseMoved", "mousePressed", "mouseReleased")
-    browser.until(f"Math.abs({INDEX} - {SLICES // 2}) <= 8")
-    cursors = browser.run("Bokeh.documents[0].roots().map((f) => f.center.find((p) => p.name === 'cursor').location)")
-    assert cursors == [browser.run(f"{INDEX} / 1000")] * 7
-    browser.run("document.querySelectorAll('.jump')[1].click()")
-    browser.until(f"{INDEX} === {ONSET + 3}")
-    dotted = browser.run(PIXELS)
-    browser.run("document.getElementById('dots').click()")
-    browser.until(f"{PIXELS} !== {json.dumps(dotted)}")
-    browser.run("document.activeElement.blur()")
-    browser.key(" ")
-    browser.until(f"{INDEX} > {ONSET + 5}")
-    browser.key(" ")
-    assert browser.run("document.getElementById('play').textContent") == "Play"
-    assert browser.complaints() == []
-
-
-def test_hostile_pages_in_a_browser(browser: Browser, tmp_path: Path) -> None:
-    """Assert that an empty recording, one slice, markup in names, tracks alone and NaN make no complaint."""
-    for name, slices in (("empty", 0), ("one", 1), ("a\"'<b>&ü", 30)):
-        header = write_recording(tmp_path / f"{name}.recording.h5", slices, scene=NASTY)
-        dots = moving(slices)
-        dots[1::2] = np.nan
-        write_tracks(tmp_path / f"{name}.tracks.h5", header, dots)
-        view.run([tmp_path / f"{name}.recording.h5"], View(), None)
-        browser.open(tmp_path / f"{name}.html")
-        assert browser.run("document.querySelector('h1').textContent") == f"{name}.recording.h5"
-        assert browser.run("document.title") == f"{name}.recording.h5 - evetac view"
-        assert browser.run("document.querySelectorAll('.chart').length > 0") == (slices > 0)
-        assert browser.run("document.getElementById('viewer').hidden") == (slices == 0)
-        assert browser.complaints() == []
-    (tmp_path / "one.recording.h5").unlink()
-    view.run([tmp_path / "one.tracks.h5"], View(), tmp_path / "tracks.html")
-    browser.open(tmp_path / "tracks.html")
-    assert browser.run("document.getElementById('count').textContent") == "no event images"
-    assert browser.complaints() == []

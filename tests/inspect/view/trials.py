@@ -1,0 +1,118 @@
+"""Small trials for the tests of view: a recording, tracks and labels, and what is drawn of them."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.events import slice_starts
+from evetac_cli.inspect.view import collect_view
+from evetac_cli.inspect.view.trial_files import open_trial
+from evetac_cli.inspect.view.view_data import ViewData
+from evetac_cli.params import View
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Header, Recipe
+
+SLICES = 300
+ONSET = 200
+WIDTH, HEIGHT = 64, 48
+REST = np.stack(np.meshgrid([10.0, 25.0, 40.0], [12.0, 32.0]), axis=-1)
+NASTY = "</script><script>document.title='owned'</script><!-- \"quoted\" 'single' & ünïcode \u2028"
+SENSOR = {
+    "sensor/frame_px": np.array([WIDTH, HEIGHT], np.int32),
+    "sensor/name": "evetac",
+    "sensor/dot_xy_px": REST,
+    "sensor/dot_radius_px": np.float64(3.0),
+    "sensor/window_px": np.array([50, 0, WIDTH, HEIGHT], np.int32),
+}
+
+
+def write_recording(
+    path: Path, slices: int = SLICES, rate: int = 4, *, truth: bool = True, scene: str = "slip"
+) -> Header:
+    """A recording whose events wander over the frame, `rate` a slice."""
+    rng = np.random.default_rng(5)
+    t = np.repeat(np.arange(slices, dtype=np.int64) * 1000, rate)
+    count = len(t)
+    arrays: dict[str, Any] = {
+        "events/t": t,
+        "events/x": ((t // 1000 + rng.integers(0, 8, count)) % WIDTH).astype(np.uint16),
+        "events/y": rng.integers(0, HEIGHT, count).astype(np.uint16),
+        "events/p": rng.integers(0, 2, count).astype(np.uint8),
+        "ms_to_idx": slice_starts(t, slices),
+        "t_offset": np.int64(0),
+        **SENSOR,
+    }
+    if truth:
+        commands = np.arange(0, slices, 2)
+        arrays |= {
+            "gripper/t_us": commands * 1000,
+            "gripper/current_target_ma": np.linspace(20.0, 0.0, len(commands)),
+            "gripper/current_written_ma": np.zeros(len(commands), np.int32),
+            "gripper/current_ma": np.linspace(20.0, 0.0, len(commands)).astype(np.float32),
+            "gripper/position_ticks": np.full(len(commands), 300, np.int32),
+            "truth/dot_xy_px": np.tile(REST.reshape(1, -1, 2), (slices, 1, 1)).astype(np.float32),
+            "truth/object_xy_px": np.zeros((slices, 2), np.float32),
+            "truth/slid_px": np.zeros(slices, np.float32),
+            "truth/slip": (np.arange(slices) >= ONSET).astype(np.uint8),
+            "truth/slip_fraction": np.zeros(slices, np.float32),
+            "truth/normal_force_n": np.linspace(2.0, 1.0, slices).astype(np.float32),
+            "truth/shear_force_n": np.ones((slices, 2), np.float32),
+            "truth/sampled_parameters": "{}",
+        }
+    parameters = {"scene": {"name": scene, "summary": scene}, "object": 8, "sensor": "evetac", "slices": slices}
+    return write_stage(path, Recipe("recording", 1, parameters, seed=1, simulated_source=truth), arrays)
+
+
+def write_tracks(path: Path, parent: Header, dots: np.ndarray) -> Header:
+    """Tracks of (slices, 6, 2)."""
+    arrays = {
+        "dot_xy_px": dots.astype(np.float32),
+        "events_per_dot": np.zeros(dots.shape[:2], np.int32),
+        "lost": np.zeros(dots.shape[:2], np.uint8),
+        **SENSOR,
+    }
+    return write_stage(path, Recipe("tracks", 1, {"preset": "paper"}, parents=(parent,)), arrays)
+
+
+def moving(slices: int = SLICES) -> np.ndarray:
+    """Dots that go right by 4 px in all."""
+    return REST.reshape(1, -1, 2) + np.linspace(0, 4, slices)[:, None, None] * np.array([1.0, 0.0])
+
+
+def write_labels(path: Path, parent: Header, onset: int = ONSET + 3, slices: int = SLICES, **more: str) -> Header:
+    label = np.full(slices, -1, np.int8)
+    label[50:] = 0
+    label[onset:] = 1
+    arrays = {
+        "label": label,
+        "relative_flow_px": np.where(label < 0, np.nan, 0.1 + label).astype(np.float32),
+        "onset_slice": np.int64(onset),
+        "confidence": np.float64(1.0),
+        "flow_pairs_computed": np.int64(9),
+    }
+    return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), arrays)
+
+
+def write_trial(folder: Path) -> Path:
+    """A recording with tracks and labels beside it."""
+    path = folder / "a.recording.h5"
+    header = write_recording(path)
+    write_tracks(folder / "a.tracks.h5", header, moving())
+    write_labels(folder / "a.labels.h5", header)
+    return path
+
+
+def shown(path: Path, **chosen: Any) -> ViewData:
+    """The data that the page of a trial draws."""
+    with open_trial([path]) as trial:
+        return collect_view(trial, View(**chosen), lambda done, total: None)
+
+
+def page_data(page: Path) -> dict[str, Any]:
+    """The data in a page that its script draws."""
+    match = re.search(r'id="data">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
+    assert match is not None
+    return dict(json.loads(match[1]))
