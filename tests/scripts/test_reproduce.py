@@ -247,3 +247,49 @@ def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
     assert (table["sizes"]["recordings"], table["sizes"]["models"]) == (2, 1)  # the trial and the grasp; their model
     assert table["sizes"]["training_recordings"] == len(made.recordings)
     assert table["sizes"]["training_steps"] == 20
+
+
+def evaluation(*rows: Row) -> Evaluation:
+    """An evaluation that printed these rows."""
+    return Evaluation(list(rows), {}, True, header([1]))
+
+
+def test_windows_and_forces_are_put_together() -> None:
+    """Assert that windows are summed over recordings, and errors of force averaged over trajectories."""
+    window = {"expected_hz": 200.0, "window_s": 1, "windows": 10, "paper_share": 0.69}
+    rows = [
+        {"method": method, "correct": right, **window} for method, right in (("paper", 6), ("paper", 9), ("own", 10))
+    ]
+    paper, own = experiment_tables.window_rows({"vibration": evaluation(*rows)})
+    assert (paper["correct"], paper["windows"], paper["paper_share"]) == (15, 20, 0.69)
+    assert (own["correct"], own["windows"], own["paper_share"]) == (10, 10, None)
+
+    error = {
+        "sensor": "events",
+        "model": "network",
+        "sensor_name": "evetac",
+        "paper_mae_n_x": 0.3,
+        "paper_mae_n_y": 0.2,
+    }
+    trials = [{**error, "mae_n_x": value, "mae_n_y": 2 * value} for value in (0.1, 0.3)]
+    (mean,) = experiment_tables.force_rows({"force": evaluation(*trials)})
+    assert (mean["camera"], mean["mae_n_x"], mean["mae_n_y"]) == ("Evetac", pytest.approx(0.2), pytest.approx(0.4))
+    made = reproduce.result(experiment_tables.FORCE, {"force": evaluation(*trials)}, ["evetac evaluate force"])
+    assert results.lines(made)[1] == ["Evetac", "network", "0.20, 0.40 (0.3, 0.2, other method)"]
+
+
+def test_trackers_stand_side_by_side() -> None:
+    """Assert a line for each scene and gel, a column for each preset, and the events a dot of the default tracker."""
+
+    def preset(name: str, error_px: float) -> Row:
+        return {"preset": name, "trajectories": 5, "error_px_rms": error_px, "error_px_worst": 9.0,
+                "still_px_rms": 0.7, "events_per_dot": error_px + 1}  # fmt: skip
+
+    rows = [preset("paper", 6.0), preset("stable", 0.3), {**preset("stable", 0.3), "file": "a.tracks.h5"}]
+    evaluations = {f"tracking-{name}": evaluation(*rows) for name in ("edge-cut", "slip-closed")}
+    made = reproduce.result(experiment_tables.TRACKING_DISTANCE, evaluations, ["evetac evaluate tracking"])
+    assert results.lines(made) == [
+        ["scene, gel", "trajectories", "standing still", "events a dot and slice", "paper", "stable"],
+        ["edge, cut", "5", "0.70", "1.3", "6.00, 9.0", "0.30, 9.0"],
+        ["slip, closed", "5", "0.70", "1.3", "6.00, 9.0", "0.30, 9.0"],
+    ]
