@@ -5,6 +5,7 @@ A thread (usb_reader.py) moves buffers from the camera into a queue; words are d
 """
 
 import errno
+import math
 from collections import deque
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -18,9 +19,10 @@ import usb.util
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings, Generation
 from evetac_cli.devices.dvxplorer.usb_errors import in_words, no_libusb, not_found, not_ready, other_sensor, wrong_model
-from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader, now_us
+from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader
 from evetac_cli.devices.dvxplorer.word_slices import WordSlices
-from evetac_cli.events import FRAME_PX, Events
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 CONTROL_TIMEOUT_MS = 1000
 DRAIN_READS = 50
@@ -107,7 +109,9 @@ class DvxplorerCamera:
         self._ready: deque[Events] = deque()
         self._open = True
         self._claimed = False
-        self._reader = UsbReader(self._device, self.where, queue_bytes)
+        self.time: TimeSource = getattr(backend, "time", HOST_TIME)  # a virtual camera has its own
+        self._reader = UsbReader(self._device, self.where, queue_bytes, self.time)
+        self._handed_out = 0
         try:
             self._claim()
             self.serial = found.serial or _serial(self._device)
@@ -116,7 +120,7 @@ class DvxplorerCamera:
             self._slices = WordSlices(held_us + patience_us)
             self._reader.start()
             self._tell(protocol.run(self._generation))
-            self._slices.start(now_us())
+            self._slices.start(self._now_us())
         except BaseException as error:
             self.close()
             if isinstance(error, usb.core.USBError):
@@ -150,21 +154,29 @@ class DvxplorerCamera:
                 return None
             times, emptied = (block.begun_us, block.ended_us), len(block.data) < READ_BYTES
             self._ready += self._slices.push_words(block.data, *times, emptied=emptied, gap=block.gap)
-        return self._ready.popleft() if self._open else None
+        if not self._open:
+            return None
+        self._handed_out += 1
+        self.time.slices_read_until(self._slices.host_us(self._handed_out * SLICE_US) * 1e-6)
+        return self._ready.popleft()
 
     def host_us(self, device_us: float) -> float:
-        """time.monotonic() in us at which the camera's clock showed this time of the recording."""
+        """The time in us, by `time`, at which the camera's clock showed this time of the recording."""
         return self._slices.host_us(device_us)
 
     def now_us(self) -> int:
         """Time of the recording now, by the camera's clock."""
-        return int(self._slices.recording_us(now_us()))
+        return int(self._slices.recording_us(self._now_us()))
+
+    def _now_us(self) -> float:
+        return self.time.now_s() * 1e6
 
     def close(self) -> None:
         """Stop the camera and let go of it; a second call does nothing."""
         if not self._open:
             return
         self._open = False
+        self.time.slices_read_until(math.inf)
         try:
             self._reader.end()
             if self._claimed:  # else another program may have it, and we would stop its stream

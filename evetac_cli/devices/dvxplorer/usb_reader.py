@@ -19,6 +19,7 @@ from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.event_word_loops import events_in
 from evetac_cli.devices.dvxplorer.usb_errors import gone, in_words
 from evetac_cli.errors import DeviceError
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 READ_TIMEOUT_MS = 2  # how long a read waits for a silent camera; slices are closed this much later then
 READ_BYTES = 65536
@@ -36,19 +37,15 @@ class Block(NamedTuple):
     gap: bool  # whether bytes before it were lost
 
 
-def now_us() -> float:
-    """Host time."""
-    return time.monotonic() * 1e6
-
-
 class UsbReader(Thread):
     """Moves buffers from the camera into a queue until told to stop or the camera fails."""
 
-    def __init__(self, device: Any, where: str, queue_bytes: int) -> None:
+    def __init__(self, device: Any, where: str, queue_bytes: int, clock: TimeSource = HOST_TIME) -> None:
         super().__init__(name=f"reads {where}", daemon=True)
         self._device = device
         self._where = where
         self._queue_bytes = queue_bytes
+        self._clock = clock
         self._blocks: deque[Block] = deque()
         self._waiting_bytes = 0
         self._changed = Condition()
@@ -95,7 +92,7 @@ class UsbReader(Thread):
         gap = False
         next_log_s = time.monotonic()
         while self._running:
-            begun_us = now_us()
+            begun_us = self._clock.now_s() * 1e6
             try:
                 count = self._device.read(protocol.DATA_ENDPOINT, buffer, READ_TIMEOUT_MS)
                 failures = 0
@@ -108,7 +105,7 @@ class UsbReader(Thread):
                     return
                 gap |= error.errno != errno.EPIPE  # what a halted endpoint holds is not lost
                 continue
-            self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, now_us(), gap))
+            self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, self._clock.now_s() * 1e6, gap))
             gap = False
             if time.monotonic() >= next_log_s:
                 next_log_s = time.monotonic() + LOG_EVERY_S

@@ -14,6 +14,7 @@ from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import Generation
 from evetac_cli.devices.virtual.camera_faults import fault
 from evetac_cli.events import FRAME_PX, Events
+from evetac_cli.realtime.shared_time import TimeSource
 
 DEFAULT_FLUSH_US = 2000
 _DAMAGED_SHARE = 0.02
@@ -23,6 +24,10 @@ _LONGEST_WAIT_S = 0.05  # after which a waiting transfer looks whether the camer
 
 class WordSource(Protocol):
     """Where the words of a virtual camera come from."""
+
+    @property
+    def time(self) -> TimeSource:
+        """The time by which the words come."""
 
     def run(self, on: bool) -> None:
         """Let time pass, or stand still."""
@@ -46,14 +51,14 @@ class DeviceModel:
         self._fifo = bytearray()
         self._fifo_bytes = fifo_bytes
         self._part = b""  # of a word that the source has not sent whole
-        self._ran_s: float | None = None  # host time of the first RUN
+        self._ran_s: float | None = None  # time of the first RUN
         self._runs = False
         self._sent_s = 0.0  # host time of the last transfer
         self._eye = event_words.start()  # of a camera that alters what it sees
 
     def has(self, name: str) -> bool:
         """Whether a fault lasts now; those before RUN always do."""
-        now_s = -1.0 if self._ran_s is None else time.monotonic() - self._ran_s
+        now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
         return any(each.name == name and (each.before_run or each.at(now_s)) for each in self._faults)
 
     def once(self, name: str) -> bool:
@@ -65,7 +70,7 @@ class DeviceModel:
 
     def _hits(self, name: str) -> bool:
         """Whether a fault that alters words does so now: while it lasts, or later if no words came in that time."""
-        now_s = -1.0 if self._ran_s is None else time.monotonic() - self._ran_s
+        now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
         missed = name not in self._done and any(each.name == name and now_s >= each.start_s for each in self._faults)
         hits = missed or self.has(name)
         if hits:
@@ -131,7 +136,7 @@ class DeviceModel:
         if on == self._runs:
             return
         if on and self._ran_s is None:
-            self._ran_s = time.monotonic()
+            self._ran_s = self._source.time.now_s()
         self._runs = on
         self._source.run(on)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 from evetac_cli.realtime.shared_row import SharedRow
+from evetac_cli.realtime.shared_time import SharedTime
 
 if TYPE_CHECKING:  # numba is heavy, and a servo on shared memory does without it
     from evetac_cli.sim.gel.contact import ForceCurve
@@ -132,11 +133,11 @@ class SharedPlant:
 
     The servo passes its goals (`advance`) and the world reads them (`goals`); the world shows how its gripper moved
     (`show`) and the servo reads that. Whoever makes it without a path owns the block and removes it on close; others
-    attach to its path. It may be pickled: the copy is attached.
+    attach to its path. It may be pickled: the copy is attached. `time` is the time of that world.
     """
 
-    _SIZE = 256
-    _GOALS_AT, _MOTION_AT = 0, 128
+    _GOALS_AT, _MOTION_AT, _TIME_AT = 0, 128, 256
+    _SIZE = _TIME_AT + SharedTime.SIZE
 
     def __init__(self, path: Path | str | None = None) -> None:
         self._owner = path is None
@@ -151,6 +152,7 @@ class SharedPlant:
         os.close(handle)
         self._goals = SharedRow(self._memory, self._GOALS_AT, "6q")
         self._motion = SharedRow(self._memory, self._MOTION_AT, "dqd")
+        self.time = SharedTime(self.path, self._TIME_AT)
         self._told: Goals | None = None
 
     def __reduce__(self) -> tuple[type["SharedPlant"], tuple[Path]]:

@@ -25,6 +25,7 @@ from evetac_cli.devices.virtual.dynamixel_frames import FrameReader
 from evetac_cli.devices.virtual.servo_faults import ANSWER_FAULTS, LATE_S, ServoFault
 from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics, Plant, SharedPlant
 from evetac_cli.devices.virtual.virtual_servo import Answer, VirtualServo
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 IDLE_S = 0.02  # how long the servo's world may stand still between two instructions
 FROZEN_S = 0.01  # woken later than this: a busy machine had stopped the process
@@ -81,14 +82,15 @@ class Faults:
 
 
 class Line:
-    """The pseudo terminal and the servo on it."""
+    """The pseudo terminal and the servo on it: the wire goes by the host's time, the servo by that of its world."""
 
-    def __init__(self, servo: VirtualServo, faults: Faults) -> None:
+    def __init__(self, servo: VirtualServo, faults: Faults, clock: TimeSource) -> None:
         self._servo = servo
+        self._clock = clock
         self._faults = faults
         self._reader = FrameReader()
         self._heard_s = 0.0
-        self._woken_s = time.monotonic()
+        self._woken_s = clock.now_s()
         self._due: list[tuple[float, bytes]] = []
         self._ours, self._theirs = pty.openpty()  # theirs stays open, or closing the port would end ours
         for end in (self._ours, self._theirs):
@@ -102,7 +104,7 @@ class Line:
         until_s = max(min([IDLE_S, *(due_s - time.monotonic() for due_s, _ in self._due)]), 0.0)
         listening = [self._ours, more] if self.plugged else [more]
         ready = select.select(listening, [], [], until_s)[0]
-        now_s = time.monotonic()
+        now_s = self._clock.now_s()
         if (late_s := now_s - self._woken_s - until_s) > FROZEN_S:
             self._servo.forgive(late_s)
         self._woken_s = now_s
@@ -110,10 +112,10 @@ class Line:
             self._servo.tick(now_s)  # an instruction does so itself
         self._strike(now_s)
         if self.plugged:
-            self._send(now_s)
+            self._send()
             if self._ours in ready:
-                self._receive(time.monotonic())
-            elif self._reader.partial and now_s - self._heard_s > PAUSE_S:
+                self._receive()
+            elif self._reader.partial and time.monotonic() - self._heard_s > PAUSE_S:
                 self._reader.forget()
         return more in ready
 
@@ -126,22 +128,23 @@ class Line:
             else:
                 self._servo.overload()
 
-    def _receive(self, now_s: float) -> None:
+    def _receive(self) -> None:
+        host_s, now_s = time.monotonic(), self._clock.now_s()
         data = os.read(self._ours, 4096)
         rate = _RATES.get(termios.tcgetattr(self._theirs)[5])
         if rate != self._servo.baud:
             self._reader.forget()
             return
-        self._heard_s = now_s
+        self._heard_s = host_s
         for frame in self._reader.push(data):
             for answer in self._servo.handle(frame, now_s):
                 spoiled = self._faults.spoil(answer, now_s, self._servo.torque)
                 if spoiled is not None:
-                    self._due.append((now_s + spoiled.after_s, spoiled.data))
+                    self._due.append((host_s + spoiled.after_s, spoiled.data))
 
-    def _send(self, now_s: float) -> None:
+    def _send(self) -> None:
         for entry in sorted(self._due):
-            if entry[0] <= now_s:
+            if entry[0] <= time.monotonic():
                 self._due.remove(entry)
                 with contextlib.suppress(BlockingIOError):  # nobody reads: a wire does not wait
                     os.write(self._ours, entry[1])
@@ -154,19 +157,19 @@ class Line:
             os.close(self._theirs)
 
 
-def plant_of(choice: Mapping[str, Any]) -> Plant:
+def make_plant(choice: Mapping[str, Any]) -> Plant:
     """The plant that virtual_gripper named."""
     if "shared" in choice:
         return SharedPlant(choice["shared"])
     return OwnDynamics(Obstacle(**choice["obstacle"]) if choice["obstacle"] else None, choice["position_ticks"])
 
 
-def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults) -> Any:
+def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s: float) -> Any:
     if "inject" in asked:
         faults.add(ServoFault.parse(asked["inject"]))
         return True
     if "look" in asked:
-        servo.tick(time.monotonic())
+        servo.tick(now_s)
         return servo.value(asked["look"])
     return dict(servo.instructions)
 
@@ -176,8 +179,10 @@ def serve(choice: Mapping[str, Any]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the host, which still wants to switch torque off
     parent = os.getppid()
     faults = Faults([ServoFault.parse(text) for text in choice["faults"]], np.random.default_rng(choice["seed"]))
-    servo = VirtualServo(plant_of(choice["plant"]), choice["registers"], time.monotonic())
-    line = Line(servo, faults)
+    plant = make_plant(choice["plant"])
+    clock = plant.time if isinstance(plant, SharedPlant) else HOST_TIME
+    servo = VirtualServo(plant, choice["registers"], clock.now_s())
+    line = Line(servo, faults, clock)
     _tell(line.port)
     asking = sys.stdin.fileno()
     begun = b""
@@ -189,7 +194,7 @@ def serve(choice: Mapping[str, Any]) -> None:
             return
         *asked, begun = (begun + data).split(b"\n")
         for text in asked:
-            _tell(_reply(json.loads(text), servo, faults))
+            _tell(_reply(json.loads(text), servo, faults, clock.now_s()))
 
 
 def _tell(answer: Any) -> None:

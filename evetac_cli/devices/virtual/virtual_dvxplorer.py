@@ -23,6 +23,7 @@ from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.protocol import Generation
 from evetac_cli.devices.virtual.device_model import DeviceModel, WordSource
 from evetac_cli.devices.virtual.word_sources import PreparedWords as PreparedWords
+from evetac_cli.realtime.shared_time import TimeSource
 
 FIFO_BYTES = 512 << 10
 STORE_TO_FLASH = 0xC7  # obeyed, and logged; the driver does not know it
@@ -56,8 +57,14 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._board = board
         self._strings = ("\u0409", *_STRINGS, serial)
         self._configuration = 1
+        self._source = source
         self._body = DeviceModel(source, firmware, faults, fifo_bytes)
         self.log: list[tuple[int, int, int, bytes]] = []
+
+    @property
+    def time(self) -> TimeSource:
+        """The time by which its words come; the driver goes by it."""
+        return self._source.time
 
     @property
     def overflowed(self) -> int:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from evetac_cli.devices.dvxplorer.event_word_loops import REF_MASK
 from evetac_cli.devices.dvxplorer.event_words import encode
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 _FRAME_US = 200  # of rain: the camera's default readout
 _DIFFERENT_FRAMES = 500
@@ -29,6 +30,11 @@ class PreparedWords:
         self._ran_us = 0.0  # before the last run
         self._began_s: float | None = None  # of this run
         self._changed = Condition()
+
+    @property
+    def time(self) -> TimeSource:
+        """The host's."""
+        return HOST_TIME
 
     @property
     def left(self) -> int:

@@ -28,6 +28,7 @@ from evetac_cli.kernels.grip.control import Control
 from evetac_cli.realtime.message_pipe import Outbox
 from evetac_cli.realtime.scheduling import set_realtime_priority
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.realtime.starting import ignore_interrupts
 from evetac_cli.stages.grasp.loop import Timing, row_of
 
@@ -57,6 +58,7 @@ class Commanding:
     timing: Timing
     watchdog_ms: int
     most_s: float  # however long the camera's clock says that the grasp has yet to go
+    time: TimeSource = HOST_TIME  # by which the controller goes
 
 
 class Ready(NamedTuple):
@@ -174,7 +176,15 @@ def live(
             gc.collect()
             gc.freeze()
             gc.disable()  # the loop makes no cycles
-            told = command(gripper, board, commanding, outbox, gone=detector.poll)
+            told = command(
+                gripper,
+                board,
+                commanding,
+                outbox,
+                clock=commanding.time.now_s,
+                sleep=commanding.time.sleep,
+                gone=detector.poll,
+            )
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as error:

@@ -8,7 +8,6 @@ import contextlib
 import gc
 import os
 import sys
-import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.message_pipe import Outbox
 from evetac_cli.realtime.scheduling import set_realtime_priority
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.realtime.starting import ignore_interrupts
 from evetac_cli.stages.grasp.loop import Sense
 
@@ -157,7 +157,8 @@ def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: Outbo
     host_us = getattr(camera, "host_us", None)
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
     parent = os.getppid()
-    heard_us = _now_us()
+    clock: TimeSource = getattr(camera, "time", HOST_TIME)
+    heard_us = clock.now_s() * 1e6
     slips = slices = 0
     piece: list[Events] = []
     rows = Piece(concatenate([]))
@@ -168,7 +169,7 @@ def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: Outbo
         slices += 1
         probability = float("nan") if sense is None else sense.step(events)
         felt = SlipSignal() if sense is None else sense.felt
-        now_us = _now_us()
+        now_us = clock.now_s() * 1e6
         if events.size:
             heard_us = now_us
         zero_us = now_us - slices * SLICE_US if host_us is None else host_us(0.0)
@@ -195,7 +196,3 @@ def _hand_over(outbox: Outbox, rows: Piece, piece: list[Events]) -> None:
         waiting = f"{outbox.waiting_bytes / 1e6:.0f} MB wait to be written"
         raise DeviceError("the recorder cannot keep up", found=waiting)
     outbox.send()
-
-
-def _now_us() -> float:
-    return time.monotonic() * 1e6

@@ -26,6 +26,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.stages.grasp import replay
@@ -202,6 +203,7 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
             timing,
             (VIRTUAL_PATIENCE if world is not None else 1) * params.watchdog_ms,  # a late world holds up its camera
             params.max_seconds,
+            HOST_TIME if world is None else world.time,
         )
         loops = Loops(feeling, commanding, world)
         opened.callback(loops.close)
