@@ -11,7 +11,7 @@ import pytest
 from evetac_cli import params
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
-from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.world import VirtualWorld
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import featurize, grasp, label, record, track, train

@@ -1,7 +1,7 @@
 """A DVXplorer Mini over pyusb: found, set up, started, read, and stopped whatever happens.
 
 A thread (usb_reader.py) moves buffers from the camera into a queue; words are decoded and cut into slices
-(word_slices.py) by whoever calls `read`. Only these two modules and the camera's virtual twin import pyusb.
+(WordSlices) by whoever calls `read`. pyusb is imported here, there, in probe.py and in the virtual camera.
 """
 
 import errno
@@ -16,11 +16,11 @@ import numpy as np
 import usb.core
 import usb.util
 
-from evetac_cli.devices.dvxplorer import protocol
+from evetac_cli.devices.device_slices import DeviceSlices
+from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings, Generation
 from evetac_cli.devices.dvxplorer.usb_errors import in_words, no_libusb, not_found, not_ready, other_sensor, wrong_model
 from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader
-from evetac_cli.devices.dvxplorer.word_slices import WordSlices
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
@@ -77,6 +77,44 @@ def _choose(serial: str | None, backend: Any) -> FoundCamera:
     if not minis and fitting:
         raise wrong_model(fitting[0].where, fitting[0].board)
     raise not_found(serial, [camera.serial or f"one that may not be read, {camera.where}" for camera in found])
+
+
+class WordSlices(DeviceSlices):
+    """Cuts the words of one camera into slices; see DeviceSlices."""
+
+    def __init__(self, patience_us: float) -> None:
+        super().__init__(patience_us)
+        event_words.step(event_words.start(), bytes(4))  # loads or compiles it before there is a clock to keep
+        self._decoder = event_words.start()
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """What was lost so far, by reason."""
+        return {**self._decoder.counted, "late_events": self.late_events}
+
+    @property
+    def open_events(self) -> int:
+        """Events that are known, of slices that are not closed."""
+        return self.waiting_events + self._decoder.frame.size
+
+    def push_words(
+        self, data: bytes, begun_us: float, ended_us: float, *, emptied: bool, gap: bool = False
+    ) -> list[Events]:
+        """Take what a read from begun_us to ended_us brought; return the slices that are closed now.
+
+        emptied: whether the read left nothing in the camera; gap: whether earlier bytes were lost on the way.
+        """
+        if gap:
+            event_words.bytes_were_lost(self._decoder)
+        before_us = self._decoder.now_us
+        events = event_words.step(self._decoder, data, self.device_ms(ended_us))
+        closed = []
+        if self._decoder.first_ms is not None:
+            closed = self.push(events, SLICE_US * self._decoder.first_ms, self._decoder.now_us, ended_us)
+        if emptied and self._decoder.now_us == before_us:
+            slices = self.over(begun_us)
+            closed += self.take(event_words.flush(self._decoder)) + self.close_until(slices)
+        return closed
 
 
 class DvxplorerCamera:

@@ -14,17 +14,21 @@ EEPROM is written only where it differs from what is needed (operating mode, ret
 P gain 50 are those of a driver by Evetac's authors.
 """
 
+import atexit
+import contextlib
 import operator
 import os
+import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from types import FrameType
 from typing import Any, Literal, TypeVar
 
 from evetac_cli.devices import GripperReading
-from evetac_cli.devices.at_exit import close_at_exit, closed
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
     MODEL_NUMBER,
@@ -37,7 +41,7 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
     baud_code,
 )
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, PortGone, Refused
-from evetac_cli.errors import DeviceError
+from evetac_cli.errors import DeviceError, EvetacError
 
 Mode = Literal["current", "position"]
 CHECK_EVERY = 100  # commands between two that are answered
@@ -104,7 +108,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._spoken_s = time.monotonic()
         self._silent_ms = 0.0  # the longest silence since a command was answered
         self._bus = Bus(port, baud, settings.id, answer_ms=settings.answer_ms)
-        close_at_exit(self)
+        _close_at_exit(self)
         try:
             self._bus.settle_s = SETTLE_S
             self.described: Mapping[str, Any] = self._set_up_soundly()
@@ -293,7 +297,8 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
     def _end(self) -> None:
         self._bus.close()
         self._closed = True
-        closed(self)
+        if self in _OPEN:
+            _OPEN.remove(self)
 
 
 def check_model(model: int, where: str) -> None:
@@ -329,3 +334,30 @@ def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms:
     with Bus(port, new_baud, id_, answer_ms=answer_ms) as bus:
         bus.tolerant = True
         bus.ping()
+
+
+# Grippers that are let go of when the program ends: Python ends on the spot at SIGTERM and SIGHUP, unless it is told
+# otherwise.
+_OPEN: list[RhP12Rn] = []
+
+
+def _close_at_exit(gripper: RhP12Rn) -> None:
+    """Close it when the program ends; signals that would end it on the spot end it in order from now on."""
+    if not _OPEN:
+        atexit.unregister(_close_all)
+        atexit.register(_close_all)
+    _OPEN.append(gripper)
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _end_in_order)
+
+
+def _close_all() -> None:
+    for gripper in _OPEN.copy():
+        with contextlib.suppress(EvetacError):
+            gripper.close()
+
+
+def _end_in_order(number: int, frame: FrameType | None) -> None:
+    sys.exit(128 + number)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import Generation
-from evetac_cli.devices.virtual.camera_faults import fault
+from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, camera_fault
 from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.realtime.shared_time import TimeSource
 
@@ -44,7 +44,7 @@ class DeviceModel:
         self.halted = False  # the data endpoint
         self.overflowed = 0  # words that nobody fetched in time
         self._source = source
-        self._faults = [fault(text) for text in faults]
+        self._faults = [camera_fault(text) for text in faults]
         self._done: set[str] = set()  # faults that happen once, and did
         self._random = np.random.default_rng(0)
         self._registers = _registers(self.generation)
@@ -59,7 +59,7 @@ class DeviceModel:
     def has(self, name: str) -> bool:
         """Whether a fault lasts now; those before RUN always do."""
         now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
-        return any(each.name == name and (each.before_run or each.at(now_s)) for each in self._faults)
+        return any(each.name == name and (not CAMERA_FAULTS[name].moment or each.lasts(now_s)) for each in self._faults)
 
     def once(self, name: str) -> bool:
         """Whether a fault that happens once is due; it is not again."""
@@ -71,7 +71,9 @@ class DeviceModel:
     def _hits(self, name: str) -> bool:
         """Whether a fault that alters words does so now: while it lasts, or later if no words came in that time."""
         now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
-        missed = name not in self._done and any(each.name == name and now_s >= each.start_s for each in self._faults)
+        missed = name not in self._done and any(
+            each.name == name and now_s >= (each.start_s or 0.0) for each in self._faults
+        )
         hits = missed or self.has(name)
         if hits:
             self._done.add(name)

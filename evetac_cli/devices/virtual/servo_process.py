@@ -1,6 +1,6 @@
 """The process behind a virtual gripper: a pseudo terminal with a servo at its other end, in real time.
 
-Started by virtual_gripper, which holds the other end of stdin and stdout: one JSON object a line asks, one answers, and
+Started by gripper.py, which holds the other end of stdin and stdout: one JSON object a line asks, one answers, and
 the end of stdin ends the process, also when its parent was killed. It sleeps until a byte, an answer or the watchdog is
 due. Answers leave when their last byte would have passed the wire: bytes of request and answer * 10 / baud and the
 return delay. A frame sent at another baud rate than the servo's is noise, and ignored.
@@ -22,11 +22,12 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.devices.virtual.dynamixel_frames import FrameReader
-from evetac_cli.devices.virtual.servo_faults import ANSWER_FAULTS, LATE_S, ServoFault
+from evetac_cli.devices.virtual.faults import GRIPPER_FAULTS, Fault, gripper_fault
+from evetac_cli.devices.virtual.servo import Answer, VirtualServo
 from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics, Plant, SharedPlant
-from evetac_cli.devices.virtual.virtual_servo import Answer, VirtualServo
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
+LATE_S = 0.5  # of a late answer
 IDLE_S = 0.02  # how long the servo's world may stand still between two instructions
 FROZEN_S = 0.01  # woken later than this: a busy machine had stopped the process
 PAUSE_S = 0.02  # a frame whose rest does not come within this is given up
@@ -38,25 +39,29 @@ _RATES = {
 
 
 class Faults:
-    """Which faults strike now."""
+    """Which faults strike now; times are counted from when torque was first switched on."""
 
-    def __init__(self, faults: list[ServoFault], rng: np.random.Generator) -> None:
+    def __init__(self, faults: list[Fault], rng: np.random.Generator) -> None:
         self._waiting = faults
         self._rng = rng
         self._torque_s: float | None = None  # when torque was first on
 
-    def add(self, fault: ServoFault) -> None:
+    def add(self, fault: Fault) -> None:
         """One more."""
         self._waiting.append(fault)
 
     def due(self, now_s: float, torque: bool) -> list[str]:
         """Names of those whose moment has come, except those that wait for an answer to spoil."""
-        return [name for name in self._take(now_s, torque) if name not in ANSWER_FAULTS]
+        return self._take(now_s, torque, spoiling=False)
 
     def spoil(self, answer: Answer, now_s: float, torque: bool) -> Answer | None:
-        """The answer as the faults leave it."""
-        names = [name for name in self._take(now_s, torque, answering=True) if name in ANSWER_FAULTS]
-        names += [fault.name for fault in self._waiting if fault.share and self._rng.random() < fault.share]
+        """The answer as the faults leave it; None if it is lost."""
+        names = self._take(now_s, torque, spoiling=True)
+        names += [
+            fault.name
+            for fault in self._waiting
+            if fault.share and self._lasts(fault, now_s) and self._rng.random() < fault.share
+        ]
         if "lost-answer" in names:
             return None
         data, after_s = answer
@@ -64,21 +69,22 @@ class Faults:
             data = data[:-1] + bytes([data[-1] ^ 0x40])
         return Answer(data, after_s + (LATE_S if "late-answer" in names else 0.0))
 
-    def _take(self, now_s: float, torque: bool, answering: bool = False) -> list[str]:
+    def _take(self, now_s: float, torque: bool, *, spoiling: bool) -> list[str]:
+        """Names of faults that strike once, and do so now; they are no longer waiting."""
         if torque and self._torque_s is None:
             self._torque_s = now_s
         struck = [
             fault
             for fault in self._waiting
-            if not fault.share and self._begun(fault, now_s) and (answering or fault.name not in ANSWER_FAULTS)
+            if not fault.share and GRIPPER_FAULTS[fault.name].percent == spoiling and self._lasts(fault, now_s)
         ]
         self._waiting = [fault for fault in self._waiting if fault not in struck]
         return [fault.name for fault in struck]
 
-    def _begun(self, fault: ServoFault, now_s: float) -> bool:
-        if fault.at_s is None:
+    def _lasts(self, fault: Fault, now_s: float) -> bool:
+        if fault.start_s is None:
             return True
-        return self._torque_s is not None and now_s >= self._torque_s + fault.at_s
+        return self._torque_s is not None and fault.lasts(now_s - self._torque_s)
 
 
 class Line:
@@ -158,7 +164,7 @@ class Line:
 
 
 def make_plant(choice: Mapping[str, Any]) -> Plant:
-    """The plant that virtual_gripper named."""
+    """The plant that gripper.py named."""
     if "shared" in choice:
         return SharedPlant(choice["shared"])
     return OwnDynamics(Obstacle(**choice["obstacle"]) if choice["obstacle"] else None, choice["position_ticks"])
@@ -166,7 +172,7 @@ def make_plant(choice: Mapping[str, Any]) -> Plant:
 
 def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s: float) -> Any:
     if "inject" in asked:
-        faults.add(ServoFault.parse(asked["inject"]))
+        faults.add(gripper_fault(asked["inject"]))
         return True
     if "look" in asked:
         servo.tick(now_s)
@@ -178,7 +184,7 @@ def serve(choice: Mapping[str, Any]) -> None:
     """Be the servo until stdin ends or the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the host, which still wants to switch torque off
     parent = os.getppid()
-    faults = Faults([ServoFault.parse(text) for text in choice["faults"]], np.random.default_rng(choice["seed"]))
+    faults = Faults([gripper_fault(text) for text in choice["faults"]], np.random.default_rng(choice["seed"]))
     plant = make_plant(choice["plant"])
     clock = plant.time if isinstance(plant, SharedPlant) else HOST_TIME
     servo = VirtualServo(plant, choice["registers"], clock.now_s())

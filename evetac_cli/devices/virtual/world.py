@@ -29,8 +29,8 @@ import numpy as np
 
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
-from evetac_cli.realtime import starting
 from evetac_cli.realtime.message_pipe import Inbox, Outbox
+from evetac_cli.realtime.processes import ignore_interrupts, start_shielded
 from evetac_cli.realtime.shared_time import SharedTime
 
 SLICE_S = 1e-3
@@ -85,7 +85,7 @@ class VirtualWorld:
             daemon=True,
         )
         try:
-            starting.start(self._process)
+            start_shielded(self._process)
             orders.close()
             words.close()
             if told is not None:
@@ -188,7 +188,7 @@ def _live(
     counters: Any,
 ) -> None:
     """The world's process: build, say so, then obey orders until the other side is gone."""
-    starting.ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this
+    ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this
     ticking, said = _build(plan, seeds, durations, patient, plant, words, truths, counters)
     try:
         orders.send(said)

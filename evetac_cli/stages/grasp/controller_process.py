@@ -26,10 +26,9 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.realtime.message_pipe import Outbox
-from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.realtime.starting import ignore_interrupts
 from evetac_cli.stages.grasp.loop import Timing, row_of
 
 RANK = 30  # of urgency

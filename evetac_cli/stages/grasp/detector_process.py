@@ -23,10 +23,9 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.message_pipe import Outbox
-from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.realtime.starting import ignore_interrupts
 from evetac_cli.stages.grasp.loop import Sense
 
 if TYPE_CHECKING:

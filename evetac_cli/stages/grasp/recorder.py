@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.paper import Phase
-from evetac_cli.realtime import starting
 from evetac_cli.realtime.message_pipe import Inbox
+from evetac_cli.realtime.processes import start_shielded
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages.grasp import controller_process, detector_process
@@ -72,7 +72,7 @@ class Loops:
         )
         for process in (self.detector, self.controller):
             process.daemon = True
-            starting.start(process)
+            start_shielded(process)
         for end in (
             *theirs,
             seeing,

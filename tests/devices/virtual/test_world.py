@@ -13,8 +13,8 @@ from evetac_cli.devices.dvxplorer import event_words
 from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.devices.virtual import world as virtual
+from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion
-from evetac_cli.devices.virtual.virtual_dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.world import FIRST_MS, VirtualWorld
 from evetac_cli.errors import DeviceError, SceneError
 from evetac_cli.events import SLICE_US, Events

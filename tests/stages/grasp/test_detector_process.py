@@ -11,7 +11,7 @@ import pytest
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events, empty
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime import scheduling
+from evetac_cli.realtime import processes
 from evetac_cli.realtime.message_pipe import Inbox, Outbox
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.detector_process import PIECE_MS, Piece, feel, noise
@@ -146,13 +146,13 @@ def test_urgency_as_far_as_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
         PRIO_PROCESS=0,
         setpriority=lambda *what: asked.append(("nice", what)),
     )
-    monkeypatch.setattr(scheduling, "os", permitted)
-    monkeypatch.setattr(scheduling, "sys", SimpleNamespace(platform="linux"))
-    assert scheduling.set_realtime_priority(20) == "real-time 20"
+    monkeypatch.setattr(processes, "os", permitted)
+    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="linux"))
+    assert processes.set_realtime_priority(20) == "real-time 20"
     permitted.sched_setscheduler = refuse
-    assert scheduling.set_realtime_priority(20, 4711) == "nice -10"
+    assert processes.set_realtime_priority(20, 4711) == "nice -10"
     assert asked[-1] == ("nice", (0, 4711, -10))
     permitted.setpriority = refuse
-    assert scheduling.set_realtime_priority(20) == "as usual"
-    monkeypatch.setattr(scheduling, "sys", SimpleNamespace(platform="darwin"))
-    assert scheduling.set_realtime_priority(20) == "as usual"
+    assert processes.set_realtime_priority(20) == "as usual"
+    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="darwin"))
+    assert processes.set_realtime_priority(20) == "as usual"

@@ -22,7 +22,6 @@ import usb.core
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.protocol import Generation
 from evetac_cli.devices.virtual.device_model import DeviceModel, WordSource
-from evetac_cli.devices.virtual.word_sources import PreparedWords as PreparedWords
 from evetac_cli.realtime.shared_time import TimeSource
 
 FIFO_BYTES = 512 << 10
@@ -39,7 +38,7 @@ def _fail(what: str, number: int, code: int) -> NoReturn:
 class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """One camera and its bus; pass it as `backend` to DvxplorerCamera.
 
-    firmware: 10 takes 8-byte values, 9 and before 4-byte ones; board: 4 for a Mini; faults: see virtual_faults.
+    firmware: 10 takes 8-byte values, 9 and before 4-byte ones; board: 4 for a Mini; faults: see faults.py.
     `log` holds every vendor request that was obeyed: (request, value, index, data).
     """
 

@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
-from evetac_cli.devices.virtual.servo_faults import ServoFault
+from evetac_cli.devices.virtual.faults import gripper_fault
 from evetac_cli.devices.virtual.servo_plant import Obstacle, SharedPlant
 from evetac_cli.errors import DeviceError
 from evetac_cli.resources import PACKAGE
@@ -39,7 +39,7 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         """Start the process; when this returns, the servo listens.
 
         plant: what it moves: a gripper in a world stepped elsewhere; else its own drive, starting at position_ticks,
-        with or without an obstacle. faults: as `servo_faults` names them. registers: values that differ from the
+        with or without an obstacle. faults: as in faults.py. registers: values that differ from the
         factory's, by name. seed: of the faults that strike by chance.
         """
         if isinstance(plant, SharedPlant):
@@ -115,5 +115,5 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
 
 
 def _checked(fault: str) -> str:
-    ServoFault.parse(fault)
+    gripper_fault(fault)
     return fault
