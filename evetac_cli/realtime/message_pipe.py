@@ -1,4 +1,4 @@
-"""Messages from a process that must not wait to one that has the time.
+"""Messages from one process to another that never make the writer wait.
 
 Why so: whoever keeps a beat of 1 or 2 ms cannot wait for a recorder that is writing a file. So what does not fit into
 the pipe stays with the writer, and goes with a later `send`. A pipe tells the reader at once when the writer has died,
@@ -18,11 +18,11 @@ from typing import Any
 MOST_BYTES = 256 << 20
 _PIPE_BYTES = 1 << 20
 _LENGTH = struct.Struct("<Q")
-_AT_ONCE = 1 << 16
+_READ_BYTES = 1 << 16
 _PAUSE_S = 1e-3
 
 
-class Outbox:
+class MessageWriter:
     """The writing end; takes messages at any time and sends them when there is room."""
 
     def __init__(self, pipe: Connection, most_bytes: int = MOST_BYTES) -> None:
@@ -71,7 +71,7 @@ class Outbox:
         return not self._waiting
 
 
-class Inbox:
+class MessageReader:
     """The reading end; never waits."""
 
     def __init__(self, pipe: Connection) -> None:
@@ -88,7 +88,7 @@ class Inbox:
         os.set_blocking(self._pipe.fileno(), False)
         while not self.ended:
             try:
-                data = os.read(self._pipe.fileno(), _AT_ONCE)
+                data = os.read(self._pipe.fileno(), _READ_BYTES)
             except BlockingIOError:
                 break
             self._data += data

@@ -1,4 +1,4 @@
-"""A DVXplorer Mini over pyusb: found, set up, started, read, and stopped whatever happens.
+"""Driver of a DVXplorer Mini over pyusb: finds it, sets it up, starts it, reads it, and stops it whatever happens.
 
 A thread (usb_reader.py) moves buffers from the camera into a queue; words are decoded and cut into slices
 (WordSlices) by whoever calls `read`. pyusb is imported here, there, in probe.py and in the virtual camera.
@@ -19,7 +19,14 @@ import usb.util
 from evetac_cli.devices.device_slices import DeviceSlices
 from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings, Generation
-from evetac_cli.devices.dvxplorer.usb_errors import in_words, no_libusb, not_found, not_ready, other_sensor, wrong_model
+from evetac_cli.devices.dvxplorer.usb_errors import (
+    device_error,
+    no_libusb,
+    not_found,
+    not_ready,
+    other_sensor,
+    wrong_model,
+)
 from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
@@ -32,7 +39,7 @@ SUPER_SPEED = 4  # pyusb's code of USB 3
 
 
 class FoundCamera(NamedTuple):
-    """A DVXplorer on the bus, looked at without changing anything in it."""
+    """A DVXplorer on the bus, as its descriptors describe it; nothing in it was changed."""
 
     serial: str | None  # None: the system does not let us read it
     board: int  # protocol.MINI_BOARD is right
@@ -47,14 +54,14 @@ def find_cameras(backend: Any = None) -> list[FoundCamera]:
     backend = backend or libusb_package.get_libusb1_backend()
     if backend is None:
         raise no_libusb()
-    found = []
+    cameras = []
     for device in usb.core.find(find_all=True, idVendor=protocol.VENDOR, idProduct=protocol.PRODUCT, backend=backend):
         serial = _serial(device)
         usb.util.dispose_resources(device)
         board, firmware = device.bcdDevice >> 8, device.bcdDevice & 0xFF
         where = f"USB bus {device.bus} address {device.address}"
-        found.append(FoundCamera(serial, board, firmware, device.speed, where, device))
-    return found
+        cameras.append(FoundCamera(serial, board, firmware, device.speed, where, device))
+    return cameras
 
 
 def _serial(device: Any) -> str | None:
@@ -68,15 +75,15 @@ def _serial(device: Any) -> str | None:
 
 def _choose(serial: str | None, backend: Any) -> FoundCamera:
     """The camera of this serial number, or the only one; DeviceError if there is no such, or no single one."""
-    found = find_cameras(backend)
-    fitting = [camera for camera in found if serial is None or camera.serial in (serial, None)]
+    cameras = find_cameras(backend)
+    fitting = [camera for camera in cameras if serial is None or camera.serial in (serial, None)]
     minis = [camera for camera in fitting if camera.board == protocol.MINI_BOARD]
     named = [camera for camera in minis if serial is None or camera.serial == serial] or minis
     if len(named) == 1:
         return named[0]
     if not minis and fitting:
         raise wrong_model(fitting[0].where, fitting[0].board)
-    raise not_found(serial, [camera.serial or f"one that may not be read, {camera.where}" for camera in found])
+    raise not_found(serial, [camera.serial or f"one that may not be read, {camera.where}" for camera in cameras])
 
 
 class WordSlices(DeviceSlices):
@@ -134,16 +141,16 @@ class DvxplorerCamera:
         patience_us: float = PATIENCE_US,
     ) -> None:
         self.settings = settings or DvxplorerSettings()
-        found = _choose(serial, backend)
-        self._device = found.device
-        self.where = f"camera {found.serial or found.where}"
-        self.firmware = found.firmware
-        self._generation = protocol.generation(found.firmware)
+        camera = _choose(serial, backend)
+        self._device = camera.device
+        self.where = f"camera {camera.serial or camera.where}"
+        self.firmware = camera.firmware
+        self._generation = protocol.generation(camera.firmware)
         self.notes: tuple[str, ...] = ()
-        if found.speed and found.speed < SUPER_SPEED:
+        if camera.speed and camera.speed < SUPER_SPEED:
             self.notes += (f"{self.where} is linked by USB 2 and will lose events when much moves: use a USB 3 port",)
-        if found.firmware > protocol.NEWEST_FIRMWARE:
-            self.notes += (f"{self.where} has firmware {found.firmware}; known are 8 to {protocol.NEWEST_FIRMWARE}",)
+        if camera.firmware > protocol.NEWEST_FIRMWARE:
+            self.notes += (f"{self.where} has firmware {camera.firmware}; known are 8 to {protocol.NEWEST_FIRMWARE}",)
         self._ready: deque[Events] = deque()
         self._open = True
         self._claimed = False
@@ -152,17 +159,17 @@ class DvxplorerCamera:
         self._handed_out = 0
         try:
             self._claim()
-            self.serial = found.serial or _serial(self._device)
+            self.serial = camera.serial or _serial(self._device)
             self._set_up()
             held_us = self.settings.flush_us if self._generation is Generation.PARAMETERS else HOLDING_BACK_US
             self._slices = WordSlices(held_us + patience_us)
             self._reader.start()
-            self._tell(protocol.run(self._generation))
+            self._send(protocol.run(self._generation))
             self._slices.start(self._now_us())
         except BaseException as error:
             self.close()
             if isinstance(error, usb.core.USBError):
-                raise in_words(error, self.where, "setting up the camera") from error
+                raise device_error(error, self.where, "setting up the camera") from error
             raise
         self._left = 0  # events of the slice that was open when the camera failed
         self.sensor: Mapping[str, Any] = {
@@ -218,7 +225,7 @@ class DvxplorerCamera:
         try:
             self._reader.end()
             if self._claimed:  # else another program may have it, and we would stop its stream
-                self._tell(protocol.stop(self._generation))
+                self._send(protocol.stop(self._generation))
         except usb.core.USBError:
             pass  # it is gone
         finally:
@@ -244,14 +251,14 @@ class DvxplorerCamera:
             self._request(protocol.LOG_LEVEL, 2)
             with suppress(usb.core.USBTimeoutError):  # known to hang on some hosts, and not needed
                 self._request(protocol.FLUSH_STALE, 0)
-        self._tell(protocol.stop(self._generation))
+        self._send(protocol.stop(self._generation))
         try:
             size = (self._read(protocol.DVS, protocol.COLUMNS), self._read(protocol.DVS, protocol.ROWS))
         except usb.core.USBTimeoutError:
             size = FRAME_PX  # some hosts see these reads hang
         if size != FRAME_PX:
             raise other_sensor(self.where, size)
-        self._tell(protocol.configure(self._generation, self.settings))
+        self._send(protocol.configure(self._generation, self.settings))
         if self._generation is Generation.REGISTERS:
             self._device.clear_halt(protocol.DATA_ENDPOINT)
         self._drain()
@@ -276,7 +283,7 @@ class DvxplorerCamera:
         answer = self._device.ctrl_transfer(protocol.READ, protocol.CONFIG, module, parameter, size, CONTROL_TIMEOUT_MS)
         return int.from_bytes(bytes(answer), "big")
 
-    def _tell(self, orders: Iterable[protocol.Order]) -> None:
+    def _send(self, orders: Iterable[protocol.Order]) -> None:
         for order in orders:
             value = order.value if isinstance(order, protocol.Write) else self._changed_bits(order)
             data = value.to_bytes(self._generation.value, "big")

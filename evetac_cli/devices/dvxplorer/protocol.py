@@ -1,4 +1,4 @@
-"""What is said to a DVXplorer Mini over USB, as data: requests, modules, parameters, and the orders of start and stop.
+"""What is sent to a DVXplorer Mini over USB, as data: requests, modules, parameters, and the orders of start and stop.
 
 The Mini exists in two protocol generations with one USB id. Firmware 10 (PARAMETERS) takes 8-byte values of some 25
 parameters; firmware 9 and before (REGISTERS) takes 4-byte values and wants the sensor's own registers. Event words are

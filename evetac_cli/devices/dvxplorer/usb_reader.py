@@ -17,7 +17,7 @@ import usb.core
 
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.event_word_loops import events_in
-from evetac_cli.devices.dvxplorer.usb_errors import gone, in_words
+from evetac_cli.devices.dvxplorer.usb_errors import device_error, gone
 from evetac_cli.errors import DeviceError
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
@@ -101,7 +101,7 @@ class UsbReader(Thread):
             except usb.core.USBError as error:
                 failures += 1
                 self.lost["usb_errors"] += 1
-                if not self._mended(error, failures):
+                if not self._recovered(error, failures):
                     return
                 gap |= error.errno != errno.EPIPE  # what a halted endpoint holds is not lost
                 continue
@@ -119,29 +119,29 @@ class UsbReader(Thread):
             self._blocks.append(block)
             self._waiting_bytes += len(block.data)
             while self._waiting_bytes > self._queue_bytes and len(self._blocks) > 1:
-                gone = self._blocks.popleft().data
-                self._waiting_bytes -= len(gone)
+                dropped = self._blocks.popleft().data
+                self._waiting_bytes -= len(dropped)
                 self._blocks[0] = self._blocks[0]._replace(gap=True)
-                self.lost["events_in_full_queue"] += events_in(np.frombuffer(gone, "<u4", len(gone) // 4))
+                self.lost["events_in_full_queue"] += events_in(np.frombuffer(dropped, "<u4", len(dropped) // 4))
             self._changed.notify_all()
 
-    def _mended(self, error: Any, failures: int) -> bool:
+    def _recovered(self, error: Any, failures: int) -> bool:
         """Clear a halted endpoint; after too many errors in a row, or without a device, give up."""
-        mended = not gone(error) and failures <= ERRORS_IN_A_ROW
-        if mended:
+        recovered = not gone(error) and failures <= ERRORS_IN_A_ROW
+        if recovered:
             try:
                 self._device.clear_halt(protocol.DATA_ENDPOINT)
             except usb.core.USBError as second:
-                error, mended = second, False
-        if not mended:
-            self._fail(in_words(error, self._where, "reading events"))
-        return mended
+                error, recovered = second, False
+        if not recovered:
+            self._fail(device_error(error, self._where, "reading events"))
+        return recovered
 
     def _read_log(self) -> None:
-        """Fetch what the camera has to say of itself, which it does only when something is wrong."""
+        """Fetch the camera's own messages, which it sends only when something is wrong."""
         try:
             packet = bytes(self._device.read(protocol.DEBUG_ENDPOINT, 64, 1))
-        except usb.core.USBError:  # nothing to say, mostly; what else is wrong shows on the data endpoint
+        except usb.core.USBError:  # mostly a timeout, no message; other errors show on the data endpoint
             return
         if len(packet) > 6 and packet[0] == protocol.LOG_PACKET:
             text = packet[6:].split(b"\0")[0].decode("latin-1")

@@ -7,11 +7,11 @@ not answered; every 100th command is, which proves that commands arrive.
 
 Why so: whatever ends the driver - close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal - sets
 current 0 and torque off. What no program can handle (SIGKILL, a pulled plug) is left to the servo's Bus Watchdog, which
-runs from the first command on: then a program silent for 100 ms loses the gripper, and is told so.
+runs from the first command on: then a program silent for 100 ms loses the gripper, and gets an error that says so.
 
-EEPROM is written only where it differs from what is needed (operating mode, return delay), with torque off, and said in
-`described`. Nothing is ever reset to factory values. Source: hardware notes on the control table; the set-up order and
-P gain 50 are those of a driver by Evetac's authors.
+EEPROM is written only where it differs from what is needed (operating mode, return delay), with torque off, and named
+in `described`. Nothing is ever reset to factory values. Source: hardware notes on the control table; the set-up order
+and P gain 50 are those of a driver by Evetac's authors.
 """
 
 import atexit
@@ -330,7 +330,7 @@ def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms:
             except Refused:
                 raise
             except DeviceError:
-                pass  # the answer may already have come at the new rate: the ping below tells
+                pass  # the answer may already have come at the new rate: the ping below decides
     with Bus(port, new_baud, id_, answer_ms=answer_ms) as bus:
         bus.tolerant = True
         bus.ping()

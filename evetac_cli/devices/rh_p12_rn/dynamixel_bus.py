@@ -159,7 +159,7 @@ class Bus(AbstractContextManager["Bus"]):
 
     def ping(self) -> int:
         """The device's model number."""
-        return int.from_bytes(self._answered(INST_PING, b"", 3, "ping")[:2], "little")
+        return int.from_bytes(self._transact(INST_PING, b"", 3, "ping")[:2], "little")
 
     def read(self, name: str) -> int:
         """A register's value."""
@@ -169,13 +169,13 @@ class Bus(AbstractContextManager["Bus"]):
     def read_bytes(self, address: int, size: int) -> bytes:
         """Bytes of consecutive registers in one transaction."""
         asked = address.to_bytes(2, "little") + size.to_bytes(2, "little")
-        return self._answered(INST_READ, asked, size, f"read {size} bytes at {address}")
+        return self._transact(INST_READ, asked, size, f"read {size} bytes at {address}")
 
     def write(self, name: str, value: int) -> None:
         """Set a register, with an answer."""
         register = REGISTERS[name]
         data = register.address.to_bytes(2, "little") + register.encode(value)
-        self._answered(INST_WRITE, data, 0, f"write {value} to {name}")
+        self._transact(INST_WRITE, data, 0, f"write {value} to {name}")
 
     def send(self, name: str, value: int) -> None:
         """Set a register without an answer, by a sync write to this device alone: half the traffic."""
@@ -193,17 +193,17 @@ class Bus(AbstractContextManager["Bus"]):
 
     def reboot(self) -> None:
         """Restart the device: torque off, hardware error cleared."""
-        self._answered(INST_REBOOT, b"", 0, "reboot")
+        self._transact(INST_REBOOT, b"", 0, "reboot")
 
-    def everyone(self) -> dict[int, tuple[int, int]]:
+    def devices(self) -> dict[int, tuple[int, int]]:
         """Model number and firmware of every device on the bus by id, by a broadcast ping (about 0.8 s)."""
         try:
-            found, _ = self._packets.broadcastPing(self._port)
+            answers, _ = self._packets.broadcastPing(self._port)
         except _BROKEN as error:
             raise self._gone(error) from error
         finally:
             self._port.is_using = False
-        return {id_: (model, firmware) for id_, (model, firmware) in found.items()}
+        return {id_: (model, firmware) for id_, (model, firmware) in answers.items()}
 
     def close(self) -> None:
         """Close the port; a second call does nothing."""
@@ -220,17 +220,17 @@ class Bus(AbstractContextManager["Bus"]):
     def _where(self) -> str:
         return f"gripper {self.id} at {self.port}, {self.baud} baud"
 
-    def _answered(self, instruction: int, parameters: bytes, size: int, what: str) -> bytes:
+    def _transact(self, instruction: int, parameters: bytes, size: int, what: str) -> bytes:
         """Data of the answer to an instruction, of `size` bytes; asked for twice at most."""
         lost = "answers_lost"
         for _ in range(2):
             packet, result, error = self._once(instruction, parameters)
             # an answer of another length belongs to an earlier question
             if result == COMM_SUCCESS and packet[5] | packet[6] << 8 == size + 4 and error & 0x7F != CRC_FAULT:
-                self._judge(error, what)
+                self._raise_for_error(error, what)
                 return bytes(packet[9 : 9 + size])
             if result == COMM_SUCCESS and error & 0x7F not in (0, CRC_FAULT):
-                self._judge(error, what)
+                self._raise_for_error(error, what)
             lost = "answers_damaged" if result in (COMM_SUCCESS, COMM_RX_CORRUPT) else "answers_lost"
             self._counted[lost] += 1
             self._port.be_wary()
@@ -255,7 +255,7 @@ class Bus(AbstractContextManager["Bus"]):
             self._port.is_using = False
         return answer or [], result, error
 
-    def _judge(self, error: int, what: str) -> None:
+    def _raise_for_error(self, error: int, what: str) -> None:
         fault = error & 0x7F
         if fault:
             refused = Refused(f"the gripper {_FAULTS.get(fault, f'gives error {fault}')}: {what}", where=self._where)
@@ -295,8 +295,8 @@ def _not_opened(where: str, error: BaseException) -> DeviceError:
     return DeviceError("the port cannot be opened", where=where, found=str(error))
 
 
-class Found(NamedTuple):
-    """A device that answered."""
+class BusDevice(NamedTuple):
+    """A device that answered a ping: at which rate, its id and its model number."""
 
     baud: int
     id: int
@@ -305,21 +305,21 @@ class Found(NamedTuple):
 
 def scan(
     port: str, bauds: Iterable[int] = SDK_RATES, ids: Iterable[int] = (1,), *, answer_ms: float = ANSWER_MS
-) -> list[Found]:
+) -> list[BusDevice]:
     """Ping every id at every rate, and list who answers; reads only. DeviceError if the port cannot be opened."""
     asked = list(ids)
-    found = []
+    devices = []
     for baud in bauds:
         for id_ in asked:
             with Bus(port, baud, id_, answer_ms=answer_ms) as bus:
                 try:
                     bus.tolerant = True
-                    found.append(Found(baud, id_, bus.ping()))
+                    devices.append(BusDevice(baud, id_, bus.ping()))
                 except PortGone:
                     raise
                 except DeviceError:
                     continue
-    return found
+    return devices
 
 
 def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:

@@ -1,6 +1,6 @@
 """What is inside a virtual DVXplorer Mini, behind its USB: registers, the stream of words, and what goes wrong.
 
-Why so: crop, flip and flatten change events, not words, so a camera that was told to do so decodes what its source
+Why so: crop, flip and flatten change events, not words, so a camera that is set to do so decodes what its source
 sends and encodes what is left; all others pass words through.
 """
 
@@ -19,7 +19,7 @@ from evetac_cli.realtime.shared_time import TimeSource
 DEFAULT_FLUSH_US = 2000
 _DAMAGED_SHARE = 0.02
 _BURST_BYTES = 16  # zeros fill the last one of a transfer
-_LONGEST_WAIT_S = 0.05  # after which a waiting transfer looks whether the camera was unplugged
+_LONGEST_WAIT_S = 0.05  # after which a waiting transfer checks whether the camera was unplugged
 
 
 class WordSource(Protocol):
@@ -54,7 +54,7 @@ class DeviceModel:
         self._ran_s: float | None = None  # time of the first RUN
         self._runs = False
         self._sent_s = 0.0  # host time of the last transfer
-        self._eye = event_words.start()  # of a camera that alters what it sees
+        self._decoder = event_words.start()  # where crop, flip or flatten change the events
 
     def has(self, name: str) -> bool:
         """Whether a fault lasts now; those before RUN always do."""
@@ -179,14 +179,14 @@ class DeviceModel:
         )
         if (x0, y0, width, height, flip_x, flip_y, flatten) == (0, 0, *FRAME_PX, 0, 0, 0):
             return words
-        events = event_words.step(self._eye, words.astype("<u4", copy=False).tobytes())
-        kept = (events.x >= x0) & (events.x < x0 + width) & (events.y >= y0) & (events.y < y0 + height)
+        events = event_words.step(self._decoder, words.astype("<u4", copy=False).tobytes())
+        inside = (events.x >= x0) & (events.x < x0 + width) & (events.y >= y0) & (events.y < y0 + height)
         if flatten in (2, 3):
-            kept &= events.p == (flatten == 2)
+            inside &= events.p == (flatten == 2)
         x = FRAME_PX[0] - 1 - events.x if flip_x else events.x
         y = FRAME_PX[1] - 1 - events.y if flip_y else events.y
         p = np.ones_like(events.p) if flatten else events.p
-        return event_words.encode(Events(events.t[kept], x[kept], y[kept], p[kept]), first_ms=0)
+        return event_words.encode(Events(events.t[inside], x[inside], y[inside], p[inside]), first_ms=0)
 
 
 def _registers(generation: Generation) -> dict[tuple[int, int], int]:

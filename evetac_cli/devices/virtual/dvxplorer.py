@@ -57,7 +57,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._strings = ("\u0409", *_STRINGS, serial)
         self._configuration = 1
         self._source = source
-        self._body = DeviceModel(source, firmware, faults, fifo_bytes)
+        self._model = DeviceModel(source, firmware, faults, fifo_bytes)
         self.log: list[tuple[int, int, int, bytes]] = []
 
     @property
@@ -68,13 +68,13 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     @property
     def overflowed(self) -> int:
         """Words that were lost because nobody fetched them in time."""
-        return self._body.overflowed
+        return self._model.overflowed
 
     # What pyusb asks of a bus.
 
     def enumerate_devices(self) -> Iterator[Any]:
         """The one device, unless it is unplugged."""
-        if not self._body.has("unplug"):
+        if not self._model.has("unplug"):
             yield self
 
     def get_parent(self, dev: Any) -> None:
@@ -101,7 +101,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             bus=9,
             port_number=1,
             port_numbers=(1,),
-            speed=3 if self._body.has("usb2") else 4,
+            speed=3 if self._model.has("usb2") else 4,
         )
 
     def get_configuration_descriptor(self, dev: Any, config: int) -> Any:
@@ -130,7 +130,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def open_device(self, dev: Any) -> Any:
         """A handle: the camera itself."""
         self._check()
-        if self._body.has("no-permission"):
+        if self._model.has("no-permission"):
             _fail("Access denied (insufficient permissions)", errno.EACCES, -3)
         return self
 
@@ -150,7 +150,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def claim_interface(self, dev_handle: Any, intf: int) -> None:
         """Refused if another program has it."""
         self._check()
-        if self._body.has("busy"):
+        if self._model.has("busy"):
             _fail("Resource busy", errno.EBUSY, -6)
 
     def release_interface(self, dev_handle: Any, intf: int) -> None:
@@ -163,7 +163,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def clear_halt(self, dev_handle: Any, ep: int) -> None:
         """End a stall."""
         self._check()
-        self._body.halted = self._body.has("stall-for-good")
+        self._model.halted = self._model.has("stall-for-good")
 
     def ctrl_transfer(
         self,
@@ -181,8 +181,8 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             text = self._strings[wValue & 0xFF].encode("utf-16-le")
             return _answer(data, bytes([len(text) + 2, 3]) + text)
         if bmRequestType == protocol.READ and bRequest == protocol.CONFIG:
-            value = self._body.read(wValue, wIndex)
-            if value is not None and len(data) == self._body.generation.value:
+            value = self._model.read(wValue, wIndex)
+            if value is not None and len(data) == self._model.generation.value:
                 return _answer(data, value.to_bytes(len(data), "big"))
         elif bmRequestType == protocol.WRITE and self._obeys(bRequest, wValue, wIndex, bytes(data), timeout):
             self.log.append((bRequest, wValue, wIndex, bytes(data)))
@@ -192,10 +192,10 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def bulk_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
         """One transfer of event words."""
         self._check()
-        self._body.halted |= self._body.once("stall") or self._body.has("stall-for-good")
-        if self._body.halted:
+        self._model.halted |= self._model.once("stall") or self._model.has("stall-for-good")
+        if self._model.halted:
             _fail("Pipe error", errno.EPIPE, -9)
-        data = self._body.transfer(len(buff), timeout / 1000)
+        data = self._model.transfer(len(buff), timeout / 1000)
         self._check()
         if not data:
             _fail("Operation timed out", errno.ETIMEDOUT, -7)
@@ -204,7 +204,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def intr_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
         """One packet of the debug endpoint."""
         self._check()
-        if self._body.once("log"):
+        if self._model.once("log"):
             return _answer(buff, _LOG_PACKET)
         time.sleep(timeout / 1000)
         _fail("Operation timed out", errno.ETIMEDOUT, -7)
@@ -212,21 +212,21 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def _obeys(self, request: int, value: int, index: int, data: bytes, timeout_ms: int) -> bool:
         """Carry out a vendor request to write; False if the camera knows no such."""
         if request == protocol.CONFIG:
-            size = self._body.generation.value
-            return len(data) == size and self._body.write(value, index, int.from_bytes(data, "big"))
-        if self._body.generation is Generation.REGISTERS:
+            size = self._model.generation.value
+            return len(data) == size and self._model.write(value, index, int.from_bytes(data, "big"))
+        if self._model.generation is Generation.REGISTERS:
             return False
         if request == protocol.FLUSH_STALE:
-            if self._body.has("slow-flush"):
+            if self._model.has("slow-flush"):
                 time.sleep(timeout_ms / 1000)
                 _fail("Operation timed out", errno.ETIMEDOUT, -7)
-            self._body.flush_stale()
+            self._model.flush_stale()
         return request in (protocol.FLUSH_STALE, protocol.LOG_LEVEL, STORE_TO_FLASH)
 
     def _check(self) -> None:
         """Nothing answers once the plug is pulled."""
-        if self._body.has("unplug"):
-            self._body.power_off()
+        if self._model.has("unplug"):
+            self._model.power_off()
             _fail("No such device (it may have been disconnected)", errno.ENODEV, -4)
 
 

@@ -141,8 +141,8 @@ class FrameReader:
         """Take the next bytes; return the frames that they end, those with a wrong CRC included."""
         self._waiting += data
         frames = []
-        while (found := self._next()) is not None:
-            frames.append(found)
+        while (frame := self._next()) is not None:
+            frames.append(frame)
         return frames
 
     def _next(self) -> Frame | None:

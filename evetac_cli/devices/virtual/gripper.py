@@ -43,25 +43,25 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         factory's, by name. seed: of the faults that strike by chance.
         """
         if isinstance(plant, SharedPlant):
-            moved: dict[str, Any] = {"shared": str(plant.path)}
+            plant_config: dict[str, Any] = {"shared": str(plant.path)}
         else:
-            moved = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
+            plant_config = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
         choice = {
-            "plant": moved,
+            "plant": plant_config,
             "faults": [_checked(fault) for fault in faults],
             "registers": {"Baud Rate": baud_code(baud), **(registers or {})},
             "seed": seed,
         }
-        found_at = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
+        python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
             [sys.executable, "-m", "evetac_cli.devices.virtual.servo_process", json.dumps(choice)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": found_at},
+            env={**os.environ, "PYTHONPATH": python_path},
             start_new_session=True,
         )
         try:
-            self.port: str = self._told()
+            self.port: str = self._receive()
         except BaseException:
             self.close()
             raise
@@ -77,7 +77,7 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
 
     def read_register(self, register: str) -> int:
         """Value of a register, read past the wire."""
-        return int(self._ask(look=register))
+        return int(self._ask(read=register))
 
     def instructions(self) -> dict[int, int]:
         """How often the servo received each instruction."""
@@ -104,16 +104,17 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(question).encode() + b"\n")
         self._process.stdin.flush()
-        return self._told()
+        return self._receive()
 
-    def _told(self) -> Any:
+    def _receive(self) -> Any:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise DeviceError("the virtual gripper's process has ended", hint="its words are on stderr")
+            raise DeviceError("the virtual gripper's process has ended", hint="its last messages are on stderr")
         return json.loads(line)
 
 
 def _checked(fault: str) -> str:
+    """The text of a fault; InputError if there is no such."""
     gripper_fault(fault)
     return fault

@@ -67,7 +67,7 @@ class Motion(NamedTuple):
 
 
 class Plant(Protocol):
-    """Something that moves."""
+    """What a servo moves: it is given goals and returns what is measured."""
 
     def advance(self, goals: Goals, now_s: float) -> Motion:
         """Move under these goals until now (seconds of a clock that never goes back); what is measured then."""
@@ -153,16 +153,16 @@ class SharedPlant:
         self._goals = SharedRow(self._memory, self._GOALS_AT, "6q")
         self._motion = SharedRow(self._memory, self._MOTION_AT, "dqd")
         self.time = SharedTime(self.path, self._TIME_AT)
-        self._told: Goals | None = None
+        self._passed_on: Goals | None = None
 
     def __reduce__(self) -> tuple[type["SharedPlant"], tuple[Path]]:
         return SharedPlant, (self.path,)
 
     def advance(self, goals: Goals, now_s: float) -> Motion:
         """For the servo: pass on its goals; what the world showed last."""
-        if goals != self._told:
+        if goals != self._passed_on:
             self._goals.write(*goals)
-            self._told = goals
+            self._passed_on = goals
         shown = self._motion.read()
         if shown is None:
             return Motion()
@@ -171,10 +171,10 @@ class SharedPlant:
 
     def goals(self) -> Goals:
         """For the world: the servo's goals; without torque as long as there is no servo."""
-        told = self._goals.read()
-        if told is None:
+        row = self._goals.read()
+        if row is None:
             return Goals()
-        torque, *rest = told[1]
+        torque, *rest = row[1]
         return Goals(bool(torque), *(int(value) for value in rest))
 
     def show(self, motion: Motion) -> None:

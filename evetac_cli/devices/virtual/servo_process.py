@@ -47,7 +47,7 @@ class Faults:
         self._torque_s: float | None = None  # when torque was first on
 
     def add(self, fault: Fault) -> None:
-        """One more."""
+        """Add a fault to those that wait."""
         self._waiting.append(fault)
 
     def due(self, now_s: float, torque: bool) -> list[str]:
@@ -98,17 +98,19 @@ class Line:
         self._heard_s = 0.0
         self._woken_s = clock.now_s()
         self._due: list[tuple[float, bytes]] = []
-        self._ours, self._theirs = pty.openpty()  # theirs stays open, or closing the port would end ours
-        for end in (self._ours, self._theirs):
+        self._servo_end, self._host_end = (
+            pty.openpty()
+        )  # the host's end stays open here, or closing the port would end ours
+        for end in (self._servo_end, self._host_end):
             tty.setraw(end)
-        os.set_blocking(self._ours, False)
-        self.port = os.ttyname(self._theirs)
+        os.set_blocking(self._servo_end, False)
+        self.port = os.ttyname(self._host_end)
         self.plugged = True
 
     def wait(self, more: int) -> bool:
         """Sleep until something is to be done, and do it; True if the descriptor `more` is ready."""
         until_s = max(min([IDLE_S, *(due_s - time.monotonic() for due_s, _ in self._due)]), 0.0)
-        listening = [self._ours, more] if self.plugged else [more]
+        listening = [self._servo_end, more] if self.plugged else [more]
         ready = select.select(listening, [], [], until_s)[0]
         now_s = self._clock.now_s()
         if (late_s := now_s - self._woken_s - until_s) > FROZEN_S:
@@ -119,7 +121,7 @@ class Line:
         self._strike(now_s)
         if self.plugged:
             self._send()
-            if self._ours in ready:
+            if self._servo_end in ready:
                 self._receive()
             elif self._reader.partial and time.monotonic() - self._heard_s > PAUSE_S:
                 self._reader.forget()
@@ -136,8 +138,8 @@ class Line:
 
     def _receive(self) -> None:
         host_s, now_s = time.monotonic(), self._clock.now_s()
-        data = os.read(self._ours, 4096)
-        rate = _RATES.get(termios.tcgetattr(self._theirs)[5])
+        data = os.read(self._servo_end, 4096)
+        rate = _RATES.get(termios.tcgetattr(self._host_end)[5])
         if rate != self._servo.baud:
             self._reader.forget()
             return
@@ -153,14 +155,14 @@ class Line:
             if entry[0] <= time.monotonic():
                 self._due.remove(entry)
                 with contextlib.suppress(BlockingIOError):  # nobody reads: a wire does not wait
-                    os.write(self._ours, entry[1])
+                    os.write(self._servo_end, entry[1])
 
     def unplug(self) -> None:
         """The port disappears; the servo keeps its power."""
         if self.plugged:
             self.plugged = False
-            os.close(self._ours)
-            os.close(self._theirs)
+            os.close(self._servo_end)
+            os.close(self._host_end)
 
 
 def make_plant(choice: Mapping[str, Any]) -> Plant:
@@ -174,9 +176,9 @@ def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s:
     if "inject" in asked:
         faults.add(gripper_fault(asked["inject"]))
         return True
-    if "look" in asked:
+    if "read" in asked:
         servo.tick(now_s)
-        return servo.value(asked["look"])
+        return servo.value(asked["read"])
     return dict(servo.instructions)
 
 
@@ -189,7 +191,7 @@ def serve(choice: Mapping[str, Any]) -> None:
     clock = plant.time if isinstance(plant, SharedPlant) else HOST_TIME
     servo = VirtualServo(plant, choice["registers"], clock.now_s())
     line = Line(servo, faults, clock)
-    _tell(line.port)
+    _write_line(line.port)
     asking = sys.stdin.fileno()
     begun = b""
     while os.getppid() == parent:
@@ -200,10 +202,10 @@ def serve(choice: Mapping[str, Any]) -> None:
             return
         *asked, begun = (begun + data).split(b"\n")
         for text in asked:
-            _tell(_reply(json.loads(text), servo, faults, clock.now_s()))
+            _write_line(_reply(json.loads(text), servo, faults, clock.now_s()))
 
 
-def _tell(answer: Any) -> None:
+def _write_line(answer: Any) -> None:
     sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
 

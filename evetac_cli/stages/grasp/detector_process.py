@@ -22,7 +22,7 @@ from evetac_cli.devices.naming import CameraName, CameraSettings, Opened, open_c
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime.message_pipe import Outbox
+from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
@@ -116,7 +116,7 @@ def live(
     alive: held, and never written to: it closes when this process ends, however it ends.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
-    outbox = Outbox(pipe)
+    outbox = MessageWriter(pipe)
     camera = None
     error: Exception | None = None
     try:
@@ -151,7 +151,7 @@ def live(
     alive.close()
 
 
-def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: Outbox, most: int) -> None:
+def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: MessageWriter, most: int) -> None:
     """Feel slice after slice, until there are no more, or enough, or the board says stop."""
     host_us = getattr(camera, "host_us", None)
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
@@ -189,7 +189,7 @@ def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: Outbo
     _hand_over(outbox, rows, piece)
 
 
-def _hand_over(outbox: Outbox, rows: Piece, piece: list[Events]) -> None:
+def _hand_over(outbox: MessageWriter, rows: Piece, piece: list[Events]) -> None:
     rows.events = concatenate(piece)
     if not outbox.put(rows):
         waiting = f"{outbox.waiting_bytes / 1e6:.0f} MB wait to be written"
