@@ -71,7 +71,7 @@ class Host:
         return self.usb_backend is not None or libusb_package.get_libusb1_backend() is not None
 
     def cameras(self) -> list[FoundCamera]:
-        """All DVXplorer on the bus."""
+        """All DVXplorer cameras on the USB, whether or not they can be opened."""
         return find_cameras(self.usb_backend)
 
     def ask_camera(self, camera: FoundCamera) -> CameraAnswer:
@@ -100,7 +100,7 @@ class Host:
         return CameraAnswer(0, "", (columns, rows))
 
     def serial_ports(self) -> list[SerialPort]:
-        """Serial ports of USB adapters."""
+        """Serial ports of USB adapters, from sysfs."""
         ports = []
         for entry in sorted((self.sysfs / "class" / "tty").glob("tty[UA][SC][BM]*")):
             vendor = product = ""
@@ -136,17 +136,17 @@ class Host:
         return grippers
 
     def registers(self, port: Path, gripper: BusDevice, names: Iterable[str] = READ) -> dict[str, int]:
-        """Values of a gripper's registers."""
+        """Values of a gripper's registers by name; DeviceError if it does not answer."""
         with Bus(str(port), gripper.baud, gripper.id, answer_ms=self.answer_ms) as bus:
             bus.tolerant = True  # what it complains of is what we want to know
             return {name: bus.read(name) for name in names}
 
     def free_bytes(self, folder: Path) -> int:
-        """Room on the disk of a folder."""
+        """Free bytes on the disk of a folder."""
         return shutil.disk_usage(folder).free
 
     def has_package(self, name: str) -> bool:
-        """Whether a module can be imported."""
+        """Whether the module `name` is installed; it is not imported."""
         return find_spec(name) is not None
 
     def distributions(self, names: Iterable[str]) -> list[str]:

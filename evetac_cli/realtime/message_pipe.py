@@ -26,7 +26,7 @@ class MessageWriter:
     """The writing end; takes messages at any time and sends them when there is room."""
 
     def __init__(self, pipe: Connection, most_bytes: int = MOST_BYTES) -> None:
-        """most_bytes: how much may wait here."""
+        """most_bytes: how much may wait in memory until the pipe has room."""
         self._pipe = pipe
         self._waiting: deque[memoryview] = deque()
         self._most_bytes = most_bytes
@@ -72,7 +72,7 @@ class MessageWriter:
 
 
 class MessageReader:
-    """The reading end; never waits."""
+    """The reading end; takes what has come whole, and never waits."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe

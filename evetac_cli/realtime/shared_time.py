@@ -25,7 +25,7 @@ class TimeSource(Protocol):
     """A clock in seconds that never goes back, and what waits by it."""
 
     def now_s(self) -> float:
-        """The time."""
+        """Time now, in s."""
 
     def sleep(self, seconds: float) -> None:
         """Wait until so much of this time has passed."""
@@ -35,18 +35,18 @@ class TimeSource(Protocol):
 
 
 class HostTime:
-    """The host's monotonic clock, which waits for nobody."""
+    """The host's monotonic clock, which does not wait."""
 
     def now_s(self) -> float:
-        """time.monotonic."""
+        """Time now, in s, as time.monotonic."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """time.sleep."""
+        """Sleep for so many seconds, as time.sleep."""
         time.sleep(seconds)
 
     def slices_read_until(self, now_s: float) -> None:
-        """Without effect."""
+        """Without effect: the host's clock does not wait for readers."""
 
 
 HOST_TIME = HostTime()
@@ -102,7 +102,7 @@ class SharedTime:
 
     @property
     def reader_s(self) -> float:
-        """Time until which the slices were read; inf if nobody reads."""
+        """Time until which the slices were read; inf without a reader."""
         row = self._reader.read()
         return math.inf if row is None else row[1][0]
 

@@ -68,7 +68,7 @@ def _serial(device: Any) -> str | None:
     """Serial number of a camera, None if it cannot be read."""
     try:
         text: str | None = usb.util.get_string(device, device.iSerialNumber)
-    except (ValueError, usb.core.USBError):  # pyusb says ValueError where it may not open the device
+    except (ValueError, usb.core.USBError):  # pyusb raises ValueError where it may not open the device
         return None
     return text
 
@@ -96,7 +96,7 @@ class WordSlices(DeviceSlices):
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """What was lost so far, by reason."""
+        """Losses so far by reason: events, words, timestamps, bytes."""
         return {**self._decoder.counted, "late_events": self.late_events}
 
     @property
@@ -179,13 +179,13 @@ class DvxplorerCamera:
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """What was lost so far, by reason."""
+        """Losses so far by reason: events, words, timestamps, bytes."""
         own = {name: self._reader.lost[name] for name in ("events_in_full_queue", "usb_errors")}
         return {**self._slices.counted, **own, "events_after_last_slice": self._left}
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """The latest of what the camera said of itself."""
+        """The camera's latest own messages."""
         return tuple(self._reader.messages)
 
     def read(self) -> Events | None:

@@ -42,7 +42,7 @@ _ROWS_OF = np.array([([row for row in range(8) if byte >> row & 1] + [0] * 8)[:8
 
 
 def new_registers() -> NDArray[np.int64]:
-    """Registers before the first word."""
+    """Registers of a decoder that has seen no word yet."""
     registers = np.zeros(10, np.int64)
     registers[[MS, LAST_US, COLUMN, FIRST_MS]] = -1
     registers[WHERE] = LOST
@@ -51,7 +51,7 @@ def new_registers() -> NDArray[np.int64]:
 
 @njit(cache=True)
 def events_in(words: NDArray[np.uint32]) -> int:
-    """How many events the GROUP words hold."""
+    """Number of events in the GROUP words: the bits that are set."""
     events = 0
     for word in words:
         if word >> np.uint32(31):

@@ -29,7 +29,7 @@ LOSSES = loops.LOSSES
 
 @dataclass
 class Decoder:
-    """What is known of the stream so far."""
+    """State of the decoding of one stream, between two calls of `step`."""
 
     registers: NDArray[np.int64] = field(default_factory=loops.new_registers)
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(LOSSES), np.int64))

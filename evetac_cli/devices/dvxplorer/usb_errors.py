@@ -41,7 +41,7 @@ def device_error(error: OSError, where: str, doing: str) -> DeviceError:
 
 
 def no_libusb() -> DeviceError:
-    """There is no library to speak USB with."""
+    """Libusb cannot be loaded."""
     return DeviceError(
         "there is no libusb",
         where="--camera dvxplorer",
@@ -51,7 +51,7 @@ def no_libusb() -> DeviceError:
 
 
 def wrong_model(where: str, board: int) -> DeviceError:
-    """A DVXplorer, but not a Mini."""
+    """The camera is a DVXplorer whose board is not that of a Mini, and whose events come in another format."""
     return DeviceError(
         "is not a DVXplorer Mini",
         where=where,
@@ -85,5 +85,5 @@ def not_ready(where: str) -> DeviceError:
 
 
 def other_sensor(where: str, size: tuple[int, int]) -> DeviceError:
-    """The camera has another frame."""
+    """The camera's sensor has another size (columns, rows) than this driver knows."""
     return DeviceError("has another sensor", where=where, expected="640 x 480", found=f"{size[0]} x {size[1]}")

@@ -38,7 +38,7 @@ class Block(NamedTuple):
 
 
 class UsbReader(Thread):
-    """Moves buffers from the camera into a queue until told to stop or the camera fails."""
+    """Moves buffers from the camera into a queue until `end` is called or the camera fails."""
 
     def __init__(self, device: Any, where: str, queue_bytes: int, clock: TimeSource = HOST_TIME) -> None:
         super().__init__(name=f"reads {where}", daemon=True)
@@ -114,7 +114,7 @@ class UsbReader(Thread):
     def _put(self, block: Block) -> None:
         with self._changed:
             if not block.data and self._blocks and not self._blocks[-1].data:
-                before = self._blocks.pop()  # of two empty reads in a row the later one says all
+                before = self._blocks.pop()  # of two empty reads in a row the later one is enough
                 block = block._replace(gap=block.gap or before.gap)
             self._blocks.append(block)
             self._waiting_bytes += len(block.data)

@@ -258,7 +258,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._silent_ms = 0.0
 
     def _attempt(self, action: Callable[[], _T]) -> _T:
-        """Do it; on any failure the gripper is let go of, and the error says so."""
+        """Run a transaction; on any failure torque goes off, and the error says whether it did."""
         with self._alone:
             if self._closed:
                 raise DeviceError("the gripper is closed", where=self._where)
@@ -336,8 +336,8 @@ def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms:
         bus.ping()
 
 
-# Grippers that are let go of when the program ends: Python ends on the spot at SIGTERM and SIGHUP, unless it is told
-# otherwise.
+# Grippers that are let go of when the program ends: Python ends on the spot at SIGTERM and SIGHUP, unless a
+# handler is set.
 _OPEN: list[RhP12Rn] = []
 
 

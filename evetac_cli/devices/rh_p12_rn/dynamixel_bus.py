@@ -42,10 +42,10 @@ _FAULTS = {
     1: "could not carry it out",
     2: "does not know the instruction",
     3: "received a wrong checksum",
-    4: "says the value is out of range",
-    5: "says the length is wrong",
-    6: "says the value is beyond a limit",
-    7: "says the register cannot be accessed now",
+    4: "refuses the value as out of range",
+    5: "refuses the length of the data",
+    6: "refuses the value as beyond a limit",
+    7: "does not give access to the register now",
 }
 CRC_FAULT, RANGE_FAULT = 3, 4
 _BROKEN = (OSError, termios.error)  # what a port that has gone raises; serial.SerialException is an OSError
@@ -59,11 +59,11 @@ class Refused(DeviceError):
 
 
 class HardwareAlert(DeviceError):
-    """The servo has a hardware error."""
+    """The servo has a hardware error, such as an overload; its registers say which."""
 
 
 class PortGone(DeviceError):
-    """The port is no longer there."""
+    """The serial port disappeared while it was open: unplugged, or its adapter was reset."""
 
 
 class _Port(PortHandler):  # type: ignore[misc]
@@ -158,11 +158,11 @@ class Bus(AbstractContextManager["Bus"]):
         return {**self._counted, "answers_stray": self._port.strays}
 
     def ping(self) -> int:
-        """The device's model number."""
+        """Ask whether the device answers; returns its model number."""
         return int.from_bytes(self._transact(INST_PING, b"", 3, "ping")[:2], "little")
 
     def read(self, name: str) -> int:
-        """A register's value."""
+        """Value of a register, by its name in the control table."""
         register = REGISTERS[name]
         return register.decode(self.read_bytes(register.address, register.size))
 
@@ -172,7 +172,7 @@ class Bus(AbstractContextManager["Bus"]):
         return self._transact(INST_READ, asked, size, f"read {size} bytes at {address}")
 
     def write(self, name: str, value: int) -> None:
-        """Set a register, with an answer."""
+        """Set a register and wait for the answer; DeviceError if it is refused or lost."""
         register = REGISTERS[name]
         data = register.address.to_bytes(2, "little") + register.encode(value)
         self._transact(INST_WRITE, data, 0, f"write {value} to {name}")
@@ -283,7 +283,7 @@ class Bus(AbstractContextManager["Bus"]):
 
 
 def _not_opened(where: str, error: BaseException) -> DeviceError:
-    """Why a port cannot be opened, in words."""
+    """The DeviceError for a port that cannot be opened: missing, not permitted, in use."""
     number = getattr(error, "errno", None)
     if number == 2 or "No such file" in str(error):
         return DeviceError("there is no such port", where=where, hint="evetac doctor lists what is plugged in")

@@ -27,10 +27,10 @@ class WordSource(Protocol):
 
     @property
     def time(self) -> TimeSource:
-        """The time by which the words come."""
+        """The clock by which the words come, and by which the camera's driver goes."""
 
     def run(self, on: bool) -> None:
-        """Let time pass, or stand still."""
+        """Start (True) or stop the stream."""
 
     def take(self, most: int, timeout_s: float) -> bytes:
         """At most so many bytes of little-endian words, as they come; b"" if none came in time."""
@@ -95,11 +95,11 @@ class DeviceModel:
         return True
 
     def flush_stale(self) -> None:
-        """Forget words of earlier runs."""
+        """Discard words of earlier runs that were not fetched."""
         self._fifo.clear()
 
     def power_off(self) -> None:
-        """Stop, as when the plug is pulled."""
+        """Stop the stream, as when the plug is pulled."""
         self._run(False)
 
     def transfer(self, most: int, timeout_s: float) -> bytes:
@@ -190,7 +190,7 @@ class DeviceModel:
 
 
 def _registers(generation: Generation) -> dict[tuple[int, int], int]:
-    """Parameters that exist, at power-up."""
+    """Values at power-up of all parameters that a generation has, by (module, parameter)."""
     width, height = FRAME_PX
     if generation is Generation.PARAMETERS:
         zero = {(protocol.DVS, k): 0 for k in range(26)} | {(protocol.IMU, k): 0 for k in range(11)}

@@ -73,15 +73,15 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     # What pyusb asks of a bus.
 
     def enumerate_devices(self) -> Iterator[Any]:
-        """The one device, unless it is unplugged."""
+        """The camera, unless it is unplugged."""
         if not self._model.has("unplug"):
             yield self
 
     def get_parent(self, dev: Any) -> None:
-        """No hub is known."""
+        """None: the camera hangs on no hub."""
 
     def get_device_descriptor(self, dev: Any) -> Any:
-        """What lsusb would show."""
+        """The device descriptor, as lsusb shows it."""
         return SimpleNamespace(
             bLength=18,
             bDescriptorType=1,
@@ -105,7 +105,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         )
 
     def get_configuration_descriptor(self, dev: Any, config: int) -> Any:
-        """The one configuration."""
+        """Descriptor of the only configuration."""
         if config:
             raise IndexError
         numbers = {"bLength": 9, "bDescriptorType": 2, "wTotalLength": 32, "bNumInterfaces": 1}
@@ -113,7 +113,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return SimpleNamespace(**numbers, extra_descriptors=[])
 
     def get_interface_descriptor(self, dev: Any, intf: int, alt: int, config: int) -> Any:
-        """The one interface, without alternatives."""
+        """Descriptor of the only interface, which has no alternate settings."""
         if intf or alt:
             raise IndexError
         numbers = {"bLength": 9, "bDescriptorType": 4, "bInterfaceNumber": 0, "bAlternateSetting": 0}
@@ -128,40 +128,40 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return SimpleNamespace(**numbers, extra_descriptors=[])
 
     def open_device(self, dev: Any) -> Any:
-        """A handle: the camera itself."""
+        """The handle for all further calls: this camera; USBError without permission."""
         self._check()
         if self._model.has("no-permission"):
             _fail("Access denied (insufficient permissions)", errno.EACCES, -3)
         return self
 
     def close_device(self, dev_handle: Any) -> None:
-        """Nothing is held."""
+        """Without effect: a virtual camera holds nothing."""
 
     def set_configuration(self, dev_handle: Any, config_value: int) -> None:
-        """Choose the configuration."""
+        """Set the configuration by its number."""
         self._check()
         self._configuration = config_value
 
     def get_configuration(self, dev_handle: Any) -> int:
-        """The configuration chosen."""
+        """Number of the configuration that is set."""
         self._check()
         return self._configuration
 
     def claim_interface(self, dev_handle: Any, intf: int) -> None:
-        """Refused if another program has it."""
+        """Claim the interface; USBError (busy) where the fault says that another program has it."""
         self._check()
         if self._model.has("busy"):
             _fail("Resource busy", errno.EBUSY, -6)
 
     def release_interface(self, dev_handle: Any, intf: int) -> None:
-        """Nothing is held."""
+        """Without effect: a virtual camera holds nothing."""
 
     def is_kernel_driver_active(self, dev_handle: Any, intf: int) -> bool:
         """No driver of the kernel wants this camera."""
         return False
 
     def clear_halt(self, dev_handle: Any, ep: int) -> None:
-        """End a stall."""
+        """Clear a halted endpoint, unless the fault is that it cannot be cleared."""
         self._check()
         self._model.halted = self._model.has("stall-for-good")
 
@@ -190,7 +190,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         _fail("Pipe error", errno.EPIPE, -9)
 
     def bulk_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
-        """One transfer of event words."""
+        """One transfer of event words into the buffer; returns its bytes."""
         self._check()
         self._model.halted |= self._model.once("stall") or self._model.has("stall-for-good")
         if self._model.halted:
@@ -202,7 +202,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return _answer(buff, data)
 
     def intr_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
-        """One packet of the debug endpoint."""
+        """One packet of the debug endpoint into the buffer; returns its bytes."""
         self._check()
         if self._model.once("log"):
             return _answer(buff, _LOG_PACKET)
@@ -224,14 +224,14 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return request in (protocol.FLUSH_STALE, protocol.LOG_LEVEL, STORE_TO_FLASH)
 
     def _check(self) -> None:
-        """Nothing answers once the plug is pulled."""
+        """USBError (no such device) once the plug is pulled."""
         if self._model.has("unplug"):
             self._model.power_off()
             _fail("No such device (it may have been disconnected)", errno.ENODEV, -4)
 
 
 def _answer(buffer: Any, data: bytes) -> int:
-    """Put what fits into a buffer of pyusb."""
+    """Copy as many bytes as fit into a buffer of pyusb; returns how many."""
     count = min(len(buffer), len(data))
     buffer[:count] = array("B", data[:count])
     return count

@@ -68,15 +68,15 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
 
     @property
     def pid(self) -> int:
-        """Number of the servo's process."""
+        """Process id of the servo."""
         return self._process.pid
 
     def inject(self, fault: str) -> None:
-        """Let a fault strike, at once or as its moment or share says."""
+        """Let a fault strike, at once, or as its moment or share has it."""
         self._ask(inject=_checked(fault))
 
     def read_register(self, register: str) -> int:
-        """Value of a register, read past the wire."""
+        """Value of a register, read without using the serial port."""
         return int(self._ask(read=register))
 
     def instructions(self) -> dict[int, int]:

@@ -70,7 +70,7 @@ class VirtualServo:
 
     @property
     def baud(self) -> int:
-        """The rate that it listens at."""
+        """Baud rate at which the servo listens and answers."""
         return table.BAUD_RATES[self._get("Baud Rate")]
 
     @property
@@ -96,7 +96,7 @@ class VirtualServo:
         self._motion = self._plant.advance(self._goals, now_s)
 
     def forgive(self, frozen_s: float) -> None:
-        """Its process was stopped for so long and could hear nobody: that is no silence of the host."""
+        """Leave out a time for which this process was stopped (s): the host was not silent then."""
         self._heard_s += frozen_s
 
     def trip(self) -> None:
@@ -339,7 +339,7 @@ class VirtualServo:
 
 
 def _target(parameters: bytes) -> tuple[int, bytes]:
-    """Address and data of a write."""
+    """Address and data in the parameters of a write; Refused if they are too short."""
     if len(parameters) < 2:
         raise Refused(Fault.DATA_LENGTH)
     return struct.unpack_from("<H", parameters)[0], parameters[2:]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # numba is heavy, and a servo on shared memory does without i
     from evetac_cli.sim.gel.contact import ForceCurve
     from evetac_cli.sim.gripper import Drive, DriveState
 
-GAIN_MA_TICK = 0.1  # current per tick off the goal and unit of Position P Gain: 5 mA at the paper's 50 (sim/gripper)
+GAIN_MA_TICK = 0.1  # current per tick off the goal and unit of Position P Gain: 5 mA at the paper's 50 (sim/gripper.py)
 STEP_S = 1e-3
 LONGEST_CATCH_UP_S = 2.0  # a servo that slept longer has been at rest since
 OBSTACLE_REACH_TICKS = 200
@@ -59,7 +59,7 @@ class Goals(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What a servo measures."""
+    """What a servo measures: current (mA), position (ticks), speed (ticks/s)."""
 
     current_ma: float = 0.0
     position_ticks: int = 0
@@ -78,7 +78,7 @@ class Obstacle:
     """Something between the fingers: first touched at `at_ticks`, pushing back with `stiffness_n_tick` per finger."""
 
     at_ticks: float = 437.0
-    stiffness_n_tick: float = 0.27  # of fingers, links and mounts (sim/world)
+    stiffness_n_tick: float = 0.27  # of fingers, links and mounts (sim/scenes/gripped.py)
 
 
 class OwnDynamics:

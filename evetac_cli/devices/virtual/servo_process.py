@@ -166,7 +166,7 @@ class Line:
 
 
 def make_plant(choice: Mapping[str, Any]) -> Plant:
-    """The plant that gripper.py named."""
+    """The plant that the configuration from gripper.py describes."""
     if "shared" in choice:
         return SharedPlant(choice["shared"])
     return OwnDynamics(Obstacle(**choice["obstacle"]) if choice["obstacle"] else None, choice["position_ticks"])

@@ -4,9 +4,9 @@ The world makes a slice a millisecond from the moment the camera is started. Its
 the virtual camera sends over its virtual USB; its finger follows the registers of the virtual gripper, through shared
 memory. So drivers meet both as they would meet hardware.
 
-Why so: device time is the world's time. A world that cannot keep up with the host's clock is late, never slow, and says
-how many slices were late. A camera that is asked and has nothing to say has nothing left from before: so to say that
-there are no words, a late world first catches up with the moment at which it was asked.
+Why so: device time is the world's time. A world that cannot keep up with the host's clock is late, never slow, and
+counts the slices that were late. When a camera answers that it has no words, none may be left from before the question:
+so before it gives that answer, a late world first catches up with the moment at which it was asked.
 
 A world that is `patient` is never late: `time`, by which the camera's driver, the virtual servo and the control loops
 of a grasp go, stands still until the world has made what is due and the driver's slices were read. Tests set it
@@ -121,7 +121,7 @@ class VirtualWorld:
 
     @property
     def pid(self) -> int | None:
-        """Number of the world's process."""
+        """Process id of the world; None once it has ended."""
         return None if self._process is None else self._process.pid
 
     @property
@@ -130,7 +130,7 @@ class VirtualWorld:
         return {"slices_late": self._counters[_LATE], "slices_dropped": self._counters[_DROPPED]}
 
     def run(self, on: bool) -> None:
-        """Let time pass, or stand still."""
+        """Let the world's time pass (True) or stand still; DeviceError if its process has died."""
         try:
             self._orders.send(on)
         except OSError:
@@ -297,7 +297,7 @@ class _RunningWorld:
 
     @property
     def waiting_for(self) -> list[Connection]:
-        """Whether words wait for room in the pipe."""
+        """The pipe of the words, if some wait for room in it; for select."""
         return [self._words] if self._backlog else []
 
     def tick(self) -> None:
@@ -370,7 +370,7 @@ class _RunningWorld:
             self._world.command = goals.command()
 
     def _publish_motion(self, before_ticks: float) -> None:
-        """Show the servo how the finger moved."""
+        """Write down for the servo how the finger moved: current, position, and speed over the last slice."""
         finger = self._world.finger
         speed = (finger.closing_ticks - before_ticks) / SLICE_S
         self._plant.show(Motion(finger.current_ma, finger.position_ticks, speed))
