@@ -15,12 +15,11 @@ import numpy as np
 
 from evetac_cli.devices import Clock, Closable, EventCamera, Gripper, Rig
 from evetac_cli.devices.replay import ReplayCamera
-from evetac_cli.devices.virtual.camera_faults import fault
-from evetac_cli.devices.virtual.servo_faults import ServoFault
+from evetac_cli.devices.virtual.faults import camera_fault, gripper_fault
 from evetac_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from evetac_cli.devices.virtual.virtual_dvxplorer import PreparedWords
+    from evetac_cli.devices.virtual.word_sources import PreparedWords
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 CAMERAS = "sim, virtual, dvxplorer[:SERIAL], dv[:SERIAL] or replay:FILE"
@@ -90,7 +89,7 @@ def camera_name(text: str) -> CameraName:
         options = {name: option for option in given if (name := option.partition("=")[0]) in ("prepared", "firmware")}
         faults = tuple(option for option in given if option not in options.values())
         for each in faults:
-            fault(each)
+            camera_fault(each)
         prepared, firmware = (options.get(name, "").partition("=")[2] for name in ("prepared", "firmware"))
         rate = _number(prepared or str(PREPARED_EVENTS_S), "prepared=EVENTS_S", text)
         number = round(_number(firmware or str(FIRMWARE), "firmware=NUMBER", text))
@@ -106,7 +105,7 @@ def gripper_name(text: str | None, camera: CameraName) -> GripperName:
     if kind == "virtual":
         faults = tuple(filter(None, rest.split("+")))
         for each in faults:
-            ServoFault.parse(each)
+            gripper_fault(each)
         return GripperName(kind, faults=faults)
     if text in ("sim", "none"):
         return GripperName(text)
@@ -197,7 +196,7 @@ def open_camera(
         return through_dv, {"name": name.kind, "sensor": which, "settings": asdict(chosen)}, ()
     backend = None
     if name.kind == "virtual":
-        from evetac_cli.devices.virtual.virtual_dvxplorer import VirtualDvxplorer
+        from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 
         source = _prepared(name.prepared_events_s or PREPARED_EVENTS_S, seeds) if world is None else world
         backend = VirtualDvxplorer(source, name.firmware, faults=name.faults)
@@ -229,7 +228,7 @@ def _open_gripper(
     port = name.port
     patience = RhP12RnSettings()
     if name.kind == "virtual":
-        from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+        from evetac_cli.devices.virtual.gripper import VirtualGripper
 
         servo = VirtualGripper(world.plant if world else None, name.faults)
         port = servo.port

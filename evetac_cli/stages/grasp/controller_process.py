@@ -25,10 +25,10 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.control import Control
-from evetac_cli.realtime.message_pipe import Outbox
-from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.message_pipe import MessageWriter
+from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
-from evetac_cli.realtime.starting import ignore_interrupts
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.stages.grasp.loop import Timing, row_of
 
 RANK = 30  # of urgency
@@ -57,6 +57,7 @@ class Commanding:
     timing: Timing
     watchdog_ms: int
     most_s: float  # however long the camera's clock says that the grasp has yet to go
+    time: TimeSource = HOST_TIME  # by which the controller goes
 
 
 class Ready(NamedTuple):
@@ -162,7 +163,7 @@ def live(
     detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
-    outbox = Outbox(pipe)
+    outbox = MessageWriter(pipe)
     told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
         orders.recv()
@@ -174,7 +175,15 @@ def live(
             gc.collect()
             gc.freeze()
             gc.disable()  # the loop makes no cycles
-            told = command(gripper, board, commanding, outbox, gone=detector.poll)
+            told = command(
+                gripper,
+                board,
+                commanding,
+                outbox,
+                clock=commanding.time.now_s,
+                sleep=commanding.time.sleep,
+                gone=detector.poll,
+            )
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as error:
@@ -191,7 +200,7 @@ def command(
     gripper: Gripper,
     board: SharedStatus,
     commanding: Commanding,
-    outbox: Outbox,
+    outbox: MessageWriter,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
     gone: Callable[[], bool] = lambda: False,
@@ -213,7 +222,7 @@ def _command(
     gripper: Gripper,
     board: SharedStatus,
     commanding: Commanding,
-    outbox: Outbox,
+    outbox: MessageWriter,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
     gone: Callable[[], bool],
@@ -254,19 +263,19 @@ def _command(
             if ended:
                 break
             phase = timing.phase(slice_)
-            goal = control.step(phase, sign.felt, reading.position_ticks)
+            goal = control.step(phase, sign.signal, reading.position_ticks)
             gripper.write_position(goal)
         except DeviceError as failed:
             ended, error, alive_us = str(failed).splitlines()[0], failed, math.nan
             break
         last_s = clock()
         cycle_us.append((last_s - begun_s) * 1e6)
-        row = row_of(control, phase, sign.felt, reading, goal, round(now_us - sign.zero_us))
+        row = row_of(control, phase, sign.signal, reading, goal, round(now_us - sign.zero_us))
         row["control/late_us"] = late_us
         row["control/missed"] = pace.missed - told_missed
         row["control/latency_us"] = last_s * 1e6 + wire_us - sign.slip_began_us(seen)
         row["control/slices_processed"] = sign.slices
-        told_missed, seen = pace.missed, sign.felt.slips
+        told_missed, seen = pace.missed, sign.signal.slips
         rows.append(row)
         if len(rows) >= PIECE_STEPS:
             outbox.put(rows)

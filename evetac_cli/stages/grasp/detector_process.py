@@ -8,7 +8,6 @@ import contextlib
 import gc
 import os
 import sys
-import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -23,10 +22,10 @@ from evetac_cli.devices.naming import CameraName, CameraSettings, Opened, open_c
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime.message_pipe import Outbox
-from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.message_pipe import MessageWriter
+from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
-from evetac_cli.realtime.starting import ignore_interrupts
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.stages.grasp.loop import Sense
 
 if TYPE_CHECKING:
@@ -117,7 +116,7 @@ def live(
     alive: held, and never written to: it closes when this process ends, however it ends.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
-    outbox = Outbox(pipe)
+    outbox = MessageWriter(pipe)
     camera = None
     error: Exception | None = None
     try:
@@ -152,12 +151,13 @@ def live(
     alive.close()
 
 
-def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: Outbox, most: int) -> None:
+def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: MessageWriter, most: int) -> None:
     """Feel slice after slice, until there are no more, or enough, or the board says stop."""
     host_us = getattr(camera, "host_us", None)
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
     parent = os.getppid()
-    heard_us = _now_us()
+    clock: TimeSource = getattr(camera, "time", HOST_TIME)
+    heard_us = clock.now_s() * 1e6
     slips = slices = 0
     piece: list[Events] = []
     rows = Piece(concatenate([]))
@@ -168,7 +168,7 @@ def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: Outbo
         slices += 1
         probability = float("nan") if sense is None else sense.step(events)
         felt = SlipSignal() if sense is None else sense.felt
-        now_us = _now_us()
+        now_us = clock.now_s() * 1e6
         if events.size:
             heard_us = now_us
         zero_us = now_us - slices * SLICE_US if host_us is None else host_us(0.0)
@@ -189,13 +189,9 @@ def feel(camera: Opened, sense: Sense | None, board: SharedStatus, outbox: Outbo
     _hand_over(outbox, rows, piece)
 
 
-def _hand_over(outbox: Outbox, rows: Piece, piece: list[Events]) -> None:
+def _hand_over(outbox: MessageWriter, rows: Piece, piece: list[Events]) -> None:
     rows.events = concatenate(piece)
     if not outbox.put(rows):
         waiting = f"{outbox.waiting_bytes / 1e6:.0f} MB wait to be written"
         raise DeviceError("the recorder cannot keep up", found=waiting)
     outbox.send()
-
-
-def _now_us() -> float:
-    return time.monotonic() * 1e6

@@ -25,7 +25,8 @@ from evetac_cli.errors import DeviceError, EvetacError, InputError, attach_outco
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
-from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.processes import set_realtime_priority
+from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.stages.grasp import replay
@@ -47,7 +48,7 @@ from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter
 
 if TYPE_CHECKING:
-    from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+    from evetac_cli.devices.virtual.gripper import VirtualGripper
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 OUTPUT = "recording"
@@ -202,6 +203,7 @@ def run(job: Job, params: Grasp, seeds: np.random.SeedSequence, *, force: bool, 
             timing,
             (VIRTUAL_PATIENCE if world is not None else 1) * params.watchdog_ms,  # a late world holds up its camera
             params.max_seconds,
+            HOST_TIME if world is None else world.time,
         )
         loops = Loops(feeling, commanding, world)
         opened.callback(loops.close)
@@ -251,7 +253,7 @@ def _virtual_peers(
         world = VirtualWorld(job.choice["plan"], seeds, tells_truth=True, **durations)
         opened.callback(world.close)
     if gripper.kind == "virtual":
-        from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+        from evetac_cli.devices.virtual.gripper import VirtualGripper
 
         servo = VirtualGripper(world.plant if world is not None else None, gripper.faults)
         opened.callback(servo.close)

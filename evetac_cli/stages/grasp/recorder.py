@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.paper import Phase
-from evetac_cli.realtime import starting
-from evetac_cli.realtime.message_pipe import Inbox
+from evetac_cli.realtime.message_pipe import MessageReader
+from evetac_cli.realtime.processes import start_shielded
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages.grasp import controller_process, detector_process
@@ -59,7 +59,7 @@ class Loops:
         seen, seeing = context.Pipe(duplex=False)
         done, doing = context.Pipe(duplex=False)
         detector, alive = context.Pipe(duplex=False)  # nothing is sent: it ends when the detector does
-        self.seen, self.done = Inbox(seen), Inbox(done)
+        self.seen, self.done = MessageReader(seen), MessageReader(done)
         self.detector = context.Process(
             target=detector_process.live,
             args=(feeling, self.board, world, theirs[0], seeing, alive),
@@ -72,7 +72,7 @@ class Loops:
         )
         for process in (self.detector, self.controller):
             process.daemon = True
-            starting.start(process)
+            start_shielded(process)
         for end in (
             *theirs,
             seeing,
@@ -99,7 +99,7 @@ class Loops:
             self._orders[0].send("go")
 
     @staticmethod
-    def _wait_for(kind: type[_T], inbox: Inbox, process: Any, most_s: float, came: list[int]) -> _T:
+    def _wait_for(kind: type[_T], inbox: MessageReader, process: Any, most_s: float, came: list[int]) -> _T:
         until_s = time.monotonic() + most_s
         while time.monotonic() < until_s and not came:
             select.select([inbox], [], [], LOOK_S)

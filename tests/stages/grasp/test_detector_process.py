@@ -11,8 +11,8 @@ import pytest
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events, empty
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime import scheduling
-from evetac_cli.realtime.message_pipe import Inbox, Outbox
+from evetac_cli.realtime import processes
+from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.detector_process import PIECE_MS, Piece, feel, noise
 
@@ -70,14 +70,14 @@ class Spied(SharedStatus):
 
 
 @pytest.fixture
-def pipe() -> Iterator[tuple[Inbox, Outbox]]:
+def pipe() -> Iterator[tuple[MessageReader, MessageWriter]]:
     reading, writing = multiprocessing.Pipe(duplex=False)
-    yield Inbox(reading), Outbox(writing)
+    yield MessageReader(reading), MessageWriter(writing)
     reading.close()
     writing.close()
 
 
-def pieces(inbox: Inbox, outbox: Outbox) -> list[Piece]:
+def pieces(inbox: MessageReader, outbox: MessageWriter) -> list[Piece]:
     found: list[Piece] = []
     while outbox.waiting_bytes:
         found += inbox.take()
@@ -85,12 +85,12 @@ def pieces(inbox: Inbox, outbox: Outbox) -> list[Piece]:
     return found + list(inbox.take())
 
 
-def test_signs_and_slices(pipe: tuple[Inbox, Outbox]) -> None:
+def test_signs_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that every slice gives a sign, with the host's time of the first event of slip, and is handed over."""
     camera, board, most = Camera(4 * PIECE_MS), Spied(), 2 * PIECE_MS + 7
     feel(camera, Sense(), board, pipe[1], most)
     assert [sign.slices for sign in board.told] == list(range(1, most + 1))
-    assert [sign.felt.slips for sign in board.told] == [k // 3 for k in range(1, most + 1)]
+    assert [sign.signal.slips for sign in board.told] == [k // 3 for k in range(1, most + 1)]
     assert {sign.zero_us for sign in board.told} == {7e6}
     began = [7e6 + (float(camera.slices[k].t[0]) if camera.slices[k].size else 1e3 * k) for k in range(2, most, 3)]
     assert list(board.told[-1].slip_us) == began[-len(board.told[-1].slip_us) :]
@@ -103,16 +103,16 @@ def test_signs_and_slices(pipe: tuple[Inbox, Outbox]) -> None:
     assert [p for piece in came for p in piece.probability] == [0.25 * (k % 3) for k in range(1, most + 1)]
 
 
-def test_without_a_detector(pipe: tuple[Inbox, Outbox]) -> None:
+def test_without_a_detector(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that slices are recorded, and signs of life given, where nothing is felt."""
     board = Spied()
     feel(Camera(20), None, board, pipe[1], 10)
     assert board.told[-1].slices == 10
-    assert board.told[-1].felt.slips == 0
+    assert board.told[-1].signal.slips == 0
     assert np.isnan(pieces(*pipe)[0].probability).all()
 
 
-def test_ends(pipe: tuple[Inbox, Outbox]) -> None:
+def test_ends(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that an order to stop ends it with what was felt, and that a stream which ends too early is an error."""
     board = Spied()
     board.stop()
@@ -126,7 +126,7 @@ def test_a_recorder_that_does_not_read() -> None:
     """Assert that slices which nobody fetches are an error once too much is waiting, and not silently lost."""
     reading, writing = multiprocessing.Pipe(duplex=False)
     with pytest.raises(DeviceError, match="cannot keep up"):
-        feel(Camera(500), Sense(), Spied(), Outbox(writing, most_bytes=3_000_000), 500)
+        feel(Camera(500), Sense(), Spied(), MessageWriter(writing, most_bytes=3_000_000), 500)
     reading.close()
     writing.close()
 
@@ -146,13 +146,13 @@ def test_urgency_as_far_as_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
         PRIO_PROCESS=0,
         setpriority=lambda *what: asked.append(("nice", what)),
     )
-    monkeypatch.setattr(scheduling, "os", permitted)
-    monkeypatch.setattr(scheduling, "sys", SimpleNamespace(platform="linux"))
-    assert scheduling.set_realtime_priority(20) == "real-time 20"
+    monkeypatch.setattr(processes, "os", permitted)
+    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="linux"))
+    assert processes.set_realtime_priority(20) == "real-time 20"
     permitted.sched_setscheduler = refuse
-    assert scheduling.set_realtime_priority(20, 4711) == "nice -10"
+    assert processes.set_realtime_priority(20, 4711) == "nice -10"
     assert asked[-1] == ("nice", (0, 4711, -10))
     permitted.setpriority = refuse
-    assert scheduling.set_realtime_priority(20) == "as usual"
-    monkeypatch.setattr(scheduling, "sys", SimpleNamespace(platform="darwin"))
-    assert scheduling.set_realtime_priority(20) == "as usual"
+    assert processes.set_realtime_priority(20) == "as usual"
+    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="darwin"))
+    assert processes.set_realtime_priority(20) == "as usual"
