@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from evetac_cli.kernels.slip.slip import ARCHITECTURES
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
