@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write import write_aedat4, write_calibration, write_dsec, write_text
-from evetac_cli.formats.write.pieces import Progress, silent
+from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 from evetac_cli.store.read import Recording

@@ -69,7 +69,7 @@ def same(a: Events, b: Events) -> bool:
 
 def needs(format_: str) -> None:
     if format_ == "aedat4":
-        pytest.importorskip("dv_processing")
+        pytest.importorskip("faery")
 
 
 def refusal(call: Callable[[], Any]) -> str:
@@ -289,16 +289,20 @@ def test_a_full_disk_is_said_and_leaves_nothing(source: Path, tmp_path: Path, fo
     assert list(target.parent.iterdir()) == []
 
 
-def test_aedat4_needs_the_camera_extra(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a missing library is named with the command that installs it, and a crash is contained."""
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    stand_in = tmp_path / "dv_processing.py"
-    stand_in.write_text("raise ImportError('libdv.so: no such file')")
+def test_aedat4_needs_the_convert_extra(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing library is named with the command that installs it."""
+    monkeypatch.setitem(sys.modules, "faery", None)
     words = refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
-    assert 'pip install "evetac[camera]"' in words and "libdv.so" in words
-    stand_in.write_text("import os; os.abort()")
-    assert "AEDAT4 cannot be written" in refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
+    assert 'pip install "evetac[convert]"' in words
     assert not (tmp_path / "x.aedat4").exists()
+
+
+def test_aedat4_has_no_times_before_0(tmp_path: Path) -> None:
+    """Assert that a recording whose source's clock begins before 0 is refused rather than written with other times."""
+    pytest.importorskip("faery")
+    source = write(tmp_path / "a.recording.h5", drawn(10), 50, -100_000)
+    assert "no times before 0" in refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.recording.h5"]
 
 
 @pytest.mark.parametrize(

@@ -11,12 +11,13 @@ import tempfile
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, frame_of
+from evetac_cli.formats.read.faery_library import load_faery, refusal_text
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
 HEAD_LIMIT_BYTES = 1 << 20
@@ -127,7 +128,7 @@ def head_of(kind: str, frame: tuple[int, int]) -> bytes:
 
 def decode(path: Path, kind: str, frame: tuple[int, int], where: str) -> Iterator[Columns]:
     """All events of a file, by faery; `where` is what the user calls it."""
-    faery = _library(where)
+    faery = load_faery("RAW and DAT files need", where)
     start = 0
     try:
         stream = faery.events_stream_from_file(
@@ -140,21 +141,9 @@ def decode(path: Path, kind: str, frame: tuple[int, int], where: str) -> Iterato
             yield Columns(events["t"], events["x"], events["y"], events["on"], partial(at_index, start))
             start += len(events)
     except BaseException as error:
-        # A panic of faery's Rust is a BaseException of a type that cannot be imported.
-        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
-            raise
         raise InputError(
             "cannot be read as Prophesee's",
             where=where,
-            found=f"after {start} events: {str(error).splitlines()[0][:200] if str(error) else type(error).__name__}",
+            found=f"after {start} events: {refusal_text(error)}",
             hint="the file is damaged; copy it again",
         ) from None
-
-
-def _library(where: str) -> Any:
-    try:
-        import faery
-    except ImportError as error:
-        hint = 'pip install "evetac[convert]"'
-        raise InputError("RAW and DAT files need faery", where=where, found=str(error), hint=hint) from None
-    return faery

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.write.pieces import Progress
+from evetac_cli.jobs import Progress
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.store.calibration import Calibration, write_calibration
 from evetac_cli.store.provenance import made

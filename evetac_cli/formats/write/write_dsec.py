@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.formats.note import NAME
-from evetac_cli.formats.write.pieces import Progress, note_of, pieces, t_offset_us
+from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
+from evetac_cli.jobs import Progress
 from evetac_cli.store.disk import new_file
 from evetac_cli.store.files import create, put
 from evetac_cli.store.read import Recording
@@ -23,7 +24,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
     """All columns, piece by piece."""
     types = {"t": np.uint32 if len(recording) <= SHORT_MS else np.int64, **TYPES}
     with new_file(path) as h5:
-        h5.attrs[NAME] = note_of(recording, 0).text()
+        h5.attrs[NAME] = note_for(recording, 0).text()
         count = recording.event_count
         columns = {}
         for name, type_ in types.items():
