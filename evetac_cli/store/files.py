@@ -158,7 +158,16 @@ def _read_header(path: Path, h5: h5py.File) -> Header:
         canonical(header)
     except (ValueError, TypeError, RecursionError):
         raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
-    version = re.fullmatch("([0-9]{1,9})[.][0-9]{1,9}", str(header.get("version")))
+    number = header.get("version")
+    version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", number) if isinstance(number, str) else None
+    if version and (int(version[1]), int(version[2])) < (schema.MAJOR, schema.OLDEST_MINOR):
+        raise InputError(
+            "written by an earlier version of evetac and cannot be read",
+            where=str(path),
+            expected=f"version {schema.MAJOR}.{schema.OLDEST_MINOR} or newer",
+            found=f"{header.get('kind')} version {version[0]}",
+            hint="make it again from its recipe: names of datasets and parameters have changed",
+        )
     if version and int(version[1]) > schema.MAJOR:  # said first: such a header may look different
         raise InputError(
             f"made by a newer evetac: {header.get('kind')} version {version[0]}",

@@ -19,6 +19,7 @@ from evetac_cli.resources import schemas
 
 KINDS = ("recording", "labels", "tracks", "features", "model", "force-model", "forces", "report")
 MAJOR = 1
+OLDEST_MINOR = 2  # files of version 1.1 and before have other names of datasets and parameters
 
 
 @dataclass(frozen=True)

@@ -191,3 +191,13 @@ def test_static_is_plain(tmp_path: Path) -> None:
     folder = broken_off(tmp_path, [1])
     with h5py.File(folder / "static.h5") as h5:
         assert json.loads(h5.attrs["recipe"])["parameters"] == RECIPE.parameters
+
+
+def test_leftover_of_the_first_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what an earlier version left, with other names of datasets, is refused as such and stays."""
+    monkeypatch.setitem(STATIC, "sensor/individual", STATIC["sensor/name"])
+    folder = broken_off(tmp_path, [2])
+    with pytest.raises(InputError, match="another version of evetac") as refused:
+        recovery.read_leftover(folder)
+    assert "sensor/individual" in str(refused.value)
+    assert (folder / "000000.h5").exists()
