@@ -4,12 +4,14 @@
     packets, each: int32 stream, int32 size, payload (a compressed flatbuffer)
     packet table, only in files that were closed
 
-Why the frame of the file is read here and faery gets only packets: faery reads as far as the packet table, so of a file
-that lost its table (a recorder that was killed, a copy that was cut) it gives nothing; it ends at the first damaged
-packet; and it refuses a packet whole where one event lies outside the frame. So the complete packets of one stream are
-put, a group at a time, behind a header without a packet table and with the largest frame, and a group that cannot be
-decoded is halved until only its damaged packets are left out. Where the headers of packets are damaged, the packet
-table leads past them.
+Why the frame of the file is read here, and faery gets one packet at a time, in a file of its own:
+
+- faery reads as far as the packet table, so of a file that lost its table (a recorder that was killed, a copy that was
+  cut) it gives nothing, and it ends at the first damaged packet;
+- it refuses a whole packet where one event lies outside the frame, so it is given the largest frame;
+- where time goes backwards it repeats the latest time without a word: so only inside a packet.
+
+Where the headers of packets are damaged, the packet table leads past them.
 
 Why in this process: faery 0.7.1 read or refused every one of 84,000 damaged packets (plain, LZ4, zstd), none in more
 than 0.5 s; dv-processing 2.0.4 loops for ever on some. Cameras' packets carry no checksum: a damaged one may decode to
@@ -22,7 +24,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
@@ -39,7 +41,6 @@ MAGIC = b"#!AER-DAT4.0\r\n"
 NO_TABLE = struct.pack("<q", -1)
 HEADER_LIMIT_BYTES = 1 << 24
 TABLE_LIMIT_BYTES = 1 << 28  # 40 bytes a packet before compression, some 100 packets a second
-GROUP_PACKETS = 256  # decoded at once: some seconds of a recording
 LARGEST_FRAME_PX = (32767, 32767)  # what faery takes
 COMPRESSIONS = {0: None, 1: ("lz4", 1), 2: ("lz4", 1), 3: ("zstd", 3), 4: ("zstd", 3)}  # 2, 4: slower to write
 EMPTY_PACKET = "empty events packet"  # what faery says of a packet without events, which is not damage
@@ -226,28 +227,28 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
     """
     where = str(path)
     size = path.stat().st_size
-    kept = intact = 0
+    total = intact = 0
     trouble = ""
     load_faery("AEDAT4 needs", where)
-    with path.open("rb") as handle, tempfile.TemporaryDirectory() as folder:
+    with path.open("rb") as handle, tempfile.NamedTemporaryFile(suffix=".aedat4") as copy:
         listed = _listed(handle, header, number)
-        start = _start(Path(folder) / "start.aedat4", header.compression)
+        start = _start(Path(copy.name), header.compression)
         led_past = listed is not None and len(listed) > len(packets.spans)
         spans = listed if listed is not None and led_past else packets.spans
-        for first in range(0, len(spans), GROUP_PACKETS):
-            group = spans[first : first + GROUP_PACKETS]
-            for part in _decode(handle, start, group, Path(folder) / "group.aedat4"):
-                if isinstance(part, str):
-                    trouble = trouble or part
-                    continue
-                intact += 1
-                # faery counts time in uint64; the file in int64
-                yield Columns(part["t"].view(np.int64), part["x"], part["y"], part["on"], partial(at_index, kept))
-                kept += len(part)
-    if not kept:
+        for span in spans:
+            handle.seek(span.start)
+            events = _decode(start, handle.read(span.stop - span.start), copy)
+            if isinstance(events, str):
+                trouble = trouble or events
+                continue
+            intact += 1
+            # faery counts time in uint64; the file in int64
+            yield Columns(events["t"].view(np.int64), events["x"], events["y"], events["on"], partial(at_index, total))
+            total += len(events)
+    if not intact:
         lost = f"{size - packets.end} bytes after byte {packets.end}" if not packets.whole else trouble or "no packet"
         raise InputError("no packet of events can be read: the file is broken", where=where, found=lost)
-    foreign.notes += _damage(header, packets, size, (kept, intact, len(spans)), trouble, listed, led_past=led_past)
+    foreign.notes += _damage(header, packets, size, (total, intact, len(spans)), trouble, listed, led_past=led_past)
     foreign.cut_short = intact < len(spans) or (not packets.whole and not led_past) or header.table < 0
 
 
@@ -262,41 +263,35 @@ def _damage(
     led_past: bool,
 ) -> Iterator[str]:
     """What is wrong with a file, in words; counts: events, packets decoded, packets."""
-    kept, intact, count = counts
+    total, intact, count = counts
     if intact < count:
-        yield f"broken file: kept {kept} events of {intact} of {count} packets; {trouble}"
+        yield f"broken file: kept {total} events of {intact} of {count} packets; {trouble}"
     if led_past:
         yield f"a packet at byte {packets.end} is damaged; the packet table led past it"
     elif not packets.whole:
         lost = min(size, header.table if header.table >= 0 else size) - packets.end
         word = "damaged" if 0 <= header.table < size else "truncated"
-        yield f"{word} file: kept {kept} events of {intact} complete packets; {lost} bytes are lost"
+        yield f"{word} file: kept {total} events of {intact} complete packets; {lost} bytes are lost"
     elif header.table < 0:
-        yield f"the recorder never closed the file: kept {kept} events of {intact} packets"
+        yield f"the recorder never closed the file: kept {total} events of {intact} packets"
     elif listed is None and intact == count:
         yield f"the packet table is damaged: read all {intact} packets without it"
 
 
-def _decode(handle: BinaryIO, start: bytes, spans: list[Span], copy: Path) -> list[NDArray[Any] | str]:
-    """For each packet its events, or why it cannot be decoded; halves the list until a damaged packet is alone."""
-    with copy.open("wb") as target:
-        target.write(start)
-        for span in spans:
-            handle.seek(span.start)
-            target.write(struct.pack("<ii", 0, span.stop - span.start))
-            target.write(handle.read(span.stop - span.start))
+def _decode(start: bytes, payload: bytes, copy: IO[bytes]) -> NDArray[Any] | str:
+    """The events of a packet, or why it cannot be decoded; `copy` is the file that faery reads it from."""
+    copy.seek(0)
+    copy.write(start + struct.pack("<ii", 0, len(payload)) + payload)
+    copy.truncate()
+    copy.flush()
     try:
-        with _aedat().Decoder(copy) as decoder:
-            parts = [events for _, events in decoder]
-        if len(parts) == len(spans):
-            return parts
-        trouble = "the decoder stopped"
+        with _aedat().Decoder(copy.name) as decoder:
+            for _, events in decoder:
+                return np.asarray(events)
+        return "the decoder stopped"
     except BaseException as error:
         trouble = refusal_text(error)
-    if len(spans) == 1:
-        return [np.empty(0, EVENT) if trouble == EMPTY_PACKET else trouble]
-    half = len(spans) // 2
-    return [*_decode(handle, start, spans[:half], copy), *_decode(handle, start, spans[half:], copy)]
+    return np.empty(0, EVENT) if trouble == EMPTY_PACKET else trouble
 
 
 def _start(path: Path, compression: int) -> bytes:
