@@ -9,7 +9,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.imports import Imported, read_events
 
 
-def rows_of(imported: Imported) -> list[tuple[int, ...]]:
+def event_rows(imported: Imported) -> list[tuple[int, ...]]:
     """Its events, one (t_us, x, y, p) after the other."""
     return [tuple(int(value) for value in row) for row in zip(*imported.events, strict=True)]
 

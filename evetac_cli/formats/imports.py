@@ -195,8 +195,8 @@ def _head(path: Path) -> bytes:
         hint = "a ROS 2 bag without its metadata.yaml? name the .db3 or .mcap file in it"
         raise InputError("this is a folder", where=str(path), expected=EXPECTED, hint=hint)
     if not path.is_file():
-        found = "a device or pipe" if path.exists() else "no such file"
-        raise InputError("cannot be read", where=str(path), expected=EXPECTED, found=found)
+        what = "a device or pipe" if path.exists() else "no such file"
+        raise InputError("cannot be read", where=str(path), expected=EXPECTED, found=what)
     with path.open("rb") as handle:
         head = handle.read(HEAD_BYTES)
     if not head:

@@ -1,4 +1,4 @@
-"""The note that an export leaves in a foreign file, and an import reads back: what the format itself cannot say.
+"""The note that an export writes into a file, and an import reads back: what the format itself cannot say.
 
 Formats of events hold events: a recording that begins or ends in silence would come back shorter, text and HDF5 do not
 say how large the frame is, and none says that its events come from a simulation. The note is one line of JSON: in
@@ -23,10 +23,10 @@ class Note:
     slices: int
     frame_px: tuple[int, int]
     simulated: bool
-    events: int | None = None  # how many there were: whether the file still has its end
+    events: int | None = None  # how many were written: shows whether the file still has its end
 
     def text(self) -> str:
-        """As JSON, on one line."""
+        """The note as one line of JSON, as it is written into the file."""
         return json.dumps(asdict(self))
 
 

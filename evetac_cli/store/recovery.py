@@ -20,7 +20,17 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.store import schema
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, RECIPE, SEGMENTS, STATIC, crc_of, datasets_of
+from evetac_cli.store.segments import (
+    COUNTS,
+    CRC,
+    FIRST_SLICE,
+    JOINED,
+    RECIPE,
+    SEGMENTS,
+    STATIC,
+    checksum,
+    dataset_paths,
+)
 
 SUFFIX = ".part"
 LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that holds some"
@@ -28,7 +38,7 @@ LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that holds some"
 
 @dataclass
 class Leftover:
-    """What can be made of a folder."""
+    """The segments in a folder that can be joined, and what is lost between them."""
 
     recipe: Recipe
     parts: list[Path | int] = field(default_factory=list)  # segments, and so many lost slices between them
@@ -41,7 +51,7 @@ class Leftover:
 
 
 def check_folder(path: Path) -> None:
-    """InputError unless there is a folder of this name."""
+    """InputError unless the path is a folder."""
     if not path.exists():
         raise InputError("no such file", where=str(path), expected=LEFTOVER)
     if not path.is_dir():
@@ -77,7 +87,7 @@ def was_joined(folder: Path) -> bool:
 
 
 def read_leftover(folder: Path) -> Leftover:
-    """Look at every segment; InputError if what was known at the start cannot be read, and nothing can be made."""
+    """Check every segment; InputError if what was known at the start cannot be read, and nothing can be made."""
     leftover = Leftover(_recipe(folder))
     frame = _frame(folder)
     numbered = {int(path.stem): path for path in folder.glob(SEGMENTS)}
@@ -158,9 +168,9 @@ def _frame(folder: Path) -> tuple[int, int]:
 def _check_bytes(h5: h5py.File) -> dict[str, Any]:
     """All arrays of a file; ValueError if the bytes of one are not those that were written."""
     arrays = {}
-    for name in datasets_of(h5):
+    for name in dataset_paths(h5):
         value = h5[name][()]
-        if CRC in h5[name].attrs and crc_of(value) != int(h5[name].attrs[CRC]):
+        if CRC in h5[name].attrs and checksum(value) != int(h5[name].attrs[CRC]):
             raise ValueError(f"{name} was damaged")
         arrays[name] = value
     return arrays

@@ -36,7 +36,7 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Schema:
-    """What a file of one kind holds."""
+    """The table of datasets of one kind of file, with its version and the groups that may be missing."""
 
     kind: str
     version: str
@@ -70,25 +70,25 @@ def load(kind: str) -> Schema:
     return Schema(kind, table["version"], table["meaning"], tuple(table["optional_groups"]), rows)
 
 
-def problems(schema: Schema, found: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:
+def problems(schema: Schema, stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:
     """Compare what a file holds, path -> (dtype, shape), with its schema; one line per difference, empty if valid."""
     lines = []
     for row in schema.datasets:
         group = row.path.split("/")[0]
-        group_absent = group in schema.optional_groups and not any(path.startswith(group + "/") for path in found)
+        group_absent = group in schema.optional_groups and not any(path.startswith(group + "/") for path in stored)
         wanted = not row.optional and not group_absent
-        if wanted and not any(schema.find(path) is row for path in found):
+        if wanted and not any(schema.find(path) is row for path in stored):
             lines.append(f"{row.path} is missing: {row.meaning}")
     sizes: dict[str, tuple[int, str]] = {}
-    for path, (dtype, shape) in found.items():
-        found_row = schema.find(path)
-        if found_row is None:
+    for path, (dtype, shape) in stored.items():
+        described = schema.find(path)
+        if described is None:
             lines.append(f"{path} is not in the schema of a {schema.kind} file")
             continue
-        if dtype != found_row.dtype:
-            lines.append(f"{path}: expected dtype {found_row.dtype}, found {dtype}")
-        if found_row.dims is not None:
-            lines += _shape_problems(path, found_row.dims, shape, sizes)
+        if dtype != described.dtype:
+            lines.append(f"{path}: expected dtype {described.dtype}, found {dtype}")
+        if described.dims is not None:
+            lines += _shape_problems(path, described.dims, shape, sizes)
     return lines
 
 

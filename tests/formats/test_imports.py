@@ -24,7 +24,7 @@ from evetac_cli.formats.read import read_aedat4, read_text
 from evetac_cli.formats.read.event_validation import Columns, normalise
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
-from tests.importing import refusal, rows_of
+from tests.importing import event_rows, refusal
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
 FRAME = (640, 480)
@@ -50,7 +50,7 @@ def same(a: Events, b: Events) -> bool:
     return all(np.array_equal(left, right) and left.dtype == right.dtype for left, right in pairs)
 
 
-# --- the door -----------------------------------------------------------------------------------------------------
+# --- validation of events -----------------------------------------------------------------------------------------
 
 INTEGERS = st.sampled_from(["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"]).map(np.dtype)
 
@@ -73,7 +73,7 @@ def integer_batches(draw: st.DrawFn) -> Columns:
 @settings(max_examples=300)
 @given(integer_batches(), st.booleans())
 def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: bool) -> None:
-    """Assert that the door gives what a plain loop over Python integers gives, or refuses."""
+    """Assert that validation gives what a plain loop over Python integers gives, or refuses."""
     width, height = 10, 7
     rows = [tuple(int(value) for value in row) for row in zip(*batch[:4], strict=True)]
     inside = [row for row in rows if 0 <= row[1] < width and 0 <= row[2] < height]
@@ -91,7 +91,7 @@ def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: boo
             normalise([batch], (width, height), sort=sort)
         return
     normal = normalise([batch], (width, height), sort=sort)
-    expected = sorted(inside, key=lambda row: row[0])  # stable, as the door must be
+    expected = sorted(inside, key=lambda row: row[0])  # stable, as validation must be
     first_us = expected[0][0] if expected else 0
     assert [column.dtype for column in normal.events] == [np.int64, np.uint16, np.uint16, np.uint8]
     assert [tuple(int(value) for value in row) for row in zip(*normal.events, strict=True)] == [
@@ -159,7 +159,7 @@ def test_what_is_no_number_is_dropped_and_counted() -> None:
     ],
 )
 def test_columns_that_mean_something_else_are_refused(batch: Columns, words: str) -> None:
-    """Assert that the door says what is wrong and where, instead of making something up."""
+    """Assert that validation says what is wrong and where, instead of making something up."""
     with pytest.raises(InputError, match=words):
         normalise([batch], (10, 10))
 
@@ -206,7 +206,7 @@ ROWS = [(0, 1, 2, 1), (1500, 3, 4, 0), (2000, 5, 6, 1)]
 def test_every_way_to_write_text_reads_the_same(text: Callable[..., Path], content: str) -> None:
     """Assert that separators, comments, line ends, units, polarity codes and column orders do not change the events."""
     imported = read_events(text(content), frame_px=FRAME)
-    assert rows_of(imported) == ROWS
+    assert event_rows(imported) == ROWS
     assert (imported.format, imported.slices, imported.frame_px, imported.notes) == ("text", 3, FRAME, [])
     assert imported.t_offset_us in (1000, 1_000_000)
 
@@ -214,7 +214,7 @@ def test_every_way_to_write_text_reads_the_same(text: Callable[..., Path], conte
 def test_a_line_of_names_says_order_and_unit(text: Callable[..., Path]) -> None:
     """Assert that a file can name its columns and its unit, and that other names are no names."""
     path = text("x,y,p,t_s\n1,2,1,0\n3,4,0,0.0015\n5,6,1,0.002\n")
-    assert rows_of(read_events(path, frame_px=FRAME)) == ROWS
+    assert event_rows(read_events(path, frame_px=FRAME)) == ROWS
     assert "line 1: 't_ms x y p'" in refusal(text("t_ms x y p\n0 1 2 1\n"), frame_px=FRAME)
     assert "line 2: 't_us x y p'" in refusal(text("t x y p\nt_us x y p\n0 1 2 1\n"), frame_px=FRAME)
 
@@ -267,9 +267,9 @@ def test_bad_lines_are_refused_by_number(
 ) -> None:
     """Assert that the user is told which line is wrong, as an editor counts them, and in what way."""
     monkeypatch.setattr(read_text, "BLOCK_CHARS", block)
-    found = refusal(text(content), frame_px=FRAME)
-    assert words in found
-    assert f"line {line}" in found
+    refused = refusal(text(content), frame_px=FRAME)
+    assert words in refused
+    assert f"line {line}" in refused
 
 
 def test_text_outside_frame_and_not_a_number_is_counted(text: Callable[..., Path]) -> None:
@@ -277,7 +277,7 @@ def test_text_outside_frame_and_not_a_number_is_counted(text: Callable[..., Path
     path = text(f"0 1 2 1\nnan 1 2 1\n3 -1 2 1\n4 640 2 0\n5 {2**70} 2 1\ninf 1 2 1\n-INF 2 2 0\n6 639 479 1\n")
     imported = read_events(path, frame_px=FRAME)
     assert imported.counts == {"not_a_number": 3, "out_of_frame": 3}
-    assert rows_of(imported) == [(0, 1, 2, 1), (6, 639, 479, 1)]
+    assert event_rows(imported) == [(0, 1, 2, 1), (6, 639, 479, 1)]
 
 
 def test_text_needs_a_frame_size(text: Callable[..., Path]) -> None:
@@ -331,7 +331,7 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
     path = text("10 1 2 1\n4 3 4 0\n")
     assert "--sort" in refusal(path, frame_px=FRAME)
     imported = read_events(path, frame_px=FRAME, sort=True)
-    assert (rows_of(imported), imported.sorted) == ([(0, 3, 4, 0), (6, 1, 2, 1)], 1)
+    assert (event_rows(imported), imported.sorted) == ([(0, 3, 4, 0), (6, 1, 2, 1)], 1)
     assert imported.notes == ["time went backwards: 1 events were put back in order"]
 
 
@@ -415,7 +415,7 @@ def test_dsec_layout_is_read(dsec: Callable[..., Path]) -> None:
         file["ms_to_idx"] = np.array([0, 0, 1, 2], np.uint64)
 
     imported = read_events(dsec(complete), frame_px=FRAME)
-    assert rows_of(imported) == ROWS
+    assert event_rows(imported) == ROWS
     assert (imported.format, imported.t_offset_us, imported.slices) == ("hdf5", 49_599_001_000, 3)
     assert "--frame-size" in refusal(dsec())
 
@@ -423,13 +423,13 @@ def test_dsec_layout_is_read(dsec: Callable[..., Path]) -> None:
 @pytest.mark.parametrize("p", [np.array([True, False, True]), np.array([1, -1, 1], np.int8)])
 def test_polarity_of_other_types_is_read(dsec: Callable[..., Path], p: Any) -> None:
     """Assert that logical and signed polarities mean the same as 0 and 1."""
-    assert rows_of(read_events(dsec(p=p, options={"compression": "gzip"}), frame_px=FRAME)) == ROWS
+    assert event_rows(read_events(dsec(p=p, options={"compression": "gzip"}), frame_px=FRAME)) == ROWS
 
 
 def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that batches join without loss, and places are counted through them."""
     monkeypatch.setattr("evetac_cli.formats.read.read_dsec.BATCH_ROWS", 2)
-    assert rows_of(read_events(dsec(), frame_px=FRAME)) == ROWS
+    assert event_rows(read_events(dsec(), frame_px=FRAME)) == ROWS
     assert "first at index 2" in refusal(dsec(t=np.array([5, 6, 4])), frame_px=FRAME)
 
 
@@ -623,12 +623,12 @@ def spans(aedat4: tuple[Path, Events]) -> list[tuple[int, int]]:
     """Where its packets lie, found by the rule of the format: stream and size before each."""
     data = aedat4[0].read_bytes()
     at = 18 + struct.unpack_from("<I", data, 14)[0]
-    found = []
+    packets = []
     for _ in range(5):
         size = struct.unpack_from("<i", data, at + 4)[0]
-        found.append((at, at + 8 + size))
+        packets.append((at, at + 8 + size))
         at += 8 + size
-    return found
+    return packets
 
 
 def test_aedat4_is_read(aedat4: tuple[Path, Events]) -> None:

@@ -88,7 +88,7 @@ _RECONSTRUCT = _StandIn(lambda *_: _Array())
 _SCALAR = _StandIn(lambda type_, content: _array(content, type_, ()))
 _FROM_BUFFER = _StandIn(_array)
 _NAMES: dict[str, Any] = {
-    "numpy.ndarray": "ndarray",  # which _reconstruct is told to make
+    "numpy.ndarray": "ndarray",  # the class that _reconstruct is to make
     "numpy.dtype": _DTYPE,
     "numpy.core.multiarray._reconstruct": _RECONSTRUCT,
     "numpy._core.multiarray._reconstruct": _RECONSTRUCT,

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, read_note
-from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, frame_of
+from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
 from evetac_cli.formats.read.faery_library import load_faery, refusal_text
 
 EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as faery reads and writes them
@@ -92,7 +92,7 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         header = _header(handle, where)
         label, chosen, others = _choose(header, stream, where)
         packets = _walk(handle, header, chosen.number)
-    foreign = Foreign("aedat4", frame_of(chosen.frame_px, frame_px, where), ())
+    foreign = Foreign("aedat4", choose_frame(chosen.frame_px, frame_px, where), ())
     foreign.note = read_note(chosen.note, where) if chosen.note else None
     if others:
         foreign.notes.append(f"took the event stream {label}; also there: {', '.join(others)} (choose with --stream)")

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, frame_of
+from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
 from evetac_cli.formats.read.faery_library import load_faery, refusal_text
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
@@ -38,7 +38,7 @@ def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     """Events of a RAW or DAT file; frame_px only for files that do not say theirs."""
     where = str(path)
     head = read_head(path)
-    frame = frame_of(head.frame_px, frame_px, where)
+    frame = choose_frame(head.frame_px, frame_px, where)
     foreign = Foreign("prophesee", frame, ())
     skipped = 0 if head.kind.startswith("dat") else untimed_bytes(path, head)
     rest = (path.stat().st_size - head.size) % WORD_BYTES[head.kind]
@@ -97,7 +97,7 @@ def _frame(said: dict[str, str]) -> tuple[int, int] | None:
 
 
 def untimed_bytes(path: Path, head: Head) -> int:
-    """Bytes before the first word that tells the high bits of time."""
+    """Bytes before the first word that holds the high bits of time."""
     word = WORD_BYTES[head.kind]
     with path.open("rb") as file:
         file.seek(head.size)
@@ -114,15 +114,15 @@ def _trimmed(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> It
     with tempfile.TemporaryDirectory() as folder, path.open("rb") as source:
         copy = Path(folder) / "timed.raw"
         with copy.open("wb") as target:
-            target.write(head_of(head.kind, frame))
+            target.write(raw_header(head.kind, frame))
             source.seek(head.size + skipped)
             while block := source.read(HEAD_LIMIT_BYTES):
                 target.write(block)
         yield from decode(copy, head.kind, frame, str(path))
 
 
-def head_of(kind: str, frame: tuple[int, int]) -> bytes:
-    """The head of a RAW file."""
+def raw_header(kind: str, frame: tuple[int, int]) -> bytes:
+    """The lines of text that a RAW file of an encoding (evt2, evt3) begins with."""
     return "% evt {}.0\n% geometry {}x{}\n% end\n".format(kind[-1], *frame).encode()
 
 

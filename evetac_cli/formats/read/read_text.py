@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, Note, read_note
-from evetac_cli.formats.read.event_validation import Columns, Foreign, frame_of, no_events
+from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame, no_events
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
 LINE_LIMIT_CHARS = 1 << 16
@@ -42,7 +42,7 @@ def open_text(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
             if next(batches, None) is None:
                 raise no_events(str(path))
     hint = "say it: --frame-size WIDTHxHEIGHT, for example 640x480"
-    frame = frame_of(note.frame_px if note else None, frame_px, str(path), hint)
+    frame = choose_frame(note.frame_px if note else None, frame_px, str(path), hint)
     return Foreign("text", frame, _batches(path), note=note)
 
 
@@ -72,10 +72,10 @@ def _batches(path: Path) -> Generator[Columns, None, None]:
         if layout.us_per_unit == 1:
             odd = np.flatnonzero((t != np.rint(t)) & np.isfinite(t))
             if len(odd):
-                found = f"{t[odd[0]]:.9g} {_place(number, lines, int(odd[0]))}"
+                odd_line = f"{t[odd[0]]:.9g} {_place(number, lines, int(odd[0]))}"
                 expected = "whole microseconds, as in the first line"
                 raise InputError(
-                    "time changes its unit", where=str(path), expected=expected, found=found, hint=UNIT_HINT
+                    "time changes its unit", where=str(path), expected=expected, found=odd_line, hint=UNIT_HINT
                 )
         yield Columns(t * layout.us_per_unit, x, y, p, partial(_place, number, lines))
 
@@ -88,8 +88,10 @@ def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
         while block := handle.read(BLOCK_CHARS):
             *lines, rest = (rest + block).split("\n")
             if len(rest) > LINE_LIMIT_CHARS:
-                found = f"line {number + len(lines)} has more than {LINE_LIMIT_CHARS} characters"
-                raise InputError("not a text file of events", where=str(path), expected="one event a line", found=found)
+                odd_line = f"line {number + len(lines)} has more than {LINE_LIMIT_CHARS} characters"
+                raise InputError(
+                    "not a text file of events", where=str(path), expected="one event a line", found=odd_line
+                )
             yield number, lines
             number += len(lines)
     if rest:
@@ -154,10 +156,10 @@ def _table(path: Path, number: int, lines: list[str], separator: str | None) -> 
         fields = _fields(line, separator)
         if _data(line) and (len(fields) != 4 or not all(map(NUMBER.fullmatch, fields))):
             expected = f"4 numbers separated by {'commas' if separator else 'blanks'}: t x y p"
-            found = f"line {number + offset}: {_clip(line)}"
+            bad_line = f"line {number + offset}: {_clip(line)}"
             cut = offset == len(lines) - 1 and len(fields) < 4 and number + offset > 1
             hint = "if the file was cut short in its last line, remove that line" if cut else ""
-            raise InputError("a line cannot be read", where=str(path), expected=expected, found=found, hint=hint)
+            raise InputError("a line cannot be read", where=str(path), expected=expected, found=bad_line, hint=hint)
     raise InputError(f"lines {number} to {number + len(lines) - 1} cannot be read", where=str(path), found=reason)
 
 

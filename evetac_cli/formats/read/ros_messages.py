@@ -8,7 +8,7 @@ has a million of them. Layouts:
         mono          8 bytes an event: 32 bits ns after time_base, 16 bits x, 15 bits y, polarity
         libcaer       8 bytes an event: valid, polarity, 15 bits y, 15 bits x, 32 bits us after time_base
         libcaer_cmp   16-bit words, four bits of them a code: time high and low, x, y, and eight rows at once
-        evt2, evt3    Prophesee's own words: see import_prophesee
+        evt2, evt3    Prophesee's own words: see read_prophesee
     evetac_software/EvetacMsg    no events, but their sum as an image, every pixel 127 + 15 n
 
 ROS 1 packs the fields of a message without gaps; ROS 2 (CDR) aligns each to its size and says the order of bytes first.
@@ -81,7 +81,7 @@ class Fields:
         return bytes(self._take(self.number("I"))).rstrip(b"\0").decode(errors="replace")
 
     def bytes_(self) -> memoryview:
-        """A list of bytes."""
+        """The next field, a list of uint8, as bytes."""
         return self._take(self.number("I"))
 
     def header(self) -> int:
@@ -98,7 +98,7 @@ class Fields:
         return width, height
 
     def rest(self) -> memoryview:
-        """All that was not taken yet."""
+        """The bytes after the fields that were read so far."""
         return self._bytes[self.at :]
 
     def _align(self, size: int) -> None:
@@ -140,7 +140,7 @@ def _us(rows: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def evetac_image(fields: Fields) -> tuple[tuple[int, int], Part]:
-    """evetac_software/EvetacMsg: as many events a pixel as its grey tells, all at the time of the message.
+    """evetac_software/EvetacMsg: as many events a pixel as its grey value says, all at the time of the message.
 
     The image lies on its side: its rows are the columns of the camera.
     """

@@ -1,4 +1,4 @@
-"""What writers of foreign formats share: the events of a recording piece by piece, and the note that goes with them."""
+"""What the writers of event formats share: the events of a recording piece by piece, and the note about it."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ PIECE_EVENTS = 1 << 18  # some 3 MB: memory stays flat however long the recordin
 
 
 def pieces(recording: Recording, progress: Progress) -> Iterator[Events]:
-    """All events, in order."""
+    """All events of a recording in order, PIECE_EVENTS at a time; `progress` hears how many are done."""
     total = recording.event_count
     progress(0, total)
     for first in range(0, total, PIECE_EVENTS):

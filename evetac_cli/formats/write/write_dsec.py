@@ -1,8 +1,8 @@
 """Write events as the DSEC data set lays them out: events/{x,y,t,p}, ms_to_idx, t_offset.
 
-t counts microseconds from t_offset on, and ms_to_idx[k] is the first event at k ms or later, as there. Other than
-there the arrays are compressed with gzip, which every HDF5 tool reads without a plugin. t has 32 bits as there, which
-is 71 minutes; a longer recording gets 64.
+t counts microseconds from t_offset on, and ms_to_idx[k] is the first event at k ms or later. The arrays
+are compressed with gzip, which every HDF5 tool reads, and not with DSEC's Blosc, which needs a plugin. t has 32 bits as
+in DSEC, which is 71 minutes; a longer recording gets 64.
 """
 
 from pathlib import Path
