@@ -276,7 +276,7 @@ def write_stage(path: Path, recipe: Recipe, arrays: Mapping[str, Any]) -> Header
 
 
 def put_header(h5: h5py.File, header: Header) -> None:
-    """Write the header attribute."""
+    """Write the header as JSON into the attribute `header` of the root."""
     h5.attrs["header"] = json.dumps(header, sort_keys=True, allow_nan=False)
 
 

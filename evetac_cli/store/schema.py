@@ -7,12 +7,13 @@ is the dim `slices` plus one. A path may end in `*` (any name), and dims may be 
 
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import SchemaError
 from evetac_cli.resources import schemas
@@ -24,7 +25,7 @@ OLDEST_MINOR = 2  # files of version 1.1 and before have other names of datasets
 
 @dataclass(frozen=True)
 class Dataset:
-    """One row of a schema."""
+    """One dataset of a schema: its dtype, named dims (None: any shape), unit, and what it means."""
 
     path: str
     dtype: str
@@ -128,8 +129,20 @@ def check(kind: str, arrays: Mapping[str, Any]) -> None:
     refuse(kind, problems(load(kind), {path: describe(value) for path, value in arrays.items()}))
 
 
+def typed_rows(kind: str, rows: Mapping[str, Sequence[Any]]) -> dict[str, NDArray[Any]]:
+    """Rows that were collected one by one, as arrays of the dtypes of the schema; KeyError for an unknown path."""
+    table = load(kind)
+    arrays = {}
+    for path, values in rows.items():
+        row = table.find(path)
+        if row is None:
+            raise KeyError(path)
+        arrays[path] = np.asarray(values, dtype=row.dtype)
+    return arrays
+
+
 def refuse(kind: str, lines: list[str], where: str = "") -> None:
-    """Raise SchemaError if there are problems."""
+    """Raise SchemaError with the first `lines` of `problems`, if there are any."""
     if lines:
         raise SchemaError(
             f"not a valid {kind}", where=where, expected=f"schemas/{kind}.v{MAJOR}.json", found="; ".join(lines[:8])

@@ -124,11 +124,7 @@ class RecordingWriter:
             arrays: dict[str, Any] = {COUNTS: np.array(self._counts, np.int64)}
             for column in Events._fields:
                 arrays[f"events/{column}"] = np.concatenate([getattr(part, column) for part in self._events])
-            table = schema.load("recording")
-            for name, rows in self._rows.items():
-                described = table.find(name)
-                assert described is not None, name
-                arrays[name] = np.asarray(rows, dtype=described.dtype)
+            arrays |= schema.typed_rows("recording", self._rows)
             self._write(self.folder / f"{self._segments:06d}.h5", arrays, {FIRST_SLICE: self._slices})
             self._segments += 1
             self._slices += len(self._counts)
@@ -196,7 +192,7 @@ def _part_folder(path: Path) -> Path:
 
 
 def checksum(value: Any) -> int:
-    """CRC-32 of the bytes of an array."""
+    """CRC-32 of the bytes of an array, as stored beside it in a segment."""
     return zlib.crc32(np.ascontiguousarray(value).tobytes())
 
 
@@ -304,7 +300,7 @@ def _put_whole(
 
 
 def dataset_paths(h5: h5py.File) -> list[str]:
-    """Paths of all datasets."""
+    """Paths of all datasets of a file, in any of its groups."""
     names: list[str] = []
     h5.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
     return names

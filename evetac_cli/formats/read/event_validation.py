@@ -173,7 +173,7 @@ def normalise(
 
 
 def no_events(where: str) -> InputError:
-    """What is said of a file that holds nothing."""
+    """The error for a file without any event."""
     return InputError("holds no events", where=where, hint="was the recorder stopped before the camera began?")
 
 

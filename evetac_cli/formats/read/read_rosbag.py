@@ -170,7 +170,7 @@ def _contents(
 
 
 def _read(kind: str, message: bytes, ros2: bool, where: str) -> tuple[tuple[int, int], Any]:
-    """Frame and content of a message."""
+    """Frame (width, height) and content of a message: its events, or a packet that is still encoded."""
     if ros2 and message[: len(ZSTD)] == ZSTD:  # only metadata.yaml says so
         hint = "name the folder of the bag, with its metadata.yaml"
         raise InputError("the messages of this bag are compressed one by one", where=where, hint=hint)

@@ -163,7 +163,7 @@ def evetac_image(fields: Fields) -> tuple[tuple[int, int], Part]:
 
 
 def event_packet(fields: Fields) -> Packet:
-    """event_camera_msgs/EventPacket."""
+    """event_camera_msgs/EventPacket: frame, and the packet with its encoding, still encoded."""
     fields.header()
     frame = fields.frame()
     sequence, time_base_ns = fields.number("Q"), fields.number("Q")
@@ -176,7 +176,7 @@ def event_packet(fields: Fields) -> Packet:
 
 
 def mono(packet: Packet) -> Part:
-    """Encoding `mono`."""
+    """Decode a packet in the encoding `mono`: 8 bytes an event, times in ns from the packet's time base."""
     words = _words(packet, "<u8")
     t_ns = np.uint64(packet.time_base_ns) + (words & np.uint64(0xFFFFFFFF))
     x, y = (words >> np.uint64(32)) & np.uint64(0xFFFF), (words >> np.uint64(48)) & np.uint64(0x7FFF)
@@ -184,7 +184,7 @@ def mono(packet: Packet) -> Part:
 
 
 def libcaer(packet: Packet) -> Part:
-    """Encoding `libcaer`."""
+    """Decode a packet in the encoding `libcaer`: 8 bytes an event, on a clock of 31 bits in us."""
     words = _words(packet, "<u4", 8).reshape(-1, 2)
     us = words[:, 1].view(np.int32).astype(np.int64)
     us += np.cumsum(np.diff(us, prepend=us[:1]) < 0) << 31  # libcaer's clock has 31 bits
@@ -201,7 +201,7 @@ class LibcaerCompressed:
         self._x = self._base = 0
 
     def __call__(self, packet: Packet) -> Part:
-        """Events of the next packet."""
+        """Events of the next packet, in the order of the recording."""
         words = np.concatenate(
             [np.array([self.X << 12 | self._x, self.BASE_Y << 12 | self._base], np.uint16), _words(packet, "<u2")]
         )
