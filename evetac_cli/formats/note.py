@@ -33,11 +33,11 @@ class Note:
 def read_note(text: str, where: str) -> Note:
     """Read a note back; InputError if somebody edited it into something else."""
     try:
-        said: dict[str, Any] = dict(json.loads(text))
-        start_us, slices, (width, height) = said["start_us"], said["slices"], said["frame_px"]
-        events = said.get("events")
+        fields: dict[str, Any] = dict(json.loads(text))
+        start_us, slices, (width, height) = fields["start_us"], fields["slices"], fields["frame_px"]
+        events = fields.get("events")
         whole = all(type(number) is int for number in (start_us, slices, width, height, events or 0))
-        if not whole or type(said["simulated"]) is not bool:
+        if not whole or type(fields["simulated"]) is not bool:
             raise ValueError("values of other types")
         if not 0 <= slices <= LONGEST_SLICES:
             raise ValueError(f"{slices} slices")
@@ -48,4 +48,4 @@ def read_note(text: str, where: str) -> Note:
             expected=f"JSON with {', '.join(Note.__dataclass_fields__)}",
             found=text[:80],
         ) from None
-    return Note(start_us, slices, (width, height), said["simulated"], events)
+    return Note(start_us, slices, (width, height), fields["simulated"], events)

@@ -31,8 +31,8 @@ from evetac_cli.store import disk
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
+from tests.importing import FRAME, same
 
-FRAME = (640, 480)
 ROUND_TRIPS = ("aedat4", "dsec", "text")
 DOTS = np.stack(np.meshgrid(100.0 + 62.5 * np.arange(8), 50.0 + 62.5 * np.arange(7)), axis=2)
 
@@ -61,10 +61,6 @@ def write(
     recipe = Recipe("recording", 1, {}, content=content_digest(arrays), simulated_source=simulated)
     write_stage(path, recipe, arrays)
     return path
-
-
-def same(a: Events, b: Events) -> bool:
-    return all(np.array_equal(x, y) and x.dtype == y.dtype for x, y in zip(a, b, strict=True))
 
 
 def needs(format_: str) -> None:

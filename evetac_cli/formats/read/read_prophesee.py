@@ -55,25 +55,27 @@ def read_head(path: Path) -> Head:
     where = str(path)
     with path.open("rb") as file:
         content = file.read(HEAD_LIMIT_BYTES)
-    said: dict[str, str] = {}
+    fields: dict[str, str] = {}
     size = 0
-    while content.startswith(b"% ", size) and "end" not in said:
+    while content.startswith(b"% ", size) and "end" not in fields:
         end = content.find(b"\n", size)
         if end < 0:
             raise InputError("the file ends inside its header", where=where, hint="copy it again")
         key, _, value = content[size + 2 : end].decode(errors="replace").strip().partition(" ")
-        said[key.lower()] = value.strip()
+        fields[key.lower()] = value.strip()
         size = end + 1
-    return Head(_kind(said, where), _frame(said), size + (2 if "evt" not in said and "format" not in said else 0))
+    return Head(
+        _kind(fields, where), _frame(fields), size + (2 if "evt" not in fields and "format" not in fields else 0)
+    )
 
 
-def _kind(said: dict[str, str], where: str) -> str:
-    if "evt" not in said and "format" not in said:
-        version = said.get("version", "1")
+def _kind(fields: dict[str, str], where: str) -> str:
+    if "evt" not in fields and "format" not in fields:
+        version = fields.get("version", "1")
         if version in ("1", "2"):
             return f"dat{version}"
         raise InputError("a DAT file of another version", where=where, expected="1 or 2", found=version[:20])
-    name = said.get("evt") or said.get("format", "").split(";")[0].lower()
+    name = fields.get("evt") or fields.get("format", "").split(";")[0].lower()
     if name in KINDS:
         return KINDS[name]
     raise InputError(
@@ -85,11 +87,11 @@ def _kind(said: dict[str, str], where: str) -> str:
     )
 
 
-def _frame(said: dict[str, str]) -> tuple[int, int] | None:
+def _frame(fields: dict[str, str]) -> tuple[int, int] | None:
     """`geometry 640x480`, `format EVT3;height=480;width=640`, or `Width 640` and `Height 480`."""
-    width, _, height = said.get("geometry", "").partition("x")
-    inside = dict(part.partition("=")[::2] for part in said.get("format", "").split(";"))
-    pairs = [(table.get("width"), table.get("height")) for table in (inside, said)]
+    width, _, height = fields.get("geometry", "").partition("x")
+    inside = dict(part.partition("=")[::2] for part in fields.get("format", "").split(";"))
+    pairs = [(table.get("width"), table.get("height")) for table in (inside, fields)]
     for numbers in ((width, height), *pairs):
         if all(number and re.fullmatch("[0-9]{1,5}", number) for number in numbers):
             return int(str(numbers[0])), int(str(numbers[1]))

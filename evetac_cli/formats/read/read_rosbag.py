@@ -1,6 +1,6 @@
 """Read events from bags of ROS 1 (`.bag`) and ROS 2 (a folder, `.db3`, `.mcap`) with rosbags, the extra `convert`.
 
-rosbags finds the messages; what is in them is decoded in import_ros_messages, from their bytes. So a bag needs no
+rosbags finds the messages; what is in them is decoded in ros_messages, from their bytes. So a bag needs no
 definitions of its messages, and those of other topics do not matter. Where a ROS 1 bag says by the checksum of a
 definition that its messages have another layout under the same name, it is refused.
 """
