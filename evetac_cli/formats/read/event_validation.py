@@ -78,20 +78,20 @@ def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tu
 def choose_frame(
     own: tuple[int, int] | None, asked: tuple[int, int] | None, where: str, hint: str = ""
 ) -> tuple[int, int]:
-    """The file's own frame, or else the one asked for; a wish that contradicts the file is refused.
+    """The file's own frame, or else the one asked for; asking for another than the file says is refused.
 
-    Such a wish would have no effect. InputError with `hint` where neither is known.
+    It would have no effect. InputError with `hint` where neither is known.
     """
-    wish = None if asked is None else checked_frame(asked, where, "")
-    if wish and own and wish != tuple(own):
+    wanted = None if asked is None else checked_frame(asked, where, "")
+    if wanted and own and wanted != tuple(own):
         raise InputError(
             "the file says another frame size",
             where=where,
             expected="{}x{}".format(*own),
-            found="{}x{}".format(*wish),
+            found="{}x{}".format(*wanted),
             hint="leave out --frame-size",
         )
-    return checked_frame(own or wish, where, hint or "say it: --frame-size WIDTHxHEIGHT")
+    return checked_frame(own or wanted, where, hint or "say it: --frame-size WIDTHxHEIGHT")
 
 
 def normalise(
