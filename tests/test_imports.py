@@ -21,7 +21,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "numerics": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "realtime", "kernels"},
     "devices": frozenset({"errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
-    "formats": frozenset({"errors", "events", "resources", "store", "kernels"}),
+    "formats": frozenset({"errors", "events", "jobs", "resources", "store", "kernels"}),
     "store": frozenset({"errors", "events", "resources", "kernels", "evetac_cli"}),
     "sim": frozenset({"errors", "events", "resources", "kernels"}),
     "realtime": frozenset({"errors", "events", "kernels"}),

@@ -1,13 +1,8 @@
-"""A recording -> a file that other programs read: one function, one table of formats.
+"""A recording -> a file that other programs read: one function, and one table of the formats that are written.
 
-    aedat4        export_aedat4        what DV and dv-processing read; needs the extra `camera`
-    dsec          export_hdf5          HDF5 as in the DSEC data set: events/{x,y,t,p}, ms_to_idx, t_offset
-    text          export_text          a line `t_us x y p` for every event
-    calibration   export_calibration   the dot grid: JSON, or the pickle that the official software reads
-
-Of a recording, the first three hold the events and, in a note (import_note), where it begins and ends, its frame and
-whether it was simulated; so it comes back from them event for event and slice for slice. Gripper, truth, control and
-dots are left out, and that is said.
+Of a recording, the formats of events hold the events and, in a note (formats/note.py), where it begins and ends, its
+frame and whether it was simulated; so it comes back from them event for event and slice for slice. Gripper, truth,
+control and dots are left out, and that is said.
 """
 
 import os
@@ -17,7 +12,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write import write_aedat4, write_calibration, write_dsec, write_text
-from evetac_cli.formats.write.pieces import Progress, silent
+from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 from evetac_cli.store.read import Recording
@@ -41,7 +36,7 @@ FORMATS = {
 LEFT_OUT = ("gripper", "truth", "control", "capture", "sensor/dot_xy_px", "sensor/window_px")
 
 
-def target_of(source: Path, format_: str, out: Path | None) -> Path:
+def target_path(source: Path, format_: str, out: Path | None) -> Path:
     """`<name><ending>` beside the recording or in the folder `out`, or the file `out` if it ends so."""
     suffixes = FORMATS[format_].suffixes
     if out is None:

@@ -1,12 +1,6 @@
-"""Foreign event files -> our columns: one function, one table of formats.
+"""Other people's event files -> our columns: one function, and one table of the formats that are read.
 
-    AEDAT4          import_aedat4     says its frame size; needs the extra `camera` (dv-processing)
-    HDF5 as DSEC    import_hdf5       events/{t,x,y,p} in microseconds, t_offset
-    Prophesee       import_prophesee  RAW (EVT2, EVT3) and DAT; needs the extra `convert` (faery)
-    ROS bags        import_rosbag     of ROS 1 and ROS 2; needs the extra `convert` (rosbags)
-    text            import_text       `t x y p` a line, blanks or commas, `#` comments; integers are microseconds
-
-The content decides, not the file's name. What all formats share is checked in one place, import_door.
+The content decides, not the file's name. What all formats share is checked in one place, read/event_validation.
 """
 
 from collections.abc import Callable, Generator, Iterator
@@ -28,31 +22,30 @@ EXPECTED = "AEDAT4, HDF5 with events/{t,x,y,p}, Prophesee RAW or DAT, a ROS bag,
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
-LOSS_WORTH_A_WORD = 0.02  # share of events dropped for one reason
+LARGE_LOSS = 0.02  # share of events dropped for one reason, above which a note says so
 
 
 class Format(NamedTuple):
-    """A row of the table: how a file begins, at one of which places, who reads it, and which option it takes."""
+    """How a file of the format begins, at one of which places, who reads it, and whether it may hold many streams."""
 
     begins: tuple[bytes, ...]
     read: Callable[..., Foreign]
-    option: str = ""
+    many_streams: bool = False
     at: tuple[int, ...] = (0,)
 
 
-TEXT = Format((), open_text, "dialect")
-BAG = Format((read_rosbag.ROS1, read_rosbag.SQLITE, read_rosbag.MCAP), open_rosbag, "stream")
+TEXT = Format((), open_text)  # begins with anything, so it is tried last
+BAG = Format((read_rosbag.ROS1, read_rosbag.SQLITE, read_rosbag.MCAP), open_rosbag, many_streams=True)
 FORMATS = (
-    Format((b"#!AER-DAT4",), open_aedat4, "stream"),
+    Format((b"#!AER-DAT4",), open_aedat4, many_streams=True),
     Format((HDF5_SIGNATURE,), open_hdf5, at=HDF5_SIGNATURE_AT),
     Format(read_prophesee.SIGNS, open_prophesee),
     BAG,
 )
-OPTION_OF = {"dialect": "text", "stream": "AEDAT4 files and ROS bags"}
 
 TO_AEDAT4 = "convert it to AEDAT4 with the maker's DV, or to text"
-# What people have lying beside their event files, how it begins, and the way from there.
-STRANGERS: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
+# Files that people keep beside their event files: how they begin, what they are, and how to convert them.
+OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
     ((b"#!AER-DAT2",), "AEDAT2", TO_AEDAT4),
     ((b"#!AER-DAT3",), "AEDAT3", TO_AEDAT4),
     ((b"#ROSBAG",), "a ROS bag older than 2.0", "rosbag migrate"),
@@ -69,7 +62,7 @@ STRANGERS: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
 
 @dataclass(frozen=True)
 class Imported:
-    """A foreign recording in our columns."""
+    """The events of another program's file, in our columns."""
 
     events: Events  # the first one at t = 0, unless the file says when its recording began
     frame_px: tuple[int, int]  # width, height
@@ -87,16 +80,13 @@ def read_events(
     *,
     frame_px: tuple[int, int] | None = None,
     sort: bool = False,
-    dialect: str | None = None,
     stream: str | None = None,
 ) -> Imported:
-    """Read a foreign event file, all of it or an InputError; a broken AEDAT4 file as far as it goes, with a note.
+    """Read another program's event file: all of it or an InputError; of a damaged AEDAT4 file what is intact.
 
     frame_px: (width, height), needed where the file does not say it (text, HDF5), refused if it contradicts the file.
     path: a file, or the folder of a ROS 2 bag.
     sort: put events whose time goes backwards in order (stable) instead of refusing them.
-    dialect: the columns of a text file, as in "x y p t_us". Without it a first line of names counts, else `t x y p`;
-    and t is in microseconds if the first one is written as an integer, else (`0.25`, `1e-3`) in seconds.
     stream: the event stream of an AEDAT4 file, or the topic of a bag, that has several; the first by name otherwise.
 
     The number of slices is the last event's slice + 1, not the duration rounded up: an event at exactly 2 ms lies in
@@ -105,7 +95,7 @@ def read_events(
     path = Path(path)
     where = str(path)
     try:
-        foreign = _open(path, frame_px, {"dialect": dialect, "stream": stream})
+        foreign = _open(path, frame_px, stream)
         note = foreign.note
         try:
             normal = normalise(
@@ -129,7 +119,7 @@ def read_events(
         notes.append(f"time went backwards: {normal.sorted} events were put back in order")
     slices = int(events.t[-1]) // SLICE_US + 1 if events.size else 0
     if note and not foreign.cut_short and not _lacks_events(foreign, normal):
-        slices = max(slices, note.slices)  # of a cut file nobody knows what was lost: no silence is made of it
+        slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
     return Imported(
         events=events,
         frame_px=foreign.frame_px,
@@ -150,28 +140,29 @@ def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
 
 
 def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
-    """What is missing and was not told by the reader, in words; of dropped events only where they are many."""
+    """What is missing and was not said by the reader, in words; of dropped events only where they are many."""
     if foreign.note and not foreign.cut_short and _lacks_events(foreign, normal):
         yield f"cut short: {normal.events.size} events of the {foreign.note.events} that were exported"
     dropped = normal.dropped
     read = normal.events.size + sum(dropped.values())
-    if dropped["out_of_frame"] > LOSS_WORTH_A_WORD * read:
+    if dropped["out_of_frame"] > LARGE_LOSS * read:
         frame = "{}x{}".format(*foreign.frame_px)
         share = f"{dropped['out_of_frame'] / read:.0%}"
         yield f"{share} of the events lie outside {frame} and were dropped; is it the frame?"
-    if dropped["not_a_number"] > LOSS_WORTH_A_WORD * read:
+    if dropped["not_a_number"] > LARGE_LOSS * read:
         yield f"{dropped['not_a_number'] / read:.0%} of the events were dropped: not all of t, x, y, p are numbers"
 
 
-def _open(path: Path, frame_px: tuple[int, int] | None, options: dict[str, str | None]) -> Foreign:
-    """Find the format from the first bytes and hand over to its reader."""
+def _open(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
+    """Recognize the format by the first bytes and hand over to its reader."""
     format_ = BAG if path.is_dir() and is_bag_folder(path) else _format(path)
-    for name, value in options.items():
-        if value is not None and name != format_.option:  # an option that would do nothing is an error
-            raise InputError(
-                f"{name} only applies to {OPTION_OF[name]}", where=str(path), found=repr(value), hint="leave it out"
-            )
-    return format_.read(path, frame_px, *([options[format_.option]] if format_.option else []))
+    if format_.many_streams:
+        return format_.read(path, frame_px, stream)
+    if stream is not None:  # an option that would do nothing is an error
+        raise InputError(
+            "--stream only applies to AEDAT4 files and ROS bags", where=str(path), found=stream, hint="leave it out"
+        )
+    return format_.read(path, frame_px)
 
 
 def _format(path: Path) -> Format:
@@ -181,7 +172,7 @@ def _format(path: Path) -> Format:
     for format_ in FORMATS:
         if any(head.startswith(format_.begins, at) for at in format_.at):
             return format_
-    for starts, name, hint in STRANGERS:
+    for starts, name, hint in OTHER_FILES:
         if head.startswith(starts):
             raise InputError(
                 "not a file of events that can be read", where=where, expected=EXPECTED, found=name, hint=hint
@@ -204,8 +195,8 @@ def _head(path: Path) -> bytes:
         hint = "a ROS 2 bag without its metadata.yaml? name the .db3 or .mcap file in it"
         raise InputError("this is a folder", where=str(path), expected=EXPECTED, hint=hint)
     if not path.is_file():
-        found = "a device or pipe" if path.exists() else "no such file"
-        raise InputError("cannot be read", where=str(path), expected=EXPECTED, found=found)
+        what = "a device or pipe" if path.exists() else "no such file"
+        raise InputError("cannot be read", where=str(path), expected=EXPECTED, found=what)
     with path.open("rb") as handle:
         head = handle.read(HEAD_BYTES)
     if not head:

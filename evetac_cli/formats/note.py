@@ -1,4 +1,4 @@
-"""The note that an export leaves in a foreign file, and an import reads back: what the format itself cannot say.
+"""The note that an export writes into a file, and an import reads back: what the format itself cannot say.
 
 Formats of events hold events: a recording that begins or ends in silence would come back shorter, text and HDF5 do not
 say how large the frame is, and none says that its events come from a simulation. The note is one line of JSON: in
@@ -23,21 +23,21 @@ class Note:
     slices: int
     frame_px: tuple[int, int]
     simulated: bool
-    events: int | None = None  # how many there were: whether the file still has its end
+    events: int | None = None  # how many were written: shows whether the file still has its end
 
     def text(self) -> str:
-        """As JSON, on one line."""
+        """The note as one line of JSON, as it is written into the file."""
         return json.dumps(asdict(self))
 
 
 def read_note(text: str, where: str) -> Note:
     """Read a note back; InputError if somebody edited it into something else."""
     try:
-        said: dict[str, Any] = dict(json.loads(text))
-        start_us, slices, (width, height) = said["start_us"], said["slices"], said["frame_px"]
-        events = said.get("events")
+        fields: dict[str, Any] = dict(json.loads(text))
+        start_us, slices, (width, height) = fields["start_us"], fields["slices"], fields["frame_px"]
+        events = fields.get("events")
         whole = all(type(number) is int for number in (start_us, slices, width, height, events or 0))
-        if not whole or type(said["simulated"]) is not bool:
+        if not whole or type(fields["simulated"]) is not bool:
             raise ValueError("values of other types")
         if not 0 <= slices <= LONGEST_SLICES:
             raise ValueError(f"{slices} slices")
@@ -48,4 +48,4 @@ def read_note(text: str, where: str) -> Note:
             expected=f"JSON with {', '.join(Note.__dataclass_fields__)}",
             found=text[:80],
         ) from None
-    return Note(start_us, slices, (width, height), said["simulated"], events)
+    return Note(start_us, slices, (width, height), fields["simulated"], events)

@@ -10,7 +10,7 @@ from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome
-from evetac_cli.store.recovery import SUFFIX, Leftover, check_folder, held, output_of, read_leftover, was_joined
+from evetac_cli.store.recovery import SUFFIX, Leftover, check_folder, held, read_leftover, recording_path, was_joined
 from evetac_cli.store.segments import join
 
 ENDED = "broke off, and was repaired"
@@ -49,7 +49,7 @@ def _leftovers(folders: list[Path]) -> list[Path]:
 
 def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
     """Join what can be read, validate the result, and only then remove the folder."""
-    output = output_of(folder)
+    output = recording_path(folder)
     with held(folder):
         if was_joined(folder):
             _check(output)
@@ -91,7 +91,7 @@ def _check(output: Path) -> None:
 def _row(folder: Path, status: str, left: Leftover | None = None, *, fault: str | None = None) -> dict[str, Any]:
     """The row of one folder; how much is missing at the end cannot be known from it."""
     return {
-        "output": str(output_of(folder)),
+        "output": str(recording_path(folder)),
         "status": status,
         "slices_kept": None if left is None else left.slices - sum(end - first for first, end in left.lost),
         "slices_lost": None if left is None else sum(end - first for first, end in left.lost),

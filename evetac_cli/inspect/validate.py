@@ -14,7 +14,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Outcome
 from evetac_cli.resources import schemas
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import ContentDigest, id_of
+from evetac_cli.store.provenance import ContentDigest, recompute_id
 from evetac_cli.store.read import Recording
 
 BLOCK = 2_000_000  # events that are read together
@@ -59,7 +59,7 @@ def _faults(file: StageFile) -> list[str]:
     if violation is not None:
         return [f"header: {violation.message}"]
     for id_, ancestor in file.header["history"].items():
-        if ancestor.get("id") != id_ or id_of(ancestor) != id_:
+        if ancestor.get("id") != id_ or recompute_id(ancestor) != id_:
             faults.append(f"the history of {id_[:12]} was edited")
     missing = [parent[:12] for parent in file.header["parents"] if parent not in file.header["history"]]
     if missing:

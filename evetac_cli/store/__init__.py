@@ -1,12 +1,11 @@
-"""Stage files on disk: the only package that imports h5py.
+"""Our own files on disk: the only package that imports h5py for them.
 
 schema      what a file of each kind holds; checks arrays and files
 provenance  recipe, recipe id and header: the identity of a result
-disk        new HDF5 files whose disk may be full
-files       open, check, skip, write all-or-nothing
+disk        new files, all or nothing, also where the disk is full
+files       open, check, skip and write files of all kinds
 segments    recordings that grow: closed segments, joined at the end
-read        the documented reading API: recordings as slices, features as a data set
-imports     foreign event files -> our columns; import_* are its formats and the one door they all go through
-exports     recordings -> files that other programs read; export_* are its formats
+recovery    what can be made of the segments of a recording that broke off
+read        the reading API for Python: recordings as slices, features as a data set
 calibration dot grids as JSON
 """

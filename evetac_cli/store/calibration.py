@@ -1,5 +1,5 @@
 """Dot grids as JSON: the keys of the official base calibration (frame_px, radius_px, dot_xy_px), and optionally
-rows, columns, mask and window_px. The dots may come in any order; rows and columns are found from their centres.
+rows, columns, mask and window_px. The dots may come in any order; rows and columns follow from their centres.
 
 A dot is missing where its centre is null or the mask, one list a row, is false: so a damaged dot is taken out of use
 by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.grid); files
@@ -113,15 +113,15 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
         return False
     try:
         made = json.loads(path.read_text())["provenance"]
-        found = "" if made["id"] == recipe.id else first_difference(recipe, made)
+        difference = "" if made["id"] == recipe.id else first_difference(recipe, made)
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        found = "no calibration made by evetac"
-    if not found or force:
-        return not found
+        difference = "no calibration made by evetac"
+    if not difference or force:
+        return not difference
     raise InputError(
         "the output exists and was made by another recipe",
         where=str(path),
-        found=found,
+        found=difference,
         hint="--force replaces it, -o NAME writes elsewhere",
     )
 
@@ -135,11 +135,11 @@ def write_calibration(
 ) -> None:
     """Write a calibration as JSON, all or nothing.
 
-    neighbours: indices of dots, counted row by row, a list for each dot. quality: how well the dots were found, as
+    neighbours: indices of dots, counted row by row, a list for each dot. quality: how well the dots were detected, as
     flat figures with units in their names. provenance: the recipe's identity, its id, when and where it was made.
     """
     dots = calibration.dot_xy_px
-    there = np.isfinite(dots).all(axis=2)
+    present = np.isfinite(dots).all(axis=2)
     table = {
         "frame_px": list(calibration.frame_px),
         "radius_px": round(calibration.dot_radius_px, 3),
@@ -147,7 +147,7 @@ def write_calibration(
         "columns": dots.shape[1],
         "window_px": None if calibration.window_px is None else list(calibration.window_px),
         "dot_xy_px": [[_rounded(dot) for dot in row] for row in dots],
-        "mask": there.tolist(),
+        "mask": present.tolist(),
         "neighbours": neighbours,
         "quality": quality,
         "provenance": provenance,
@@ -158,12 +158,12 @@ def write_calibration(
 
 
 def read_quality(path: Path) -> dict[str, Any]:
-    """How well the dots of a calibration that `write_calibration` wrote were found."""
+    """The figures of how well the dots were detected, from a calibration that `write_calibration` wrote."""
     return dict(json.loads(path.read_text())["quality"])
 
 
 def _rounded(dot: NDArray[np.float64]) -> list[float | None]:
-    """A centre to 0.001 px, or nulls; nobody knows it better, and people read these files."""
+    """A centre to 0.001 px, or nulls: detection is no more accurate, and people read these files."""
     return [round(float(value), 3) if np.isfinite(value) else None for value in dot]
 
 
@@ -182,7 +182,7 @@ def _masked(dots: NDArray[np.float64], mask: Any) -> NDArray[np.float64]:
         rows, columns = dots.shape[:2]
         fits = isinstance(mask, list) and len(mask) == rows
         fits = fits and all(isinstance(row, list) and len(row) == columns for row in mask)
-        if not fits or not all(isinstance(there, bool) for row in mask for there in row):
+        if not fits or not all(isinstance(value, bool) for row in mask for value in row):
             raise ValueError(f"expected a mask of {rows} rows of {columns} times true or false, found another")
         masked[~np.array(mask)] = np.nan
     if np.isnan(masked).all():

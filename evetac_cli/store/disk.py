@@ -1,7 +1,7 @@
 """New files, all or nothing, also where the disk is full or the process is killed; HDF5 files among them.
 
 A file is written beside its place, under the name of this machine and process, and renamed when it is complete. What a
-process that was killed left there is removed by the next that writes the same file.
+process that was killed left behind is removed by the next that writes the same file.
 
 Why HDF5 has a file object: where it cannot write, it cannot close the file either, and takes the whole process down at
 its end. So it writes through a file object that never fails: that keeps the first error, which is raised once HDF5 has
@@ -45,7 +45,7 @@ class _Disk(io.FileIO):
 
 
 def existing_folder(folder: Path) -> Path:
-    """The folder, or what there is of it; InputError if it cannot be made or written in."""
+    """The folder, or the nearest folder above that exists; InputError if it cannot be made or written in."""
     while not os.path.exists(folder):
         folder = folder.parent
     if not os.path.isdir(folder):
@@ -103,7 +103,7 @@ def _temporary(path: Path, ending: str) -> Path:
 
 
 def _lives(process: str) -> bool:
-    with suppress(OSError):  # one that nobody waited for still has its number
+    with suppress(OSError):  # one whose parent has not waited for it still has its number
         if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX":
             return False
     try:

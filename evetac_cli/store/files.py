@@ -20,7 +20,7 @@ import numpy as np
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import schema
 from evetac_cli.store.disk import existing_folder, new_file, taking_the_place_of
-from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, id_of
+from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, recompute_id
 
 CHUNK_ROWS = 65536
 CHUNK_BYTES = 1 << 20
@@ -30,17 +30,17 @@ class StageFile:
     """A stage file, open for reading: header, datasets by path."""
 
     def __init__(self, path: Path, kind: str | tuple[str, ...] | None = None) -> None:
-        """Open and check; InputError if it is missing, foreign, of another kind or of a newer major version."""
+        """Open and check; InputError if it is missing, not ours, of another kind, or of an earlier or newer version."""
         self.path = Path(path)
         self._h5 = _open(self.path)
         try:
             self.header = _read_header(self.path, self._h5)
             _check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
-            if id_of(self.header) != self.header["id"]:
+            if recompute_id(self.header) != self.header["id"]:
                 raise SchemaError("its header was edited: the recipe id does not fit it", where=str(self.path))
             with _damage_in_words(self.path, "its contents"):
-                found = self.contents()
-            lines = schema.problems(schema.load(self.kind), found)
+                stored = self.contents()
+            lines = schema.problems(schema.load(self.kind), stored)
             major, minor = (int(part) for part in self.header["version"].split("."))
             known_minor = int(schema.load(self.kind).version.split(".")[1])
             if major == schema.MAJOR and minor > known_minor:  # a newer minor version only adds
@@ -64,11 +64,11 @@ class StageFile:
 
     @property
     def kind(self) -> str:
-        """recording, labels, tracks, features, model or report."""
+        """The kind of file, one of schema.KINDS."""
         return str(self.header["kind"])
 
     def has(self, path: str) -> bool:
-        """Whether a dataset or a group is there."""
+        """Whether the file holds a dataset or a group of this path."""
         return path in self._h5
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
@@ -87,14 +87,14 @@ class StageFile:
 
     def contents(self) -> dict[str, tuple[str, tuple[int, ...]]]:
         """Path -> (dtype, shape) of every dataset."""
-        found: dict[str, tuple[str, tuple[int, ...]]] = {}
+        stored: dict[str, tuple[str, tuple[int, ...]]] = {}
 
         def visit(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset):
-                found[str(name)] = (schema.describe_stored(item), item.shape or ())
+                stored[str(name)] = (schema.describe_stored(item), item.shape or ())
 
         self._h5.visititems(visit)
-        return found
+        return stored
 
 
 @contextmanager
@@ -125,7 +125,7 @@ def _open(path: Path) -> h5py.File:
             f"cannot be opened: {reason}",
             where=str(path),
             expected="an evetac stage file",
-            hint="foreign event files are read with `evetac record --from FILE`",
+            hint="event files of other programs are read with `evetac record --from FILE`",
         ) from None
 
 
@@ -151,14 +151,23 @@ def _read_header(path: Path, h5: h5py.File) -> Header:
         raise InputError(
             "this HDF5 file was not made by evetac: it has no header",
             where=str(path),
-            hint="foreign event files are read with `evetac record --from FILE`",
+            hint="event files of other programs are read with `evetac record --from FILE`",
         )
     try:
         header = dict(json.loads(text))
         canonical(header)
     except (ValueError, TypeError, RecursionError):
         raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
-    version = re.fullmatch("([0-9]{1,9})[.][0-9]{1,9}", str(header.get("version")))
+    number = header.get("version")
+    version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", number) if isinstance(number, str) else None
+    if version and (int(version[1]), int(version[2])) < (schema.MAJOR, schema.OLDEST_MINOR):
+        raise InputError(
+            "written by an earlier version of evetac and cannot be read",
+            where=str(path),
+            expected=f"version {schema.MAJOR}.{schema.OLDEST_MINOR} or newer",
+            found=f"{header.get('kind')} version {version[0]}",
+            hint="make it again from its recipe: names of datasets and parameters have changed",
+        )
     if version and int(version[1]) > schema.MAJOR:  # said first: such a header may look different
         raise InputError(
             f"made by a newer evetac: {header.get('kind')} version {version[0]}",
@@ -193,7 +202,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     """Whether `path` already holds the result of this recipe.
 
     InputError if it holds anything else, naming the first difference, unless `force`: then it will be replaced.
-    Checked before any work is done, so that nobody waits an hour for a refusal.
+    Checked before any work is done, so that a refusal comes at once and not after an hour.
     """
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
@@ -239,7 +248,7 @@ def output_path(source: Path, kind: str, out: Path | None) -> Path:
 
 
 def stem(path: Path) -> str:
-    """The name of a trial: the file name without `.<kind>.h5` (or without its suffix, for foreign files)."""
+    """The name of a trial: the file name without `.<kind>.h5` (or without its suffix, for files of other programs)."""
     name = path.name
     if name.endswith(".h5"):
         name = name[:-3]
@@ -267,7 +276,7 @@ def write_stage(path: Path, recipe: Recipe, arrays: Mapping[str, Any]) -> Header
 
 
 def put_header(h5: h5py.File, header: Header) -> None:
-    """Write the header attribute."""
+    """Write the header as JSON into the attribute `header` of the root."""
     h5.attrs["header"] = json.dumps(header, sort_keys=True, allow_nan=False)
 
 

@@ -3,7 +3,7 @@
 Two files with the same id hold the same numbers on the same machine type, so a stage whose output already carries the
 id of the wanted recipe has nothing to do. The id covers the kind, its major version (minor ones only add), the method
 number of the stage, every parameter, the seed and the parents' ids. A recording from a device or a file cannot be made
-again from a recipe: there the hash of the stored arrays stands in for the seed. Time, host and versions of libraries
+again from a recipe: the hash of its stored arrays stands in for the seed. Time, host and versions of libraries
 are recorded beside it and are not part of it.
 """
 
@@ -43,7 +43,7 @@ class Recipe:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What the id is the hash of."""
+        """The parts that make a result what it is, as JSON values; the id is their hash."""
         return {
             "kind": self.kind,
             "major": schema.MAJOR,
@@ -86,7 +86,7 @@ class Recipe:
         }
 
 
-def id_of(header: Header) -> str:
+def recompute_id(header: Header) -> str:
     """Recompute the id from a header, to see whether somebody edited it."""
     identity = {key: header[key] for key in ("kind", "method", "parameters", "seed", "content", "simulated", "parents")}
     identity["major"] = int(header["version"].split(".")[0])
@@ -111,18 +111,18 @@ def made() -> dict[str, str]:
     }
 
 
-def first_difference(wanted: Recipe, found: Header) -> str:
+def first_difference(wanted: Recipe, existing: Header) -> str:
     """Say in words where another recipe departs from the wanted one."""
     for key in ("kind", "method", "seed", "content"):
         ours = wanted.identity[key]
-        if ours != found[key]:
-            return f"{key} is {_short(found[key])} in the file, {_short(ours)} wanted"
-    difference = _difference(wanted.parameters, found["parameters"], "parameters")
+        if ours != existing[key]:
+            return f"{key} is {_short(existing[key])} in the file, {_short(ours)} wanted"
+    difference = _difference(wanted.parameters, existing["parameters"], "parameters")
     if difference:
         return difference
-    if len(found["parents"]) != len(wanted.parents):
-        return f"it was made from {len(found['parents'])} files, now {len(wanted.parents)}"
-    for parent, theirs in zip(wanted.parents, found["parents"], strict=True):
+    if len(existing["parents"]) != len(wanted.parents):
+        return f"it was made from {len(existing['parents'])} files, now {len(wanted.parents)}"
+    for parent, theirs in zip(wanted.parents, existing["parents"], strict=True):
         if parent["id"] != theirs:
             return f"its {parent['kind']} was {_short(theirs)}, now {parent['id'][:12]}"
     return "the schema version differs"

@@ -62,12 +62,12 @@ class Recording(StageFile):
 
     @property
     def event_count(self) -> int:
-        """All events of the recording."""
+        """Number of events of the whole recording."""
         return int(self.starts[-1])
 
     @property
     def frame_px(self) -> tuple[int, int]:
-        """Width and height."""
+        """Width and height of the sensor's frame."""
         width, height = self.read("sensor/frame_px")
         return int(width), int(height)
 
@@ -127,8 +127,9 @@ def open_recording(path: str | Path) -> Recording:
 class SlipWindows:
     """Windows of features with their labels: a map-style data set that torch's DataLoader takes as it is.
 
-    Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32). Slices without a full history, without an
-    examined label, or `after_onset` slices and more after the onset are left out.
+    Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32); a window holds for every dot its distances
+    from rest in px, then its event counts, of the last `history` slices, the newest first. Slices without a full
+    history, without an examined label, or `after_onset` slices and more after the onset are left out.
     """
 
     def __init__(self, paths: Sequence[str | Path], history: int = 10, after_onset: int = 15) -> None:
@@ -152,10 +153,8 @@ class SlipWindows:
         return len(self._index)
 
     def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
-        from evetac_cli.kernels.slip import inputs  # brings numba, which a mere reader need not wait for
-
         trial, slice_ = self._index[index]
         displacement, events, label = self._trials[trial]
-        rows = slice(slice_ + 1 - self.history, slice_ + 1)
-        (window,) = inputs.windows(displacement[rows], events[rows], np.array([self.history - 1]), self.history)
+        back = slice(slice_ + 1 - self.history, slice_ + 1)
+        window = np.concatenate([displacement[back][::-1].T, events[back][::-1].T], axis=1, dtype=np.float32)
         return window, np.float32(label[slice_])

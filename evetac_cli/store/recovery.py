@@ -20,7 +20,17 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.store import schema
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, RECIPE, SEGMENTS, STATIC, crc_of, datasets_of
+from evetac_cli.store.segments import (
+    COUNTS,
+    CRC,
+    FIRST_SLICE,
+    JOINED,
+    RECIPE,
+    SEGMENTS,
+    STATIC,
+    checksum,
+    dataset_paths,
+)
 
 SUFFIX = ".part"
 LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that holds some"
@@ -28,7 +38,7 @@ LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that holds some"
 
 @dataclass
 class Leftover:
-    """What can be made of a folder."""
+    """The segments in a folder that can be joined, and what is lost between them."""
 
     recipe: Recipe
     parts: list[Path | int] = field(default_factory=list)  # segments, and so many lost slices between them
@@ -41,7 +51,7 @@ class Leftover:
 
 
 def check_folder(path: Path) -> None:
-    """InputError unless there is a folder of this name."""
+    """InputError unless the path is a folder."""
     if not path.exists():
         raise InputError("no such file", where=str(path), expected=LEFTOVER)
     if not path.is_dir():
@@ -66,7 +76,7 @@ def held(folder: Path) -> Iterator[None]:
         lock.close()
 
 
-def output_of(folder: Path) -> Path:
+def recording_path(folder: Path) -> Path:
     """The file that a left-over folder was to become."""
     return folder.with_name(folder.name.removesuffix(SUFFIX) + ".h5")
 
@@ -77,8 +87,8 @@ def was_joined(folder: Path) -> bool:
 
 
 def read_leftover(folder: Path) -> Leftover:
-    """Look at every segment; InputError if what was known at the start cannot be read, and nothing can be made."""
-    found = Leftover(_recipe(folder))
+    """Check every segment; InputError if what was known at the start cannot be read, and nothing can be made."""
+    leftover = Leftover(_recipe(folder))
     frame = _frame(folder)
     numbered = {int(path.stem): path for path in folder.glob(SEGMENTS)}
     late = {int(path.stem): path for path in folder.glob("[0-9]*.tmp")}  # closed, perhaps, but not yet renamed
@@ -89,24 +99,24 @@ def read_leftover(folder: Path) -> Leftover:
             if path is None:
                 raise ValueError("is missing")
             segment = _checked(path, frame)
-            if segment.first < found.slices:
+            if segment.first < leftover.slices:
                 raise ValueError(f"starts at slice {segment.first}, before the end of the one before it")
         except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-            found.unreadable.append(f"{number:06d}: {error}")
+            leftover.unreadable.append(f"{number:06d}: {error}")
             continue
-        gap = segment.first - found.slices
+        gap = segment.first - leftover.slices
         bridging &= not gap or segment.may_follow_a_gap
         if not bridging:
-            found.left_out += 1
+            leftover.left_out += 1
             continue
         if gap:
-            found.parts.append(gap)
-            found.lost.append((found.slices, segment.first))
-        found.parts.append(segment.path)
-        found.slices = segment.first + segment.slices
-        found.events += segment.events
-        found.gripper_rows += segment.gripper_rows
-    return found
+            leftover.parts.append(gap)
+            leftover.lost.append((leftover.slices, segment.first))
+        leftover.parts.append(segment.path)
+        leftover.slices = segment.first + segment.slices
+        leftover.events += segment.events
+        leftover.gripper_rows += segment.gripper_rows
+    return leftover
 
 
 @dataclass(frozen=True)
@@ -122,7 +132,7 @@ class _Segment:
 def _recipe(folder: Path) -> Recipe:
     try:
         with h5py.File(folder / STATIC, "r") as static:
-            _check_bytes(static)
+            names = list(_check_bytes(static))
             text = static.attrs.get(RECIPE)
         if text is None:
             raise InputError(
@@ -130,8 +140,17 @@ def _recipe(folder: Path) -> Recipe:
                 where=str(folder),
                 hint="it was a simulation: run it again",
             )
-        told = json.loads(str(text))
-        return Recipe(**{**told, "parents": tuple(told["parents"])})
+        unknown = [name for name in names if schema.load("recording").find(name) is None]
+        if unknown:
+            raise InputError(
+                "recorded by another version of evetac and cannot be joined",
+                where=str(folder),
+                expected=f"datasets of recording version {schema.load('recording').version}",
+                found=", ".join(unknown),
+                hint="the segments are plain HDF5 files: events/t, x, y, p, events_per_slice",
+            )
+        recipe = json.loads(str(text))
+        return Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise InputError(
             f"what was known at the start cannot be read: {error}",
@@ -149,9 +168,9 @@ def _frame(folder: Path) -> tuple[int, int]:
 def _check_bytes(h5: h5py.File) -> dict[str, Any]:
     """All arrays of a file; ValueError if the bytes of one are not those that were written."""
     arrays = {}
-    for name in datasets_of(h5):
+    for name in dataset_paths(h5):
         value = h5[name][()]
-        if CRC in h5[name].attrs and crc_of(value) != int(h5[name].attrs[CRC]):
+        if CRC in h5[name].attrs and checksum(value) != int(h5[name].attrs[CRC]):
             raise ValueError(f"{name} was damaged")
         arrays[name] = value
     return arrays

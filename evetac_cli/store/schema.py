@@ -7,23 +7,25 @@ is the dim `slices` plus one. A path may end in `*` (any name), and dims may be 
 
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import SchemaError
 from evetac_cli.resources import schemas
 
 KINDS = ("recording", "labels", "tracks", "features", "model", "force-model", "forces", "report")
 MAJOR = 1
+OLDEST_MINOR = 2  # files of version 1.1 and before have other names of datasets and parameters
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """One row of a schema."""
+    """One dataset of a schema: its dtype, named dims (None: any shape), unit, and what it means."""
 
     path: str
     dtype: str
@@ -35,7 +37,7 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Schema:
-    """What a file of one kind holds."""
+    """The table of datasets of one kind of file, with its version and the groups that may be missing."""
 
     kind: str
     version: str
@@ -69,25 +71,25 @@ def load(kind: str) -> Schema:
     return Schema(kind, table["version"], table["meaning"], tuple(table["optional_groups"]), rows)
 
 
-def problems(schema: Schema, found: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:
+def problems(schema: Schema, stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:
     """Compare what a file holds, path -> (dtype, shape), with its schema; one line per difference, empty if valid."""
     lines = []
     for row in schema.datasets:
         group = row.path.split("/")[0]
-        group_absent = group in schema.optional_groups and not any(path.startswith(group + "/") for path in found)
+        group_absent = group in schema.optional_groups and not any(path.startswith(group + "/") for path in stored)
         wanted = not row.optional and not group_absent
-        if wanted and not any(schema.find(path) is row for path in found):
+        if wanted and not any(schema.find(path) is row for path in stored):
             lines.append(f"{row.path} is missing: {row.meaning}")
     sizes: dict[str, tuple[int, str]] = {}
-    for path, (dtype, shape) in found.items():
-        found_row = schema.find(path)
-        if found_row is None:
+    for path, (dtype, shape) in stored.items():
+        described = schema.find(path)
+        if described is None:
             lines.append(f"{path} is not in the schema of a {schema.kind} file")
             continue
-        if dtype != found_row.dtype:
-            lines.append(f"{path}: expected dtype {found_row.dtype}, found {dtype}")
-        if found_row.dims is not None:
-            lines += _shape_problems(path, found_row.dims, shape, sizes)
+        if dtype != described.dtype:
+            lines.append(f"{path}: expected dtype {described.dtype}, found {dtype}")
+        if described.dims is not None:
+            lines += _shape_problems(path, described.dims, shape, sizes)
     return lines
 
 
@@ -127,8 +129,20 @@ def check(kind: str, arrays: Mapping[str, Any]) -> None:
     refuse(kind, problems(load(kind), {path: describe(value) for path, value in arrays.items()}))
 
 
+def typed_rows(kind: str, rows: Mapping[str, Sequence[Any]]) -> dict[str, NDArray[Any]]:
+    """Rows that were collected one by one, as arrays of the dtypes of the schema; KeyError for an unknown path."""
+    table = load(kind)
+    arrays = {}
+    for path, values in rows.items():
+        row = table.find(path)
+        if row is None:
+            raise KeyError(path)
+        arrays[path] = np.asarray(values, dtype=row.dtype)
+    return arrays
+
+
 def refuse(kind: str, lines: list[str], where: str = "") -> None:
-    """Raise SchemaError if there are problems."""
+    """Raise SchemaError with the first `lines` of `problems`, if there are any."""
     if lines:
         raise SchemaError(
             f"not a valid {kind}", where=where, expected=f"schemas/{kind}.v{MAJOR}.json", found="; ".join(lines[:8])

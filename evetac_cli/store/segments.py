@@ -4,7 +4,7 @@ Why so: a single HDF5 file that is being appended to is unreadable after a kill 
 segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
 last quarter of a second is on disk. A folder NAME.part/ that is left over means that a recording broke off; it holds
 all that `evetac repair` needs (store/recovery.py). Segments are not compressed: that would cost a tenth of the time in
-which they fill, at a million events a second, and the recorder must not look away from its devices for so long. Each
+which they fill, at a million events a second, and the recorder must not leave its devices unread for so long. Each
 dataset carries its CRC-32 instead, so that damage is seen.
 """
 
@@ -60,7 +60,7 @@ class RecordingWriter:
         With a `recipe` what is left by a recording that breaks off can be repaired, and is never thrown away.
         """
         self.path = path
-        self.folder = _folder_of(path)
+        self.folder = _part_folder(path)
         self._claim(discard_leftover)
         try:
             about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe), allow_nan=False)}
@@ -124,11 +124,7 @@ class RecordingWriter:
             arrays: dict[str, Any] = {COUNTS: np.array(self._counts, np.int64)}
             for column in Events._fields:
                 arrays[f"events/{column}"] = np.concatenate([getattr(part, column) for part in self._events])
-            table = schema.load("recording")
-            for name, rows in self._rows.items():
-                described = table.find(name)
-                assert described is not None, name
-                arrays[name] = np.asarray(rows, dtype=described.dtype)
+            arrays |= schema.typed_rows("recording", self._rows)
             self._write(self.folder / f"{self._segments:06d}.h5", arrays, {FIRST_SLICE: self._slices})
             self._segments += 1
             self._slices += len(self._counts)
@@ -166,7 +162,7 @@ class RecordingWriter:
                     if isinstance(value, str):
                         put(h5, name, value)
                     else:
-                        h5.create_dataset(name, data=value, track_times=False).attrs[CRC] = crc_of(value)
+                        h5.create_dataset(name, data=value, track_times=False).attrs[CRC] = checksum(value)
             temporary.replace(path)
         except OSError as error:
             with suppress(OSError):
@@ -180,7 +176,7 @@ class RecordingWriter:
 
 def refuse_leftover(path: Path) -> None:
     """InputError where a recording of this name broke off, and its segments wait for repair."""
-    folder = _folder_of(path)
+    folder = _part_folder(path)
     if not folder.is_dir() or (folder / JOINED).exists():
         return
     if any(file.name[0].isdigit() for file in folder.iterdir()):
@@ -191,12 +187,12 @@ def refuse_leftover(path: Path) -> None:
         )
 
 
-def _folder_of(path: Path) -> Path:
+def _part_folder(path: Path) -> Path:
     return path.with_name(path.name.removesuffix(".h5") + ".part")
 
 
-def crc_of(value: Any) -> int:
-    """CRC-32 of the bytes of an array."""
+def checksum(value: Any) -> int:
+    """CRC-32 of the bytes of an array, as stored beside it in a segment."""
     return zlib.crc32(np.ascontiguousarray(value).tobytes())
 
 
@@ -231,7 +227,7 @@ def join(
     written: dict[str, tuple[str, tuple[int, ...]]] = {}
     with replacing(path) as h5:
         with h5py.File(folder / STATIC, "r") as static:
-            whole = {name: static[name] for name in datasets_of(static)}
+            whole = {name: static[name] for name in dataset_paths(static)}
             for name, dataset in whole.items():
                 value = dataset.asstr()[()] if schema.describe_stored(dataset) == "utf8" else dataset[()]
                 _put_whole(h5, name, value, digest, written)
@@ -244,7 +240,7 @@ def join(
                     _put_more(h5, name, np.full((part, *row_shape), np.nan, dtype), digest, written)
                 continue
             with h5py.File(part, "r") as segment:
-                for name in datasets_of(segment):
+                for name in dataset_paths(segment):
                     rows = segment[name][()]
                     if name == COUNTS:
                         counts.append(rows)
@@ -273,10 +269,10 @@ def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, t
     if first is None or len(parts) < 2:
         return {}
     with h5py.File(first, "r") as segment:
-        found = {name: (segment[name].dtype, segment[name].shape[1:]) for name in datasets_of(segment)}
-    described = {name: table.find(name) for name in found}
+        columns = {name: (segment[name].dtype, segment[name].shape[1:]) for name in dataset_paths(segment)}
+    described = {name: table.find(name) for name in columns}
     return {
-        name: found[name]
+        name: columns[name]
         for name, row in described.items()
         if row is not None and row.dims and row.dims[0] == "slices" and row.dtype.startswith("float")
     }
@@ -303,8 +299,8 @@ def _put_whole(
     written[name] = schema.describe(value)
 
 
-def datasets_of(h5: h5py.File) -> list[str]:
-    """Paths of all datasets."""
+def dataset_paths(h5: h5py.File) -> list[str]:
+    """Paths of all datasets of a file, in any of its groups."""
     names: list[str] = []
     h5.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
     return names

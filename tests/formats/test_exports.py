@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
-from evetac_cli.formats.exports import FORMATS, export, target_of
+from evetac_cli.formats.exports import FORMATS, export, target_path
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.note import Note, read_note
 from evetac_cli.formats.read.calibration_pickle import read_pickle
@@ -31,8 +31,8 @@ from evetac_cli.store import disk
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
+from tests.importing import FRAME, same
 
-FRAME = (640, 480)
 ROUND_TRIPS = ("aedat4", "dsec", "text")
 DOTS = np.stack(np.meshgrid(100.0 + 62.5 * np.arange(8), 50.0 + 62.5 * np.arange(7)), axis=2)
 
@@ -63,13 +63,9 @@ def write(
     return path
 
 
-def same(a: Events, b: Events) -> bool:
-    return all(np.array_equal(x, y) and x.dtype == y.dtype for x, y in zip(a, b, strict=True))
-
-
 def needs(format_: str) -> None:
     if format_ == "aedat4":
-        pytest.importorskip("dv_processing")
+        pytest.importorskip("faery")
 
 
 def refusal(call: Callable[[], Any]) -> str:
@@ -96,7 +92,7 @@ def test_a_recording_comes_back_as_it_was(
     """Assert that events, slices, clock, frame and the word simulated survive the way out and in again."""
     needs(format_)
     source = write(tmp_path / "a.recording.h5", events, slices, t_offset, simulated=simulated)
-    target = target_of(source, format_, None)
+    target = target_path(source, format_, None)
     row = export(source, format_, target)
     assert (row["events"], row["slices"], row["left_out"]) == (events.size, slices, None)
     imported = read_events(target)
@@ -121,7 +117,7 @@ def test_any_cut_into_pieces_gives_the_same_file(
     events = drawn(len(t))._replace(t=np.array(t, np.int64))
     slices = (t[-1] // 1000 + 1 if t else 0) + silence
     source = write(folder / "a.recording.h5", events, slices)
-    target = target_of(source, format_, folder / "out")
+    target = target_path(source, format_, folder / "out")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pieces, "PIECE_EVENTS", piece)
         patch.setattr(write_text, "LINES", 7)
@@ -152,7 +148,7 @@ def source(tmp_path: Path) -> Path:
 def test_dv_processing_reads_ours(source: Path) -> None:
     """Assert that the maker's library finds camera, frame and every event, with times of the source's clock."""
     dv = pytest.importorskip("dv_processing")
-    target = target_of(source, "aedat4", None)
+    target = target_path(source, "aedat4", None)
     row = export(source, "aedat4", target)
     assert row["left_out"] == "gripper sensor/dot_xy_px sensor/window_px"
     recording = dv.io.MonoCameraRecording(str(target))
@@ -161,15 +157,15 @@ def test_dv_processing_reads_ours(source: Path) -> None:
     parts = []
     while (packet := recording.getNextEventBatch()) is not None:
         parts.append(packet.numpy())
-    found = np.concatenate(parts)
+    rows = np.concatenate(parts)
     events = drawn(5000)
     for ours, theirs in zip(events, ("timestamp", "x", "y", "polarity"), strict=True):
-        assert np.array_equal(found[theirs], ours.astype(np.int64) + (5_000_000 if theirs == "timestamp" else 0))
+        assert np.array_equal(rows[theirs], ours.astype(np.int64) + (5_000_000 if theirs == "timestamp" else 0))
 
 
 def test_dsec_is_as_in_the_data_set(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert names, types and the rule of ms_to_idx: event ms_to_idx[k] is the first at k ms or later."""
-    target = target_of(source, "dsec", None)
+    target = target_path(source, "dsec", None)
     export(source, "dsec", target)
     with h5py.File(target) as file:
         assert sorted(file) == ["events", "ms_to_idx", "t_offset"]
@@ -190,7 +186,7 @@ def test_dsec_is_as_in_the_data_set(source: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_numpy_reads_our_text(source: Path) -> None:
     """Assert that the plainest of readers gets four columns of numbers."""
-    target = target_of(source, "text", None)
+    target = target_path(source, "text", None)
     export(source, "text", target)
     table = np.loadtxt(target, dtype=np.int64)
     events = drawn(5000)
@@ -199,7 +195,7 @@ def test_numpy_reads_our_text(source: Path) -> None:
 
 def test_the_grid_comes_back_from_json(source: Path, tmp_path: Path) -> None:
     """Assert that --calibration takes what was written: dots, the missing one, radius, frame and window."""
-    target = target_of(source, "calibration", None)
+    target = target_path(source, "calibration", None)
     assert target.name == "b.calibration.json"
     export(source, "calibration", target)
     calibration = read_calibration(target, FRAME)
@@ -238,7 +234,7 @@ def test_a_recording_without_dots_has_no_grid(tmp_path: Path) -> None:
 def test_what_exists_stays(source: Path, tmp_path: Path, format_: str) -> None:
     """Assert that a file that exists is refused, and replaced only on demand; a folder and the input never."""
     needs(format_)
-    target = target_of(source, format_, tmp_path)
+    target = target_path(source, format_, tmp_path)
     target.write_text("mine")
     assert "--force" in refusal(lambda: export(source, format_, target))
     assert target.read_text() == "mine"
@@ -252,12 +248,12 @@ def test_what_exists_stays(source: Path, tmp_path: Path, format_: str) -> None:
 def test_names_of_outputs(tmp_path: Path) -> None:
     """Assert that an output is named after the recording, and one with the ending of another format is refused."""
     source = tmp_path / "a.recording.h5"
-    assert target_of(source, "dsec", None) == tmp_path / "a.dsec.h5"
-    assert target_of(source, "text", tmp_path) == tmp_path / "a.txt"
-    assert target_of(source, "aedat4", tmp_path / "new") == tmp_path / "new" / "a.aedat4"
-    assert target_of(source, "text", tmp_path / "b.txt") == tmp_path / "b.txt"
-    assert target_of(source, "dsec", tmp_path / "b.h5") == tmp_path / "b.h5"
-    assert "ends in .aedat4" in refusal(lambda: target_of(source, "aedat4", tmp_path / "b.txt"))
+    assert target_path(source, "dsec", None) == tmp_path / "a.dsec.h5"
+    assert target_path(source, "text", tmp_path) == tmp_path / "a.txt"
+    assert target_path(source, "aedat4", tmp_path / "new") == tmp_path / "new" / "a.aedat4"
+    assert target_path(source, "text", tmp_path / "b.txt") == tmp_path / "b.txt"
+    assert target_path(source, "dsec", tmp_path / "b.h5") == tmp_path / "b.h5"
+    assert "ends in .aedat4" in refusal(lambda: target_path(source, "aedat4", tmp_path / "b.txt"))
 
 
 FULL = """
@@ -281,7 +277,7 @@ def _little_room() -> None:
 def test_a_full_disk_is_said_and_leaves_nothing(source: Path, tmp_path: Path, format_: str) -> None:
     """Assert that a disk without room gives words, and no part of a file."""
     needs(format_)
-    target = tmp_path / "out" / target_of(source, format_, None).name
+    target = tmp_path / "out" / target_path(source, format_, None).name
     call = [sys.executable, "-c", FULL, str(source), format_, str(target)]
     done = subprocess.run(call, capture_output=True, text=True, timeout=60, preexec_fn=_little_room, check=False)
     assert "File too large" in done.stdout, done.stderr
@@ -289,16 +285,20 @@ def test_a_full_disk_is_said_and_leaves_nothing(source: Path, tmp_path: Path, fo
     assert list(target.parent.iterdir()) == []
 
 
-def test_aedat4_needs_the_camera_extra(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a missing library is named with the command that installs it, and a crash is contained."""
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    stand_in = tmp_path / "dv_processing.py"
-    stand_in.write_text("raise ImportError('libdv.so: no such file')")
+def test_aedat4_needs_the_convert_extra(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing library is named with the command that installs it."""
+    monkeypatch.setitem(sys.modules, "faery", None)
     words = refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
-    assert 'pip install "evetac[camera]"' in words and "libdv.so" in words
-    stand_in.write_text("import os; os.abort()")
-    assert "AEDAT4 cannot be written" in refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
+    assert 'pip install "evetac[convert]"' in words
     assert not (tmp_path / "x.aedat4").exists()
+
+
+def test_aedat4_has_no_times_before_0(tmp_path: Path) -> None:
+    """Assert that a recording whose source's clock begins before 0 is refused rather than written with other times."""
+    pytest.importorskip("faery")
+    source = write(tmp_path / "a.recording.h5", drawn(10), 50, -100_000)
+    assert "no times before 0" in refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.recording.h5"]
 
 
 @pytest.mark.parametrize(
@@ -355,17 +355,17 @@ def test_an_export_that_was_cut_ends_with_its_last_event(
     needs(format_)
     events = drawn(40_000)  # in 5 packets
     source = write(tmp_path / "a.recording.h5", events, 9000, 1_000)
-    target = target_of(source, format_, None)
+    target = target_path(source, format_, None)
     export(source, format_, target)
     whole = target.read_bytes()
     for share in (0.3, 0.6, 0.9):
         length = round(share * len(whole))
         target.write_bytes(whole[: whole.rindex(b"\n", 0, length) + 1] if format_ == "text" else whole[:length])
         imported = read_events(target)
-        kept = imported.events.size
-        assert 0 < kept < 40_000 and same(imported.events, events.part(0, kept))
-        assert imported.slices == int(events.t[kept - 1]) // 1000 + 1
-        assert any(f"{kept} events" in note for note in imported.notes)
+        count = imported.events.size
+        assert 0 < count < 40_000 and same(imported.events, events.part(0, count))
+        assert imported.slices == int(events.t[count - 1]) // 1000 + 1
+        assert any(f"{count} events" in note for note in imported.notes)
     target.write_bytes(b"".join(whole.splitlines(True)[:2]) if format_ == "text" else whole[: len(whole) // 50])
     words = {"text": "holds no events", "aedat4": "the file is broken"}[format_]
     assert words in refusal(lambda: read_events(target))

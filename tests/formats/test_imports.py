@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,16 +17,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, slice_starts
+from evetac_cli.events import slice_starts
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read import read_aedat4, read_text
+from evetac_cli.formats.read import read_text
 from evetac_cli.formats.read.event_validation import Columns, normalise
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
-from tests.importing import refusal, rows_of
-
-REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
-FRAME = (640, 480)
+from tests.importing import FRAME, event_rows, real, refusal, same
 
 
 def columns(t: Any, x: Any = None, y: Any = None, p: Any = None, first: int = 0) -> Columns:
@@ -37,20 +33,7 @@ def columns(t: Any, x: Any = None, y: Any = None, p: Any = None, first: int = 0)
     return Columns(t, x, y, p, lambda row: f"at index {first + row}")
 
 
-def real(name: str) -> Path:
-    """A recording made by others; the test is skipped where the folder is absent."""
-    path = REAL / name
-    if not path.is_file():
-        pytest.skip(f"{name} is not there")
-    return path
-
-
-def same(a: Events, b: Events) -> bool:
-    pairs: list[tuple[Any, Any]] = list(zip(a, b, strict=True))
-    return all(np.array_equal(left, right) and left.dtype == right.dtype for left, right in pairs)
-
-
-# --- the door -----------------------------------------------------------------------------------------------------
+# --- validation of events -----------------------------------------------------------------------------------------
 
 INTEGERS = st.sampled_from(["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"]).map(np.dtype)
 
@@ -73,7 +56,7 @@ def integer_batches(draw: st.DrawFn) -> Columns:
 @settings(max_examples=300)
 @given(integer_batches(), st.booleans())
 def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: bool) -> None:
-    """Assert that the door gives what a plain loop over Python integers gives, or refuses."""
+    """Assert that validation gives what a plain loop over Python integers gives, or refuses."""
     width, height = 10, 7
     rows = [tuple(int(value) for value in row) for row in zip(*batch[:4], strict=True)]
     inside = [row for row in rows if 0 <= row[1] < width and 0 <= row[2] < height]
@@ -91,7 +74,7 @@ def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: boo
             normalise([batch], (width, height), sort=sort)
         return
     normal = normalise([batch], (width, height), sort=sort)
-    expected = sorted(inside, key=lambda row: row[0])  # stable, as the door must be
+    expected = sorted(inside, key=lambda row: row[0])  # stable, as validation must be
     first_us = expected[0][0] if expected else 0
     assert [column.dtype for column in normal.events] == [np.int64, np.uint16, np.uint16, np.uint8]
     assert [tuple(int(value) for value in row) for row in zip(*normal.events, strict=True)] == [
@@ -159,7 +142,7 @@ def test_what_is_no_number_is_dropped_and_counted() -> None:
     ],
 )
 def test_columns_that_mean_something_else_are_refused(batch: Columns, words: str) -> None:
-    """Assert that the door says what is wrong and where, instead of making something up."""
+    """Assert that validation says what is wrong and where, instead of making something up."""
     with pytest.raises(InputError, match=words):
         normalise([batch], (10, 10))
 
@@ -206,20 +189,17 @@ ROWS = [(0, 1, 2, 1), (1500, 3, 4, 0), (2000, 5, 6, 1)]
 def test_every_way_to_write_text_reads_the_same(text: Callable[..., Path], content: str) -> None:
     """Assert that separators, comments, line ends, units, polarity codes and column orders do not change the events."""
     imported = read_events(text(content), frame_px=FRAME)
-    assert rows_of(imported) == ROWS
+    assert event_rows(imported) == ROWS
     assert (imported.format, imported.slices, imported.frame_px, imported.notes) == ("text", 3, FRAME, [])
     assert imported.t_offset_us in (1000, 1_000_000)
 
 
-def test_dialect_names_columns_and_unit(text: Callable[..., Path]) -> None:
-    """Assert that the caller can say what the file does not."""
-    path = text("1,2,1,0\n3,4,0,0.0015\n5,6,1,0.002\n")
-    assert rows_of(read_events(path, frame_px=FRAME, dialect="x y p t_s")) == ROWS
-    assert "unknown dialect" in refusal(path, frame_px=FRAME, dialect="t x y")
-    assert "unknown dialect" in refusal(path, frame_px=FRAME, dialect="t_ms x y p")
-    named = text("t x y p\n0 1 2 1\n1.5e3 3 4 0\n2000 5 6 1\n")
-    assert rows_of(read_events(named, frame_px=FRAME, dialect="t_us x y p")) == ROWS
-    assert "dialect and file differ" in refusal(named, frame_px=FRAME, dialect="x y p t_us")
+def test_a_line_of_names_says_order_and_unit(text: Callable[..., Path]) -> None:
+    """Assert that a file can name its columns and its unit, and that other names are no names."""
+    path = text("x,y,p,t_s\n1,2,1,0\n3,4,0,0.0015\n5,6,1,0.002\n")
+    assert event_rows(read_events(path, frame_px=FRAME)) == ROWS
+    assert "line 1: 't_ms x y p'" in refusal(text("t_ms x y p\n0 1 2 1\n"), frame_px=FRAME)
+    assert "line 2: 't_us x y p'" in refusal(text("t x y p\nt_us x y p\n0 1 2 1\n"), frame_px=FRAME)
 
 
 @settings(max_examples=50)
@@ -270,9 +250,9 @@ def test_bad_lines_are_refused_by_number(
 ) -> None:
     """Assert that the user is told which line is wrong, as an editor counts them, and in what way."""
     monkeypatch.setattr(read_text, "BLOCK_CHARS", block)
-    found = refusal(text(content), frame_px=FRAME)
-    assert words in found
-    assert f"line {line}" in found
+    refused = refusal(text(content), frame_px=FRAME)
+    assert words in refused
+    assert f"line {line}" in refused
 
 
 def test_text_outside_frame_and_not_a_number_is_counted(text: Callable[..., Path]) -> None:
@@ -280,7 +260,7 @@ def test_text_outside_frame_and_not_a_number_is_counted(text: Callable[..., Path
     path = text(f"0 1 2 1\nnan 1 2 1\n3 -1 2 1\n4 640 2 0\n5 {2**70} 2 1\ninf 1 2 1\n-INF 2 2 0\n6 639 479 1\n")
     imported = read_events(path, frame_px=FRAME)
     assert imported.counts == {"not_a_number": 3, "out_of_frame": 3}
-    assert rows_of(imported) == [(0, 1, 2, 1), (6, 639, 479, 1)]
+    assert event_rows(imported) == [(0, 1, 2, 1), (6, 639, 479, 1)]
 
 
 def test_text_needs_a_frame_size(text: Callable[..., Path]) -> None:
@@ -334,7 +314,7 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
     path = text("10 1 2 1\n4 3 4 0\n")
     assert "--sort" in refusal(path, frame_px=FRAME)
     imported = read_events(path, frame_px=FRAME, sort=True)
-    assert (rows_of(imported), imported.sorted) == ([(0, 3, 4, 0), (6, 1, 2, 1)], 1)
+    assert (event_rows(imported), imported.sorted) == ([(0, 3, 4, 0), (6, 1, 2, 1)], 1)
     assert imported.notes == ["time went backwards: 1 events were put back in order"]
 
 
@@ -377,10 +357,10 @@ def test_what_is_no_plain_file_is_refused(tmp_path: Path) -> None:
 
 def test_options_that_would_do_nothing_are_refused(text: Callable[..., Path], dsec: Callable[..., Path]) -> None:
     """Assert that an option of another format is an error."""
-    assert "stream only applies to AEDAT4 files and ROS bags" in refusal(
+    assert "--stream only applies to AEDAT4 files and ROS bags" in refusal(
         text("0 1 2 1\n"), frame_px=FRAME, stream="events"
     )
-    assert "dialect only applies to text" in refusal(dsec(), frame_px=FRAME, dialect="t x y p")
+    assert "--stream only applies" in refusal(dsec(), frame_px=FRAME, stream="events")
 
 
 # --- HDF5 ---------------------------------------------------------------------------------------------------------
@@ -418,7 +398,7 @@ def test_dsec_layout_is_read(dsec: Callable[..., Path]) -> None:
         file["ms_to_idx"] = np.array([0, 0, 1, 2], np.uint64)
 
     imported = read_events(dsec(complete), frame_px=FRAME)
-    assert rows_of(imported) == ROWS
+    assert event_rows(imported) == ROWS
     assert (imported.format, imported.t_offset_us, imported.slices) == ("hdf5", 49_599_001_000, 3)
     assert "--frame-size" in refusal(dsec())
 
@@ -426,13 +406,13 @@ def test_dsec_layout_is_read(dsec: Callable[..., Path]) -> None:
 @pytest.mark.parametrize("p", [np.array([True, False, True]), np.array([1, -1, 1], np.int8)])
 def test_polarity_of_other_types_is_read(dsec: Callable[..., Path], p: Any) -> None:
     """Assert that logical and signed polarities mean the same as 0 and 1."""
-    assert rows_of(read_events(dsec(p=p, options={"compression": "gzip"}), frame_px=FRAME)) == ROWS
+    assert event_rows(read_events(dsec(p=p, options={"compression": "gzip"}), frame_px=FRAME)) == ROWS
 
 
 def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that batches join without loss, and places are counted through them."""
     monkeypatch.setattr("evetac_cli.formats.read.read_dsec.BATCH_ROWS", 2)
-    assert rows_of(read_events(dsec(), frame_px=FRAME)) == ROWS
+    assert event_rows(read_events(dsec(), frame_px=FRAME)) == ROWS
     assert "first at index 2" in refusal(dsec(t=np.array([5, 6, 4])), frame_px=FRAME)
 
 
@@ -593,248 +573,7 @@ def test_our_own_files_need_no_import(tmp_path: Path) -> None:
     assert "a recording needs no import" in refusal(path, frame_px=FRAME)
 
 
-# --- AEDAT4 -------------------------------------------------------------------------------------------------------
-
-
-def store(dv: Any, t: Any, x: Any, y: Any, p: Any) -> Any:
-    events = dv.EventStore()
-    for row in zip(t, x, y, p, strict=True):
-        events.push_back(*(int(value) for value in row[:3]), bool(row[3]))
-    return events
-
-
-@pytest.fixture(scope="module")
-def aedat4(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Events]:
-    """An AEDAT4 file in several packets, and the events in it."""
-    dv = pytest.importorskip("dv_processing")
-    rng = np.random.default_rng(8)
-    t = np.sort(rng.integers(0, 50_000, 5000)) + 1_600_000_000_000_000
-    t[0] = 1_600_000_000_000_000
-    x, y, p = rng.integers(0, 346, 5000), rng.integers(0, 260, 5000), rng.integers(0, 2, 5000)
-    path = tmp_path_factory.mktemp("aedat4") / "a.aedat4"
-    config = dv.io.MonoCameraWriter.Config("DAVIS346_1")
-    config.addEventStream((346, 260))
-    writer = dv.io.MonoCameraWriter(str(path), config)
-    for part in (slice(k, k + 1000) for k in range(0, 5000, 1000)):
-        writer.writeEventPacket(store(dv, t[part], x[part], y[part], p[part]).toPacket())
-    del writer
-    return path, Events(t - t[0], x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
-
-
-@pytest.fixture
-def spans(aedat4: tuple[Path, Events]) -> list[tuple[int, int]]:
-    """Where its packets lie, found by the rule of the format: stream and size before each."""
-    data = aedat4[0].read_bytes()
-    at = 18 + struct.unpack_from("<I", data, 14)[0]
-    found = []
-    for _ in range(5):
-        size = struct.unpack_from("<i", data, at + 4)[0]
-        found.append((at, at + 8 + size))
-        at += 8 + size
-    return found
-
-
-def test_aedat4_is_read(aedat4: tuple[Path, Events]) -> None:
-    """Assert that events, frame and clock are those that were written."""
-    imported = read_events(aedat4[0])
-    assert same(imported.events, aedat4[1])
-    assert (imported.format, imported.frame_px, imported.notes) == ("aedat4", (346, 260), [])
-    assert imported.t_offset_us == 1_600_000_000_000_000
-    assert "leave out --frame-size" in refusal(aedat4[0], frame_px=FRAME)
-
-
-def test_cut_aedat4_keeps_what_arrived(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
-    """Assert that a cut file gives the events of its complete packets, says so, and is refused where there are none."""
-    path, written = aedat4
-    whole = path.read_bytes()
-    cut = tmp_path / "cut.aedat4"
-    for length, packets in ((spans[0][1], 1), (spans[3][1] - 1, 3), (spans[4][0] + 3, 4), (spans[4][1], 5)):
-        cut.write_bytes(whole[:length])
-        imported = read_events(cut)
-        assert same(imported.events, written.part(0, 1000 * packets))
-        assert len(imported.notes) == 1
-        if packets < 5:
-            lost = length - spans[packets - 1][1]
-            assert f"kept {1000 * packets} events of {packets} complete packets; {lost} bytes" in imported.notes[0]
-    for length in (1, 11, 14, 17, 18, spans[0][0] // 2, spans[0][0] - 1, spans[0][0], spans[0][0] + 8, spans[0][1] - 1):
-        cut.write_bytes(whole[:length])
-        refusal(cut)
-
-
-def test_aedat4_that_was_never_closed_is_read(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
-    """Assert that the file of a recorder that was killed gives all complete packets, with a note."""
-    path, written = aedat4
-    data = bytearray(path.read_bytes()[: spans[3][1]])
-    position = struct.pack("<q", spans[4][1])  # of the packet table, written into the header when a file is closed
-    assert data.count(position) == 1
-    data[data.index(position) : data.index(position) + 8] = struct.pack("<q", -1)
-    killed = tmp_path / "killed.aedat4"
-    killed.write_bytes(data)
-    imported = read_events(killed)
-    assert same(imported.events, written.part(0, 4000))
-    assert imported.notes == ["the recorder never closed the file: kept 4000 events of 4 packets"]
-
-
-def test_a_damaged_packet_neither_hangs_nor_passes_unseen(
-    aedat4: tuple[Path, Events], spans: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that decoding ends at a damaged packet, in bounded time, and keeps what came before it."""
-    monkeypatch.setattr(read_aedat4, "PACKET_CPU_S", 0)  # dv-processing 2.0.4 would spin on this packet for ever
-    path, written = aedat4
-    data = bytearray(path.read_bytes())
-    data[spans[2][0] + 100 : spans[2][0] + 300] = bytes(range(200))
-    broken = tmp_path / "broken.aedat4"
-    broken.write_bytes(data)
-    imported = read_events(broken)
-    assert same(imported.events, written.part(0, 2000))
-    assert "broken file: kept 2000 events of 2 of 5 packets" in imported.notes[0]
-
-
-def test_damage_beside_the_packets_loses_nothing(
-    aedat4: tuple[Path, Events], spans: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that a damaged packet table or packet header is got round, and said."""
-    monkeypatch.setattr(read_aedat4, "PACKET_CPU_S", 0)
-    path, written = aedat4
-    whole = path.read_bytes()
-    for at, words in ((spans[4][1] + 10, "packet table is damaged"), (spans[1][0], "a packet at byte")):
-        data = bytearray(whole)
-        data[at : at + 8] = b"\xff" * 8
-        broken = tmp_path / "broken.aedat4"
-        broken.write_bytes(data)
-        imported = read_events(broken)
-        assert same(imported.events, written)
-        assert words in imported.notes[0]
-
-
-def test_damaged_aedat4_headers_are_refused(aedat4: tuple[Path, Events], tmp_path: Path) -> None:
-    """Assert that no damage in the header leads to anything but words, or to the events after all."""
-    whole = aedat4[0].read_bytes()
-    broken = tmp_path / "broken.aedat4"
-    rng = np.random.default_rng(1)
-    refused = 0
-    for _ in range(60):
-        data = bytearray(whole)
-        # the fields before the tree of settings, and the start of the tree
-        for at in rng.integers(14, 120, 3):
-            data[at] = rng.integers(256)
-        broken.write_bytes(data)
-        try:
-            with pytest.MonkeyPatch.context() as patch:  # only the header is of interest: decoding would take time
-                patch.setattr(read_aedat4, "_decode", lambda *_: iter(()))
-                patch.setattr(read_aedat4, "_columns", lambda packets: packets)
-                read_events(broken)
-        except InputError:
-            refused += 1
-    assert refused > 30
-
-
-def test_streams_are_chosen_by_name(tmp_path: Path) -> None:
-    """Assert that of several event streams the first by name is read, the others are noted, and each can be had."""
-    dv = pytest.importorskip("dv_processing")
-    path = tmp_path / "stereo.aedat4"
-    left, right = dv.io.MonoCameraWriter.Config("cam_10"), dv.io.MonoCameraWriter.Config("cam_1")
-    left.addEventStream((100, 80))
-    right.addEventStream((60, 50))
-    writer = dv.io.StereoCameraWriter(str(path), left, right)
-    writer.left.writeEvents(store(dv, range(3), range(3), range(3), [1] * 3))
-    writer.right.writeEvents(store(dv, range(5), range(5), range(5), [0] * 5))
-    del writer
-    first = read_events(path)
-    assert (first.events.size, first.frame_px) == (5, (60, 50))
-    assert first.notes == ["took the event stream cam_1/events; also there: cam_10/events (choose with --stream)"]
-    other = read_events(path, stream="cam_10/events")
-    assert (other.events.size, other.frame_px) == (3, (100, 80))
-    assert "expected: cam_1/events or cam_10/events" in refusal(path, stream="events")
-
-
-@pytest.fixture
-def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Put a module in the place of dv-processing, for processes that start from now on."""
-
-    def write(code: str) -> None:
-        (tmp_path / "dv_processing.py").write_text(code)
-        monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-
-    return write
-
-
-def test_aedat4_needs_the_camera_extra(aedat4: tuple[Path, Events], stand_in: Callable[[str], None]) -> None:
-    """Assert that a library that is missing or does not load is named with the command that installs it."""
-    stand_in("raise ImportError('libdv.so: no such file')")
-    words = refusal(aedat4[0])
-    assert 'pip install "evetac[camera]"' in words
-    assert "libdv.so" in words
-
-
-def test_a_crash_of_the_library_is_contained(aedat4: tuple[Path, Events], stand_in: Callable[[str], None]) -> None:
-    """Assert that a library that takes its process down does not do it to ours."""
-    stand_in("import os; os.abort()")
-    assert "the decoder crashed (exit code -6)" in refusal(aedat4[0])
-
-
-def test_packets_are_counted(aedat4: tuple[Path, Events], stand_in: Callable[[str], None]) -> None:
-    """Assert that a library that stops too early is noticed, and that what it prints does no harm."""
-    stand_in("""
-import numpy as np
-print("a library that likes to talk", flush=True)
-class Packet:
-    def numpy(self):
-        return np.zeros(3, [("timestamp", "i8"), ("x", "i2"), ("y", "i2"), ("polarity", "i1")])
-class io:
-    class MonoCameraRecording:
-        def __init__(self, path):
-            self.left = 2
-        def getNextEventBatch(self, stream):
-            self.left -= 1
-            return Packet() if self.left >= 0 else None
-""")
-    imported = read_events(aedat4[0])
-    assert imported.events.size == 6
-    assert imported.notes == ["broken file: kept 6 events of 2 of 5 packets; there the decoder stopped"]
-
-
 # --- recordings made by others ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "events", "frame", "slices"),
-    [
-        ("dvxplorer_static_noise.aedat4", 255_283, (640, 480), 2700),
-        ("davis346.aedat4", 78_830, (346, 260), 2360),
-        ("multistream.aedat4", 9_193, (346, 260), 3814),
-    ],
-)
-def test_real_aedat4(name: str, events: int, frame: tuple[int, int], slices: int) -> None:
-    """Assert that the makers' test files give their known numbers of events."""
-    pytest.importorskip("dv_processing")
-    imported = read_events(real(name))
-    assert (imported.events.size, imported.frame_px, imported.slices) == (events, frame, slices)
-    assert sum(imported.counts.values()) == imported.sorted == 0
-    assert imported.notes == []
-    assert imported.events.t[0] == 0
-
-
-def test_real_aedat4_without_events() -> None:
-    """Assert that a file of two streams without a packet is refused."""
-    assert "holds no events" in refusal(real("empty_stereo.aedat4"))
-
-
-def test_real_noise_is_the_noise_described() -> None:
-    """Assert that columns are not mixed up: 385 pixels above 20 events a second make 66.5 % of all."""
-    pytest.importorskip("dv_processing")
-    imported = read_events(real("dvxplorer_static_noise.aedat4"))
-    image = np.zeros((480, 640), np.int64)
-    np.add.at(image, (imported.events.y, imported.events.x), 1)
-    hot = image > 20 * imported.events.t[-1] / 1e6
-    assert image[336, 331] == image.max() == 4035
-    assert np.count_nonzero(hot) == 385
-    assert image[hot].sum() / image.sum() == pytest.approx(0.665, abs=5e-4)
-
-
-def test_real_frames_are_no_events() -> None:
-    """Assert that a file of frames is refused in words."""
-    assert "holds frames but no event stream" in refusal(real("frames_only.aedat4"))
 
 
 def test_real_text() -> None:

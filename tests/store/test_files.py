@@ -19,8 +19,9 @@ import pytest
 from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store import files
-from evetac_cli.store.files import StageFile, output_path, put, replacing, stem, up_to_date, write_stage
+from evetac_cli.store.files import StageFile, output_path, put, put_header, replacing, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.schema import KINDS
 
 RECIPE = Recipe("labels", 1, {"threshold_px": 0.5}, parents=(Recipe("recording", 1, {}, seed=1).header(),))
 SLICES = 5000
@@ -247,14 +248,32 @@ def test_newer_major_version(made: Path) -> None:
     assert "update evetac" in refusal(made)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_of_the_first_layout(tmp_path: Path, kind: str) -> None:
+    """Assert that a file whose datasets and parameters have the names of the first edition is refused as such."""
+    path = tmp_path / f"a.{kind}.h5"
+    with replacing(path) as h5:
+        h5["sensor/individual"] = "drawn"
+        put_header(h5, Recipe(kind, 1, {"individual": "drawn"}, seed=1).header() | {"version": "1.1"})
+    message = refusal(path)
+    assert "written by an earlier version of evetac and cannot be read" in message
+    assert "expected: version 1.2 or newer" in message
+    assert f"found:    {kind} version 1.1" in message
+    assert "make it again from its recipe" in message
+    with pytest.raises(InputError, match="earlier version of evetac") as refused:
+        up_to_date(path, RECIPE)
+    assert "--force replaces it" in str(refused.value)
+    assert not up_to_date(path, RECIPE, force=True)
+
+
 def test_newer_minor_version(made: Path) -> None:
     """Assert that what a newer minor version adds is let be, while its known datasets are still checked."""
     with h5py.File(made, "r+") as h5:
-        h5["added/in_1_1"] = np.arange(3)
-    assert "added/in_1_1 is not in the schema" in refusal(made)
-    edit_header(made, version="1.1", added="too")
+        h5["added/in_1_99"] = np.arange(3)
+    assert "added/in_1_99 is not in the schema" in refusal(made)
+    edit_header(made, version="1.99", added="too")
     with StageFile(made, "labels") as file:
-        np.testing.assert_array_equal(file.read("added/in_1_1"), np.arange(3))
+        np.testing.assert_array_equal(file.read("added/in_1_99"), np.arange(3))
     with h5py.File(made, "r+") as h5:
         del h5["confidence"]
     message = refusal(made)
@@ -531,6 +550,7 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.schema import KINDS
 
 rng = np.random.default_rng(0)
 arrays = {"label": rng.integers(0, 2, 200000).astype(np.int8), "relative_flow_px": rng.random(200000, np.float32),

@@ -19,7 +19,7 @@ from evetac_cli.store.provenance import (
     canonical,
     content_digest,
     first_difference,
-    id_of,
+    recompute_id,
 )
 
 PARENT = Recipe("recording", 1, {"object": 3}, seed=1).header()
@@ -93,9 +93,9 @@ def test_order_of_keys_is_no_part_of_the_id(table: dict[str, Any]) -> None:
 @settings(max_examples=60, deadline=None)
 def test_first_difference_is_found_wherever_it_is(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
     """Assert that recipes with different ids have a difference in words, and that equal ones have none."""
-    wanted, found = Recipe("tracks", 1, ours), Recipe("tracks", 1, theirs)
-    words = first_difference(wanted, found.header())
-    assert (words == "the schema version differs") == (wanted.id == found.id)
+    wanted, existing = Recipe("tracks", 1, ours), Recipe("tracks", 1, theirs)
+    words = first_difference(wanted, existing.header())
+    assert (words == "the schema version differs") == (wanted.id == existing.id)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), {"deep": [1, -float("inf")]}])
@@ -109,9 +109,9 @@ def test_time_host_and_versions_are_no_part_of_the_id(monkeypatch: pytest.Monkey
     """Assert that the id of a header stays the same when it is made elsewhere at another time."""
     here = BASE.header()
     monkeypatch.setattr("evetac_cli.store.provenance.made", lambda: {"at": "tomorrow", "host": "elsewhere"})
-    there = BASE.header()
-    assert here["made"] != there["made"]
-    assert here["id"] == there["id"] == BASE.id
+    elsewhere = BASE.header()
+    assert here["made"] != elsewhere["made"]
+    assert here["id"] == elsewhere["id"] == BASE.id
 
 
 def test_header_is_as_its_schema_says() -> None:
@@ -137,14 +137,14 @@ EDITS: dict[str, Any] = {
 def test_edits_are_detected(key: str, value: object) -> None:
     """Assert that the id no longer fits a header in which something was edited."""
     header = BASE.header()
-    assert id_of(header) == header["id"] == BASE.id
-    assert id_of({**header, key: value}) != header["id"]
+    assert recompute_id(header) == header["id"] == BASE.id
+    assert recompute_id({**header, key: value}) != header["id"]
 
 
 def test_a_newer_minor_version_has_the_same_id() -> None:
     """Assert that a minor version is no part of the id, as it only adds."""
     header = BASE.header()
-    assert id_of({**header, "version": "1.7"}) == header["id"]
+    assert recompute_id({**header, "version": "1.7"}) == header["id"]
 
 
 def test_history_carries_every_ancestor_once() -> None:
@@ -158,7 +158,7 @@ def test_history_carries_every_ancestor_once() -> None:
     assert list(header["history"]) == [recording.id, tracks.id, labels.id, features.id]
     assert header["parents"] == [features.id]
     for id_, ancestor in header["history"].items():
-        assert ancestor["id"] == id_ == id_of(ancestor)
+        assert ancestor["id"] == id_ == recompute_id(ancestor)
         assert set(ancestor) == set(header) - {"history", "made"}
         assert set(ancestor["parents"]) <= set(header["history"])
 
@@ -199,8 +199,8 @@ WORDS = {
 @pytest.mark.parametrize(("change", "words"), WORDS.items())
 def test_first_difference_names_the_place(change: str, words: str) -> None:
     """Assert that the first difference is told with its place and both values, cut to a readable length."""
-    found: Header = dataclasses.replace(BASE, **CHANGES[change]).header()
-    assert first_difference(BASE, found) == words
+    existing: Header = dataclasses.replace(BASE, **CHANGES[change]).header()
+    assert first_difference(BASE, existing) == words
 
 
 def test_canonical_json() -> None:

@@ -83,8 +83,8 @@ def test_slices_outlive_their_block(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(read, "BLOCK_SLICES", 2)
     counts = [3, 0, 5, 2, 7]
     with open_recording(str(write_recording(tmp_path / "a.recording.h5", counts))) as recording:
-        kept = [recording[k] for k in (4, 0, 3, 1, 2)]
-    for k, events in zip((4, 0, 3, 1, 2), kept, strict=True):
+        picked = [recording[k] for k in (4, 0, 3, 1, 2)]
+    for k, events in zip((4, 0, 3, 1, 2), picked, strict=True):
         assert equal(events, pieces_of(counts)[k])
 
 

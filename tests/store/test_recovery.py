@@ -51,12 +51,12 @@ def no_timer(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_whole_leftover(tmp_path: Path) -> None:
     """Assert that everything is found, with the recipe that the recording began with, parents included."""
     folder = broken_off(tmp_path, [2, 3, 1], lambda k: {"gripper/t_us": 1000 * k})
-    found = recovery.read_leftover(folder)
-    assert found.recipe == RECIPE
-    assert (found.slices, found.events, found.gripper_rows) == (6, 18, 6)
-    assert [part.name for part in found.parts if isinstance(part, Path)] == ["000000.h5", "000001.h5", "000002.h5"]
-    assert not found.lost
-    assert not found.unreadable
+    leftover = recovery.read_leftover(folder)
+    assert leftover.recipe == RECIPE
+    assert (leftover.slices, leftover.events, leftover.gripper_rows) == (6, 18, 6)
+    assert [part.name for part in leftover.parts if isinstance(part, Path)] == ["000000.h5", "000001.h5", "000002.h5"]
+    assert not leftover.lost
+    assert not leftover.unreadable
 
 
 def flip_a_byte(path: Path) -> None:
@@ -82,12 +82,12 @@ def test_damaged_segment_is_a_gap(damage: str, tmp_path: Path) -> None:
     """Assert that a middle segment that was harmed in any way is named, and what follows keeps its moment."""
     folder = broken_off(tmp_path, [2, 3, 4])
     DAMAGE[damage](folder / "000001.h5")
-    found = recovery.read_leftover(folder)
-    assert found.parts == [folder / "000000.h5", 3, folder / "000002.h5"]
-    assert found.lost == [(2, 5)]
-    assert (found.slices, found.events) == (9, 18)
-    assert len(found.unreadable) == 1
-    assert found.unreadable[0].startswith("000001: ")
+    leftover = recovery.read_leftover(folder)
+    assert leftover.parts == [folder / "000000.h5", 3, folder / "000002.h5"]
+    assert leftover.lost == [(2, 5)]
+    assert (leftover.slices, leftover.events) == (9, 18)
+    assert len(leftover.unreadable) == 1
+    assert leftover.unreadable[0].startswith("000001: ")
 
 
 def test_gaps_at_both_ends(tmp_path: Path) -> None:
@@ -95,10 +95,10 @@ def test_gaps_at_both_ends(tmp_path: Path) -> None:
     folder = broken_off(tmp_path, [2, 3, 4])
     (folder / "000000.h5").unlink()
     (folder / "000002.h5").write_bytes(b"")
-    found = recovery.read_leftover(folder)
-    assert found.lost == [(0, 2)]
-    assert found.slices == 5
-    assert [line.split(":")[0] for line in found.unreadable] == ["000000", "000002"]
+    leftover = recovery.read_leftover(folder)
+    assert leftover.lost == [(0, 2)]
+    assert leftover.slices == 5
+    assert [line.split(":")[0] for line in leftover.unreadable] == ["000000", "000002"]
 
 
 def test_segment_that_was_not_renamed_is_used(tmp_path: Path) -> None:
@@ -107,8 +107,8 @@ def test_segment_that_was_not_renamed_is_used(tmp_path: Path) -> None:
     (folder / "000001.h5").rename(folder / "000001.tmp")
     assert recovery.read_leftover(folder).slices == 5
     (folder / "000001.tmp").write_bytes((folder / "000001.tmp").read_bytes()[:-300])
-    found = recovery.read_leftover(folder)
-    assert (found.slices, len(found.unreadable)) == (2, 1)
+    leftover = recovery.read_leftover(folder)
+    assert (leftover.slices, len(leftover.unreadable)) == (2, 1)
 
 
 @pytest.mark.parametrize(
@@ -121,28 +121,28 @@ def test_impossible_events_are_refused(column: str, value: int, tmp_path: Path) 
         changed = h5[column][()]
         changed[3] = value
         h5[column][...] = changed
-        h5[column].attrs[segments.CRC] = segments.crc_of(changed)
-    found = recovery.read_leftover(folder)
-    assert found.slices == 2
-    assert len(found.unreadable) == 1
+        h5[column].attrs[segments.CRC] = segments.checksum(changed)
+    leftover = recovery.read_leftover(folder)
+    assert leftover.slices == 2
+    assert len(leftover.unreadable) == 1
 
 
 def test_truth_ends_before_the_first_gap(tmp_path: Path) -> None:
     """Assert that a recording with a truth of every slice is not continued behind a gap, which has none."""
     folder = broken_off(tmp_path, [2, 3, 4], lambda k: {"truth/slid_px": 0.5 * k})
     (folder / "000001.h5").unlink()
-    found = recovery.read_leftover(folder)
-    assert found.parts == [folder / "000000.h5"]
-    assert (found.slices, found.left_out) == (2, 1)
+    leftover = recovery.read_leftover(folder)
+    assert leftover.parts == [folder / "000000.h5"]
+    assert (leftover.slices, leftover.left_out) == (2, 1)
 
 
 def test_probability_goes_on_behind_a_gap(tmp_path: Path) -> None:
     """Assert that what a live detector said of every slice is NaN in the gap, and in its place behind it."""
     folder = broken_off(tmp_path, [2, 3, 4], lambda k: {"control/probability": k / 10})
     (folder / "000001.h5").unlink()
-    found = recovery.read_leftover(folder)
-    assert found.lost == [(2, 5)]
-    filled = segments._float_of_every_slice(found.parts)
+    leftover = recovery.read_leftover(folder)
+    assert leftover.lost == [(2, 5)]
+    filled = segments._float_of_every_slice(leftover.parts)
     assert filled == {"control/probability": (np.dtype(np.float32), ())}
 
 
@@ -191,3 +191,13 @@ def test_static_is_plain(tmp_path: Path) -> None:
     folder = broken_off(tmp_path, [1])
     with h5py.File(folder / "static.h5") as h5:
         assert json.loads(h5.attrs["recipe"])["parameters"] == RECIPE.parameters
+
+
+def test_leftover_of_the_first_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what an earlier version left, with other names of datasets, is refused as such and stays."""
+    monkeypatch.setitem(STATIC, "sensor/individual", STATIC["sensor/name"])
+    folder = broken_off(tmp_path, [2])
+    with pytest.raises(InputError, match="another version of evetac") as refused:
+        recovery.read_leftover(folder)
+    assert "sensor/individual" in str(refused.value)
+    assert (folder / "000000.h5").exists()

@@ -13,7 +13,7 @@ from evetac_cli.resources import schemas
 from evetac_cli.store import schema
 from evetac_cli.store.schema import KINDS, Schema
 
-Found = dict[str, tuple[str, tuple[int, ...]]]
+Stored = dict[str, tuple[str, tuple[int, ...]]]
 STARS = ("conv/weight", "bias")  # what stands for `*` in a path
 
 
@@ -22,10 +22,10 @@ def sizes() -> Iterator[int]:
     yield from range(11, 10_000, 10)
 
 
-def layout(table: Schema, *, required_only: bool = False) -> Found:
+def layout(table: Schema, *, required_only: bool = False) -> Stored:
     """Path -> (dtype, shape) of a file that is as its schema says."""
     size, fresh = {}, sizes()
-    found: Found = {}
+    stored: Stored = {}
     for row in table.datasets:
         in_optional_group = row.path.split("/")[0] in table.optional_groups
         if required_only and (row.optional or in_optional_group):
@@ -40,8 +40,8 @@ def layout(table: Schema, *, required_only: bool = False) -> Found:
             else:
                 shape.append(dim)
         for path in [row.path[:-1] + star for star in STARS] if row.path.endswith("*") else [row.path]:
-            found[path] = (row.dtype, tuple(shape))
-    return found
+            stored[path] = (row.dtype, tuple(shape))
+    return stored
 
 
 EVERY_DATASET = [(kind, row.path) for kind in KINDS for row in schema.load(kind).datasets]
@@ -52,9 +52,9 @@ def present(kind: str, path: str) -> str:
     return path[:-1] + STARS[0] if path.endswith("*") else path
 
 
-def with_shape(found: Found, path: str, shape: tuple[int, ...]) -> Found:
+def with_shape(stored: Stored, path: str, shape: tuple[int, ...]) -> Stored:
     """The same layout, but for one shape."""
-    return {**found, path: (found[path][0], shape)}
+    return {**stored, path: (stored[path][0], shape)}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -83,24 +83,26 @@ def test_every_missing_dataset_is_named(kind: str, path: str) -> None:
 def test_wrong_dtype_is_named(kind: str, path: str) -> None:
     """Assert that a dtype that differs only in width or sign is a problem that says both."""
     table, path = schema.load(kind), present(kind, path)
-    found = layout(table)
-    dtype, shape = found[path]
+    stored = layout(table)
+    dtype, shape = stored[path]
     other = {"int64": "int32", "uint8": "int8", "float64": "float32", "utf8": "uint8"}.get(dtype, "float64")
-    assert schema.problems(table, {**found, path: (other, shape)}) == [f"{path}: expected dtype {dtype}, found {other}"]
+    assert schema.problems(table, {**stored, path: (other, shape)}) == [
+        f"{path}: expected dtype {dtype}, found {other}"
+    ]
 
 
 @pytest.mark.parametrize(("kind", "path"), [(kind, path) for kind, path in EVERY_DATASET if not path.endswith("*")])
 def test_every_axis_is_checked(kind: str, path: str) -> None:
     """Assert that a longer axis is a problem where its size is fixed or shared, and none where it stands alone."""
     table = schema.load(kind)
-    found = layout(table)
+    stored = layout(table)
     row = table.find(path)
     assert row is not None
     assert row.dims is not None
-    shape = found[path][1]
+    shape = stored[path][1]
     for axis, dim in enumerate(row.dims):
         longer = tuple(size + (place == axis) for place, size in enumerate(shape))
-        lines = schema.problems(table, with_shape(found, path, longer))
+        lines = schema.problems(table, with_shape(stored, path, longer))
         name = str(dim).partition("+")[0]
         uses = [other.path for other in table.datasets for d in other.dims or () if str(d).partition("+")[0] == name]
         if isinstance(dim, int):
@@ -123,11 +125,11 @@ def test_wrong_number_of_dims(shape: tuple[int, ...]) -> None:
 def test_one_start_more_than_slices() -> None:
     """Assert that ms_to_idx must have exactly one row more than there are slices."""
     table = schema.load("recording")
-    found = layout(table)
-    slices = found["truth/slip"][1][0]
-    assert found["ms_to_idx"][1] == (slices + 1,)
+    stored = layout(table)
+    slices = stored["truth/slip"][1][0]
+    assert stored["ms_to_idx"][1] == (slices + 1,)
     for wrong in (slices, slices + 2):
-        lines = schema.problems(table, with_shape(found, "ms_to_idx", (wrong,)))
+        lines = schema.problems(table, with_shape(stored, "ms_to_idx", (wrong,)))
         assert any(f"ms_to_idx: expected {slices + 1}" in line or "as in ms_to_idx" in line for line in lines)
 
 
@@ -229,7 +231,9 @@ def test_tables_are_sound(kind: str) -> None:
     """Assert that a table says its own kind and major version, real dtypes, and only groups that it has."""
     table = json.loads((schemas() / f"{kind}.v{schema.MAJOR}.json").read_text())
     assert table["kind"] == kind
-    assert table["version"].split(".")[0] == str(schema.MAJOR)
+    major, minor = map(int, table["version"].split("."))
+    assert major == schema.MAJOR
+    assert minor >= schema.OLDEST_MINOR
     assert set(table["optional_groups"]) <= {path.split("/")[0] for path in table["datasets"] if "/" in path}
     for path, row in table["datasets"].items():
         assert row["dtype"] == "utf8" or np.dtype(row["dtype"]).name == row["dtype"], path

@@ -55,7 +55,7 @@ TRUTH, GRIPPER = (
 )
 
 
-def rows_of(k: int, every: int) -> dict[str, Any]:
+def slice_rows(k: int, every: int) -> dict[str, Any]:
     """Truth in every slice, the gripper in every so-manieth; scalars as plain Python numbers."""
     rows: dict[str, Any] = {}
     for number, row in enumerate(TRUTH + (GRIPPER if k % every == 0 else [])):
@@ -68,7 +68,7 @@ def rows_of(k: int, every: int) -> dict[str, Any]:
 def expected(counts: list[int], every: int) -> dict[str, Any]:
     """The datasets of a recording of these slices, made without a writer."""
     events = concatenate([some_events(k, count) for k, count in enumerate(counts)])
-    rows = [rows_of(k, every) for k in range(len(counts))]
+    rows = [slice_rows(k, every) for k in range(len(counts))]
     arrays = {f"events/{name}": getattr(events, name) for name in Events._fields}
     arrays |= {"ms_to_idx": slice_starts(events.t, len(counts)), **STATIC, "truth/sampled_parameters": "{}"}
     for described in (*TRUTH, *GRIPPER):
@@ -83,7 +83,7 @@ def write(path: Path, counts: list[int], cuts: set[int], every: int, **finish: A
     for k, count in enumerate(counts):
         if k in cuts:
             writer.close_segment()
-        writer.append(some_events(k, count), rows_of(k, every))
+        writer.append(some_events(k, count), slice_rows(k, every))
     return writer.finish(RECIPE, {"truth/sampled_parameters": "{}"}, **finish)
 
 
@@ -298,8 +298,8 @@ def incomplete(writer: RecordingWriter) -> None:
 
 
 def a_row_too_few(writer: RecordingWriter) -> None:
-    writer.append(some_events(0, 3), rows_of(0, 1))
-    writer.append(some_events(1, 3), rows_of(1, 1))
+    writer.append(some_events(0, 3), slice_rows(0, 1))
+    writer.append(some_events(1, 3), slice_rows(1, 1))
     writer.append(some_events(2, 3), {})
 
 
@@ -420,8 +420,8 @@ def test_segments_tell_their_place_and_their_bytes(tmp_path: Path) -> None:
     for path in sorted(writer.folder.glob(segments.SEGMENTS)):
         with h5py.File(path) as h5:
             firsts.append(int(h5.attrs[segments.FIRST_SLICE]))
-            for name in segments.datasets_of(h5):
-                assert h5[name].attrs[segments.CRC] == segments.crc_of(h5[name][()])
+            for name in segments.dataset_paths(h5):
+                assert h5[name].attrs[segments.CRC] == segments.checksum(h5[name][()])
     assert firsts == [0, 2, 4]
     writer.discard()
 

@@ -1,22 +1,17 @@
-"""The official software's calibration, read without executing it.
+"""Read the dot grid that the official software keeps as a pickle of two arrays: centres (n, 2) as (x, y), radii (n, 1).
 
-The official software keeps a dot grid as a pickle of two arrays: centres (n, 2) as (x, y), radii (n, 1). A pickle is a
-small program, and loading a strange one is running it. Here
+A pickle is a small program, and loading one from elsewhere is running it. Here every name that it asks for is looked up
+in one table, of stand-ins of our own: nothing of numpy, of builtins or of any other module can be called.
 
-- only opcodes that build plain values are let through, and none that asks for more memory than the file has bytes;
-- every name it asks for is looked up in a table of this module: stand-ins that take notes in place of numpy's
-  functions. Nothing of numpy, of builtins or of any other module can be called, whatever the file says;
-- arrays are made from the notes afterwards, with dtype, shape and number of bytes checked.
-
-Why stand-ins: numpy's own `_reconstruct`, the one function that the official file needs, makes an array of whatever
-shape the file says, before anybody has seen that it lacks the bytes.
+Why stand-ins, also for what is harmless: numpy's own `_reconstruct` makes an array of whatever shape the file says,
+before anybody has seen that the bytes for it are missing, and numpy's dtypes may hold objects.
 """
 
 import io
 import math
 import pickle
 import pickletools
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,98 +23,89 @@ from evetac_cli.errors import InputError
 MOST_BYTES = 1 << 20  # the official file has 1,735
 MOST_MEMO = 10_000
 NUMBERS = ("f4", "f8", "i4", "i8", "u4", "u8")
-
-# Plain values, containers, the memo, and the three opcodes by which numpy's arrays come: a name, a call, its state.
-_OPCODES = """
-PROTO FRAME STOP MARK POP POP_MARK DUP NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG LONG1 FLOAT BINFLOAT
-STRING BINSTRING SHORT_BINSTRING UNICODE SHORT_BINUNICODE BINUNICODE BINUNICODE8 SHORT_BINBYTES BINBYTES BINBYTES8
-BYTEARRAY8 EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 EMPTY_LIST LIST APPEND APPENDS EMPTY_DICT DICT SETITEM SETITEMS
-GET BINGET LONG_BINGET PUT BINPUT LONG_BINPUT MEMOIZE GLOBAL STACK_GLOBAL REDUCE BUILD
-"""
+BYTE_ORDERS = ("<", ">", "=", "|")
 
 
-@dataclass
 class _Type:
-    """What a pickle says of a dtype."""
+    """In place of a dtype: one of NUMBERS."""
 
-    code: str
-    order: str = "<"
+    def __init__(self, code: Any) -> None:
+        if code not in NUMBERS:
+            raise pickle.UnpicklingError(f"numbers of type {str(code)[:20]!r}, not {', '.join(NUMBERS)}")
+        self.dtype = np.dtype(code)
 
     def __setstate__(self, state: Any) -> None:
-        if isinstance(state, tuple) and len(state) > 1 and state[1] in ("<", ">", "=", "|"):
-            self.order = state[1]
-        else:
+        if not isinstance(state, tuple) or len(state) < 2 or state[1] not in BYTE_ORDERS:
             raise pickle.UnpicklingError("a dtype without a byte order")
-
-    def numpy(self) -> np.dtype[Any]:
-        if self.code not in NUMBERS:
-            raise pickle.UnpicklingError(f"numbers of type {str(self.code)[:20]!r}, not {', '.join(NUMBERS)}")
-        return np.dtype(self.order.replace("|", "<") + self.code)
+        self.dtype = self.dtype.newbyteorder(state[1])
 
 
-@dataclass
 class _Array:
-    """What a pickle says of an array."""
+    """In place of an array: empty until its state is known to have as many bytes as its shape needs."""
 
-    shape: Any = None
-    type: Any = None
-    columns_first: Any = False
-    content: Any = b""
+    values: NDArray[Any] = np.empty(0)
 
     def __setstate__(self, state: Any) -> None:
         if not isinstance(state, tuple) or len(state) != 5:
             raise pickle.UnpicklingError("an array without a state")
-        _, self.shape, self.type, self.columns_first, self.content = state
-
-    def numpy(self) -> NDArray[Any]:
-        shape, content = self.shape, self.content
-        if not isinstance(self.type, _Type) or not isinstance(content, (bytes, bytearray)):
+        _, shape, type_, columns_first, content = state
+        if not isinstance(type_, _Type) or not isinstance(content, (bytes, bytearray)):
             raise pickle.UnpicklingError("an array of something other than numbers")
         if not isinstance(shape, tuple) or len(shape) > 4 or not all(type(n) is int and n >= 0 for n in shape):
             raise pickle.UnpicklingError("an array without a shape")
-        dtype = self.type.numpy()
-        if math.prod(shape) * dtype.itemsize != len(content):
+        if math.prod(shape) * type_.dtype.itemsize != len(content):
             raise pickle.UnpicklingError(f"an array of shape {shape} in {len(content)} bytes")
-        return np.frombuffer(content, dtype).reshape(shape, order="F" if self.columns_first else "C")
+        self.values = np.frombuffer(content, type_.dtype).reshape(shape, order="F" if columns_first else "C")
 
 
-# A pickle can write to what it can name, so it can name functions and texts, and no class.
-def _reconstruct(*_: Any) -> _Array:
-    return _Array()
+def _array(content: Any, type_: Any, shape: Any, order: Any = "C") -> _Array:
+    array = _Array()
+    array.__setstate__((1, shape, type_, order == "F", content))
+    return array
 
 
-def _from_buffer(content: Any, type_: Any, shape: Any, order: Any = "C") -> _Array:
-    return _Array(shape, type_, order == "F", content)
-
-
-def _scalar(type_: Any, content: Any) -> _Array:
-    return _Array((), type_, False, content)
-
-
-def _type(code: Any, *_: Any) -> _Type:
-    return _Type(code)
-
-
-def _encode(text: Any, encoding: Any) -> bytes:
+def _latin1(text: Any, encoding: Any) -> bytes:
     if not isinstance(text, str) or encoding != "latin1":
         raise pickle.UnpicklingError("text in another encoding than latin1")
     return text.encode("latin1")
 
 
-_NAMES: dict[tuple[str, str], Any] = {("numpy", "ndarray"): "ndarray", ("numpy", "dtype"): _type}
-_NAMES[("_codecs", "encode")] = _encode  # how protocol 2 and older write bytes
-for _core in ("numpy.core", "numpy._core"):
-    _NAMES[(f"{_core}.multiarray", "_reconstruct")] = _reconstruct
-    _NAMES[(f"{_core}.multiarray", "scalar")] = _scalar
-    _NAMES[(f"{_core}.numeric", "_frombuffer")] = _from_buffer
+class _StandIn:
+    """A function that a pickle can call, and cannot change: pickles may set the state of what they can name."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.function(*arguments)
+
+    def __setstate__(self, state: Any) -> None:
+        raise pickle.UnpicklingError("it sets the state of a function")
+
+
+_DTYPE = _StandIn(lambda code, *_: _Type(code))
+_RECONSTRUCT = _StandIn(lambda *_: _Array())
+_SCALAR = _StandIn(lambda type_, content: _array(content, type_, ()))
+_FROM_BUFFER = _StandIn(_array)
+_NAMES: dict[str, Any] = {
+    "numpy.ndarray": "ndarray",  # the class that _reconstruct is to make
+    "numpy.dtype": _DTYPE,
+    "numpy.core.multiarray._reconstruct": _RECONSTRUCT,
+    "numpy._core.multiarray._reconstruct": _RECONSTRUCT,
+    "numpy.core.multiarray.scalar": _SCALAR,
+    "numpy._core.multiarray.scalar": _SCALAR,
+    "numpy.core.numeric._frombuffer": _FROM_BUFFER,
+    "numpy._core.numeric._frombuffer": _FROM_BUFFER,
+    "_codecs.encode": _StandIn(_latin1),  # how protocol 2 and older write bytes
+}
 
 
 class _Reader(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """Look a name up in the table of stand-ins; nothing is ever imported."""
-        if (module, name) not in _NAMES:
+        if f"{module}.{name}" not in _NAMES:
             raise pickle.UnpicklingError(f"it asks for {module[:40]}.{name[:40]}, which a calibration does not need")
-        return _NAMES[(module, name)]
+        return _NAMES[f"{module}.{name}"]
 
 
 def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
@@ -130,7 +116,7 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
             content = file.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
             raise pickle.UnpicklingError(f"more than {MOST_BYTES} bytes")
-        _check_opcodes(content)
+        _check_sizes(content)
         value = _Reader(io.BytesIO(content)).load()
         if not isinstance(value, (tuple, list)) or len(value) != 2:
             raise pickle.UnpicklingError("not two arrays")
@@ -153,18 +139,15 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
     return centres, float(radii.mean())
 
 
-def _check_opcodes(content: bytes) -> None:
-    """Refuse opcodes that no calibration needs; genops reads arguments only as far as the file goes."""
-    allowed = _OPCODES.split()
+def _check_sizes(content: bytes) -> None:
+    """Refuse opcodes that ask for more memory than the file has bytes; genops reads only as far as the file goes."""
     for opcode, argument, _ in pickletools.genops(content):
-        if opcode.name not in allowed:
-            raise pickle.UnpicklingError(f"opcode {opcode.name}, which a calibration does not need")
         if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > MOST_MEMO:
             raise pickle.UnpicklingError(f"a memo of {argument} entries")
 
 
 def _numbers(value: Any) -> NDArray[np.float64]:
-    """An array that was noted down, or nested lists of numbers."""
+    """An array, or nested lists of numbers, as float64."""
     array = np.array(_plain(value))
     if not isinstance(value, (_Array, list)) or array.dtype.kind not in "iuf":
         raise pickle.UnpicklingError("something other than arrays of numbers")
@@ -172,7 +155,7 @@ def _numbers(value: Any) -> NDArray[np.float64]:
 
 
 def _plain(value: Any) -> Any:
-    """Lists with arrays in place of what was noted down of them."""
+    """Lists with the arrays themselves in place of their stand-ins."""
     if isinstance(value, list):
         return [_plain(item) for item in value]
-    return value.numpy() if isinstance(value, _Array) else value
+    return value.values if isinstance(value, _Array) else value

@@ -1,7 +1,7 @@
-"""The door through which foreign events come in: columns of any number type in, our columns out, or an InputError.
+"""Checks that all imported events go through: columns of any number type in, our columns out, or an InputError.
 
 Readers differ in everything (unsigned times, polarity -1/+1, floats), so none of them checks what all files share: they
-hand over batches of raw columns, and this module makes them true.
+hand over batches of raw columns, which are checked and converted here.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -52,7 +52,7 @@ def at_index(start: int, row: int) -> str:
 
 
 class Normal(NamedTuple):
-    """What comes out of the door."""
+    """Events that passed every check, and what became of the others."""
 
     events: Events  # the first one at t = 0, unless the file says when its recording began
     first_us: int  # where t = 0 is in the file's clock; 0 without events
@@ -75,21 +75,23 @@ def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tu
     return int(width), int(height)
 
 
-def frame_of(own: tuple[int, int] | None, asked: tuple[int, int] | None, where: str, hint: str = "") -> tuple[int, int]:
-    """The file's own frame, or else the one asked for; a wish that contradicts the file is refused.
+def choose_frame(
+    own: tuple[int, int] | None, asked: tuple[int, int] | None, where: str, hint: str = ""
+) -> tuple[int, int]:
+    """The file's own frame, or else the one asked for; asking for another than the file says is refused.
 
-    Such a wish would have no effect. InputError with `hint` where neither is there.
+    It would have no effect. InputError with `hint` where neither is known.
     """
-    wish = None if asked is None else checked_frame(asked, where, "")
-    if wish and own and wish != tuple(own):
+    wanted = None if asked is None else checked_frame(asked, where, "")
+    if wanted and own and wanted != tuple(own):
         raise InputError(
             "the file says another frame size",
             where=where,
             expected="{}x{}".format(*own),
-            found="{}x{}".format(*wish),
+            found="{}x{}".format(*wanted),
             hint="leave out --frame-size",
         )
-    return checked_frame(own or wish, where, hint or "say it: --frame-size WIDTHxHEIGHT")
+    return checked_frame(own or wanted, where, hint or "say it: --frame-size WIDTHxHEIGHT")
 
 
 def normalise(
@@ -106,7 +108,7 @@ def normalise(
     Events outside the frame and events that are no numbers are dropped and counted. Raises InputError where columns
     differ in length, a coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond
     2^53 us or before `start_us`, time goes backwards and sort is off, the events span more than 24 h, none of them can
-    be used, or there are none at all and that was not expected (`may_be_empty`).
+    be used, or the file holds none at all and that was not expected (`may_be_empty`).
     """
     dropped = {"not_a_number": 0, "out_of_frame": 0}
     parts = [empty()]
@@ -171,15 +173,15 @@ def normalise(
 
 
 def no_events(where: str) -> InputError:
-    """What is said of a file that holds nothing."""
+    """The error for a file without any event."""
     return InputError("holds no events", where=where, hint="was the recorder stopped before the camera began?")
 
 
 def check_lengths(lengths: Sequence[int], where: str) -> None:
     """InputError unless the columns t, x, y, p have one length."""
     if len(set(lengths)) != 1:
-        found = ", ".join(f"{name} {length}" for name, length in zip("txyp", lengths, strict=True))
-        raise InputError("columns differ in length", where=where, expected="t, x, y, p of one length", found=found)
+        each = ", ".join(f"{name} {length}" for name, length in zip("txyp", lengths, strict=True))
+        raise InputError("columns differ in length", where=where, expected="t, x, y, p of one length", found=each)
 
 
 def _finite_rows(batch: Columns) -> NDArray[np.intp]:
@@ -224,7 +226,7 @@ def _from_zero(events: Events, start_us: int | None, where: str) -> tuple[Events
     first_us = int(events.t[0]) if start_us is None else start_us
     if events.t[0] < first_us:
         raise InputError(
-            "an event lies before the start of the recording that the file's own note tells",
+            "an event lies before the start of the recording that the file's own note says",
             where=where,
             expected=f"times from {first_us} us on",
             found=f"{events.t[0]} us",

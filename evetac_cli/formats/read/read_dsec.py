@@ -12,7 +12,14 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, Note, read_note
-from evetac_cli.formats.read.event_validation import CLOCK_LIMIT_US, Columns, Foreign, at_index, check_lengths, frame_of
+from evetac_cli.formats.read.event_validation import (
+    CLOCK_LIMIT_US,
+    Columns,
+    Foreign,
+    at_index,
+    check_lengths,
+    choose_frame,
+)
 
 BATCH_ROWS = 1 << 20
 LAYOUT = "events/t, events/x, events/y, events/p (the layout of DSEC)"
@@ -36,7 +43,7 @@ def open_hdf5(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     except DAMAGE as error:
         raise _unreadable(where, error) from error
     hint = "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
-    frame = frame_of(note.frame_px if note else None, frame_px, where, hint)
+    frame = choose_frame(note.frame_px if note else None, frame_px, where, hint)
     return Foreign("hdf5", frame, _batches(path, lengths[0]), clock_us, note=note)
 
 
@@ -81,14 +88,14 @@ def _column(file: Any, name: str, where: str) -> Any:
 
     events = _member(file, "events", where)
     if not isinstance(events, h5py.Group):
-        found = f"`events` is one table of shape {getattr(events, 'shape', '?')}"
-        raise InputError("holds no columns of events", where=where, expected=LAYOUT, found=found)
+        what = f"`events` is one table of shape {getattr(events, 'shape', '?')}"
+        raise InputError("holds no columns of events", where=where, expected=LAYOUT, found=what)
     column = _member(events, name, where)
     kind = column.dtype.kind if isinstance(column, h5py.Dataset) else "?"
     if kind not in ("iub" if name == "p" else "iu") or column.ndim != 1:
-        found = f"{column.dtype} of shape {column.shape}" if kind != "?" else "a group"
+        what = f"{column.dtype} of shape {column.shape}" if kind != "?" else "a group"
         expected = "a list of integers" + (" in microseconds" if name == "t" else "")
-        raise InputError(f"events/{name} is not a column", where=where, expected=expected, found=found)
+        raise InputError(f"events/{name} is not a column", where=where, expected=expected, found=what)
     _check_stored(column, name, where)
     _check_filters(column, name, where)
     return column
@@ -104,8 +111,8 @@ def _member(group: Any, name: str, where: str) -> Any:
     if link is not None:
         raise InputError(f"`{name}` is a link", where=where, expected="data in the file itself")
     hint = "Prophesee's own layout: convert it with the maker's tools" if group.get("CD", getlink=True) else ""
-    found = ", ".join(sorted(map(str, group))[:12]) or "nothing"  # names may be bytes
-    raise InputError("holds no columns of events", where=where, expected=LAYOUT, found=found, hint=hint)
+    names = ", ".join(sorted(map(str, group))[:12]) or "nothing"  # names may be bytes
+    raise InputError("holds no columns of events", where=where, expected=LAYOUT, found=names, hint=hint)
 
 
 def _check_stored(column: Any, name: str, where: str) -> None:

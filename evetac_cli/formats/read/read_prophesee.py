@@ -11,12 +11,13 @@ import tempfile
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, frame_of
+from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
+from evetac_cli.formats.read.faery_library import load_faery, refusal_text
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
 HEAD_LIMIT_BYTES = 1 << 20
@@ -37,7 +38,7 @@ def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     """Events of a RAW or DAT file; frame_px only for files that do not say theirs."""
     where = str(path)
     head = read_head(path)
-    frame = frame_of(head.frame_px, frame_px, where)
+    frame = choose_frame(head.frame_px, frame_px, where)
     foreign = Foreign("prophesee", frame, ())
     skipped = 0 if head.kind.startswith("dat") else untimed_bytes(path, head)
     rest = (path.stat().st_size - head.size) % WORD_BYTES[head.kind]
@@ -54,25 +55,27 @@ def read_head(path: Path) -> Head:
     where = str(path)
     with path.open("rb") as file:
         content = file.read(HEAD_LIMIT_BYTES)
-    said: dict[str, str] = {}
+    fields: dict[str, str] = {}
     size = 0
-    while content.startswith(b"% ", size) and "end" not in said:
+    while content.startswith(b"% ", size) and "end" not in fields:
         end = content.find(b"\n", size)
         if end < 0:
             raise InputError("the file ends inside its header", where=where, hint="copy it again")
         key, _, value = content[size + 2 : end].decode(errors="replace").strip().partition(" ")
-        said[key.lower()] = value.strip()
+        fields[key.lower()] = value.strip()
         size = end + 1
-    return Head(_kind(said, where), _frame(said), size + (2 if "evt" not in said and "format" not in said else 0))
+    return Head(
+        _kind(fields, where), _frame(fields), size + (2 if "evt" not in fields and "format" not in fields else 0)
+    )
 
 
-def _kind(said: dict[str, str], where: str) -> str:
-    if "evt" not in said and "format" not in said:
-        version = said.get("version", "1")
+def _kind(fields: dict[str, str], where: str) -> str:
+    if "evt" not in fields and "format" not in fields:
+        version = fields.get("version", "1")
         if version in ("1", "2"):
             return f"dat{version}"
         raise InputError("a DAT file of another version", where=where, expected="1 or 2", found=version[:20])
-    name = said.get("evt") or said.get("format", "").split(";")[0].lower()
+    name = fields.get("evt") or fields.get("format", "").split(";")[0].lower()
     if name in KINDS:
         return KINDS[name]
     raise InputError(
@@ -84,11 +87,11 @@ def _kind(said: dict[str, str], where: str) -> str:
     )
 
 
-def _frame(said: dict[str, str]) -> tuple[int, int] | None:
+def _frame(fields: dict[str, str]) -> tuple[int, int] | None:
     """`geometry 640x480`, `format EVT3;height=480;width=640`, or `Width 640` and `Height 480`."""
-    width, _, height = said.get("geometry", "").partition("x")
-    inside = dict(part.partition("=")[::2] for part in said.get("format", "").split(";"))
-    pairs = [(table.get("width"), table.get("height")) for table in (inside, said)]
+    width, _, height = fields.get("geometry", "").partition("x")
+    inside = dict(part.partition("=")[::2] for part in fields.get("format", "").split(";"))
+    pairs = [(table.get("width"), table.get("height")) for table in (inside, fields)]
     for numbers in ((width, height), *pairs):
         if all(number and re.fullmatch("[0-9]{1,5}", number) for number in numbers):
             return int(str(numbers[0])), int(str(numbers[1]))
@@ -96,7 +99,7 @@ def _frame(said: dict[str, str]) -> tuple[int, int] | None:
 
 
 def untimed_bytes(path: Path, head: Head) -> int:
-    """Bytes before the first word that tells the high bits of time."""
+    """Bytes before the first word that holds the high bits of time."""
     word = WORD_BYTES[head.kind]
     with path.open("rb") as file:
         file.seek(head.size)
@@ -113,21 +116,21 @@ def _trimmed(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> It
     with tempfile.TemporaryDirectory() as folder, path.open("rb") as source:
         copy = Path(folder) / "timed.raw"
         with copy.open("wb") as target:
-            target.write(head_of(head.kind, frame))
+            target.write(raw_header(head.kind, frame))
             source.seek(head.size + skipped)
             while block := source.read(HEAD_LIMIT_BYTES):
                 target.write(block)
         yield from decode(copy, head.kind, frame, str(path))
 
 
-def head_of(kind: str, frame: tuple[int, int]) -> bytes:
-    """The head of a RAW file."""
+def raw_header(kind: str, frame: tuple[int, int]) -> bytes:
+    """The lines of text that a RAW file of an encoding (evt2, evt3) begins with."""
     return "% evt {}.0\n% geometry {}x{}\n% end\n".format(kind[-1], *frame).encode()
 
 
 def decode(path: Path, kind: str, frame: tuple[int, int], where: str) -> Iterator[Columns]:
     """All events of a file, by faery; `where` is what the user calls it."""
-    faery = _library(where)
+    faery = load_faery("RAW and DAT files need", where)
     start = 0
     try:
         stream = faery.events_stream_from_file(
@@ -140,21 +143,9 @@ def decode(path: Path, kind: str, frame: tuple[int, int], where: str) -> Iterato
             yield Columns(events["t"], events["x"], events["y"], events["on"], partial(at_index, start))
             start += len(events)
     except BaseException as error:
-        # A panic of faery's Rust is a BaseException of a type that cannot be imported.
-        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
-            raise
         raise InputError(
             "cannot be read as Prophesee's",
             where=where,
-            found=f"after {start} events: {str(error).splitlines()[0][:200] if str(error) else type(error).__name__}",
+            found=f"after {start} events: {refusal_text(error)}",
             hint="the file is damaged; copy it again",
         ) from None
-
-
-def _library(where: str) -> Any:
-    try:
-        import faery
-    except ImportError as error:
-        hint = 'pip install "evetac[convert]"'
-        raise InputError("RAW and DAT files need faery", where=where, found=str(error), hint=hint) from None
-    return faery

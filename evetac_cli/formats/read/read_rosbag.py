@@ -1,6 +1,6 @@
 """Read events from bags of ROS 1 (`.bag`) and ROS 2 (a folder, `.db3`, `.mcap`) with rosbags, the extra `convert`.
 
-rosbags finds the messages; what is in them is decoded in import_ros_messages, from their bytes. So a bag needs no
+rosbags finds the messages; what is in them is decoded in ros_messages, from their bytes. So a bag needs no
 definitions of its messages, and those of other topics do not matter. Where a ROS 1 bag says by the checksum of a
 definition that its messages have another layout under the same name, it is refused.
 """
@@ -14,7 +14,7 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read import read_prophesee
-from evetac_cli.formats.read.event_validation import Columns, Foreign, frame_of
+from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
 from evetac_cli.formats.read.ros_messages import Fields, Packet, Part, decoder, event_array, event_packet, evetac_image
 
 SQLITE = b"SQLite format 3\x00"
@@ -55,7 +55,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
             raise InputError(f"no message on the topic {topic}", where=where, hint="a recorder that saw no camera?")
         frame, content = _read(kind, first, ros2, f"{where}: message 0")
     encoding = content.encoding if isinstance(content, Packet) else ""
-    foreign.frame_px = frame_of(frame, frame_px, where)
+    foreign.frame_px = choose_frame(frame, frame_px, where)
     if encoding in PROPHESEE:
         foreign.batches = _prophesee(path, topic, kind, foreign, encoding)
     elif not isinstance(content, Packet) or decoder(encoding) is not None:
@@ -72,32 +72,32 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
 
 def _choose(connections: list[Any], ros2: bool, wanted: str | None, where: str) -> tuple[str, str, list[str]]:
     """Topic, type of its messages, and the other topics with events."""
-    found: dict[str, str] = {}
+    topics: dict[str, str] = {}
     for connection in connections:
         if connection.msgtype in TYPES:
-            found[connection.topic] = connection.msgtype
+            topics[connection.topic] = connection.msgtype
             checksum = TYPES[connection.msgtype][1]
             if not ros2 and connection.digest not in (checksum, "*"):
                 raise InputError(
-                    f"{connection.msgtype} is defined in another way here",
+                    f"{connection.msgtype} has another definition here",
                     where=f"{where}: {connection.topic}",
                     expected=f"checksum {checksum}",
                     found=connection.digest[:40],
                 )
-    if not found:
+    if not topics:
         kinds = sorted({connection.msgtype for connection in connections})
         raise InputError(
             "the bag holds no events", where=where, expected=", ".join(TYPES), found=", ".join(kinds)[:300] or "nothing"
         )
-    first = min(found, key=lambda topic: (TYPES[found[topic]][1] == IMAGE, topic))  # rather events than images
+    first = min(topics, key=lambda topic: (TYPES[topics[topic]][1] == IMAGE, topic))  # rather events than images
     topic = first if wanted is None else wanted
-    if topic not in found:
-        raise InputError("no events on this topic", where=where, expected=" or ".join(sorted(found)), found=topic)
-    return topic, found[topic], sorted(set(found) - {topic})
+    if topic not in topics:
+        raise InputError("no events on this topic", where=where, expected=" or ".join(sorted(topics)), found=topic)
+    return topic, topics[topic], sorted(set(topics) - {topic})
 
 
 def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
-    """A batch a message."""
+    """The events of each message of a topic as one batch; at the end `foreign` says what is missing."""
     decode = decoder(encoding)
     stamps = []
     with closing(_contents(path, topic, kind, foreign, encoding)) as contents:
@@ -124,12 +124,12 @@ def _place(number: int, row: int) -> str:
 
 
 def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
-    """The words of all messages as one RAW file, decoded by import_prophesee."""
+    """The words of all messages as one RAW file, decoded by read_prophesee."""
     where = f"{path}: {topic}"
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder) / "topic.raw"
         with raw.open("wb") as file:
-            file.write(read_prophesee.head_of(encoding, foreign.frame_px))
+            file.write(read_prophesee.raw_header(encoding, foreign.frame_px))
             with closing(_contents(path, topic, kind, foreign, encoding)) as packets:
                 for _, packet in packets:
                     file.write(packet.content)
@@ -170,7 +170,7 @@ def _contents(
 
 
 def _read(kind: str, message: bytes, ros2: bool, where: str) -> tuple[tuple[int, int], Any]:
-    """Frame and content of a message."""
+    """Frame (width, height) and content of a message: its events, or a packet that is still encoded."""
     if ros2 and message[: len(ZSTD)] == ZSTD:  # only metadata.yaml says so
         hint = "name the folder of the bag, with its metadata.yaml"
         raise InputError("the messages of this bag are compressed one by one", where=where, hint=hint)
@@ -194,10 +194,10 @@ def _messages(reader: Any, topic: str, kind: str, where: str) -> Iterator[bytes]
     number = 0
     while True:
         with _bag_in_words(where, f"message {number}"):
-            found = next(messages, None)
-        if found is None:
+            message = next(messages, None)
+        if message is None:
             return
-        yield found[2]
+        yield message[2]
         number += 1
 
 
@@ -234,6 +234,6 @@ def _bag_in_words(where: str, what: str) -> Iterator[None]:
     except (MemoryError, InputError):
         raise
     except Exception as error:
-        found = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        hint = "rosbag reindex" if "index" in found else "the recorder may have been stopped; copy it again"
-        raise InputError(f"{what} cannot be read", where=where, found=found, hint=hint) from None
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        hint = "rosbag reindex" if "index" in reason else "the recorder may have been stopped; copy it again"
+        raise InputError(f"{what} cannot be read", where=where, found=reason, hint=hint) from None

@@ -1,8 +1,8 @@
 """Read events from text: one event a line, `t x y p`, separated by blanks or commas, `#` begins a comment.
 
-The order of the columns is t x y p unless the first line names another (`x,y,p,t`) or the caller does (`dialect`).
-The unit of time is what the names say (`t_s`, `t_us`), else what the first line looks like: written as an integer it
-is microseconds, with a point or an exponent it is seconds.
+The order of the columns is t x y p unless the first line names another (`x,y,p,t`). The unit of time is what the names
+say (`t_s`, `t_us`), else what the first time looks like: an integer is microseconds, with a point or an exponent it is
+seconds.
 """
 
 import re
@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, Note, read_note
-from evetac_cli.formats.read.event_validation import Columns, Foreign, frame_of, no_events
+from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame, no_events
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
 LINE_LIMIT_CHARS = 1 << 16
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
-ORDERS = '"t x y p" in any order, with t_s (seconds) or t_us (microseconds) for t to name the unit'
 UNIT_HINT = "name the unit in a first line: `t_s x y p` or `t_us x y p`"
 
 
@@ -35,22 +34,16 @@ class Layout(NamedTuple):
     separator: str | None
 
 
-def open_text(path: Path, frame_px: tuple[int, int] | None, dialect: str | None) -> Foreign:
+def open_text(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     """Events of a text file; frame_px is needed because text does not say it (an export of ours does)."""
-    where = str(path)
-    names = None
-    if dialect is not None:
-        names = _names(dialect)
-        if names is None:
-            raise InputError("unknown dialect", where=where, expected=ORDERS, found=repr(dialect))
     note = _note(path)
     if note is None and frame_px is None:
-        with closing(_batches(path, names)) as batches:  # what is no text of events has no frame either
+        with closing(_batches(path)) as batches:  # what is no text of events has no frame either
             if next(batches, None) is None:
-                raise no_events(where)
+                raise no_events(str(path))
     hint = "say it: --frame-size WIDTHxHEIGHT, for example 640x480"
-    frame = frame_of(note.frame_px if note else None, frame_px, where, hint)
-    return Foreign("text", frame, _batches(path, names), note=note)
+    frame = choose_frame(note.frame_px if note else None, frame_px, str(path), hint)
+    return Foreign("text", frame, _batches(path), note=note)
 
 
 def _note(path: Path) -> Note | None:
@@ -60,20 +53,16 @@ def _note(path: Path) -> Note | None:
     return read_note(text, str(path)) if (sign, name) == ("#", NAME) else None
 
 
-def _batches(path: Path, names: list[str] | None) -> Generator[Columns, None, None]:
+def _batches(path: Path) -> Generator[Columns, None, None]:
     """One batch a block of lines; raises InputError with the number of the line that cannot be read."""
-    layout = None
+    layout = names = None
     for number, lines in _blocks(path):
         if layout is None:
             at = next((i for i, line in enumerate(lines) if _data(line)), None)
             if at is None:
                 continue
-            header = _names(_data(lines[at]))
-            if header is not None:
-                if names is not None and not _agree(names, header):
-                    found = f"line {number + at} names {' '.join(header)}"
-                    raise InputError("dialect and file differ", where=str(path), expected=" ".join(names), found=found)
-                names = names or header
+            if header := _names(_data(lines[at])):
+                names = header
                 lines[at] = ""
             layout = _layout(lines, names or ["t", "x", "y", "p"])
             if layout is None:  # only the line of names so far
@@ -83,10 +72,10 @@ def _batches(path: Path, names: list[str] | None) -> Generator[Columns, None, No
         if layout.us_per_unit == 1:
             odd = np.flatnonzero((t != np.rint(t)) & np.isfinite(t))
             if len(odd):
-                found = f"{t[odd[0]]:.9g} {_place(number, lines, int(odd[0]))}"
+                odd_line = f"{t[odd[0]]:.9g} {_place(number, lines, int(odd[0]))}"
                 expected = "whole microseconds, as in the first line"
                 raise InputError(
-                    "time changes its unit", where=str(path), expected=expected, found=found, hint=UNIT_HINT
+                    "time changes its unit", where=str(path), expected=expected, found=odd_line, hint=UNIT_HINT
                 )
         yield Columns(t * layout.us_per_unit, x, y, p, partial(_place, number, lines))
 
@@ -99,8 +88,10 @@ def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
         while block := handle.read(BLOCK_CHARS):
             *lines, rest = (rest + block).split("\n")
             if len(rest) > LINE_LIMIT_CHARS:
-                found = f"line {number + len(lines)} has more than {LINE_LIMIT_CHARS} characters"
-                raise InputError("not a text file of events", where=str(path), expected="one event a line", found=found)
+                odd_line = f"line {number + len(lines)} has more than {LINE_LIMIT_CHARS} characters"
+                raise InputError(
+                    "not a text file of events", where=str(path), expected="one event a line", found=odd_line
+                )
             yield number, lines
             number += len(lines)
     if rest:
@@ -128,11 +119,6 @@ def _names(text: str) -> list[str] | None:
     """Names of the columns, or None where the text does not name them."""
     names = text.lower().replace(",", " ").split()
     return names if sorted(name[:1] if name in ("t_s", "t_us") else name for name in names) == list("ptxy") else None
-
-
-def _agree(names: list[str], header: list[str]) -> bool:
-    """Whether a line of names says the same as the dialect; plain `t` leaves the unit open."""
-    return all(a == b or (a[0] == b[0] == "t" and "t" in (a, b)) for a, b in zip(names, header, strict=True))
 
 
 def _layout(lines: list[str], names: list[str]) -> Layout | None:
@@ -170,10 +156,10 @@ def _table(path: Path, number: int, lines: list[str], separator: str | None) -> 
         fields = _fields(line, separator)
         if _data(line) and (len(fields) != 4 or not all(map(NUMBER.fullmatch, fields))):
             expected = f"4 numbers separated by {'commas' if separator else 'blanks'}: t x y p"
-            found = f"line {number + offset}: {_clip(line)}"
+            bad_line = f"line {number + offset}: {_clip(line)}"
             cut = offset == len(lines) - 1 and len(fields) < 4 and number + offset > 1
             hint = "if the file was cut short in its last line, remove that line" if cut else ""
-            raise InputError("a line cannot be read", where=str(path), expected=expected, found=found, hint=hint)
+            raise InputError("a line cannot be read", where=str(path), expected=expected, found=bad_line, hint=hint)
     raise InputError(f"lines {number} to {number + len(lines) - 1} cannot be read", where=str(path), found=reason)
 
 

@@ -8,7 +8,7 @@ has a million of them. Layouts:
         mono          8 bytes an event: 32 bits ns after time_base, 16 bits x, 15 bits y, polarity
         libcaer       8 bytes an event: valid, polarity, 15 bits y, 15 bits x, 32 bits us after time_base
         libcaer_cmp   16-bit words, four bits of them a code: time high and low, x, y, and eight rows at once
-        evt2, evt3    Prophesee's own words: see import_prophesee
+        evt2, evt3    Prophesee's own words: see read_prophesee
     evetac_software/EvetacMsg    no events, but their sum as an image, every pixel 127 + 15 n
 
 ROS 1 packs the fields of a message without gaps; ROS 2 (CDR) aligns each to its size and says the order of bytes first.
@@ -81,7 +81,7 @@ class Fields:
         return bytes(self._take(self.number("I"))).rstrip(b"\0").decode(errors="replace")
 
     def bytes_(self) -> memoryview:
-        """A list of bytes."""
+        """The next field, a list of uint8, as bytes."""
         return self._take(self.number("I"))
 
     def header(self) -> int:
@@ -98,7 +98,7 @@ class Fields:
         return width, height
 
     def rest(self) -> memoryview:
-        """All that was not taken yet."""
+        """The bytes after the fields that were read so far."""
         return self._bytes[self.at :]
 
     def _align(self, size: int) -> None:
@@ -140,7 +140,7 @@ def _us(rows: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def evetac_image(fields: Fields) -> tuple[tuple[int, int], Part]:
-    """evetac_software/EvetacMsg: as many events a pixel as its grey tells, all at the time of the message.
+    """evetac_software/EvetacMsg: as many events a pixel as its grey value says, all at the time of the message.
 
     The image lies on its side: its rows are the columns of the camera.
     """
@@ -163,7 +163,7 @@ def evetac_image(fields: Fields) -> tuple[tuple[int, int], Part]:
 
 
 def event_packet(fields: Fields) -> Packet:
-    """event_camera_msgs/EventPacket."""
+    """event_camera_msgs/EventPacket: frame, and the packet with its encoding, still encoded."""
     fields.header()
     frame = fields.frame()
     sequence, time_base_ns = fields.number("Q"), fields.number("Q")
@@ -176,7 +176,7 @@ def event_packet(fields: Fields) -> Packet:
 
 
 def mono(packet: Packet) -> Part:
-    """Encoding `mono`."""
+    """Decode a packet in the encoding `mono`: 8 bytes an event, times in ns from the packet's time base."""
     words = _words(packet, "<u8")
     t_ns = np.uint64(packet.time_base_ns) + (words & np.uint64(0xFFFFFFFF))
     x, y = (words >> np.uint64(32)) & np.uint64(0xFFFF), (words >> np.uint64(48)) & np.uint64(0x7FFF)
@@ -184,7 +184,7 @@ def mono(packet: Packet) -> Part:
 
 
 def libcaer(packet: Packet) -> Part:
-    """Encoding `libcaer`."""
+    """Decode a packet in the encoding `libcaer`: 8 bytes an event, on a clock of 31 bits in us."""
     words = _words(packet, "<u4", 8).reshape(-1, 2)
     us = words[:, 1].view(np.int32).astype(np.int64)
     us += np.cumsum(np.diff(us, prepend=us[:1]) < 0) << 31  # libcaer's clock has 31 bits
@@ -201,7 +201,7 @@ class LibcaerCompressed:
         self._x = self._base = 0
 
     def __call__(self, packet: Packet) -> Part:
-        """Events of the next packet."""
+        """Events of the next packet, in the order of the recording."""
         words = np.concatenate(
             [np.array([self.X << 12 | self._x, self.BASE_Y << 12 | self._base], np.uint16), _words(packet, "<u2")]
         )

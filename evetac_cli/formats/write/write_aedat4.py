@@ -1,59 +1,47 @@
-"""Write events as AEDAT4 with dv-processing, the extra `camera`, in a process of its own.
+"""Write events as AEDAT4 with faery, the extra `convert`: one stream, compressed with LZ4, which dv-processing reads.
 
-Why a process: where its disk is full, or the file has another ending, dv-processing 2.0.4 ends the whole program, from
-a thread of its own.
+The note goes among the stream's metadata. faery's encoder says nothing where a disk is full, so the file is looked at
+afterwards.
 """
 
-import subprocess
-import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.read_aedat4 import is_whole
-from evetac_cli.formats.write import write_aedat4_child
-from evetac_cli.formats.write.pieces import Progress, note_of, pieces, t_offset_us
-from evetac_cli.formats.write.write_aedat4_child import EVENT, NOT_INSTALLED
+from evetac_cli.formats.read.faery_library import load_faery
+from evetac_cli.formats.read.read_aedat4 import COMPRESSIONS, EVENT, description, is_whole
+from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
+from evetac_cli.jobs import Progress
 from evetac_cli.store.read import Recording
+
+PACKET_EVENTS = 8192  # some 10 ms of a busy sensor, as recorders cut them
+LZ4 = 1
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
     """One stream of events, t on the source's clock; InputError with the library's words where it does not work."""
+    where = str(path.parent)
+    aedat = load_faery("AEDAT4 needs", where).extension.aedat
     offset_us = t_offset_us(recording)
-    width, height = recording.frame_px
-    note = note_of(recording, offset_us).text()
-    call = [sys.executable, "-P", write_aedat4_child.__file__, str(path), str(width), str(height), note]
-    with (
-        tempfile.TemporaryFile() as complaints,
-        subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=complaints) as child,
-    ):
-        assert child.stdin is not None
-        try:
+    if recording.event_count and int(recording.events(0, 1).t[0]) + offset_us < 0:
+        raise InputError(
+            "AEDAT4 has no times before 0",
+            where=str(recording.path),
+            found=f"a first event at {int(recording.events(0, 1).t[0]) + offset_us} us of the source's clock",
+            hint="export it as text or dsec",
+        )
+    header = description(recording.frame_px, note_for(recording, offset_us).text())
+    try:
+        with aedat.Encoder(path, header, COMPRESSIONS[LZ4]) as encoder:
             for events in pieces(recording, progress):
-                rows = np.zeros(events.size, EVENT)
+                rows = np.empty(events.size, EVENT)
                 rows["t"] = events.t + offset_us
-                for name in "xyp":
-                    rows[name] = getattr(events, name)
-                child.stdin.write(len(rows).to_bytes(8, "little") + rows.tobytes())
-            child.stdin.write((0).to_bytes(8, "little"))
-            child.stdin.close()
-        except BrokenPipeError:  # it says why
-            pass
-        except BaseException:
-            child.kill()
-            raise
-        code = child.wait()
-        complaints.seek(0)
-        said = complaints.read().decode(errors="replace")
-    if code == NOT_INSTALLED:
-        hint = 'pip install "evetac[camera]"'
-        raise InputError("AEDAT4 needs dv-processing", where=str(path.parent), found=_last(said), hint=hint)
-    if code or not is_whole(path):
-        found = said.partition("with error: '")[2].partition("'")[0] or _last(said) or f"exit code {code}"
-        raise InputError("AEDAT4 cannot be written", where=str(path.parent), found=found, hint="is the disk full?")
-
-
-def _last(text: str) -> str:
-    return text.strip().split("\n")[-1][:200]
+                rows["x"], rows["y"], rows["on"] = events.x, events.y, events.p
+                for first in range(0, len(rows), PACKET_EVENTS):
+                    encoder.write(0, rows[first : first + PACKET_EVENTS])
+        trouble = "" if is_whole(path) else "the file is not complete"
+    except (RuntimeError, OSError) as error:  # faery raises RuntimeError for whatever the disk says
+        trouble = str(error)
+    if trouble:
+        raise InputError("AEDAT4 cannot be written", where=where, found=trouble, hint="is the disk full?")

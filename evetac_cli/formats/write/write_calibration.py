@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.write.pieces import Progress
+from evetac_cli.jobs import Progress
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.store.calibration import Calibration, write_calibration
 from evetac_cli.store.provenance import made
@@ -42,6 +42,6 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
 
 def official(dot_xy_px: NDArray[np.float64], radius_px: float) -> bytes:
     """The pickle of dots (n, 2); missing ones are left out, as it has no word for them."""
-    there = dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)].astype(np.float64)
-    content = pickle.dumps((there, np.full((len(there), 1), radius_px)), protocol=PROTOCOL)
+    present = dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)].astype(np.float64)
+    content = pickle.dumps((present, np.full((len(present), 1), radius_px)), protocol=PROTOCOL)
     return content.replace(b"cnumpy._core.", b"cnumpy.core.")

@@ -1,8 +1,8 @@
 """Write events as the DSEC data set lays them out: events/{x,y,t,p}, ms_to_idx, t_offset.
 
-t counts microseconds from t_offset on, and ms_to_idx[k] is the first event at k ms or later, as there. Other than
-there the arrays are compressed with gzip, which every HDF5 tool reads without a plugin. t has 32 bits as there, which
-is 71 minutes; a longer recording gets 64.
+t counts microseconds from t_offset on, and ms_to_idx[k] is the first event at k ms or later. The arrays
+are compressed with gzip, which every HDF5 tool reads, and not with DSEC's Blosc, which needs a plugin. t has 32 bits as
+in DSEC, which is 71 minutes; a longer recording gets 64.
 """
 
 from pathlib import Path
@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.formats.note import NAME
-from evetac_cli.formats.write.pieces import Progress, note_of, pieces, t_offset_us
+from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
+from evetac_cli.jobs import Progress
 from evetac_cli.store.disk import new_file
 from evetac_cli.store.files import create, put
 from evetac_cli.store.read import Recording
@@ -23,7 +24,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
     """All columns, piece by piece."""
     types = {"t": np.uint32 if len(recording) <= SHORT_MS else np.int64, **TYPES}
     with new_file(path) as h5:
-        h5.attrs[NAME] = note_of(recording, 0).text()
+        h5.attrs[NAME] = note_for(recording, 0).text()
         count = recording.event_count
         columns = {}
         for name, type_ in types.items():

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.formats.note import NAME
-from evetac_cli.formats.write.pieces import Progress, note_of, pieces, t_offset_us
+from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
+from evetac_cli.jobs import Progress
 from evetac_cli.store.read import Recording
 
 LINES = 1 << 14  # at once: text of so many events is built in memory
@@ -15,7 +16,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
     """Two lines of comment, then a line an event."""
     offset_us = t_offset_us(recording)
     with path.open("w", encoding="ascii") as file:
-        file.write(f"# {NAME} {note_of(recording, offset_us).text()}\n# t_us x y p\n")
+        file.write(f"# {NAME} {note_for(recording, offset_us).text()}\n# t_us x y p\n")
         for events in pieces(recording, progress):
             for first in range(0, events.size, LINES):
                 t, x, y, p = events.part(first, first + LINES)

@@ -69,21 +69,6 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
     return dots
 
 
-def windows(
-    displacement_px: NDArray[np.float32], events_per_dot: NDArray[np.integer], slices: NDArray[np.integer], history: int
-) -> NDArray[np.float32]:
-    """Windows of the features (slices, dots) for a network of any design: (samples, dots, 2 * history).
-
-    Of each dot the displacements of the last `history` slices in px, then their events, each with the newest slice
-    first; a window ends at each of the given slices. ValueError as for `at`.
-    """
-    ends = _checked_ends(slices, history, len(displacement_px))
-    series = features.series(displacement_px, events_per_dot)
-    cut = np.empty((len(ends), series.shape[1], 2 * history), np.float32)
-    fill(series, ends, view_table((View("distance", history), View("events", history))), cut)
-    return cut
-
-
 def _checked_ends(slices: NDArray[np.integer], history: int, available: int) -> NDArray[np.int64]:
     """Slices at which inputs end, as int64; ValueError unless each has a full history within the available slices."""
     ends = np.asarray(slices)

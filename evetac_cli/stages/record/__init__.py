@@ -241,7 +241,7 @@ def _command(gripper: Gripper, now_us: int, target_ma: float, now_ms: int, handl
 
 
 def _import(job: Job, params: Record, force: bool) -> Outcome:
-    """Read a foreign event file through the one door of store.imports."""
+    """Import an event file of another program as a recording."""
     from evetac_cli.formats.imports import read_events
 
     imported = read_events(job.inputs[0], frame_px=_frame(params.frame_size), sort=params.sort, stream=params.stream)

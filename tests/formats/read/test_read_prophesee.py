@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
-from tests.importing import refusal, rows_of
+from tests.importing import event_rows, refusal
 
 faery = pytest.importorskip("faery")
 from faery.file_encoder import events_to_file  # noqa: E402
@@ -40,12 +40,12 @@ def test_files_of_faery_are_read(tmp_path: Path, kind: str, suffix: str) -> None
     events = drawn()
     path = write(tmp_path / f"a.{suffix}", events, kind)
     imported = read_events(path)
-    assert rows_of(imported) == list(
+    assert event_rows(imported) == list(
         zip((events.t - events.t[0]).tolist(), *(c.tolist() for c in events[1:]), strict=True)
     )
     assert (imported.format, imported.frame_px, imported.notes) == ("prophesee", FRAME, [])
     assert imported.t_offset_us == events.t[0]
-    assert rows_of(read_events(path.rename(tmp_path / "events"))) == rows_of(imported)
+    assert event_rows(read_events(path.rename(tmp_path / "events"))) == event_rows(imported)
 
 
 def evt3(t_us: Any, row: int = 5) -> list[int]:
@@ -117,7 +117,7 @@ def test_vectors_are_read(tmp_path: Path) -> None:
         6 << 12 | 11,
         4 << 12 | 1,
     ]
-    assert rows_of(read_events(raw(tmp_path / "a.raw", words))) == [
+    assert event_rows(read_events(raw(tmp_path / "a.raw", words))) == [
         (0, 16, 5, 1),
         (0, 18, 5, 1),
         (0, 28, 5, 1),

@@ -1,0 +1,268 @@
+"""AEDAT4 files: whole ones are read as they are, of damaged ones what is intact, and nothing hangs."""
+
+import struct
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events, concatenate
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read import read_aedat4
+from tests.importing import FRAME, real, refusal, same
+
+
+def store(dv: Any, t: Any, x: Any, y: Any, p: Any) -> Any:
+    events = dv.EventStore()
+    for row in zip(t, x, y, p, strict=True):
+        events.push_back(*(int(value) for value in row[:3]), bool(row[3]))
+    return events
+
+
+@pytest.fixture(scope="module")
+def aedat4(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Events]:
+    """An AEDAT4 file in several packets, and the events in it."""
+    dv = pytest.importorskip("dv_processing")
+    rng = np.random.default_rng(8)
+    t = np.sort(rng.integers(0, 50_000, 5000)) + 1_600_000_000_000_000
+    t[0] = 1_600_000_000_000_000
+    x, y, p = rng.integers(0, 346, 5000), rng.integers(0, 260, 5000), rng.integers(0, 2, 5000)
+    path = tmp_path_factory.mktemp("aedat4") / "a.aedat4"
+    config = dv.io.MonoCameraWriter.Config("DAVIS346_1")
+    config.addEventStream((346, 260))
+    writer = dv.io.MonoCameraWriter(str(path), config)
+    for part in (slice(k, k + 1000) for k in range(0, 5000, 1000)):
+        writer.writeEventPacket(store(dv, t[part], x[part], y[part], p[part]).toPacket())
+    del writer
+    return path, Events(t - t[0], x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+@pytest.fixture
+def spans(aedat4: tuple[Path, Events]) -> list[tuple[int, int]]:
+    """Where its packets lie, found by the rule of the format: stream and size before each."""
+    data = aedat4[0].read_bytes()
+    at = 18 + struct.unpack_from("<I", data, 14)[0]
+    packets = []
+    for _ in range(5):
+        size = struct.unpack_from("<i", data, at + 4)[0]
+        packets.append((at, at + 8 + size))
+        at += 8 + size
+    return packets
+
+
+def test_aedat4_is_read(aedat4: tuple[Path, Events]) -> None:
+    """Assert that events, frame and clock are those that were written."""
+    imported = read_events(aedat4[0])
+    assert same(imported.events, aedat4[1])
+    assert (imported.format, imported.frame_px, imported.notes) == ("aedat4", (346, 260), [])
+    assert imported.t_offset_us == 1_600_000_000_000_000
+    assert "leave out --frame-size" in refusal(aedat4[0], frame_px=FRAME)
+
+
+def test_cut_aedat4_keeps_what_arrived(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
+    """Assert that a cut file gives the events of its complete packets, says so, and is refused where there are none."""
+    path, written = aedat4
+    whole = path.read_bytes()
+    cut = tmp_path / "cut.aedat4"
+    for length, packets in ((spans[0][1], 1), (spans[3][1] - 1, 3), (spans[4][0] + 3, 4), (spans[4][1], 5)):
+        cut.write_bytes(whole[:length])
+        imported = read_events(cut)
+        assert same(imported.events, written.part(0, 1000 * packets))
+        assert len(imported.notes) == 1
+        if packets < 5:
+            lost = length - spans[packets - 1][1]
+            assert f"kept {1000 * packets} events of {packets} complete packets; {lost} bytes" in imported.notes[0]
+    for length in (1, 11, 14, 17, 18, spans[0][0] // 2, spans[0][0] - 1, spans[0][0], spans[0][0] + 8, spans[0][1] - 1):
+        cut.write_bytes(whole[:length])
+        refusal(cut)
+
+
+def test_aedat4_that_was_never_closed_is_read(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
+    """Assert that the file of a recorder that was killed gives all complete packets, with a note."""
+    path, written = aedat4
+    data = bytearray(path.read_bytes()[: spans[3][1]])
+    position = struct.pack("<q", spans[4][1])  # of the packet table, written into the header when a file is closed
+    assert data.count(position) == 1
+    data[data.index(position) : data.index(position) + 8] = struct.pack("<q", -1)
+    killed = tmp_path / "killed.aedat4"
+    killed.write_bytes(data)
+    imported = read_events(killed)
+    assert same(imported.events, written.part(0, 4000))
+    assert imported.notes == ["the recorder never closed the file: kept 4000 events of 4 packets"]
+
+
+def test_a_damaged_packet_neither_hangs_nor_passes_unseen(
+    aedat4: tuple[Path, Events], spans: Any, tmp_path: Path
+) -> None:
+    """Assert that a damaged packet, on which dv-processing 2.0.4 loops for ever, is left out, and that this is said."""
+    path, written = aedat4
+    data = bytearray(path.read_bytes())
+    data[spans[2][0] + 100 : spans[2][0] + 300] = bytes(range(200))
+    broken = tmp_path / "broken.aedat4"
+    broken.write_bytes(data)
+    imported = read_events(broken)
+    assert same(imported.events, concatenate([written.part(0, 2000), written.part(3000, 5000)]))
+    assert "broken file: kept 4000 events of 4 of 5 packets; LZ4 error" in imported.notes[0]
+
+
+def test_damage_beside_the_packets_loses_nothing(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
+    """Assert that a damaged packet table or packet header is got round, and said."""
+    path, written = aedat4
+    whole = path.read_bytes()
+    for at, words in ((spans[4][1] + 10, "packet table is damaged"), (spans[1][0], "a packet at byte")):
+        data = bytearray(whole)
+        data[at : at + 8] = b"\xff" * 8
+        broken = tmp_path / "broken.aedat4"
+        broken.write_bytes(data)
+        imported = read_events(broken)
+        assert same(imported.events, written)
+        assert words in imported.notes[0]
+
+
+def test_damaged_aedat4_headers_are_refused(aedat4: tuple[Path, Events], tmp_path: Path) -> None:
+    """Assert that no damage in the header leads to anything but words, or to the events after all."""
+    path, written = aedat4
+    whole = path.read_bytes()
+    broken = tmp_path / "broken.aedat4"
+    rng = np.random.default_rng(1)
+    refused = 0
+    for _ in range(60):
+        data = bytearray(whole)
+        # the fields before the tree of settings, and the start of the tree
+        for at in rng.integers(14, 120, 3):
+            data[at] = rng.integers(256)
+        broken.write_bytes(data)
+        try:
+            imported = read_events(broken)
+        except InputError:
+            refused += 1
+        else:
+            assert same(imported.events, written)
+    assert 30 < refused < 60
+
+
+def test_packets_with_impossible_or_no_events_are_read(tmp_path: Path) -> None:
+    """Assert that events outside the frame are dropped one by one, and that a packet may be empty."""
+    aedat = pytest.importorskip("faery").extension.aedat
+    path = tmp_path / "a.aedat4"
+    rows = np.zeros(10, read_aedat4.EVENT)
+    rows["t"] = np.arange(10)
+    rows["x"][3] = 99
+    with aedat.Encoder(path, read_aedat4.description((200, 80)), ("lz4", 1)) as encoder:
+        encoder.write(0, rows[:5])
+        encoder.write(0, rows[:0])
+        encoder.write(0, rows[5:])
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b">200<", b">050<"))  # a frame smaller than what the packets hold
+    imported = read_events(path)
+    assert (imported.events.size, imported.counts["out_of_frame"], imported.frame_px) == (9, 1, (50, 80))
+    assert imported.notes == ["10% of the events lie outside 50x80 and were dropped; is it the frame?"]
+
+
+def test_streams_are_chosen_by_name(tmp_path: Path) -> None:
+    """Assert that of several event streams the first by name is read, the others are noted, and each can be had."""
+    dv = pytest.importorskip("dv_processing")
+    path = tmp_path / "stereo.aedat4"
+    left, right = dv.io.MonoCameraWriter.Config("cam_10"), dv.io.MonoCameraWriter.Config("cam_1")
+    left.addEventStream((100, 80))
+    right.addEventStream((60, 50))
+    writer = dv.io.StereoCameraWriter(str(path), left, right)
+    writer.left.writeEvents(store(dv, range(3), range(3), range(3), [1] * 3))
+    writer.right.writeEvents(store(dv, range(5), range(5), range(5), [0] * 5))
+    del writer
+    first = read_events(path)
+    assert (first.events.size, first.frame_px) == (5, (60, 50))
+    assert first.notes == ["took the event stream cam_1/events; also there: cam_10/events (choose with --stream)"]
+    other = read_events(path, stream="cam_10/events")
+    assert (other.events.size, other.frame_px) == (3, (100, 80))
+    assert "expected: cam_1/events or cam_10/events" in refusal(path, stream="events")
+
+
+def test_aedat4_needs_the_convert_extra(aedat4: tuple[Path, Events], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a library that is missing is named with the command that installs it."""
+    monkeypatch.setitem(sys.modules, "faery", None)
+    assert 'pip install "evetac[convert]"' in refusal(aedat4[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "events", "frame", "slices"),
+    [
+        ("dvxplorer_static_noise.aedat4", 255_283, (640, 480), 2700),
+        ("davis346.aedat4", 78_830, (346, 260), 2360),
+        ("multistream.aedat4", 9_193, (346, 260), 3814),
+    ],
+)
+def test_real_aedat4(name: str, events: int, frame: tuple[int, int], slices: int) -> None:
+    """Assert that the makers' test files give their known numbers of events."""
+    pytest.importorskip("faery")
+    imported = read_events(real(name))
+    assert (imported.events.size, imported.frame_px, imported.slices) == (events, frame, slices)
+    assert sum(imported.counts.values()) == imported.sorted == 0
+    assert imported.notes == []
+    assert imported.events.t[0] == 0
+
+
+@pytest.mark.parametrize("name", ["dvxplorer_static_noise", "davis346", "multistream"])
+def test_damage_costs_no_more_than_the_packets_it_hits(name: str, tmp_path: Path) -> None:
+    """Assert that truncated and damaged copies give every event of every packet that was not hit.
+
+    Cameras' packets carry no checksum, so a damaged one may decode: then its times may be impossible, which is refused.
+    """
+    pytest.importorskip("faery")
+    source = real(f"{name}.aedat4")
+    raw = source.read_bytes()
+    with source.open("rb") as handle:
+        header = read_aedat4._header(handle, "")
+        number = next(stream.number for stream in header.streams if stream.kind == "EVTS")
+        packets = read_aedat4._walk(handle, header, number).spans
+        events = [part.t.size for part in read_aedat4.open_aedat4(source, None, None).batches]
+    damaged = tmp_path / "damaged.aedat4"
+    rng = np.random.default_rng(2)
+    refused = 0
+    for case in range(24):
+        data = bytearray(raw)
+        at = int(rng.integers(header.size, len(raw)))
+        stop = len(raw) if case % 3 == 0 else at + (1 if case % 3 == 1 else 300)
+        if case % 3 == 0:
+            del data[at:]
+        else:
+            data[at:stop] = bytes(byte ^ 0x55 for byte in data[at:stop])
+        damaged.write_bytes(data)
+        # the eight bytes before a packet are its own; where they are hit, the packet table leads past them
+        intact = sum(count for span, count in zip(packets, events, strict=True) if span.stop <= at or span.start > stop)
+        if not intact:
+            continue
+        try:
+            imported = read_events(damaged)
+        except InputError as error:
+            assert case % 3 and "time" in error.message, (case, at)
+            refused += 1
+            continue
+        assert imported.events.size >= intact, (case, at)
+        assert imported.notes or imported.events.size + sum(imported.counts.values()) == sum(events)
+    assert refused < 12
+
+
+def test_real_aedat4_without_events() -> None:
+    """Assert that a file of two streams without a packet is refused."""
+    assert "holds no events" in refusal(real("empty_stereo.aedat4"))
+
+
+def test_real_noise_is_the_noise_described() -> None:
+    """Assert that columns are not mixed up: 385 pixels above 20 events a second make 66.5 % of all."""
+    pytest.importorskip("faery")
+    imported = read_events(real("dvxplorer_static_noise.aedat4"))
+    image = np.zeros((480, 640), np.int64)
+    np.add.at(image, (imported.events.y, imported.events.x), 1)
+    hot = image > 20 * imported.events.t[-1] / 1e6
+    assert image[336, 331] == image.max() == 4035
+    assert np.count_nonzero(hot) == 385
+    assert image[hot].sum() / image.sum() == pytest.approx(0.665, abs=5e-4)
+
+
+def test_real_frames_are_no_events() -> None:
+    """Assert that a file of frames is refused in words."""
+    assert "holds frames but no event stream" in refusal(real("frames_only.aedat4"))
