@@ -14,7 +14,7 @@ from evetac_cli.events import Events
 
 
 class EventCamera(Protocol):
-    """A source of slices."""
+    """A source of slices, one for every millisecond."""
 
     @property
     def sensor(self) -> Mapping[str, Any]:
@@ -28,18 +28,35 @@ class EventCamera(Protocol):
         """The next slice of 1 ms (t in us, absolute), or None once the stream has ended; DeviceError if it broke."""
 
     def close(self) -> None:
-        """Let go of the device; a second call does nothing."""
+        """Stop the camera; a second call does nothing."""
 
 
 class GripperReading(NamedTuple):
-    """What a gripper says of itself; closing is positive."""
+    """Current and position as a gripper measures them; closing is positive."""
 
     current_ma: float
     position_ticks: int
 
 
+def gripper_row(
+    now_us: int, reading: GripperReading, *, target_ma: float = float("nan"), written_ma: int = 0
+) -> dict[str, Any]:
+    """The row of a command in datasets `gripper/...` of a recording.
+
+    now_us: device time; target_ma, written_ma: the goal current and what was written of it; the defaults stand for a
+    command that is a position.
+    """
+    return {
+        "gripper/t_us": now_us,
+        "gripper/current_target_ma": target_ma,
+        "gripper/current_written_ma": written_ma,
+        "gripper/current_ma": reading.current_ma,
+        "gripper/position_ticks": reading.position_ticks,
+    }
+
+
 class Gripper(Protocol):
-    """A parallel gripper driven by motor current or by goal position."""
+    """A parallel gripper that is commanded by motor current or by goal position."""
 
     @property
     def counted(self) -> Mapping[str, int]:
@@ -66,10 +83,10 @@ class Clock(Protocol):
 
 
 class Closable(Protocol):
-    """What has to be let go of at the end."""
+    """A device, or what is behind one, that has to be closed at the end."""
 
     def close(self) -> None:
-        """Let go; a second call does nothing."""
+        """Close it; a second call does nothing."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +97,7 @@ class Rig:
     gripper: Gripper | None
     clock: Clock
     truth: Callable[[], Mapping[str, Any]] | None = None  # one row per slice just read; simulations only
-    holding_ma: float = 0.0  # the current that holds the object stably; 0 where nobody knows
+    holding_ma: float = 0.0  # the current that holds the object stably; 0 where it is not known
     drawn: str = ""  # JSON of what a simulation drew for this trial
     sensor: Mapping[str, Any] = field(default_factory=dict)  # what is known beyond what the camera says of itself
     setup: Mapping[str, Any] = field(default_factory=dict)  # what the devices are and how they are set; JSON
@@ -88,7 +105,7 @@ class Rig:
     parents: tuple[dict[str, Any], ...] = ()  # headers of the files that the camera plays
     peers: tuple[Closable, ...] = ()  # what the devices need, such as the virtual ones behind the wire
 
-    def sensor_known(self) -> dict[str, Any]:
+    def known_sensor(self) -> dict[str, Any]:
         """All that is known of the sensor, by the camera and beyond it."""
         return {**self.camera.sensor, **self.sensor}
 

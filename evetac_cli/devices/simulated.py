@@ -58,20 +58,20 @@ class SimulatedGripper:
         self.world = world
 
     def read(self) -> GripperReading:
-        """Current and integer encoder position."""
+        """Current of the motor and position of the encoder, which is a whole number."""
         finger = self.world.finger
         return GripperReading(finger.current_ma, finger.position_ticks)
 
     def write_current(self, current_ma: int) -> None:
-        """Current mode."""
+        """Command a current, from the next slice on."""
         self.world.command = ("current", current_ma)
 
     def write_position(self, goal_ticks: int) -> None:
-        """Position mode."""
+        """Command a position, from the next slice on."""
         self.world.command = ("position", goal_ticks)
 
     def close(self) -> None:
-        """Current zero."""
+        """Command no current."""
         self.world.command = ("current", 0)
 
 

@@ -12,6 +12,7 @@ import glob
 import time
 import zipfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,15 @@ VALIDATE_EVERY = 8
 KEEP_S = 30.0  # at most so much work is lost when a run is interrupted
 
 
-def jobs(files: list[Path], params: Train, out: Path | None) -> list[Job]:
+@dataclass(frozen=True)
+class TrainJob(Job):
+    """One model to train on the first `learned` of its inputs, with a seed; the others validate."""
+
+    learned: int
+    seed: int
+
+
+def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
     """One model for every seed, each from all features files together."""
     pattern = params.validate if not Path(params.validate).is_dir() else f"{params.validate}/*.{INPUTS[0]}.h5"
     validate = [Path(name) for name in sorted(glob.glob(pattern))] if params.validate else []
@@ -62,7 +71,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[Job]:
         number = f"-s{seed}" if params.seeds > 1 else ""
         name = f"{params.model}{horizon_ms}{number}.model.h5"
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
-        found.append(Job((*learn, *validate), output, {"learn": len(learn), "seed": seed}))
+        found.append(TrainJob((*learn, *validate), output, len(learn), seed))
     return found
 
 
@@ -77,10 +86,10 @@ def _of_objects(files: list[Path], params: Train) -> list[Path]:
     return found
 
 
-def run(job: Job, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
     headers = [_header(path) for path in job.inputs]
-    learn, seed = job.choice["learn"], job.choice["seed"]
+    learn, seed = job.learned, job.seed
     check_disjoint(headers[:learn], headers[learn:], "validated on", job.inputs[learn:])
     labels = _label_method(job.inputs[:learn], headers[:learn])
     folds = folds_of(headers, learn, params.folds)
@@ -160,7 +169,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
 
 
 def _train(
-    job: Job, params: Train, recipe: Recipe, samples: Samples, place: tuple[int, int], progress: Progress
+    job: TrainJob, params: Train, recipe: Recipe, samples: Samples, place: tuple[int, int], progress: Progress
 ) -> tuple["Training", int | None]:
     """Train from the beginning or from where an interrupted run was kept; says at which step that was.
 
@@ -169,7 +178,7 @@ def _train(
     from evetac_cli.kernels.slip import training
 
     number, networks = place
-    seed = job.choice["seed"]
+    seed = job.seed
     part = _part(job, *place)
     kept = _read_part(part, recipe)
     written = time.monotonic()

@@ -1,13 +1,13 @@
 """Which options of `record` and `grasp` belong to what a run may have, so that none is ignored without a word."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from enum import StrEnum
 
-from evetac_cli.devices.naming import camera_name
+from evetac_cli.devices.cameras import NamedCamera
+from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.params import Grasp, Record, flag_of
-from evetac_cli.stages.record.capture_plan import names
 
 
 class Source(StrEnum):
@@ -24,7 +24,7 @@ class Source(StrEnum):
     GRASPED = "a grasp with devices (--camera virtual, dvxplorer or dv)"
 
 
-# Of a field that is not named here nothing depends on the source, or `names` says what fits together.
+# Of a field that is not named here nothing depends on the source, or its stage says what fits together.
 RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("scene", "objects", "sensor", "gel", "readout"), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
@@ -43,48 +43,46 @@ GRASP: dict[str, tuple[Source, ...]] = {
 }
 
 
-def sources(params: Record) -> set[Source]:
-    """What the run has; InputError for devices that there are not, or that do not fit together."""
-    cameras, gripper = names(params)
+def refuse_unused_of_record(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> None:
+    """InputError for an option of record that is not at its default and belongs to nothing that this run has."""
+    _refuse(params, RECORD, _record_sources(params, cameras, gripper))
+
+
+def refuse_unused_of_grasp(params: Grasp, camera: NamedCamera) -> None:
+    """InputError for an option of grasp that is not at its default and belongs to nothing that this run has."""
+    scene = {Source.SCENE} if camera.simulates_scene else set()
+    _refuse(params, GRASP, scene | ({Source.GRASPED} if camera.is_adjustable else set()))
+
+
+def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> set[Source]:
     if params.source is not None:
         return {Source.IMPORT}
-    if cameras[0].kind == "sim":
+    if cameras[0].is_stepped:
         return {Source.SCENE, Source.STEPPED} | ({Source.LIVE} if params.live else set())
-    found = {Source.DEVICE, Source.LIVE if params.live else Source.RECORDED}
-    if any(camera.kind == "virtual" and camera.prepared_events_s is None for camera in cameras):
-        found.add(Source.SCENE)
-    if any(camera.kind != "replay" for camera in cameras):
-        found.add(Source.SENSOR)
-    if gripper.kind != "none" and not params.live:
-        found.add(Source.MOVED)
-    return found
+    sources = {Source.DEVICE, Source.LIVE if params.live else Source.RECORDED}
+    if any(camera.simulates_scene for camera in cameras):
+        sources.add(Source.SCENE)
+    if any(camera.is_adjustable for camera in cameras):
+        sources.add(Source.SENSOR)
+    if gripper.is_moved and not params.live:
+        sources.add(Source.MOVED)
+    return sources
 
 
-def refuse_unused_options(params: Record | Grasp) -> None:
-    """InputError for an option that is not at its default and belongs to nothing that this run has."""
-    if isinstance(params, Grasp):
-        camera = camera_name(params.camera)
-        simulated = camera.kind in ("sim", "virtual") and camera.prepared_events_s is None
-        has = {Source.SCENE} if simulated else set()
-        _refuse(params, GRASP, has if camera.kind in ("sim", "replay") else has | {Source.GRASPED})
-    else:
-        _refuse(params, RECORD, sources(params))
-
-
-def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], has: set[Source]) -> None:
+def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], sources: set[Source]) -> None:
     for item in fields(params):
         belongs = table.get(item.name)
-        if belongs is None or getattr(params, item.name) == item.default or has.intersection(belongs):
+        if belongs is None or getattr(params, item.name) == item.default or sources.intersection(belongs):
             continue
         raise InputError(
             f"has no effect here: it belongs to {' or '.join(belongs)}",
             where=flag_of(item),
-            found=_named(params),
+            found=_source_flags(params),
             hint=f"leave out {flag_of(item)}",
         )
 
 
-def _named(params: Record | Grasp) -> str:
+def _source_flags(params: Record | Grasp) -> str:
     """The flags that say where events come from."""
     if isinstance(params, Record) and params.source is not None:
         return f"--from {params.source}"

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,13 @@ from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import Recording, open_recording
 
 Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class ModelsReportJob(Job):
+    """One report over files and models: the last `models` inputs are the model files."""
+
+    models: int
 
 
 def report_job(files: list[Path], subject: str, out: Path | None, *more: Path) -> list[Job]:

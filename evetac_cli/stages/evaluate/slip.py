@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.params import EvaluateSlip, recipe_of
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job, slip_picture
+from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job, slip_picture
 from evetac_cli.stages.evaluate.slip_models import Model, check, judge
 from evetac_cli.stages.evaluate.slip_tables import tables
 from evetac_cli.store.files import StageFile
@@ -26,13 +26,13 @@ OUTPUT = "report"
 METHOD = 4
 
 
-def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Job]:
+def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[ModelsReportJob]:
     """One report over all features files and models."""
     features, models = sort_out(files, params.model)
     if not features:
         raise InputError("on which trajectories?", expected="labelled features that the models never saw")
     (job,) = report_job(features, "slip", out, *models)
-    return [job._replace(choice={"models": len(models)})]
+    return [ModelsReportJob(job.inputs, job.output, len(models))]
 
 
 def sort_out(files: list[Path], given: Path | None) -> tuple[list[Path], list[Path]]:
@@ -58,9 +58,9 @@ def sort_out(files: list[Path], given: Path | None) -> tuple[list[Path], list[Pa
     return others, list(models.values())
 
 
-def run(job: Job, params: EvaluateSlip, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Rows of settings, moments, objects, models and trajectories, and a picture of them."""
-    split = len(job.inputs) - job.choice["models"]
+    split = len(job.inputs) - job.models
     paths = job.inputs[:split]
     models = [Model.read(path) for path in job.inputs[split:]]
     headers = check(models, paths)

@@ -25,8 +25,8 @@ from evetac_cli.stages.grasp.controller_process import (
     OVER,
     STOPPED,
     TOO_LONG,
-    Commanding,
-    CommandingEnded,
+    ControllerSettings,
+    ControllerEnded,
     Pace,
     Watch,
     command,
@@ -158,7 +158,7 @@ class Bench:
         self._slips, self._told, self._known, self._heard_us = slips, 0, list[float](), 0.0
         self.clock.passing = self._tell
         self._reading, self._writing = multiprocessing.Pipe(duplex=False)
-        self.commanding = Commanding("nowhere", 2_000_000, RhP12RnSettings(), PAPER, timing, 60, 100.0)
+        self.commanding = ControllerSettings("nowhere", 2_000_000, RhP12RnSettings(), PAPER, timing, 60, 100.0)
 
     def _tell(self) -> None:
         while self.clock.now_s >= self.zero_s + (self._told + 1) * 1e-3 + FELT_S and self._told < self.dies_at:
@@ -175,8 +175,8 @@ class Bench:
             if slice_ == self.stops_at:
                 self.board.stop()
 
-    def run(self, **changed: Any) -> tuple[CommandingEnded, list[dict[str, Any]]]:
-        commanding = self.commanding if not changed else Commanding(**{**vars(self.commanding), **changed})
+    def run(self, **changed: Any) -> tuple[ControllerEnded, list[dict[str, Any]]]:
+        commanding = self.commanding if not changed else ControllerSettings(**{**vars(self.commanding), **changed})
         outbox = Outbox(self._writing)
         ended = command(self.hand, self.board, commanding, outbox, self.clock, self.clock.sleep)
         assert outbox.flush(1.0)

@@ -14,7 +14,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime import scheduling
 from evetac_cli.realtime.message_pipe import Inbox, Outbox
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
-from evetac_cli.stages.grasp.detector_process import PIECE_MS, Piece, feel, noise
+from evetac_cli.stages.grasp.detector_process import PIECE_MS, SliceBatch, feel, noise
 
 
 class Camera:
@@ -77,8 +77,8 @@ def pipe() -> Iterator[tuple[Inbox, Outbox]]:
     writing.close()
 
 
-def pieces(inbox: Inbox, outbox: Outbox) -> list[Piece]:
-    found: list[Piece] = []
+def pieces(inbox: Inbox, outbox: Outbox) -> list[SliceBatch]:
+    found: list[SliceBatch] = []
     while outbox.waiting_bytes:
         found += inbox.take()
         outbox.send()

@@ -24,10 +24,10 @@ from evetac_cli.params import Grasp
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import grasp
 from evetac_cli.stages.grasp import live
-from evetac_cli.stages.grasp.controller_process import CommandingEnded, Ready
-from evetac_cli.stages.grasp.detector_process import FeelingEnded, Piece, Seen, noise
-from evetac_cli.stages.grasp.loop import row_of
-from evetac_cli.stages.grasp.recorder import Recorded
+from evetac_cli.stages.grasp.controller_process import ControllerEnded, GripperReady
+from evetac_cli.stages.grasp.detector_process import DetectorEnded, SliceBatch, CameraReady, noise
+from evetac_cli.stages.grasp.loop import control_row
+from evetac_cli.stages.grasp.recorder import RecordedGrasp
 from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter
 
@@ -155,7 +155,7 @@ def armed(tmp_path: Path) -> tuple[Grasp, Job]:
     return params, job
 
 
-class Loops:
+class GraspProcesses:
     """In place of detector and controller: two that are ready, and do nothing."""
 
     closed = 0
@@ -163,16 +163,16 @@ class Loops:
     def __init__(self, *made_of: Any) -> None:
         pass
 
-    def begin(self, came: list[int]) -> tuple[Seen, Ready]:
+    def begin(self, came: list[int]) -> tuple[CameraReady, GripperReady]:
         print("ready", file=sys.stderr)
         sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "dvxplorer:T1"}
-        return Seen(sensor, {"serial": "T1"}, (), "as usual"), Ready({"mode": "position"}, "as usual")
+        return CameraReady(sensor, {"serial": "T1"}, (), "as usual"), GripperReady({"mode": "position"}, "as usual")
 
     def go(self) -> None:
         print("go", file=sys.stderr)
 
     def close(self) -> None:
-        Loops.closed += 1
+        GraspProcesses.closed += 1
 
 
 @pytest.fixture
@@ -180,25 +180,25 @@ def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
     """Let a function stand for detector, controller and recorder."""
 
     def put(record: Any) -> None:
-        Loops.closed = 0
-        monkeypatch.setattr(live, "Loops", Loops)
+        GraspProcesses.closed = 0
+        monkeypatch.setattr(live, "GraspProcesses", GraspProcesses)
         monkeypatch.setattr(live, "record", record)
 
     return put
 
 
-def some(writer: RecordingWriter, ended: str, error: Exception | None = None, steps: int = 2) -> Recorded:
+def some(writer: RecordingWriter, ended: str, error: Exception | None = None, steps: int = 2) -> RecordedGrasp:
     """What is recorded of a grasp of a few slices."""
-    recorded = Recorded(1000, ended=ended, error=error)
-    piece = Piece(noise(np.random.default_rng(0), 0), [3000], [0.5], [1.0], [600.0])
+    recorded = RecordedGrasp(1000, ended=ended, error=error)
+    piece = SliceBatch(noise(np.random.default_rng(0), 0), [3000], [0.5], [1.0], [600.0])
     recorded.take_slices(piece, writer)
     control = Control(PAPER)
-    row = row_of(control, Phase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
+    row = control_row(control, Phase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
     late = {"control/late_us": 5.0, "control/missed": 1, "control/latency_us": 2500.0, "control/slices_processed": 1}
     recorded.take_steps([{**row, **late}] * steps, writer)
     cycle_us = array("d", [700.0] * steps)
-    recorded.commanding = CommandingEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
-    recorded.feeling = FeelingEnded({"late_events": 3}, None)
+    recorded.commanding = ControllerEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
+    recorded.feeling = DetectorEnded({"late_events": 3}, None)
     return recorded
 
 
@@ -217,7 +217,7 @@ def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, Job], recorder_is: Ca
     """Assert that misses, latency, losses and urgency are in file and row, and that both processes are ended."""
     recorder_is(lambda loops, world, writer, *more: some(writer, "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
-    assert Loops.closed
+    assert GraspProcesses.closed
     assert (row["command_misses"], row["latency_us_median"], row["latencies"]) == (1, 2500.0, 2)
     assert row["lost"] == "camera.late_events 3; gripper.answers_lost 4"
     with open_recording(armed[1].output) as file:
@@ -268,11 +268,11 @@ def test_a_full_disk(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None
     recorder_is(fails)
     with pytest.raises(InputError, match="cannot be written(.|\n)*evetac repair"):
         grasp.run(armed[1], armed[0])
-    assert Loops.closed
-    Loops.closed = 0
+    assert GraspProcesses.closed
+    GraspProcesses.closed = 0
     with pytest.raises(InputError, match="broke off here"):
         grasp.run(armed[1], armed[0])
-    assert not Loops.closed
+    assert not GraspProcesses.closed
 
 
 def test_a_gripper_that_is_not_there(
