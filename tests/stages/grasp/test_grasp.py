@@ -17,6 +17,7 @@ from evetac_cli.params import Grasp
 from evetac_cli.resources import MODEL
 from evetac_cli.sim import gripper
 from evetac_cli.stages import grasp
+from evetac_cli.stages.grasp import setup
 from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.online_detector import known_dots
 from evetac_cli.stages.slip_detectors import horizon_ms_of, load_detector
@@ -33,7 +34,7 @@ def made(tmp_path: Path, name: str = "a", **chosen):
 
 def test_the_package_has_a_detector() -> None:
     """Assert that a grasp needs no --model: the package's is whole, runs, and its report is of this very file."""
-    assert grasp.model_path_for(Grasp()) == MODEL
+    assert setup.model_path_for(Grasp()) == MODEL
     assert [row["faults"] for row in validate.run([MODEL]).rows] == [None]
     made = json.loads(MODEL.with_name("fast-slow-10ms.json").read_text())
     with StageFile(MODEL, "model") as model:
@@ -48,7 +49,7 @@ def test_the_package_has_a_detector() -> None:
 @pytest.mark.parametrize("controller", ["none", "fixed:6"])
 def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
     """Assert that a model is refused where none is used, and that none is taken then."""
-    assert grasp.model_path_for(Grasp(controller=controller)) is None
+    assert setup.model_path_for(Grasp(controller=controller)) is None
     with pytest.raises(InputError, match="no detector is used"):
         grasp.jobs([], Grasp(controller=controller, model=tmp_path / "slip.model.h5"), tmp_path)
 
