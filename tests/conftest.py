@@ -11,7 +11,8 @@ import pytest
 from evetac_cli import params
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
-from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.devices.virtual.gripper import VirtualGripper
+from evetac_cli.devices.virtual.world import VirtualWorld
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import featurize, grasp, label, record, track, train
 from evetac_cli.stages.force import train_force
@@ -41,6 +42,14 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _patient_worlds() -> Iterator[None]:
+    """Time waits in virtual worlds, so that no test depends on how fast the machine is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(VirtualWorld, "patient", True)
+        yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

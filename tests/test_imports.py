@@ -36,7 +36,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
 # Libraries that only some modules may import.
 ONLY_IN = {
     "h5py": ("store/*", "formats/read/*", "formats/write/*"),
-    "usb": ("devices/dvxplorer/*", "devices/virtual/virtual_dvxplorer.py", "devices/probe.py"),
+    "usb": ("devices/dvxplorer/*", "devices/virtual/dvxplorer.py", "devices/probe.py"),
     "dynamixel_sdk": ("devices/rh_p12_rn/*",),
     "torch": (
         "kernels/slip/networks.py",

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from evetac_cli.events import Events
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 
 class EventCamera(Protocol):
@@ -80,6 +81,11 @@ class Clock(Protocol):
 
     def now_us(self) -> int:
         """Microseconds since the start of the recording."""
+
+
+def camera_time(camera: EventCamera) -> TimeSource:
+    """The time by which a camera runs, and loops with it: the host's, unless it says otherwise."""
+    return getattr(camera, "time", HOST_TIME)
 
 
 class Closable(Protocol):

@@ -15,13 +15,13 @@ import numpy as np
 from evetac_cli.devices import Clock, EventCamera
 from evetac_cli.devices.naming import no_such_device, parse_number
 from evetac_cli.devices.replay import ReplayCamera, sensor_datasets
-from evetac_cli.devices.virtual.camera_faults import fault
+from evetac_cli.devices.virtual.faults import camera_fault
 from evetac_cli.events import FRAME_PX
 from evetac_cli.store.provenance import Header
 from evetac_cli.store.read import open_recording
 
 if TYPE_CHECKING:
-    from evetac_cli.devices.virtual.virtual_dvxplorer import PreparedWords
+    from evetac_cli.devices.virtual.word_sources import PreparedWords
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 NAMES = "sim, virtual, dvxplorer[:SERIAL], dv[:SERIAL] or replay:FILE"
@@ -149,7 +149,7 @@ class Virtual(NamedCamera):
         numbers = {key: option for option in given if (key := option.partition("=")[0]) in ("prepared", "firmware")}
         faults = tuple(option for option in given if option not in numbers.values())
         for each in faults:
-            fault(each)
+            camera_fault(each)
         prepared, firmware = (numbers.get(key, "").partition("=")[2] for key in ("prepared", "firmware"))
         rate = parse_number(prepared or str(PREPARED_EVENTS_S), "prepared=EVENTS_S", name)
         number = round(parse_number(firmware or str(FIRMWARE), "firmware=NUMBER", name))
@@ -164,7 +164,7 @@ class Virtual(NamedCamera):
         self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
     ) -> OpenedCamera:
         """Start the driver on a virtual camera that looks at the world, or plays prepared words."""
-        from evetac_cli.devices.virtual.virtual_dvxplorer import VirtualDvxplorer
+        from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 
         source = prepared_words(self.prepared_events_s or PREPARED_EVENTS_S, seeds) if world is None else world
         backend = VirtualDvxplorer(source, self.firmware, faults=self.faults)

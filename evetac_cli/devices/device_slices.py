@@ -1,12 +1,12 @@
 """Slices of a real camera's events: when one is over, and what the camera's clock has to do with the host's.
 
 Slice k holds device times [k, k + 1) ms after the recording's begin, the first ms of which the camera spoke. It is
-closed by word of a later device time, or, when the sensor is silent, by the host's clock: once a look that found the
-camera empty was begun so much later than the end of the slice that the camera would have sent it. What comes for a
+closed by a later device time, or, when the sensor is silent, by the host's clock: once a read that found the camera
+empty was begun so much later than the end of the slice that the camera would have sent it. What comes for a
 closed slice is counted, not put elsewhere.
 
-Why so: the moment at which data are looked at says nothing on a busy machine; the moment at which the look was begun
-that found nothing does. So a program that is kept from running closes no slice too early.
+Why so: on a busy machine the time at which data are processed means nothing; the time at which a read was begun that
+found nothing does. So a program that is kept from running closes no slice too early.
 """
 
 from collections import deque
@@ -18,7 +18,7 @@ from evetac_cli.events import SLICE_US, Events, Slicer
 
 WINDOW_US = 5_000_000  # over which the smallest delay is looked for: 50 ppm of drift make 0.25 ms in it
 BUCKET_US = 500_000
-FIRST_EVENTS_US = 100_000  # a camera that says nothing for so long after its start is silent: slices begin without it
+FIRST_EVENTS_US = 100_000  # a camera that sends nothing for so long after its start is silent: slices begin without it
 
 
 class ClockOffset:
@@ -95,7 +95,7 @@ class DeviceSlices:
         return closed
 
     def over(self, begun_us: float) -> int:
-        """How many slices are over, given that a look begun at this host time found the camera empty."""
+        """How many slices are over, given that a read begun at this host time found the camera empty."""
         if self._origin_us is None and begun_us < self._started_us + FIRST_EVENTS_US:
             return 0
         return max(0, int(self.recording_us(begun_us) - self._patience_us) // SLICE_US)
@@ -111,7 +111,7 @@ class DeviceSlices:
         return self._handed_out(self._slicer.push(events._replace(t=t_us).part(late, events.size)))
 
     def close_until(self, slices: int) -> list[Events]:
-        """Close all slices below this index."""
+        """Close all slices below this index, and return them."""
         return self._handed_out(self._slicer.close_until(slices))
 
     def _handed_out(self, closed: list[Events]) -> list[Events]:

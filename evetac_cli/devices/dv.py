@@ -1,4 +1,4 @@
-"""A DVXplorer Mini through the maker's library dv-processing (firmware 10 only): a second way, and one to compare with.
+"""A DVXplorer Mini through the maker's library dv-processing (firmware 10 only): an alternative to our driver.
 
 The library finds, reads and decodes; slices are cut here as for our own driver (device_slices.py). Its times are those
 of the camera plus the host's time of day at the start.
@@ -58,7 +58,7 @@ class DvCamera:
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """What was lost so far, by reason; what the library loses it does not say."""
+        """What was lost so far, by reason; the library does not report its own."""
         return {"late_events": self._slices.late_events}
 
     def read(self) -> Events | None:
@@ -89,7 +89,7 @@ class DvCamera:
         self._camera = None
 
     def _take(self, rows: Any) -> None:
-        """Cut one batch, a structured array."""
+        """Cut one batch of the library, a structured array, into slices."""
         t_us = rows["timestamp"].astype(np.int64)
         columns = (
             rows[name].astype(kind) for name, kind in (("x", np.uint16), ("y", np.uint16), ("polarity", np.uint8))
@@ -100,7 +100,7 @@ class DvCamera:
         self._ready += self._slices.push(events, self._first_us, int(t_us[-1]), _now_us())
 
     def _set_up(self, library: Any) -> None:
-        """Settings, and one batch a millisecond."""
+        """Pass our settings on to the library, and ask for one batch a millisecond."""
         rate = self.settings.readout_rate.upper().replace("-", "_").replace("LOSSY", "CONSTANT_LOSSY")
         self._camera.setReadoutFPS(getattr(library.io.camera.DVXplorer.ReadoutFPS, rate))
         self._camera.setContrastThresholdOn(self.settings.threshold_on)
@@ -111,7 +111,7 @@ class DvCamera:
 
 
 def _library(where: str) -> Any:
-    """dv-processing, or why not."""
+    """The module dv_processing; DeviceError if it is not installed."""
     try:
         import dv_processing
     except ImportError as error:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from evetac_cli.devices import Gripper
 from evetac_cli.devices.naming import no_such_device, parse_number
-from evetac_cli.devices.virtual.servo_faults import ServoFault
+from evetac_cli.devices.virtual.faults import gripper_fault
 
 if TYPE_CHECKING:
     from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+    from evetac_cli.devices.virtual.gripper import VirtualGripper
     from evetac_cli.devices.virtual.servo_plant import SharedPlant
-    from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
 
 NAMES = "sim, virtual, none, or a PORT[@BAUD] such as /dev/ttyUSB0@2000000"
 PORT_BEGINS = ("/", "./", "COM", "tty")
@@ -114,7 +114,7 @@ class Virtual(NamedGripper):
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":
         """Start the virtual servo; plant: the finger that it moves, None for one of its own."""
-        from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+        from evetac_cli.devices.virtual.gripper import VirtualGripper
 
         return VirtualGripper(plant, self.faults)
 
@@ -138,7 +138,7 @@ def parse(text: str) -> NamedGripper:
     if kind == Virtual.name:
         faults = tuple(filter(None, rest.split("+")))
         for each in faults:
-            ServoFault.parse(each)
+            gripper_fault(each)
         return Virtual(faults)
     if text == Simulated.name:
         return Simulated()

@@ -11,7 +11,7 @@ from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import Mode, NamedGripper
 
 if TYPE_CHECKING:
-    from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+    from evetac_cli.devices.virtual.gripper import VirtualGripper
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 

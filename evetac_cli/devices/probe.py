@@ -20,7 +20,7 @@ import usb.util
 
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import CONTROL_TIMEOUT_MS, FoundCamera, find_cameras
-from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, SDK_RATES, Bus, Found, latency_timer_ms, scan
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, SDK_RATES, Bus, BusDevice, latency_timer_ms, scan
 
 FTDI = "0403"  # vendor of the chip in ROBOTIS' U2D2
 # Asked for, of a gripper that answers.
@@ -48,10 +48,10 @@ class SerialPort(NamedTuple):
 
 
 class CameraAnswer(NamedTuple):
-    """What came of opening a camera: its error number, 0 if none; and the size of its sensor, if it told."""
+    """What came of opening a camera: number and message of the error, 0 if none; and the size of its sensor."""
 
     errno: int
-    found: str
+    message: str
     frame_px: tuple[int, int] | None
 
 
@@ -71,7 +71,7 @@ class Host:
         return self.usb_backend is not None or libusb_package.get_libusb1_backend() is not None
 
     def cameras(self) -> list[FoundCamera]:
-        """All DVXplorer on the bus."""
+        """All DVXplorer cameras on the USB, whether or not they can be opened."""
         return find_cameras(self.usb_backend)
 
     def ask_camera(self, camera: FoundCamera) -> CameraAnswer:
@@ -100,16 +100,16 @@ class Host:
         return CameraAnswer(0, "", (columns, rows))
 
     def serial_ports(self) -> list[SerialPort]:
-        """Serial ports of USB adapters."""
-        found = []
+        """Serial ports of USB adapters, from sysfs."""
+        ports = []
         for entry in sorted((self.sysfs / "class" / "tty").glob("tty[UA][SC][BM]*")):
             vendor = product = ""
             for folder in (entry / "device").resolve().parents:
                 if (folder / "idVendor").is_file():
                     vendor, product = ((folder / name).read_text().strip() for name in ("idVendor", "idProduct"))
                     break
-            found.append(SerialPort(self.dev / entry.name, vendor, product))
-        return found
+            ports.append(SerialPort(self.dev / entry.name, vendor, product))
+        return ports
 
     def latency_ms(self, port: Path) -> int | None:
         """How long the adapter of a port holds back an answer; None if it has no such timer."""
@@ -118,41 +118,41 @@ class Host:
     def users_of(self, path: Path) -> list[str]:
         """Programs of this user that have a file open, as `name (pid)`; those of others cannot be seen."""
         wanted = path.resolve()
-        found = []
+        users = []
         for entry in self.proc.glob("[0-9]*"):
             with suppress(OSError):
                 if entry.name != str(os.getpid()) and any(
                     link.readlink() == wanted for link in (entry / "fd").iterdir()
                 ):
-                    found.append(f"{(entry / 'comm').read_text().strip()} ({entry.name})")
-        return sorted(found)
+                    users.append(f"{(entry / 'comm').read_text().strip()} ({entry.name})")
+        return sorted(users)
 
-    def scan(self, port: Path) -> list[Found]:
+    def scan(self, port: Path) -> list[BusDevice]:
         """Grippers with id 1 at any rate; if there is none, those with any id at the rates in use."""
-        found = scan(str(port), self.rates, answer_ms=self.answer_ms)
-        for baud in () if found else self.rates:
+        grippers = scan(str(port), self.rates, answer_ms=self.answer_ms)
+        for baud in () if grippers else self.rates:
             with Bus(str(port), baud, answer_ms=self.answer_ms) as bus:
-                found += [Found(baud, id_, model) for id_, (model, _) in bus.everyone().items()]
-        return found
+                grippers += [BusDevice(baud, id_, model) for id_, (model, _) in bus.devices().items()]
+        return grippers
 
-    def registers(self, port: Path, gripper: Found, names: Iterable[str] = READ) -> dict[str, int]:
-        """Values of a gripper's registers."""
+    def registers(self, port: Path, gripper: BusDevice, names: Iterable[str] = READ) -> dict[str, int]:
+        """Values of a gripper's registers by name; DeviceError if it does not answer."""
         with Bus(str(port), gripper.baud, gripper.id, answer_ms=self.answer_ms) as bus:
             bus.tolerant = True  # what it complains of is what we want to know
             return {name: bus.read(name) for name in names}
 
     def free_bytes(self, folder: Path) -> int:
-        """Room on the disk of a folder."""
+        """Free bytes on the disk of a folder."""
         return shutil.disk_usage(folder).free
 
     def has_package(self, name: str) -> bool:
-        """Whether a module can be imported."""
+        """Whether the module `name` is installed; it is not imported."""
         return find_spec(name) is not None
 
     def distributions(self, names: Iterable[str]) -> list[str]:
         """Those of some distributions that are installed."""
-        found = []
+        installed = []
         for name in names:
             with suppress(metadata.PackageNotFoundError):
-                found.append(f"{name} {metadata.version(name)}")
-        return found
+                installed.append(f"{name} {metadata.version(name)}")
+        return installed

@@ -16,7 +16,7 @@ from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
 from evetac_cli.devices.probe import FTDI, Host
 from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
-from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Found
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Outcome
@@ -173,7 +173,7 @@ def _camera(machine: Host, camera: FoundCamera) -> Iterator[Row]:
         fix = "" if fast else "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
         yield _row(name, "link", fast, SPEEDS.get(camera.speed, f"speed {camera.speed}"), "USB 3", fix)
     answer = machine.ask_camera(camera)
-    yield _row(name, *_opened(machine, camera, answer.errno, answer.found))
+    yield _row(name, *_opened(machine, camera, answer.errno, answer.message))
     if answer.frame_px is not None and mini:
         right = answer.frame_px == FRAME_PX
         fix = "" if right else "this sensor is not that of a DVXplorer Mini: is it the right camera?"
@@ -270,7 +270,7 @@ def _is_serial(path: Path) -> bool:
         os.close(port)
 
 
-def _gripper(machine: Host, path: Path, gripper: Found) -> Iterator[Row]:
+def _gripper(machine: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     name = f"gripper {gripper.id} at {path}"
     right = gripper.model == MODEL_NUMBER
     older = " (RH-P12-RN without A: another control table)" if gripper.model == OLD_MODEL_NUMBER else ""

@@ -1,4 +1,4 @@
-"""Messages from a process that must not wait to one that has the time.
+"""Messages from one process to another that never make the writer wait.
 
 Why so: whoever keeps a beat of 1 or 2 ms cannot wait for a recorder that is writing a file. So what does not fit into
 the pipe stays with the writer, and goes with a later `send`. A pipe tells the reader at once when the writer has died,
@@ -18,15 +18,15 @@ from typing import Any
 MOST_BYTES = 256 << 20
 _PIPE_BYTES = 1 << 20
 _LENGTH = struct.Struct("<Q")
-_AT_ONCE = 1 << 16
+_READ_BYTES = 1 << 16
 _PAUSE_S = 1e-3
 
 
-class Outbox:
+class MessageWriter:
     """The writing end; takes messages at any time and sends them when there is room."""
 
     def __init__(self, pipe: Connection, most_bytes: int = MOST_BYTES) -> None:
-        """most_bytes: how much may wait here."""
+        """most_bytes: how much may wait in memory until the pipe has room."""
         self._pipe = pipe
         self._waiting: deque[memoryview] = deque()
         self._most_bytes = most_bytes
@@ -71,8 +71,8 @@ class Outbox:
         return not self._waiting
 
 
-class Inbox:
-    """The reading end; never waits."""
+class MessageReader:
+    """The reading end; takes what has come whole, and never waits."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
@@ -88,7 +88,7 @@ class Inbox:
         os.set_blocking(self._pipe.fileno(), False)
         while not self.ended:
             try:
-                data = os.read(self._pipe.fileno(), _AT_ONCE)
+                data = os.read(self._pipe.fileno(), _READ_BYTES)
             except BlockingIOError:
                 break
             self._data += data

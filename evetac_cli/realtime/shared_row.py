@@ -23,11 +23,11 @@ class SharedRow:
 
     @property
     def size(self) -> int:
-        """Bytes of memory that it takes."""
+        """Bytes of memory that the row takes, counter and checksum included."""
         return self._form.size + 4
 
     def write(self, *row: float) -> None:
-        """Replace the row; only one process may."""
+        """Replace the row; only one process may write it."""
         self._count += 1
         data = self._form.pack(self._count, *row)
         data += struct.pack("<I", zlib.crc32(data))

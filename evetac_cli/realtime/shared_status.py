@@ -1,8 +1,7 @@
-"""What detector and controller of a grasp in real time share: a few numbers, told by one and looked at by the other.
+"""The slip detector's state in shared memory: written by the detector at 1000 Hz, read by the controller at 500 Hz.
 
-The detector counts slices with slip at 1000 Hz, the controller looks every 2 ms. Beside what is felt stands when it was
-told and what it was told of, so that the controller can tell a detector that died, a camera that is silent, and how old
-the news is.
+Beside the slip signal stand the times by which the controller recognizes a detector that died and a camera that is
+silent, and knows how old the signal is.
 """
 
 import multiprocessing
@@ -17,11 +16,11 @@ _STOP_AT = 768
 
 
 class DetectorStatus(NamedTuple):
-    """A sign of life of the detector; times in us of time.monotonic."""
+    """What the detector has seen so far; times in us of the host's clock, or of a patient world's (shared_time.py)."""
 
-    felt: SlipSignal
-    slices: int  # that the detector has felt
-    at_us: float  # when it told this
+    signal: SlipSignal
+    slices: int  # that the detector has processed
+    at_us: float  # when this was published
     heard_us: float  # when the camera last gave an event
     zero_us: float  # when the recording's time was 0
     slip_us: tuple[float, ...]  # first events of the latest slices with slip, oldest first; up to REMEMBERED
@@ -31,7 +30,7 @@ class DetectorStatus(NamedTuple):
 
         NaN if there was none since.
         """
-        new = min(self.felt.slips - seen, len(self.slip_us))
+        new = min(self.signal.slips - seen, len(self.slip_us))
         return self.slip_us[-new] if new > 0 else float("nan")
 
 
@@ -44,7 +43,7 @@ class SharedStatus:
 
     def _attach(self) -> None:
         memory = memoryview(self._block).cast("B")
-        self._sign = SharedRow(memory, 0, f"q3dq3d{REMEMBERED}d")
+        self._status = SharedRow(memory, 0, f"q3dq3d{REMEMBERED}d")
         self._stop = SharedRow(memory, _STOP_AT, "q")
 
     def __getstate__(self) -> dict[str, object]:
@@ -54,21 +53,21 @@ class SharedStatus:
         vars(self).update(state)
         self._attach()
 
-    def publish(self, sign: DetectorStatus) -> None:
-        """For the detector."""
-        known = sign.slip_us[-REMEMBERED:]
+    def publish(self, status: DetectorStatus) -> None:
+        """For the detector: replace the status that the controller sees."""
+        known = status.slip_us[-REMEMBERED:]
         unknown = (float("nan"),) * (REMEMBERED - len(known))
-        self._sign.write(*sign.felt, *sign[1:5], *unknown, *known)
+        self._status.write(*status.signal, *status[1:5], *unknown, *known)
 
     def latest(self) -> DetectorStatus | None:
-        """For the controller: the latest sign; None before the first."""
-        found = self._sign.read()
-        if found is None:
+        """For the controller: the latest status; None before the first."""
+        row = self._status.read()
+        if row is None:
             return None
-        slips, *felt, slices, at_us, heard_us, zero_us = found[1][:8]
+        slips, *displacement, slices, at_us, heard_us, zero_us = row[1][:8]
         known = min(int(slips), REMEMBERED)
-        slip_us = found[1][8 + REMEMBERED - known :]
-        return DetectorStatus(SlipSignal(int(slips), *felt), int(slices), at_us, heard_us, zero_us, slip_us)
+        slip_us = row[1][8 + REMEMBERED - known :]
+        return DetectorStatus(SlipSignal(int(slips), *displacement), int(slices), at_us, heard_us, zero_us, slip_us)
 
     def stop(self) -> None:
         """For whoever started both: end, as soon as possible."""
@@ -76,5 +75,5 @@ class SharedStatus:
 
     @property
     def stopping(self) -> bool:
-        """Whether it was told to end."""
+        """Whether `stop` was called."""
         return self._stop.read() is not None

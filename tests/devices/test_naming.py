@@ -149,7 +149,7 @@ def test_failed_opening_leaves_nothing_open(
     camera: cameras.Virtual, gripper: NamedGripper, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Assert that when one device cannot be opened, those before it are closed again."""
-    from evetac_cli.devices.virtual import virtual_gripper
+    from evetac_cli.devices.virtual import gripper as virtual_gripper
 
     closed = []
     close = virtual_gripper.VirtualGripper.close

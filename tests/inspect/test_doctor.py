@@ -17,8 +17,9 @@ from evetac_cli.cli.main import app
 from evetac_cli.devices.probe import Host
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
-from evetac_cli.devices.virtual.virtual_dvxplorer import PreparedWords, VirtualDvxplorer
-from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
+from evetac_cli.devices.virtual.gripper import VirtualGripper
+from evetac_cli.devices.virtual.word_sources import PreparedWords
 from evetac_cli.inspect import doctor
 from evetac_cli.jobs import Outcome
 from evetac_cli.params import Doctor

@@ -13,49 +13,49 @@ NUMBER = st.floats(-1e12, 1e12)
 
 @given(
     slips=st.integers(0, 2**40),
-    felt=st.tuples(NUMBER, NUMBER, NUMBER),
+    displacement=st.tuples(NUMBER, NUMBER, NUMBER),
     times=st.tuples(NUMBER, NUMBER, NUMBER),
     slices=st.integers(0, 2**40),
     slip_us=st.lists(NUMBER, max_size=REMEMBERED + 5),
 )
-def test_what_is_told_is_what_is_seen(
-    slips: int, felt: tuple[float, ...], times: tuple[float, ...], slices: int, slip_us: list[float]
+def test_what_is_published_is_what_is_seen(
+    slips: int, displacement: tuple[float, ...], times: tuple[float, ...], slices: int, slip_us: list[float]
 ) -> None:
-    """Assert that a sign comes out as it went in, but for times of slip longer ago than are remembered."""
-    board = SharedStatus()
-    assert board.latest() is None
+    """Assert that a status comes out as it went in, but for times of slip longer ago than are remembered."""
+    shared = SharedStatus()
+    assert shared.latest() is None
     slips = max(slips, len(slip_us)) if len(slip_us) >= REMEMBERED else len(slip_us)
-    sign = DetectorStatus(SlipSignal(slips, *felt), slices, *times, tuple(slip_us))
-    board.publish(sign)
-    assert board.latest() == sign._replace(slip_us=tuple(slip_us[-REMEMBERED:]))
+    status = DetectorStatus(SlipSignal(slips, *displacement), slices, *times, tuple(slip_us))
+    shared.publish(status)
+    assert shared.latest() == status._replace(slip_us=tuple(slip_us[-REMEMBERED:]))
 
 
-@given(slices=st.lists(st.booleans(), max_size=60), looks=st.lists(st.integers(0, 60), max_size=8))
-def test_earliest_news_of_slip(slices: list[bool], looks: list[int]) -> None:
-    """Assert that whoever looks learns when the first slice with slip began that he has not seen, if it is remembered.
+@given(slices=st.lists(st.booleans(), max_size=60), reads=st.lists(st.integers(0, 60), max_size=8))
+def test_earliest_news_of_slip(slices: list[bool], reads: list[int]) -> None:
+    """Assert that a reader learns when the first slice with slip began that it has not seen, if it is remembered.
 
     Slices last 1000 us.
     """
-    board = SharedStatus()
+    shared = SharedStatus()
     known: list[float] = []
     seen = last = 0
     for index, slipping in enumerate(slices):
         if slipping:
             known.append(1000.0 * index)
-        board.publish(DetectorStatus(SlipSignal(len(known)), index + 1, 0.0, 0.0, 0.0, tuple(known)))
-        if index in looks:
-            sign = board.latest()
-            assert sign is not None
+        shared.publish(DetectorStatus(SlipSignal(len(known)), index + 1, 0.0, 0.0, 0.0, tuple(known)))
+        if index in reads:
+            status = shared.latest()
+            assert status is not None
             news = [1000.0 * k for k in range(last, index + 1) if slices[k]][-REMEMBERED:]
-            began = sign.slip_began_us(seen)
+            began = status.slip_began_us(seen)
             assert began == news[0] if news else math.isnan(began)
-            seen, last = sign.felt.slips, index + 1
+            seen, last = status.signal.slips, index + 1
 
 
 def test_stop() -> None:
     """Assert that the order to stop stays."""
-    board = SharedStatus()
-    assert not board.stopping
-    board.stop()
-    assert board.stopping
-    assert board.latest() is None
+    shared = SharedStatus()
+    assert not shared.stopping
+    shared.stop()
+    assert shared.stopping
+    assert shared.latest() is None

@@ -1,10 +1,11 @@
-"""A DVXplorer Mini over pyusb: found, set up, started, read, and stopped whatever happens.
+"""Driver of a DVXplorer Mini over pyusb: finds it, sets it up, starts it, reads it, and stops it whatever happens.
 
 A thread (usb_reader.py) moves buffers from the camera into a queue; words are decoded and cut into slices
-(word_slices.py) by whoever calls `read`. Only these two modules and the camera's virtual twin import pyusb.
+(WordSlices) by whoever calls `read`. pyusb is imported here, there, in probe.py and in the virtual camera.
 """
 
 import errno
+import math
 from collections import deque
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -15,12 +16,20 @@ import numpy as np
 import usb.core
 import usb.util
 
-from evetac_cli.devices.dvxplorer import protocol
+from evetac_cli.devices.device_slices import DeviceSlices
+from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings, Generation
-from evetac_cli.devices.dvxplorer.usb_errors import in_words, no_libusb, not_found, not_ready, other_sensor, wrong_model
-from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader, now_us
-from evetac_cli.devices.dvxplorer.word_slices import WordSlices
-from evetac_cli.events import FRAME_PX, Events
+from evetac_cli.devices.dvxplorer.usb_errors import (
+    device_error,
+    no_libusb,
+    not_found,
+    not_ready,
+    other_sensor,
+    wrong_model,
+)
+from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 CONTROL_TIMEOUT_MS = 1000
 DRAIN_READS = 50
@@ -30,7 +39,7 @@ SUPER_SPEED = 4  # pyusb's code of USB 3
 
 
 class FoundCamera(NamedTuple):
-    """A DVXplorer on the bus, looked at without changing anything in it."""
+    """A DVXplorer on the bus, as its descriptors describe it; nothing in it was changed."""
 
     serial: str | None  # None: the system does not let us read it
     board: int  # protocol.MINI_BOARD is right
@@ -45,36 +54,74 @@ def find_cameras(backend: Any = None) -> list[FoundCamera]:
     backend = backend or libusb_package.get_libusb1_backend()
     if backend is None:
         raise no_libusb()
-    found = []
+    cameras = []
     for device in usb.core.find(find_all=True, idVendor=protocol.VENDOR, idProduct=protocol.PRODUCT, backend=backend):
         serial = _serial(device)
         usb.util.dispose_resources(device)
         board, firmware = device.bcdDevice >> 8, device.bcdDevice & 0xFF
         where = f"USB bus {device.bus} address {device.address}"
-        found.append(FoundCamera(serial, board, firmware, device.speed, where, device))
-    return found
+        cameras.append(FoundCamera(serial, board, firmware, device.speed, where, device))
+    return cameras
 
 
 def _serial(device: Any) -> str | None:
     """Serial number of a camera, None if it cannot be read."""
     try:
         text: str | None = usb.util.get_string(device, device.iSerialNumber)
-    except (ValueError, usb.core.USBError):  # pyusb says ValueError where it may not open the device
+    except (ValueError, usb.core.USBError):  # pyusb raises ValueError where it may not open the device
         return None
     return text
 
 
 def _choose(serial: str | None, backend: Any) -> FoundCamera:
     """The camera of this serial number, or the only one; DeviceError if there is no such, or no single one."""
-    found = find_cameras(backend)
-    fitting = [camera for camera in found if serial is None or camera.serial in (serial, None)]
+    cameras = find_cameras(backend)
+    fitting = [camera for camera in cameras if serial is None or camera.serial in (serial, None)]
     minis = [camera for camera in fitting if camera.board == protocol.MINI_BOARD]
     named = [camera for camera in minis if serial is None or camera.serial == serial] or minis
     if len(named) == 1:
         return named[0]
     if not minis and fitting:
         raise wrong_model(fitting[0].where, fitting[0].board)
-    raise not_found(serial, [camera.serial or f"one that may not be read, {camera.where}" for camera in found])
+    raise not_found(serial, [camera.serial or f"one that may not be read, {camera.where}" for camera in cameras])
+
+
+class WordSlices(DeviceSlices):
+    """Cuts the words of one camera into slices; see DeviceSlices."""
+
+    def __init__(self, patience_us: float) -> None:
+        super().__init__(patience_us)
+        event_words.step(event_words.start(), bytes(4))  # loads or compiles it before there is a clock to keep
+        self._decoder = event_words.start()
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """Losses so far by reason: events, words, timestamps, bytes."""
+        return {**self._decoder.counted, "late_events": self.late_events}
+
+    @property
+    def open_events(self) -> int:
+        """Events that are known, of slices that are not closed."""
+        return self.waiting_events + self._decoder.frame.size
+
+    def push_words(
+        self, data: bytes, begun_us: float, ended_us: float, *, emptied: bool, gap: bool = False
+    ) -> list[Events]:
+        """Take what a read from begun_us to ended_us brought; return the slices that are closed now.
+
+        emptied: whether the read left nothing in the camera; gap: whether earlier bytes were lost on the way.
+        """
+        if gap:
+            event_words.bytes_were_lost(self._decoder)
+        before_us = self._decoder.now_us
+        events = event_words.step(self._decoder, data, self.device_ms(ended_us))
+        closed = []
+        if self._decoder.first_ms is not None:
+            closed = self.push(events, SLICE_US * self._decoder.first_ms, self._decoder.now_us, ended_us)
+        if emptied and self._decoder.now_us == before_us:
+            slices = self.over(begun_us)
+            closed += self.take(event_words.flush(self._decoder)) + self.close_until(slices)
+        return closed
 
 
 class DvxplorerCamera:
@@ -94,33 +141,35 @@ class DvxplorerCamera:
         patience_us: float = PATIENCE_US,
     ) -> None:
         self.settings = settings or DvxplorerSettings()
-        found = _choose(serial, backend)
-        self._device = found.device
-        self.where = f"camera {found.serial or found.where}"
-        self.firmware = found.firmware
-        self._generation = protocol.generation(found.firmware)
+        camera = _choose(serial, backend)
+        self._device = camera.device
+        self.where = f"camera {camera.serial or camera.where}"
+        self.firmware = camera.firmware
+        self._generation = protocol.generation(camera.firmware)
         self.notes: tuple[str, ...] = ()
-        if found.speed and found.speed < SUPER_SPEED:
+        if camera.speed and camera.speed < SUPER_SPEED:
             self.notes += (f"{self.where} is linked by USB 2 and will lose events when much moves: use a USB 3 port",)
-        if found.firmware > protocol.NEWEST_FIRMWARE:
-            self.notes += (f"{self.where} has firmware {found.firmware}; known are 8 to {protocol.NEWEST_FIRMWARE}",)
+        if camera.firmware > protocol.NEWEST_FIRMWARE:
+            self.notes += (f"{self.where} has firmware {camera.firmware}; known are 8 to {protocol.NEWEST_FIRMWARE}",)
         self._ready: deque[Events] = deque()
         self._open = True
         self._claimed = False
-        self._reader = UsbReader(self._device, self.where, queue_bytes)
+        self.time: TimeSource = getattr(backend, "time", HOST_TIME)  # a virtual camera has its own
+        self._reader = UsbReader(self._device, self.where, queue_bytes, self.time)
+        self._handed_out = 0
         try:
             self._claim()
-            self.serial = found.serial or _serial(self._device)
+            self.serial = camera.serial or _serial(self._device)
             self._set_up()
             held_us = self.settings.flush_us if self._generation is Generation.PARAMETERS else HOLDING_BACK_US
             self._slices = WordSlices(held_us + patience_us)
             self._reader.start()
-            self._tell(protocol.run(self._generation))
-            self._slices.start(now_us())
+            self._send(protocol.run(self._generation))
+            self._slices.start(self._now_us())
         except BaseException as error:
             self.close()
             if isinstance(error, usb.core.USBError):
-                raise in_words(error, self.where, "setting up the camera") from error
+                raise device_error(error, self.where, "setting up the camera") from error
             raise
         self._left = 0  # events of the slice that was open when the camera failed
         self.sensor: Mapping[str, Any] = {
@@ -130,13 +179,13 @@ class DvxplorerCamera:
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """What was lost so far, by reason."""
+        """Losses so far by reason: events, words, timestamps, bytes."""
         own = {name: self._reader.lost[name] for name in ("events_in_full_queue", "usb_errors")}
         return {**self._slices.counted, **own, "events_after_last_slice": self._left}
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """The latest of what the camera said of itself."""
+        """The camera's latest own messages."""
         return tuple(self._reader.messages)
 
     def read(self) -> Events | None:
@@ -150,25 +199,33 @@ class DvxplorerCamera:
                 return None
             times, emptied = (block.begun_us, block.ended_us), len(block.data) < READ_BYTES
             self._ready += self._slices.push_words(block.data, *times, emptied=emptied, gap=block.gap)
-        return self._ready.popleft() if self._open else None
+        if not self._open:
+            return None
+        self._handed_out += 1
+        self.time.slices_read_until(self._slices.host_us(self._handed_out * SLICE_US) * 1e-6)
+        return self._ready.popleft()
 
     def host_us(self, device_us: float) -> float:
-        """time.monotonic() in us at which the camera's clock showed this time of the recording."""
+        """The time in us, by `time`, at which the camera's clock showed this time of the recording."""
         return self._slices.host_us(device_us)
 
     def now_us(self) -> int:
         """Time of the recording now, by the camera's clock."""
-        return int(self._slices.recording_us(now_us()))
+        return int(self._slices.recording_us(self._now_us()))
+
+    def _now_us(self) -> float:
+        return self.time.now_s() * 1e6
 
     def close(self) -> None:
         """Stop the camera and let go of it; a second call does nothing."""
         if not self._open:
             return
         self._open = False
+        self.time.slices_read_until(math.inf)
         try:
             self._reader.end()
             if self._claimed:  # else another program may have it, and we would stop its stream
-                self._tell(protocol.stop(self._generation))
+                self._send(protocol.stop(self._generation))
         except usb.core.USBError:
             pass  # it is gone
         finally:
@@ -194,14 +251,14 @@ class DvxplorerCamera:
             self._request(protocol.LOG_LEVEL, 2)
             with suppress(usb.core.USBTimeoutError):  # known to hang on some hosts, and not needed
                 self._request(protocol.FLUSH_STALE, 0)
-        self._tell(protocol.stop(self._generation))
+        self._send(protocol.stop(self._generation))
         try:
             size = (self._read(protocol.DVS, protocol.COLUMNS), self._read(protocol.DVS, protocol.ROWS))
         except usb.core.USBTimeoutError:
             size = FRAME_PX  # some hosts see these reads hang
         if size != FRAME_PX:
             raise other_sensor(self.where, size)
-        self._tell(protocol.configure(self._generation, self.settings))
+        self._send(protocol.configure(self._generation, self.settings))
         if self._generation is Generation.REGISTERS:
             self._device.clear_halt(protocol.DATA_ENDPOINT)
         self._drain()
@@ -226,7 +283,7 @@ class DvxplorerCamera:
         answer = self._device.ctrl_transfer(protocol.READ, protocol.CONFIG, module, parameter, size, CONTROL_TIMEOUT_MS)
         return int.from_bytes(bytes(answer), "big")
 
-    def _tell(self, orders: Iterable[protocol.Order]) -> None:
+    def _send(self, orders: Iterable[protocol.Order]) -> None:
         for order in orders:
             value = order.value if isinstance(order, protocol.Write) else self._changed_bits(order)
             data = value.to_bytes(self._generation.value, "big")

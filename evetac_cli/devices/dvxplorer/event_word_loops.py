@@ -42,7 +42,7 @@ _ROWS_OF = np.array([([row for row in range(8) if byte >> row & 1] + [0] * 8)[:8
 
 
 def new_registers() -> NDArray[np.int64]:
-    """Registers before the first word."""
+    """Registers of a decoder that has seen no word yet."""
     registers = np.zeros(10, np.int64)
     registers[[MS, LAST_US, COLUMN, FIRST_MS]] = -1
     registers[WHERE] = LOST
@@ -51,7 +51,7 @@ def new_registers() -> NDArray[np.int64]:
 
 @njit(cache=True)
 def events_in(words: NDArray[np.uint32]) -> int:
-    """How many events the GROUP words hold."""
+    """Number of events in the GROUP words: the bits that are set."""
     events = 0
     for word in words:
         if word >> np.uint32(31):
@@ -60,7 +60,7 @@ def events_in(words: NDArray[np.uint32]) -> int:
 
 
 @njit(cache=True)
-def _could_be(word: int) -> bool:
+def _is_possible(word: int) -> bool:
     """Whether a word is one that a camera sends."""
     if word >> 31:
         first = word >> 18 & 0x3F
@@ -86,7 +86,7 @@ def torn_bytes(data: NDArray[np.uint8]) -> int:
                 | np.int64(data[place + 2]) << 16
                 | np.int64(data[place + 3]) << 24
             )
-            score += 1 if _could_be(word) else -1
+            score += 1 if _is_possible(word) else -1
         if skipped == 0:
             best_score = score
         elif score > 0 and score > best_score + 1:
@@ -130,13 +130,13 @@ def decode(
     host_ms: int,
     registers: NDArray[np.int64],
     counts: NDArray[np.int64],
-    found: int,
+    count: int,
     t: NDArray[np.int64],
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
     p: NDArray[np.uint8],
 ) -> tuple[int, int]:
-    """Write the events of all words behind the `found` that the open frame has; return (in whole frames, in all)."""
+    """Write the events of all words behind the `count` of the open frame; return how many (in whole frames, in all)."""
     complete = 0
     where = registers[WHERE]
     frame_t = registers[FRAME_T]
@@ -167,24 +167,24 @@ def decode(
                 rows |= row1 | row2
                 darker = word >> 16
                 for bit in range(_BITS[bits1]):
-                    t[found] = frame_t
-                    x[found] = column
-                    y[found] = 8 * group1 + _ROWS_OF[bits1, bit]
-                    p[found] = 1 - (darker & 1)
-                    found += 1
+                    t[count] = frame_t
+                    x[count] = column
+                    y[count] = 8 * group1 + _ROWS_OF[bits1, bit]
+                    p[count] = 1 - (darker & 1)
+                    count += 1
                 for bit in range(_BITS[bits2]):
-                    t[found] = frame_t
-                    x[found] = column
-                    y[found] = 8 * group2 + _ROWS_OF[bits2, bit]
-                    p[found] = 1 - (darker >> 1 & 1)
-                    found += 1
+                    t[count] = frame_t
+                    x[count] = column
+                    y[count] = 8 * group2 + _ROWS_OF[bits2, bit]
+                    p[count] = 1 - (darker >> 1 & 1)
+                    count += 1
         elif word >> 26 == 1:
             next_column = word & 0x3FF
             us = word >> 11 & 0x3FF
             if word >> 21 & 1:  # a frame begins
                 if where == LOST:
                     continue
-                complete = found
+                complete = count
                 if us <= registers[LAST_US]:
                     wrong = _MISSING
                 elif us >= SLICE_US or next_column >= WIDTH:
@@ -204,7 +204,7 @@ def decode(
             column = next_column
             rows = 0
         elif word >> 26 == 2:
-            complete = found
+            complete = count
             _timestamp(word & REF_MASK, host_ms, registers, counts)
             where = registers[WHERE]
         elif word != 0:
@@ -216,14 +216,14 @@ def decode(
         if wrong >= 0:
             registers[DAMAGED] = 1
             counts[wrong] += 1
-            counts[_EVENTS] += found - complete
-            found = complete
+            counts[_EVENTS] += count - complete
+            count = complete
             where = DROPPING if wrong == _OUTSIDE else LOST
     registers[WHERE] = where
     registers[FRAME_T] = frame_t
     registers[COLUMN] = column
     registers[ROWS] = rows
-    return complete, found
+    return complete, count
 
 
 # An event as one integer, from the highest bits down: ms, then us, column, group, polarity and row within the group

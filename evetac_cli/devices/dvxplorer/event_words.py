@@ -29,7 +29,7 @@ LOSSES = loops.LOSSES
 
 @dataclass
 class Decoder:
-    """What is known of the stream so far."""
+    """State of the decoding of one stream, between two calls of `step`."""
 
     registers: NDArray[np.int64] = field(default_factory=loops.new_registers)
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(LOSSES), np.int64))
@@ -82,10 +82,10 @@ def step(decoder: Decoder, data: bytes | bytearray | memoryview, host_ms: int | 
     before = decoder.frame.size
     if before:
         events.t[:before], events.x[:before], events.y[:before], events.p[:before] = decoder.frame
-    complete, found = loops.decode(
+    complete, total = loops.decode(
         words, -1 if host_ms is None else host_ms, decoder.registers, decoder.counts, before, *events
     )
-    frame = events.part(complete, found)
+    frame = events.part(complete, total)
     decoder.frame = Events(frame.t.copy(), frame.x.copy(), frame.y.copy(), frame.p.copy())
     return events.part(0, complete)
 
@@ -112,7 +112,7 @@ def _distrust(decoder: Decoder) -> None:
 
 
 def timestamp(ms: int) -> NDArray[np.uint32]:
-    """The TIMESTAMP word of a millisecond, alone: it tells a decoder that all before it is complete."""
+    """The TIMESTAMP word of a millisecond, alone: after it a decoder knows that all before is complete."""
     return np.array([2 << 26 | ms & loops.REF_MASK], np.uint32)
 
 
@@ -135,8 +135,8 @@ def encode(events: Events, first_ms: int = 1, frame_us: int = 1) -> NDArray[np.u
     if events.t.min() < 0 or events.t.max() >= loops.LONGEST_MS * SLICE_US:
         raise ValueError(f"t: expected 0..{loops.LONGEST_MS} ms, found {events.t.min()}..{events.t.max()} us")
     if events.x.max() >= FRAME_PX[0] or events.y.max() >= FRAME_PX[1] or events.p.max() > 1:
-        found = [int(column.max()) for column in events[1:]]
-        raise ValueError(f"x, y, p: expected below {FRAME_PX[0]}, {FRAME_PX[1]} and 2, found up to {found}")
+        largest = [int(column.max()) for column in events[1:]]
+        raise ValueError(f"x, y, p: expected below {FRAME_PX[0]}, {FRAME_PX[1]} and 2, found up to {largest}")
     keys = loops.keys_by_group(*events, frame_us)
     keys.sort()
     loops.place(keys)

@@ -1,4 +1,4 @@
-"""What is said to a DVXplorer Mini over USB, as data: requests, modules, parameters, and the orders of start and stop.
+"""What is sent to a DVXplorer Mini over USB, as data: requests, modules, parameters, and the orders of start and stop.
 
 The Mini exists in two protocol generations with one USB id. Firmware 10 (PARAMETERS) takes 8-byte values of some 25
 parameters; firmware 9 and before (REGISTERS) takes 4-byte values and wants the sensor's own registers. Event words are
@@ -78,7 +78,7 @@ class DvxplorerSettings:
 
 
 class Write(NamedTuple):
-    """One value of one parameter."""
+    """Set a parameter of a module to a value."""
 
     module: int
     parameter: int
@@ -113,7 +113,7 @@ def run(which: Generation) -> Iterator[Order]:
 
 
 def stop(which: Generation) -> Iterator[Order]:
-    """What stops it; also said at the start, as the last program may have left the camera running."""
+    """What stops it; also sent at the start, as the last program may have left the camera running."""
     if which is Generation.REGISTERS:
         yield Write(SENSOR, SENSOR_MODE, 0)
     yield Write(DVS, RUN, 0)

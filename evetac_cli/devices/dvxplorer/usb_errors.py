@@ -1,17 +1,17 @@
-"""What can go wrong with a camera on USB, in words: where, what was found, and what to do."""
+"""Errors of a camera on USB for the user: where, what was expected and found, and what to do."""
 
 import errno
 
 from evetac_cli.errors import DeviceError, DeviceTimeout
 
 _GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
-_NOT_THERE = (
+_UNPLUGGED = (
     DeviceError,
     "is no longer on the bus",
     "plug it in again, in a USB 3 port and with a firm cable; what was recorded until now is kept",
 )
-_WORDS: dict[int | None, tuple[type[DeviceError], str, str]] = {
-    **dict.fromkeys(_GONE, _NOT_THERE),
+_BY_ERRNO: dict[int | None, tuple[type[DeviceError], str, str]] = {
+    **dict.fromkeys(_GONE, _UNPLUGGED),
     errno.EACCES: (
         DeviceError,
         "may not be opened by you",
@@ -24,7 +24,7 @@ _WORDS: dict[int | None, tuple[type[DeviceError], str, str]] = {
     ),
     errno.ETIMEDOUT: (DeviceTimeout, "did not answer in time", "unplug the camera and plug it in again"),
 }
-_OTHERWISE = (DeviceError, "refused, or the link is bad", "plug it in again, without a hub")
+_OTHER = (DeviceError, "refused, or the link is bad", "plug it in again, without a hub")
 _BOARDS = {0: "an FX2 board", 1: "a DVXplorer (FX3)", 2: "a DVXplorer (FX3)", 3: "a DVXplorer (FX3)", 5: "an FX3 gen2"}
 
 
@@ -33,15 +33,15 @@ def gone(error: OSError) -> bool:
     return error.errno in _GONE
 
 
-def in_words(error: OSError, where: str, doing: str) -> DeviceError:
-    """The error of libusb, met while doing something, for the user."""
-    found = f"{error.strerror or error} (errno {error.errno}) while {doing}"
-    kind, what, hint = _WORDS.get(error.errno, _OTHERWISE)
-    return kind(what, where=where, found=found, hint=hint)
+def device_error(error: OSError, where: str, doing: str) -> DeviceError:
+    """The DeviceError for an error of libusb; `doing` says what was being done, as in `reading events`."""
+    message = f"{error.strerror or error} (errno {error.errno}) while {doing}"
+    kind, what, hint = _BY_ERRNO.get(error.errno, _OTHER)
+    return kind(what, where=where, found=message, hint=hint)
 
 
 def no_libusb() -> DeviceError:
-    """There is no library to speak USB with."""
+    """Libusb cannot be loaded."""
     return DeviceError(
         "there is no libusb",
         where="--camera dvxplorer",
@@ -51,7 +51,7 @@ def no_libusb() -> DeviceError:
 
 
 def wrong_model(where: str, board: int) -> DeviceError:
-    """A DVXplorer, but not a Mini."""
+    """The camera is a DVXplorer whose board is not that of a Mini, and whose events come in another format."""
     return DeviceError(
         "is not a DVXplorer Mini",
         where=where,
@@ -61,14 +61,14 @@ def wrong_model(where: str, board: int) -> DeviceError:
     )
 
 
-def not_found(serial: str | None, found: list[str]) -> DeviceError:
-    """No camera, not the wanted one, or several where one is wanted."""
-    several = serial is None and len(found) > 1
+def not_found(serial: str | None, on_bus: list[str]) -> DeviceError:
+    """No camera, not the wanted one, or several where one is wanted; on_bus: serial numbers of those that are there."""
+    several = serial is None and len(on_bus) > 1
     return DeviceError(
         "there are several cameras" if several else "there is no such camera",
         where=f"--camera dvxplorer{':' + serial if serial else ''}",
         expected="one DVXplorer Mini (USB 152a:8419)" + (f" with serial number {serial}" if serial else ""),
-        found=", ".join(found) or "none on the bus",
+        found=", ".join(on_bus) or "none on the bus",
         hint="name one: --camera dvxplorer:SERIAL" if several else "plug it in, and ask `evetac doctor` what is wrong",
     )
 
@@ -85,5 +85,5 @@ def not_ready(where: str) -> DeviceError:
 
 
 def other_sensor(where: str, size: tuple[int, int]) -> DeviceError:
-    """The camera has another frame."""
+    """The camera's sensor has another size (columns, rows) than this driver knows."""
     return DeviceError("has another sensor", where=where, expected="640 x 480", found=f"{size[0]} x {size[1]}")

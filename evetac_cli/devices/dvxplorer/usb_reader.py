@@ -17,8 +17,9 @@ import usb.core
 
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.event_word_loops import events_in
-from evetac_cli.devices.dvxplorer.usb_errors import gone, in_words
+from evetac_cli.devices.dvxplorer.usb_errors import device_error, gone
 from evetac_cli.errors import DeviceError
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 READ_TIMEOUT_MS = 2  # how long a read waits for a silent camera; slices are closed this much later then
 READ_BYTES = 65536
@@ -36,19 +37,15 @@ class Block(NamedTuple):
     gap: bool  # whether bytes before it were lost
 
 
-def now_us() -> float:
-    """Host time."""
-    return time.monotonic() * 1e6
-
-
 class UsbReader(Thread):
-    """Moves buffers from the camera into a queue until told to stop or the camera fails."""
+    """Moves buffers from the camera into a queue until `end` is called or the camera fails."""
 
-    def __init__(self, device: Any, where: str, queue_bytes: int) -> None:
+    def __init__(self, device: Any, where: str, queue_bytes: int, clock: TimeSource = HOST_TIME) -> None:
         super().__init__(name=f"reads {where}", daemon=True)
         self._device = device
         self._where = where
         self._queue_bytes = queue_bytes
+        self._clock = clock
         self._blocks: deque[Block] = deque()
         self._waiting_bytes = 0
         self._changed = Condition()
@@ -95,7 +92,7 @@ class UsbReader(Thread):
         gap = False
         next_log_s = time.monotonic()
         while self._running:
-            begun_us = now_us()
+            begun_us = self._clock.now_s() * 1e6
             try:
                 count = self._device.read(protocol.DATA_ENDPOINT, buffer, READ_TIMEOUT_MS)
                 failures = 0
@@ -104,11 +101,11 @@ class UsbReader(Thread):
             except usb.core.USBError as error:
                 failures += 1
                 self.lost["usb_errors"] += 1
-                if not self._mended(error, failures):
+                if not self._recovered(error, failures):
                     return
                 gap |= error.errno != errno.EPIPE  # what a halted endpoint holds is not lost
                 continue
-            self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, now_us(), gap))
+            self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, self._clock.now_s() * 1e6, gap))
             gap = False
             if time.monotonic() >= next_log_s:
                 next_log_s = time.monotonic() + LOG_EVERY_S
@@ -117,34 +114,34 @@ class UsbReader(Thread):
     def _put(self, block: Block) -> None:
         with self._changed:
             if not block.data and self._blocks and not self._blocks[-1].data:
-                before = self._blocks.pop()  # of two empty reads in a row the later one says all
+                before = self._blocks.pop()  # of two empty reads in a row the later one is enough
                 block = block._replace(gap=block.gap or before.gap)
             self._blocks.append(block)
             self._waiting_bytes += len(block.data)
             while self._waiting_bytes > self._queue_bytes and len(self._blocks) > 1:
-                gone = self._blocks.popleft().data
-                self._waiting_bytes -= len(gone)
+                dropped = self._blocks.popleft().data
+                self._waiting_bytes -= len(dropped)
                 self._blocks[0] = self._blocks[0]._replace(gap=True)
-                self.lost["events_in_full_queue"] += events_in(np.frombuffer(gone, "<u4", len(gone) // 4))
+                self.lost["events_in_full_queue"] += events_in(np.frombuffer(dropped, "<u4", len(dropped) // 4))
             self._changed.notify_all()
 
-    def _mended(self, error: Any, failures: int) -> bool:
+    def _recovered(self, error: Any, failures: int) -> bool:
         """Clear a halted endpoint; after too many errors in a row, or without a device, give up."""
-        mended = not gone(error) and failures <= ERRORS_IN_A_ROW
-        if mended:
+        recovered = not gone(error) and failures <= ERRORS_IN_A_ROW
+        if recovered:
             try:
                 self._device.clear_halt(protocol.DATA_ENDPOINT)
             except usb.core.USBError as second:
-                error, mended = second, False
-        if not mended:
-            self._fail(in_words(error, self._where, "reading events"))
-        return mended
+                error, recovered = second, False
+        if not recovered:
+            self._fail(device_error(error, self._where, "reading events"))
+        return recovered
 
     def _read_log(self) -> None:
-        """Fetch what the camera has to say of itself, which it does only when something is wrong."""
+        """Fetch the camera's own messages, which it sends only when something is wrong."""
         try:
             packet = bytes(self._device.read(protocol.DEBUG_ENDPOINT, 64, 1))
-        except usb.core.USBError:  # nothing to say, mostly; what else is wrong shows on the data endpoint
+        except usb.core.USBError:  # mostly a timeout, no message; other errors show on the data endpoint
             return
         if len(packet) > 6 and packet[0] == protocol.LOG_PACKET:
             text = packet[6:].split(b"\0")[0].decode("latin-1")

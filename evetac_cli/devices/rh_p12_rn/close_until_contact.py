@@ -11,12 +11,12 @@ from evetac_cli.errors import DeviceError
 
 @dataclass(frozen=True)
 class ClosingSettings:
-    """How to close, at 500 commands a second."""
+    """Current (mA) and limits of closing; cycles are commands, 500 a second."""
 
     current_ma: int = 10
     still_cycles: int = 150  # without a new position: contact
     longest_cycles: int = 10_000
-    last_tick: int = 717  # here the gap is 0 (sim/gripper), and the fingers met each other
+    last_tick: int = 717  # here the gap is 0 (sim/gripper.py), and the fingers met each other
 
     def __post_init__(self) -> None:
         for name in ("current_ma", "still_cycles", "longest_cycles"):

@@ -7,24 +7,28 @@ not answered; every 100th command is, which proves that commands arrive.
 
 Why so: whatever ends the driver - close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal - sets
 current 0 and torque off. What no program can handle (SIGKILL, a pulled plug) is left to the servo's Bus Watchdog, which
-runs from the first command on: then a program silent for 100 ms loses the gripper, and is told so.
+runs from the first command on: then a program silent for 100 ms loses the gripper, and gets an error that says so.
 
-EEPROM is written only where it differs from what is needed (operating mode, return delay), with torque off, and said in
-`described`. Nothing is ever reset to factory values. Source: hardware notes on the control table; the set-up order and
-P gain 50 are those of a driver by Evetac's authors.
+EEPROM is written only where it differs from what is needed (operating mode, return delay), with torque off, and named
+in `described`. Nothing is ever reset to factory values. Source: hardware notes on the control table; the set-up order
+and P gain 50 are those of a driver by Evetac's authors.
 """
 
+import atexit
+import contextlib
 import operator
 import os
+import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from types import FrameType
 from typing import Any, Literal, TypeVar
 
 from evetac_cli.devices import GripperReading
-from evetac_cli.devices.at_exit import close_at_exit, closed
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
     MODEL_NUMBER,
@@ -37,7 +41,7 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
     baud_code,
 )
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, PortGone, Refused
-from evetac_cli.errors import DeviceError
+from evetac_cli.errors import DeviceError, EvetacError
 
 Mode = Literal["current", "position"]
 CHECK_EVERY = 100  # commands between two that are answered
@@ -104,7 +108,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._spoken_s = time.monotonic()
         self._silent_ms = 0.0  # the longest silence since a command was answered
         self._bus = Bus(port, baud, settings.id, answer_ms=settings.answer_ms)
-        close_at_exit(self)
+        _close_at_exit(self)
         try:
             self._bus.settle_s = SETTLE_S
             self.described: Mapping[str, Any] = self._set_up_soundly()
@@ -254,7 +258,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._silent_ms = 0.0
 
     def _attempt(self, action: Callable[[], _T]) -> _T:
-        """Do it; on any failure the gripper is let go of, and the error says so."""
+        """Run a transaction; on any failure torque goes off, and the error says whether it did."""
         with self._alone:
             if self._closed:
                 raise DeviceError("the gripper is closed", where=self._where)
@@ -293,7 +297,8 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
     def _end(self) -> None:
         self._bus.close()
         self._closed = True
-        closed(self)
+        if self in _OPEN:
+            _OPEN.remove(self)
 
 
 def check_model(model: int, where: str) -> None:
@@ -325,7 +330,34 @@ def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms:
             except Refused:
                 raise
             except DeviceError:
-                pass  # the answer may already have come at the new rate: the ping below tells
+                pass  # the answer may already have come at the new rate: the ping below decides
     with Bus(port, new_baud, id_, answer_ms=answer_ms) as bus:
         bus.tolerant = True
         bus.ping()
+
+
+# Grippers that are let go of when the program ends: Python ends on the spot at SIGTERM and SIGHUP, unless a
+# handler is set.
+_OPEN: list[RhP12Rn] = []
+
+
+def _close_at_exit(gripper: RhP12Rn) -> None:
+    """Close it when the program ends; signals that would end it on the spot end it in order from now on."""
+    if not _OPEN:
+        atexit.unregister(_close_all)
+        atexit.register(_close_all)
+    _OPEN.append(gripper)
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _end_in_order)
+
+
+def _close_all() -> None:
+    for gripper in _OPEN.copy():
+        with contextlib.suppress(EvetacError):
+            gripper.close()
+
+
+def _end_in_order(number: int, frame: FrameType | None) -> None:
+    sys.exit(128 + number)

@@ -42,10 +42,10 @@ _FAULTS = {
     1: "could not carry it out",
     2: "does not know the instruction",
     3: "received a wrong checksum",
-    4: "says the value is out of range",
-    5: "says the length is wrong",
-    6: "says the value is beyond a limit",
-    7: "says the register cannot be accessed now",
+    4: "refuses the value as out of range",
+    5: "refuses the length of the data",
+    6: "refuses the value as beyond a limit",
+    7: "does not give access to the register now",
 }
 CRC_FAULT, RANGE_FAULT = 3, 4
 _BROKEN = (OSError, termios.error)  # what a port that has gone raises; serial.SerialException is an OSError
@@ -59,11 +59,11 @@ class Refused(DeviceError):
 
 
 class HardwareAlert(DeviceError):
-    """The servo has a hardware error."""
+    """The servo has a hardware error, such as an overload; its registers say which."""
 
 
 class PortGone(DeviceError):
-    """The port is no longer there."""
+    """The serial port disappeared while it was open: unplugged, or its adapter was reset."""
 
 
 class _Port(PortHandler):  # type: ignore[misc]
@@ -158,24 +158,24 @@ class Bus(AbstractContextManager["Bus"]):
         return {**self._counted, "answers_stray": self._port.strays}
 
     def ping(self) -> int:
-        """The device's model number."""
-        return int.from_bytes(self._answered(INST_PING, b"", 3, "ping")[:2], "little")
+        """Ask whether the device answers; returns its model number."""
+        return int.from_bytes(self._transact(INST_PING, b"", 3, "ping")[:2], "little")
 
     def read(self, name: str) -> int:
-        """A register's value."""
+        """Value of a register, by its name in the control table."""
         register = REGISTERS[name]
         return register.decode(self.read_bytes(register.address, register.size))
 
     def read_bytes(self, address: int, size: int) -> bytes:
         """Bytes of consecutive registers in one transaction."""
         asked = address.to_bytes(2, "little") + size.to_bytes(2, "little")
-        return self._answered(INST_READ, asked, size, f"read {size} bytes at {address}")
+        return self._transact(INST_READ, asked, size, f"read {size} bytes at {address}")
 
     def write(self, name: str, value: int) -> None:
-        """Set a register, with an answer."""
+        """Set a register and wait for the answer; DeviceError if it is refused or lost."""
         register = REGISTERS[name]
         data = register.address.to_bytes(2, "little") + register.encode(value)
-        self._answered(INST_WRITE, data, 0, f"write {value} to {name}")
+        self._transact(INST_WRITE, data, 0, f"write {value} to {name}")
 
     def send(self, name: str, value: int) -> None:
         """Set a register without an answer, by a sync write to this device alone: half the traffic."""
@@ -193,17 +193,17 @@ class Bus(AbstractContextManager["Bus"]):
 
     def reboot(self) -> None:
         """Restart the device: torque off, hardware error cleared."""
-        self._answered(INST_REBOOT, b"", 0, "reboot")
+        self._transact(INST_REBOOT, b"", 0, "reboot")
 
-    def everyone(self) -> dict[int, tuple[int, int]]:
+    def devices(self) -> dict[int, tuple[int, int]]:
         """Model number and firmware of every device on the bus by id, by a broadcast ping (about 0.8 s)."""
         try:
-            found, _ = self._packets.broadcastPing(self._port)
+            answers, _ = self._packets.broadcastPing(self._port)
         except _BROKEN as error:
             raise self._gone(error) from error
         finally:
             self._port.is_using = False
-        return {id_: (model, firmware) for id_, (model, firmware) in found.items()}
+        return {id_: (model, firmware) for id_, (model, firmware) in answers.items()}
 
     def close(self) -> None:
         """Close the port; a second call does nothing."""
@@ -220,17 +220,17 @@ class Bus(AbstractContextManager["Bus"]):
     def _where(self) -> str:
         return f"gripper {self.id} at {self.port}, {self.baud} baud"
 
-    def _answered(self, instruction: int, parameters: bytes, size: int, what: str) -> bytes:
+    def _transact(self, instruction: int, parameters: bytes, size: int, what: str) -> bytes:
         """Data of the answer to an instruction, of `size` bytes; asked for twice at most."""
         lost = "answers_lost"
         for _ in range(2):
             packet, result, error = self._once(instruction, parameters)
             # an answer of another length belongs to an earlier question
             if result == COMM_SUCCESS and packet[5] | packet[6] << 8 == size + 4 and error & 0x7F != CRC_FAULT:
-                self._judge(error, what)
+                self._raise_for_error(error, what)
                 return bytes(packet[9 : 9 + size])
             if result == COMM_SUCCESS and error & 0x7F not in (0, CRC_FAULT):
-                self._judge(error, what)
+                self._raise_for_error(error, what)
             lost = "answers_damaged" if result in (COMM_SUCCESS, COMM_RX_CORRUPT) else "answers_lost"
             self._counted[lost] += 1
             self._port.be_wary()
@@ -255,7 +255,7 @@ class Bus(AbstractContextManager["Bus"]):
             self._port.is_using = False
         return answer or [], result, error
 
-    def _judge(self, error: int, what: str) -> None:
+    def _raise_for_error(self, error: int, what: str) -> None:
         fault = error & 0x7F
         if fault:
             refused = Refused(f"the gripper {_FAULTS.get(fault, f'gives error {fault}')}: {what}", where=self._where)
@@ -283,7 +283,7 @@ class Bus(AbstractContextManager["Bus"]):
 
 
 def _not_opened(where: str, error: BaseException) -> DeviceError:
-    """Why a port cannot be opened, in words."""
+    """The DeviceError for a port that cannot be opened: missing, not permitted, in use."""
     number = getattr(error, "errno", None)
     if number == 2 or "No such file" in str(error):
         return DeviceError("there is no such port", where=where, hint="evetac doctor lists what is plugged in")
@@ -295,8 +295,8 @@ def _not_opened(where: str, error: BaseException) -> DeviceError:
     return DeviceError("the port cannot be opened", where=where, found=str(error))
 
 
-class Found(NamedTuple):
-    """A device that answered."""
+class BusDevice(NamedTuple):
+    """A device that answered a ping: at which rate, its id and its model number."""
 
     baud: int
     id: int
@@ -305,21 +305,21 @@ class Found(NamedTuple):
 
 def scan(
     port: str, bauds: Iterable[int] = SDK_RATES, ids: Iterable[int] = (1,), *, answer_ms: float = ANSWER_MS
-) -> list[Found]:
+) -> list[BusDevice]:
     """Ping every id at every rate, and list who answers; reads only. DeviceError if the port cannot be opened."""
     asked = list(ids)
-    found = []
+    devices = []
     for baud in bauds:
         for id_ in asked:
             with Bus(port, baud, id_, answer_ms=answer_ms) as bus:
                 try:
                     bus.tolerant = True
-                    found.append(Found(baud, id_, bus.ping()))
+                    devices.append(BusDevice(baud, id_, bus.ping()))
                 except PortGone:
                     raise
                 except DeviceError:
                     continue
-    return found
+    return devices
 
 
 def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:

@@ -1,6 +1,6 @@
 """What is inside a virtual DVXplorer Mini, behind its USB: registers, the stream of words, and what goes wrong.
 
-Why so: crop, flip and flatten change events, not words, so a camera that was told to do so decodes what its source
+Why so: crop, flip and flatten change events, not words, so a camera that is set to do so decodes what its source
 sends and encodes what is left; all others pass words through.
 """
 
@@ -12,20 +12,25 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import Generation
-from evetac_cli.devices.virtual.camera_faults import fault
+from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, camera_fault
 from evetac_cli.events import FRAME_PX, Events
+from evetac_cli.realtime.shared_time import TimeSource
 
 DEFAULT_FLUSH_US = 2000
 _DAMAGED_SHARE = 0.02
 _BURST_BYTES = 16  # zeros fill the last one of a transfer
-_LONGEST_WAIT_S = 0.05  # after which a waiting transfer looks whether the camera was unplugged
+_LONGEST_WAIT_S = 0.05  # after which a waiting transfer checks whether the camera was unplugged
 
 
 class WordSource(Protocol):
     """Where the words of a virtual camera come from."""
 
+    @property
+    def time(self) -> TimeSource:
+        """The clock by which the words come, and by which the camera's driver goes."""
+
     def run(self, on: bool) -> None:
-        """Let time pass, or stand still."""
+        """Start (True) or stop the stream."""
 
     def take(self, most: int, timeout_s: float) -> bytes:
         """At most so many bytes of little-endian words, as they come; b"" if none came in time."""
@@ -39,22 +44,22 @@ class DeviceModel:
         self.halted = False  # the data endpoint
         self.overflowed = 0  # words that nobody fetched in time
         self._source = source
-        self._faults = [fault(text) for text in faults]
+        self._faults = [camera_fault(text) for text in faults]
         self._done: set[str] = set()  # faults that happen once, and did
         self._random = np.random.default_rng(0)
         self._registers = _registers(self.generation)
         self._fifo = bytearray()
         self._fifo_bytes = fifo_bytes
         self._part = b""  # of a word that the source has not sent whole
-        self._ran_s: float | None = None  # host time of the first RUN
+        self._ran_s: float | None = None  # time of the first RUN
         self._runs = False
         self._sent_s = 0.0  # host time of the last transfer
-        self._eye = event_words.start()  # of a camera that alters what it sees
+        self._decoder = event_words.start()  # where crop, flip or flatten change the events
 
     def has(self, name: str) -> bool:
         """Whether a fault lasts now; those before RUN always do."""
-        now_s = -1.0 if self._ran_s is None else time.monotonic() - self._ran_s
-        return any(each.name == name and (each.before_run or each.at(now_s)) for each in self._faults)
+        now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
+        return any(each.name == name and (not CAMERA_FAULTS[name].moment or each.lasts(now_s)) for each in self._faults)
 
     def once(self, name: str) -> bool:
         """Whether a fault that happens once is due; it is not again."""
@@ -65,8 +70,10 @@ class DeviceModel:
 
     def _hits(self, name: str) -> bool:
         """Whether a fault that alters words does so now: while it lasts, or later if no words came in that time."""
-        now_s = -1.0 if self._ran_s is None else time.monotonic() - self._ran_s
-        missed = name not in self._done and any(each.name == name and now_s >= each.start_s for each in self._faults)
+        now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
+        missed = name not in self._done and any(
+            each.name == name and now_s >= (each.start_s or 0.0) for each in self._faults
+        )
         hits = missed or self.has(name)
         if hits:
             self._done.add(name)
@@ -88,11 +95,11 @@ class DeviceModel:
         return True
 
     def flush_stale(self) -> None:
-        """Forget words of earlier runs."""
+        """Discard words of earlier runs that were not fetched."""
         self._fifo.clear()
 
     def power_off(self) -> None:
-        """Stop, as when the plug is pulled."""
+        """Stop the stream, as when the plug is pulled."""
         self._run(False)
 
     def transfer(self, most: int, timeout_s: float) -> bytes:
@@ -131,7 +138,7 @@ class DeviceModel:
         if on == self._runs:
             return
         if on and self._ran_s is None:
-            self._ran_s = time.monotonic()
+            self._ran_s = self._source.time.now_s()
         self._runs = on
         self._source.run(on)
 
@@ -172,18 +179,18 @@ class DeviceModel:
         )
         if (x0, y0, width, height, flip_x, flip_y, flatten) == (0, 0, *FRAME_PX, 0, 0, 0):
             return words
-        events = event_words.step(self._eye, words.astype("<u4", copy=False).tobytes())
-        kept = (events.x >= x0) & (events.x < x0 + width) & (events.y >= y0) & (events.y < y0 + height)
+        events = event_words.step(self._decoder, words.astype("<u4", copy=False).tobytes())
+        inside = (events.x >= x0) & (events.x < x0 + width) & (events.y >= y0) & (events.y < y0 + height)
         if flatten in (2, 3):
-            kept &= events.p == (flatten == 2)
+            inside &= events.p == (flatten == 2)
         x = FRAME_PX[0] - 1 - events.x if flip_x else events.x
         y = FRAME_PX[1] - 1 - events.y if flip_y else events.y
         p = np.ones_like(events.p) if flatten else events.p
-        return event_words.encode(Events(events.t[kept], x[kept], y[kept], p[kept]), first_ms=0)
+        return event_words.encode(Events(events.t[inside], x[inside], y[inside], p[inside]), first_ms=0)
 
 
 def _registers(generation: Generation) -> dict[tuple[int, int], int]:
-    """Parameters that exist, at power-up."""
+    """Values at power-up of all parameters that a generation has, by (module, parameter)."""
     width, height = FRAME_PX
     if generation is Generation.PARAMETERS:
         zero = {(protocol.DVS, k): 0 for k in range(26)} | {(protocol.IMU, k): 0 for k in range(11)}

@@ -92,12 +92,12 @@ def stuffed(body: bytes) -> bytes:
 
 
 def unstuffed(body: bytes) -> bytes:
-    """The inverse of `stuffed`."""
+    """Instruction and parameters as they were before `stuffed`."""
     return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
 
 def frame(id_: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Bytes of an instruction."""
+    """Bytes of the frame in which a host sends an instruction to the device `id_`."""
     body = stuffed(bytes([instruction]) + parameters)
     before = HEADER + bytes([id_]) + struct.pack("<H", len(body) + 2) + body
     return before + struct.pack("<H", crc16(before))
@@ -141,8 +141,8 @@ class FrameReader:
         """Take the next bytes; return the frames that they end, those with a wrong CRC included."""
         self._waiting += data
         frames = []
-        while (found := self._next()) is not None:
-            frames.append(found)
+        while (frame := self._next()) is not None:
+            frames.append(frame)
         return frames
 
     def _next(self) -> Frame | None:

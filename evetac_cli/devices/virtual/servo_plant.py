@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 from evetac_cli.realtime.shared_row import SharedRow
+from evetac_cli.realtime.shared_time import SharedTime
 
 if TYPE_CHECKING:  # numba is heavy, and a servo on shared memory does without it
     from evetac_cli.sim.gel.contact import ForceCurve
     from evetac_cli.sim.gripper import Drive, DriveState
 
-GAIN_MA_TICK = 0.1  # current per tick off the goal and unit of Position P Gain: 5 mA at the paper's 50 (sim/gripper)
+GAIN_MA_TICK = 0.1  # current per tick off the goal and unit of Position P Gain: 5 mA at the paper's 50 (sim/gripper.py)
 STEP_S = 1e-3
 LONGEST_CATCH_UP_S = 2.0  # a servo that slept longer has been at rest since
 OBSTACLE_REACH_TICKS = 200
@@ -58,7 +59,7 @@ class Goals(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What a servo measures."""
+    """What a servo measures: current (mA), position (ticks), speed (ticks/s)."""
 
     current_ma: float = 0.0
     position_ticks: int = 0
@@ -66,7 +67,7 @@ class Motion(NamedTuple):
 
 
 class Plant(Protocol):
-    """Something that moves."""
+    """What a servo moves: it is given goals and returns what is measured."""
 
     def advance(self, goals: Goals, now_s: float) -> Motion:
         """Move under these goals until now (seconds of a clock that never goes back); what is measured then."""
@@ -77,7 +78,7 @@ class Obstacle:
     """Something between the fingers: first touched at `at_ticks`, pushing back with `stiffness_n_tick` per finger."""
 
     at_ticks: float = 437.0
-    stiffness_n_tick: float = 0.27  # of fingers, links and mounts (sim/world)
+    stiffness_n_tick: float = 0.27  # of fingers, links and mounts (sim/scenes/gripped.py)
 
 
 class OwnDynamics:
@@ -132,11 +133,11 @@ class SharedPlant:
 
     The servo passes its goals (`advance`) and the world reads them (`goals`); the world shows how its gripper moved
     (`show`) and the servo reads that. Whoever makes it without a path owns the block and removes it on close; others
-    attach to its path. It may be pickled: the copy is attached.
+    attach to its path. It may be pickled: the copy is attached. `time` is the time of that world.
     """
 
-    _SIZE = 256
-    _GOALS_AT, _MOTION_AT = 0, 128
+    _GOALS_AT, _MOTION_AT, _TIME_AT = 0, 128, 256
+    _SIZE = _TIME_AT + SharedTime.SIZE
 
     def __init__(self, path: Path | str | None = None) -> None:
         self._owner = path is None
@@ -151,16 +152,17 @@ class SharedPlant:
         os.close(handle)
         self._goals = SharedRow(self._memory, self._GOALS_AT, "6q")
         self._motion = SharedRow(self._memory, self._MOTION_AT, "dqd")
-        self._told: Goals | None = None
+        self.time = SharedTime(self.path, self._TIME_AT)
+        self._passed_on: Goals | None = None
 
     def __reduce__(self) -> tuple[type["SharedPlant"], tuple[Path]]:
         return SharedPlant, (self.path,)
 
     def advance(self, goals: Goals, now_s: float) -> Motion:
         """For the servo: pass on its goals; what the world showed last."""
-        if goals != self._told:
+        if goals != self._passed_on:
             self._goals.write(*goals)
-            self._told = goals
+            self._passed_on = goals
         shown = self._motion.read()
         if shown is None:
             return Motion()
@@ -169,10 +171,10 @@ class SharedPlant:
 
     def goals(self) -> Goals:
         """For the world: the servo's goals; without torque as long as there is no servo."""
-        told = self._goals.read()
-        if told is None:
+        row = self._goals.read()
+        if row is None:
             return Goals()
-        torque, *rest = told[1]
+        torque, *rest = row[1]
         return Goals(bool(torque), *(int(value) for value in rest))
 
     def show(self, motion: Motion) -> None:

@@ -1,6 +1,6 @@
 """The process behind a virtual gripper: a pseudo terminal with a servo at its other end, in real time.
 
-Started by virtual_gripper, which holds the other end of stdin and stdout: one JSON object a line asks, one answers, and
+Started by gripper.py, which holds the other end of stdin and stdout: one JSON object a line asks, one answers, and
 the end of stdin ends the process, also when its parent was killed. It sleeps until a byte, an answer or the watchdog is
 due. Answers leave when their last byte would have passed the wire: bytes of request and answer * 10 / baud and the
 return delay. A frame sent at another baud rate than the servo's is noise, and ignored.
@@ -22,10 +22,12 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.devices.virtual.dynamixel_frames import FrameReader
-from evetac_cli.devices.virtual.servo_faults import ANSWER_FAULTS, LATE_S, ServoFault
+from evetac_cli.devices.virtual.faults import GRIPPER_FAULTS, Fault, gripper_fault
+from evetac_cli.devices.virtual.servo import Answer, VirtualServo
 from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics, Plant, SharedPlant
-from evetac_cli.devices.virtual.virtual_servo import Answer, VirtualServo
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
+LATE_S = 0.5  # of a late answer
 IDLE_S = 0.02  # how long the servo's world may stand still between two instructions
 FROZEN_S = 0.01  # woken later than this: a busy machine had stopped the process
 PAUSE_S = 0.02  # a frame whose rest does not come within this is given up
@@ -37,25 +39,29 @@ _RATES = {
 
 
 class Faults:
-    """Which faults strike now."""
+    """Which faults strike now; times are counted from when torque was first switched on."""
 
-    def __init__(self, faults: list[ServoFault], rng: np.random.Generator) -> None:
+    def __init__(self, faults: list[Fault], rng: np.random.Generator) -> None:
         self._waiting = faults
         self._rng = rng
         self._torque_s: float | None = None  # when torque was first on
 
-    def add(self, fault: ServoFault) -> None:
-        """One more."""
+    def add(self, fault: Fault) -> None:
+        """Add a fault to those that wait."""
         self._waiting.append(fault)
 
     def due(self, now_s: float, torque: bool) -> list[str]:
         """Names of those whose moment has come, except those that wait for an answer to spoil."""
-        return [name for name in self._take(now_s, torque) if name not in ANSWER_FAULTS]
+        return self._take(now_s, torque, spoiling=False)
 
     def spoil(self, answer: Answer, now_s: float, torque: bool) -> Answer | None:
-        """The answer as the faults leave it."""
-        names = [name for name in self._take(now_s, torque, answering=True) if name in ANSWER_FAULTS]
-        names += [fault.name for fault in self._waiting if fault.share and self._rng.random() < fault.share]
+        """The answer as the faults leave it; None if it is lost."""
+        names = self._take(now_s, torque, spoiling=True)
+        names += [
+            fault.name
+            for fault in self._waiting
+            if fault.share and self._lasts(fault, now_s) and self._rng.random() < fault.share
+        ]
         if "lost-answer" in names:
             return None
         data, after_s = answer
@@ -63,46 +69,50 @@ class Faults:
             data = data[:-1] + bytes([data[-1] ^ 0x40])
         return Answer(data, after_s + (LATE_S if "late-answer" in names else 0.0))
 
-    def _take(self, now_s: float, torque: bool, answering: bool = False) -> list[str]:
+    def _take(self, now_s: float, torque: bool, *, spoiling: bool) -> list[str]:
+        """Names of faults that strike once, and do so now; they are no longer waiting."""
         if torque and self._torque_s is None:
             self._torque_s = now_s
         struck = [
             fault
             for fault in self._waiting
-            if not fault.share and self._begun(fault, now_s) and (answering or fault.name not in ANSWER_FAULTS)
+            if not fault.share and GRIPPER_FAULTS[fault.name].percent == spoiling and self._lasts(fault, now_s)
         ]
         self._waiting = [fault for fault in self._waiting if fault not in struck]
         return [fault.name for fault in struck]
 
-    def _begun(self, fault: ServoFault, now_s: float) -> bool:
-        if fault.at_s is None:
+    def _lasts(self, fault: Fault, now_s: float) -> bool:
+        if fault.start_s is None:
             return True
-        return self._torque_s is not None and now_s >= self._torque_s + fault.at_s
+        return self._torque_s is not None and fault.lasts(now_s - self._torque_s)
 
 
 class Line:
-    """The pseudo terminal and the servo on it."""
+    """The pseudo terminal and the servo on it: the wire goes by the host's time, the servo by that of its world."""
 
-    def __init__(self, servo: VirtualServo, faults: Faults) -> None:
+    def __init__(self, servo: VirtualServo, faults: Faults, clock: TimeSource) -> None:
         self._servo = servo
+        self._clock = clock
         self._faults = faults
         self._reader = FrameReader()
         self._heard_s = 0.0
-        self._woken_s = time.monotonic()
+        self._woken_s = clock.now_s()
         self._due: list[tuple[float, bytes]] = []
-        self._ours, self._theirs = pty.openpty()  # theirs stays open, or closing the port would end ours
-        for end in (self._ours, self._theirs):
+        self._servo_end, self._host_end = (
+            pty.openpty()
+        )  # the host's end stays open here, or closing the port would end ours
+        for end in (self._servo_end, self._host_end):
             tty.setraw(end)
-        os.set_blocking(self._ours, False)
-        self.port = os.ttyname(self._theirs)
+        os.set_blocking(self._servo_end, False)
+        self.port = os.ttyname(self._host_end)
         self.plugged = True
 
     def wait(self, more: int) -> bool:
         """Sleep until something is to be done, and do it; True if the descriptor `more` is ready."""
         until_s = max(min([IDLE_S, *(due_s - time.monotonic() for due_s, _ in self._due)]), 0.0)
-        listening = [self._ours, more] if self.plugged else [more]
+        listening = [self._servo_end, more] if self.plugged else [more]
         ready = select.select(listening, [], [], until_s)[0]
-        now_s = time.monotonic()
+        now_s = self._clock.now_s()
         if (late_s := now_s - self._woken_s - until_s) > FROZEN_S:
             self._servo.forgive(late_s)
         self._woken_s = now_s
@@ -110,10 +120,10 @@ class Line:
             self._servo.tick(now_s)  # an instruction does so itself
         self._strike(now_s)
         if self.plugged:
-            self._send(now_s)
-            if self._ours in ready:
-                self._receive(time.monotonic())
-            elif self._reader.partial and now_s - self._heard_s > PAUSE_S:
+            self._send()
+            if self._servo_end in ready:
+                self._receive()
+            elif self._reader.partial and time.monotonic() - self._heard_s > PAUSE_S:
                 self._reader.forget()
         return more in ready
 
@@ -126,48 +136,49 @@ class Line:
             else:
                 self._servo.overload()
 
-    def _receive(self, now_s: float) -> None:
-        data = os.read(self._ours, 4096)
-        rate = _RATES.get(termios.tcgetattr(self._theirs)[5])
+    def _receive(self) -> None:
+        host_s, now_s = time.monotonic(), self._clock.now_s()
+        data = os.read(self._servo_end, 4096)
+        rate = _RATES.get(termios.tcgetattr(self._host_end)[5])
         if rate != self._servo.baud:
             self._reader.forget()
             return
-        self._heard_s = now_s
+        self._heard_s = host_s
         for frame in self._reader.push(data):
             for answer in self._servo.handle(frame, now_s):
                 spoiled = self._faults.spoil(answer, now_s, self._servo.torque)
                 if spoiled is not None:
-                    self._due.append((now_s + spoiled.after_s, spoiled.data))
+                    self._due.append((host_s + spoiled.after_s, spoiled.data))
 
-    def _send(self, now_s: float) -> None:
+    def _send(self) -> None:
         for entry in sorted(self._due):
-            if entry[0] <= now_s:
+            if entry[0] <= time.monotonic():
                 self._due.remove(entry)
                 with contextlib.suppress(BlockingIOError):  # nobody reads: a wire does not wait
-                    os.write(self._ours, entry[1])
+                    os.write(self._servo_end, entry[1])
 
     def unplug(self) -> None:
         """The port disappears; the servo keeps its power."""
         if self.plugged:
             self.plugged = False
-            os.close(self._ours)
-            os.close(self._theirs)
+            os.close(self._servo_end)
+            os.close(self._host_end)
 
 
-def plant_of(choice: Mapping[str, Any]) -> Plant:
-    """The plant that virtual_gripper named."""
+def make_plant(choice: Mapping[str, Any]) -> Plant:
+    """The plant that the configuration from gripper.py describes."""
     if "shared" in choice:
         return SharedPlant(choice["shared"])
     return OwnDynamics(Obstacle(**choice["obstacle"]) if choice["obstacle"] else None, choice["position_ticks"])
 
 
-def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults) -> Any:
+def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s: float) -> Any:
     if "inject" in asked:
-        faults.add(ServoFault.parse(asked["inject"]))
+        faults.add(gripper_fault(asked["inject"]))
         return True
-    if "look" in asked:
-        servo.tick(time.monotonic())
-        return servo.value(asked["look"])
+    if "read" in asked:
+        servo.tick(now_s)
+        return servo.value(asked["read"])
     return dict(servo.instructions)
 
 
@@ -175,10 +186,12 @@ def serve(choice: Mapping[str, Any]) -> None:
     """Be the servo until stdin ends or the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the host, which still wants to switch torque off
     parent = os.getppid()
-    faults = Faults([ServoFault.parse(text) for text in choice["faults"]], np.random.default_rng(choice["seed"]))
-    servo = VirtualServo(plant_of(choice["plant"]), choice["registers"], time.monotonic())
-    line = Line(servo, faults)
-    _tell(line.port)
+    faults = Faults([gripper_fault(text) for text in choice["faults"]], np.random.default_rng(choice["seed"]))
+    plant = make_plant(choice["plant"])
+    clock = plant.time if isinstance(plant, SharedPlant) else HOST_TIME
+    servo = VirtualServo(plant, choice["registers"], clock.now_s())
+    line = Line(servo, faults, clock)
+    _write_line(line.port)
     asking = sys.stdin.fileno()
     begun = b""
     while os.getppid() == parent:
@@ -189,10 +202,10 @@ def serve(choice: Mapping[str, Any]) -> None:
             return
         *asked, begun = (begun + data).split(b"\n")
         for text in asked:
-            _tell(_reply(json.loads(text), servo, faults))
+            _write_line(_reply(json.loads(text), servo, faults, clock.now_s()))
 
 
-def _tell(answer: Any) -> None:
+def _write_line(answer: Any) -> None:
     sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from evetac_cli.devices.dvxplorer.event_word_loops import REF_MASK
 from evetac_cli.devices.dvxplorer.event_words import encode
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 _FRAME_US = 200  # of rain: the camera's default readout
 _DIFFERENT_FRAMES = 500
@@ -18,7 +19,7 @@ class PreparedWords:
     """A stream of words as a camera would have sent it, at its own pace or as fast as it is fetched.
 
     paced: a word may be taken once the time of its frame has passed, counted from `run`. Unpaced, there are words
-    whenever somebody waits for them (so that no buffer overflows); device time runs ahead of the host's then, and the
+    whenever a reader waits for them (so that no buffer overflows); device time runs ahead of the host's then, and the
     driver believes no silence of more than a second.
     """
 
@@ -31,12 +32,17 @@ class PreparedWords:
         self._changed = Condition()
 
     @property
+    def time(self) -> TimeSource:
+        """The host's clock."""
+        return HOST_TIME
+
+    @property
     def left(self) -> int:
-        """Words that nobody took yet."""
+        """Number of words that were not taken yet."""
         return (len(self._data) - self._at) // 4
 
     def run(self, on: bool) -> None:
-        """Let time pass, or stand still."""
+        """Let time pass (True), or stand still."""
         with self._changed:
             now_s = time.monotonic()
             if self._began_s is not None:
@@ -58,7 +64,7 @@ class PreparedWords:
             return bytes(self._data[start : self._at])
 
     def _due(self) -> int:
-        """Bytes whose time has come."""
+        """Number of bytes from the start whose time has come."""
         if self._began_s is None:
             return self._at
         if self._due_us is None:

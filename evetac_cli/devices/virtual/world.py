@@ -1,15 +1,20 @@
 """A simulated world in a process of its own, in real time, behind a virtual camera and a virtual gripper.
 
-The world makes a slice a millisecond from the moment the camera is told to run. Its events become event words, which
+The world makes a slice a millisecond from the moment the camera is started. Its events become event words, which
 the virtual camera sends over its virtual USB; its finger follows the registers of the virtual gripper, through shared
 memory. So drivers meet both as they would meet hardware.
 
-Why so: device time is the world's time. A world that cannot keep up with the host's clock is late, never slow, and says
-how many slices were late. A camera that is asked and has nothing to say has nothing left from before: so to say that
-there are no words, a late world first catches up with the moment at which it was asked.
+Why so: device time is the world's time. A world that cannot keep up with the host's clock is late, never slow, and
+counts the slices that were late. When a camera answers that it has no words, none may be left from before the question:
+so before it gives that answer, a late world first catches up with the moment at which it was asked.
+
+A world that is `patient` is never late: `time`, by which the camera's driver, the virtual servo and the control loops
+of a grasp go, stands still until the world has made what is due and the driver's slices were read. Tests set it
+(`VirtualWorld.patient = True`), so that they pass on a busy machine; how well time is kept is measured without it.
 """
 
 import gc
+import math
 import multiprocessing
 import os
 import select
@@ -24,8 +29,9 @@ import numpy as np
 
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
-from evetac_cli.realtime import starting
-from evetac_cli.realtime.message_pipe import Inbox, Outbox
+from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
+from evetac_cli.realtime.processes import ignore_interrupts, start_shielded
+from evetac_cli.realtime.shared_time import SharedTime
 
 SLICE_S = 1e-3
 LATE_S = 5e-3  # a slice whose words leave later than this after its end was late
@@ -37,8 +43,10 @@ START_S = 120.0  # in which a world must be built, compiling included
 END_S = 2.0
 WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp comes to the moment at which a hand rises
 WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
-TRUTH_SLICES = 50  # whose truth is told at once
+TRUTH_SLICES = 50  # whose truth is sent at once
 CATCH_UP_S = 10.0  # a world that is later than this is given up on, for the moment
+READER_S = 0.02  # how far a patient world is ahead of who reads its slices; a driver is behind by 5 ms at most
+STANDING_S = 5e-4  # how often a patient world checks whether its time may go on
 _LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)  # shared with the process; began: host time of time 0, 0 while it stands
 
 
@@ -47,8 +55,10 @@ class VirtualWorld:
 
     It may be given to a process that is being spawned: the copy is a source of words like this one, and whoever built
     the world ends it. `truths` gives the truth of slices, a row of every array
-    for each, and None after the last, if asked for.
+    for each, and None after the last, if asked for. `patient`: whether `time` waits for whoever is late.
     """
+
+    patient = False
 
     def __init__(
         self,
@@ -61,52 +71,57 @@ class VirtualWorld:
         """Build the world of a plan, as devices.simulated.rig does; its time stands still until `run`."""
         context = multiprocessing.get_context("spawn")
         self.plant = SharedPlant()
-        self._asked_ns = 0
-        self._looking = False  # whether words were found by the last call, which had no time to wait
+        self._asked_s = 0.0
+        self._polling = False  # whether the last call had no time to wait, and got words
         self._counters = context.Array("q", 4, lock=False)
         self._orders, orders = context.Pipe()
         self._words, words = context.Pipe(duplex=False)
-        truths, told = context.Pipe(duplex=False) if tells_truth else (None, None)
-        self.truths = None if truths is None else Inbox(truths)
+        truths, truth_pipe = context.Pipe(duplex=False) if tells_truth else (None, None)
+        self.truths = None if truths is None else MessageReader(truths)
         self._process: BaseProcess | None = context.Process(
-            target=_live,
-            args=(dict(plan), seeds, durations, self.plant, orders, words, told, self._counters),
+            target=_run_world,
+            args=(dict(plan), seeds, durations, self.patient, self.plant, orders, words, truth_pipe, self._counters),
             name="evetac-world",
             daemon=True,
         )
         try:
-            starting.start(self._process)
+            start_shielded(self._process)
             orders.close()
             words.close()
-            if told is not None:
-                told.close()
-            self._greet()
+            if truth_pipe is not None:
+                truth_pipe.close()
+            self._wait_until_built()
         except BaseException:
             self.close()
             raise
 
-    def _greet(self) -> None:
-        """Wait for the world; DeviceError if it does not come up."""
+    def _wait_until_built(self) -> None:
+        """Wait until the process has built the world; DeviceError if it does not come up."""
         if not self._orders.poll(START_S):
             raise DeviceError("the virtual world did not start", expected=f"within {START_S:g} s")
         try:
-            said = self._orders.recv()
+            reply = self._orders.recv()
         except EOFError:
             raise DeviceError("the process of the virtual world died while it started") from None
-        if isinstance(said, EvetacError):
-            raise said
-        if isinstance(said, str):
-            raise DeviceError(f"the virtual world could not be built: {said}")
-        self.sensor: Mapping[str, Any] = said["sensor"]
-        self.holding_ma: float = said["holding_ma"]
-        self.drawn: str = said["drawn"]
+        if isinstance(reply, EvetacError):
+            raise reply
+        if isinstance(reply, str):
+            raise DeviceError(f"the virtual world could not be built: {reply}")
+        self.sensor: Mapping[str, Any] = reply["sensor"]
+        self.holding_ma: float = reply["holding_ma"]
+        self.drawn: str = reply["drawn"]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_process": None, "truths": None}
 
     @property
+    def time(self) -> SharedTime:
+        """The time by which everything that has to do with this world goes; may be given to other processes."""
+        return self.plant.time
+
+    @property
     def pid(self) -> int | None:
-        """Number of the world's process."""
+        """Process id of the world; None once it has ended."""
         return None if self._process is None else self._process.pid
 
     @property
@@ -115,7 +130,7 @@ class VirtualWorld:
         return {"slices_late": self._counters[_LATE], "slices_dropped": self._counters[_DROPPED]}
 
     def run(self, on: bool) -> None:
-        """Let time pass, or stand still."""
+        """Let the world's time pass (True) or stand still; DeviceError if its process has died."""
         try:
             self._orders.send(on)
         except OSError:
@@ -124,29 +139,29 @@ class VirtualWorld:
     def take(self, most: int, timeout_s: float) -> bytes:
         """Event words, little-endian, as they come; b"" if none came in time, and none are due from before the call.
 
-        Who looks again and again without time to wait, until there are no words, has asked when he first looked.
+        Calls without time to wait, repeated until there are no words, count as one that was made when the first was.
         """
-        if timeout_s > 0 or not self._looking:
-            self._asked_ns = time.monotonic_ns()
-        give_up_ns = time.monotonic_ns() + int(CATCH_UP_S * 1e9)
-        looks = timeout_s == 0
+        if timeout_s > 0 or not self._polling:
+            self._asked_s = self.time.now_s()
+        give_up_s = time.monotonic() + CATCH_UP_S
+        polls = timeout_s == 0
         behind = True
         while behind:
-            behind = self._is_behind(self._asked_ns) and time.monotonic_ns() < give_up_ns
+            behind = self._is_behind(self._asked_s) and time.monotonic() < give_up_s
             if select.select([self._words], [], [], timeout_s)[0]:
                 data = os.read(self._words.fileno(), most)
                 if not data:
                     raise DeviceError("the process of the virtual world died")
-                self._looking = looks
+                self._polling = polls
                 return data
             timeout_s = SLICE_S
-        self._looking = False
+        self._polling = False
         return b""
 
-    def _is_behind(self, now_ns: int) -> bool:
+    def _is_behind(self, now_s: float) -> bool:
         """Whether a slice that ended before this moment has not been sent yet."""
         began_ns = self._counters[_BEGAN_NS]
-        return bool(began_ns and (self._counters[_MADE] + 1) * SLICE_S * 1e9 < now_ns - began_ns)
+        return bool(began_ns and (self._counters[_MADE] + 1) * SLICE_S < now_s - began_ns * 1e-9)
 
     def close(self) -> None:
         """End the world; a second call does nothing."""
@@ -156,14 +171,16 @@ class VirtualWorld:
             if self._process.is_alive():
                 self._process.kill()
                 self._process.join()
+            self.time.limit(math.inf)
         self._words.close()
         self.plant.close()
 
 
-def _live(
+def _run_world(
     plan: dict[str, Any],
     seeds: np.random.SeedSequence,
     durations: dict[str, float],
+    patient: bool,
     plant: SharedPlant,
     orders: Connection,
     words: Connection,
@@ -171,46 +188,47 @@ def _live(
     counters: Any,
 ) -> None:
     """The world's process: build, say so, then obey orders until the other side is gone."""
-    starting.ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this
-    ticking, said = _build(plan, seeds, durations, plant, words, truths, counters)
+    ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this
+    running_world, reply = _build(plan, seeds, durations, patient, plant, words, truths, counters)
     try:
-        orders.send(said)
+        orders.send(reply)
     except OSError:  # the recorder did not wait
         plant.path.unlink(missing_ok=True)
         return
-    if ticking is None:
+    if running_world is None:
         return
     gc.freeze()
     while True:
-        readable, _, _ = select.select([orders], ticking.waiting_for, [], ticking.wait_s)
+        readable, _, _ = select.select([orders], running_world.waiting_for, [], running_world.wait_s)
         try:
             if readable:
-                ticking.run(orders.recv())
-            ticking.tick()
+                running_world.run(orders.recv())
+            running_world.tick()
         except (EOFError, OSError):  # the recorder is gone, perhaps without having been asked
             plant.path.unlink(missing_ok=True)
             return
 
 
-def _build(*made_of: Any) -> tuple["_Ticking | None", Any]:
-    """The world, and what to tell the other process: what it is, or why it cannot be built."""
+def _build(*made_of: Any) -> tuple["_RunningWorld | None", Any]:
+    """The world, and the reply to the other process: what it is, or why it cannot be built."""
     try:
-        ticking = _Ticking(*made_of)
+        running_world = _RunningWorld(*made_of)
     except EvetacError as error:
         return None, error
-    except Exception as error:  # told by the other process
+    except Exception as error:  # raised by the other process
         return None, f"{type(error).__name__}: {error}"
-    return ticking, ticking.described()
+    return running_world, running_world.described()
 
 
-class _Ticking:
-    """A world whose time follows the host's clock."""
+class _RunningWorld:
+    """A world whose slices are made when their time has come."""
 
     def __init__(
         self,
         plan: dict[str, Any],
         seeds: np.random.SeedSequence,
         durations: dict[str, float],
+        patient: bool,
         plant: SharedPlant,
         words: Connection,
         truths: Connection | None,
@@ -236,21 +254,23 @@ class _Ticking:
         self._world = self._rig.gripper.world
         self._gain_ma_tick = self._world.drive.gain_ma_tick / PAPER_P_GAIN
         self._plant = plant
+        self._time = plant.time
+        self._patient = patient
         self._fd = words.fileno()
         os.set_blocking(self._fd, False)
         self._words = words
         self._counters = counters
-        self._truths = None if truths is None else Outbox(truths)
-        self._known: list[Mapping[str, Any]] = []  # truth that was not told yet
+        self._truths = None if truths is None else MessageWriter(truths)
+        self._pending: list[Mapping[str, Any]] = []  # truth that was not sent yet
         self._backlog = b""
         self._running = False
-        self._began_s = 0.0  # host time of the world's time 0
+        self._began_s = 0.0  # when the world's time was 0
         self._torque = False  # whether the servo ever had torque: until then the scene's own command holds
         self._goals = Goals()
-        self._show(self._world.finger.closing_ticks)
+        self._publish_motion(self._world.finger.closing_ticks)
 
     def described(self) -> dict[str, Any]:
-        """What the other side is told of this world."""
+        """What the other side is to know of this world."""
         return {
             "sensor": dict(self._rig.camera.sensor),
             "holding_ma": self._rig.holding_ma,
@@ -260,10 +280,11 @@ class _Ticking:
     def run(self, on: bool) -> None:
         """Go on from the world's time, or stand still."""
         if on and not self._running:
-            self._began_s = time.monotonic() - self._world.slices * SLICE_S
+            self._began_s = self._time.now_s() - self._world.slices * SLICE_S
         self._running = on
+        self._limit_time()
         if not on:
-            self._tell_known()
+            self._send_pending()
         self._counters[_BEGAN_NS] = int(self._began_s * 1e9) if on and not self._world.finished else 0
 
     @property
@@ -271,29 +292,31 @@ class _Ticking:
         """Until the end of the next slice; None without an end, for a world that stands still or is over."""
         if not self._running or self._world.finished:
             return None
-        return max(0.0, self._began_s + (self._world.slices + 1) * SLICE_S - time.monotonic())
+        left_s = self._began_s + (self._world.slices + 1) * SLICE_S - self._time.now_s()
+        return max(left_s, STANDING_S) if self._patient and left_s > 0.0 else max(left_s, 0.0)
 
     @property
     def waiting_for(self) -> list[Connection]:
-        """Whether words wait for room in the pipe."""
+        """The pipe of the words, if some wait for room in it; for select."""
         return [self._words] if self._backlog else []
 
     def tick(self) -> None:
         """Make one slice if its time has come, and send what there is to send."""
         if self.wait_s == 0.0:
-            self._obey(self._plant.goals())
+            self._pass_on(self._plant.goals())
             before_ticks = self._world.finger.closing_ticks
             events = self._rig.camera.read()
-            self._show(before_ticks)
+            self._publish_motion(before_ticks)
             # A sensor that is read out 5000 times a second begins every millisecond, whether or not it sees something:
             # its TIMESTAMP comes once, at the end of the slice before, but for the very first.
             if self._world.slices == 1:
                 self._queue(self._timestamp(FIRST_MS).tobytes())
             words = b"" if events is None else self._encode(events, FIRST_MS).tobytes()[WORD_BYTES:]
             self._queue(words + self._timestamp(FIRST_MS + self._world.slices).tobytes())
-            self._tell()
-            if time.monotonic() > self._began_s + self._world.slices * SLICE_S + LATE_S:
+            self._send_truth()
+            if self._time.now_s() > self._began_s + self._world.slices * SLICE_S + LATE_S:
                 self._counters[_LATE] += 1
+        self._limit_time()
         while self._backlog:
             try:
                 self._backlog = self._backlog[os.write(self._fd, self._backlog) :]
@@ -303,22 +326,32 @@ class _Ticking:
             self._counters[_BEGAN_NS] = 0
         self._counters[_MADE] = self._world.slices
 
-    def _tell(self) -> None:
-        """Tell the truth of the slice just made, some slices at a time."""
+    def _limit_time(self) -> None:
+        """Let time go on as far as this world and the reader of its slices have come."""
+        if not self._patient:
+            return
+        until_s = math.inf
+        if self._running and not self._world.finished:
+            made_s = self._began_s + (self._world.slices + 1) * SLICE_S
+            until_s = min(made_s + LATE_S, self._time.reader_s + READER_S)
+        self._time.limit(until_s)
+
+    def _send_truth(self) -> None:
+        """Send the truth of the slice just made, some slices at a time."""
         if self._truths is None or self._rig.truth is None:
             return
-        self._known.append(self._rig.truth())
-        if len(self._known) >= TRUTH_SLICES or self._world.finished:
-            self._tell_known()
+        self._pending.append(self._rig.truth())
+        if len(self._pending) >= TRUTH_SLICES or self._world.finished:
+            self._send_pending()
         if self._world.finished:
             self._truths.put(None)
         self._truths.send()
 
-    def _tell_known(self) -> None:
-        if self._truths is not None and self._known:
-            self._truths.put({name: np.asarray([row[name] for row in self._known]) for name in self._known[0]})
+    def _send_pending(self) -> None:
+        if self._truths is not None and self._pending:
+            self._truths.put({name: np.asarray([row[name] for row in self._pending]) for name in self._pending[0]})
             self._truths.send()
-            self._known = []
+            self._pending = []
 
     def _queue(self, data: bytes) -> None:
         if len(self._backlog) + len(data) > BACKLOG_BYTES:
@@ -326,7 +359,7 @@ class _Ticking:
         else:
             self._backlog += data
 
-    def _obey(self, goals: Goals) -> None:
+    def _pass_on(self, goals: Goals) -> None:
         """Pass the servo's registers on to the world's gripper."""
         if goals != self._goals:
             self._goals = goals
@@ -336,8 +369,8 @@ class _Ticking:
         if self._torque:
             self._world.command = goals.command()
 
-    def _show(self, before_ticks: float) -> None:
-        """Show the servo how the finger moved."""
+    def _publish_motion(self, before_ticks: float) -> None:
+        """Write down for the servo how the finger moved: current, position, and speed over the last slice."""
         finger = self._world.finger
         speed = (finger.closing_ticks - before_ticks) / SLICE_S
         self._plant.show(Motion(finger.current_ma, finger.position_ticks, speed))

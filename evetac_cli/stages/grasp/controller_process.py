@@ -25,10 +25,10 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.control import Control
-from evetac_cli.realtime.message_pipe import Outbox
-from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.message_pipe import MessageWriter
+from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
-from evetac_cli.realtime.starting import ignore_interrupts
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.stages.grasp.loop import Timing, control_row
 
 PRIORITY = 30
@@ -57,6 +57,7 @@ class ControllerSettings:
     timing: Timing
     watchdog_ms: int
     most_s: float  # that the grasp may take, whatever the camera's clock says
+    time: TimeSource = HOST_TIME  # by which the controller goes
 
 
 class GripperReady(NamedTuple):
@@ -162,7 +163,7 @@ def run_controller(
     detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
-    outbox = Outbox(pipe)
+    outbox = MessageWriter(pipe)
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
         orders.recv()
@@ -174,7 +175,8 @@ def run_controller(
             gc.collect()
             gc.freeze()
             gc.disable()  # the loop makes no cycles
-            result = command_grasp(gripper, shared, settings, outbox, has_ended=detector.poll)
+            clock, sleep = settings.time.now_s, settings.time.sleep
+            result = command_grasp(gripper, shared, settings, outbox, clock, sleep, has_ended=detector.poll)
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as error:
@@ -191,7 +193,7 @@ def command_grasp(
     gripper: Gripper,
     shared: SharedStatus,
     settings: ControllerSettings,
-    outbox: Outbox,
+    outbox: MessageWriter,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
     has_ended: Callable[[], bool] = lambda: False,
@@ -216,7 +218,7 @@ def _command(
     gripper: Gripper,
     shared: SharedStatus,
     settings: ControllerSettings,
-    outbox: Outbox,
+    outbox: MessageWriter,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
     has_ended: Callable[[], bool],
@@ -257,19 +259,19 @@ def _command(
             if ended:
                 break
             phase = timing.phase(slice_)
-            goal = control.step(phase, status.felt, reading.position_ticks)
+            goal = control.step(phase, status.signal, reading.position_ticks)
             gripper.write_position(goal)
         except DeviceError as failed:
             ended, error, alive_us = str(failed).splitlines()[0], failed, math.nan
             break
         last_s = clock()
         cycle_us.append((last_s - begun_s) * 1e6)
-        row = control_row(control, phase, status.felt, reading, goal, round(now_us - status.zero_us))
+        row = control_row(control, phase, status.signal, reading, goal, round(now_us - status.zero_us))
         row["control/late_us"] = late_us
         row["control/missed"] = pace.missed - missed_before
         row["control/latency_us"] = last_s * 1e6 + wire_us - status.slip_began_us(slips_before)
         row["control/slices_processed"] = status.slices
-        missed_before, slips_before = pace.missed, status.felt.slips
+        missed_before, slips_before = pace.missed, status.signal.slips
         rows.append(row)
         if len(rows) >= BATCH_STEPS:
             outbox.put(rows)

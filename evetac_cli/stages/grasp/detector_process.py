@@ -8,7 +8,6 @@ import contextlib
 import gc
 import os
 import sys
-import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,14 +18,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.devices import camera_time
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera, RunningCamera
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime.message_pipe import Outbox
-from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.message_pipe import MessageWriter
+from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
-from evetac_cli.realtime.starting import ignore_interrupts
 from evetac_cli.stages.grasp.loop import Sense
 
 if TYPE_CHECKING:
@@ -118,7 +117,7 @@ def run_detector(
     ends, however it ends.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
-    outbox = Outbox(pipe)
+    outbox = MessageWriter(pipe)
     camera = None
     error: Exception | None = None
     try:
@@ -152,7 +151,9 @@ def run_detector(
     alive.close()
 
 
-def detect(camera: RunningCamera, detector: Sense | None, status: SharedStatus, outbox: Outbox, most: int) -> None:
+def detect(
+    camera: RunningCamera, detector: Sense | None, status: SharedStatus, outbox: MessageWriter, most: int
+) -> None:
     """Evaluate and hand over slice after slice, until there are `most`, or an order to stop.
 
     DeviceError where the stream ends before, or the recorder cannot keep up.
@@ -160,7 +161,8 @@ def detect(camera: RunningCamera, detector: Sense | None, status: SharedStatus, 
     host_us = getattr(camera, "host_us", None)
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
     parent = os.getppid()
-    events_us = _now_us()  # when the camera last gave an event
+    clock = camera_time(camera)
+    events_us = clock.now_s() * 1e6  # when the camera last gave an event
     slips = slices = 0
     slices_held: list[Events] = []
     batch = SliceBatch(concatenate([]))
@@ -171,7 +173,7 @@ def detect(camera: RunningCamera, detector: Sense | None, status: SharedStatus, 
         slices += 1
         probability = float("nan") if detector is None else detector.step(events)
         signal = SlipSignal() if detector is None else detector.felt
-        now_us = _now_us()
+        now_us = clock.now_s() * 1e6
         if events.size:
             events_us = now_us
         zero_us = now_us - slices * SLICE_US if host_us is None else host_us(0.0)
@@ -192,14 +194,10 @@ def detect(camera: RunningCamera, detector: Sense | None, status: SharedStatus, 
     _hand_over(outbox, batch, slices_held)
 
 
-def _hand_over(outbox: Outbox, batch: SliceBatch, slices: list[Events]) -> None:
+def _hand_over(outbox: MessageWriter, batch: SliceBatch, slices: list[Events]) -> None:
     """Send a batch to the recorder; DeviceError if too much waits for it already."""
     batch.events = concatenate(slices)
     if not outbox.put(batch):
         waiting = f"{outbox.waiting_bytes / 1e6:.0f} MB wait to be written"
         raise DeviceError("the recorder cannot keep up", found=waiting)
     outbox.send()
-
-
-def _now_us() -> float:
-    return time.monotonic() * 1e6

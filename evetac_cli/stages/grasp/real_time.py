@@ -26,7 +26,8 @@ from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
-from evetac_cli.realtime.scheduling import set_realtime_priority
+from evetac_cli.realtime.processes import set_realtime_priority
+from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.sim import scene
 from evetac_cli.stages import session
 from evetac_cli.stages.grasp import replay, setup
@@ -170,6 +171,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
             # a world that is late holds up its camera
             (VIRTUAL_WATCHDOG_FACTOR if world is not None else 1) * params.watchdog_ms,
             params.max_seconds,
+            HOST_TIME if world is None else world.time,
         )
         processes = GraspProcesses(detector, controller, world)
         opened.callback(processes.close)

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.paper import Phase
-from evetac_cli.realtime import starting
-from evetac_cli.realtime.message_pipe import Inbox
+from evetac_cli.realtime.message_pipe import MessageReader
+from evetac_cli.realtime.processes import start_shielded
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages.grasp import controller_process, detector_process
@@ -61,7 +61,7 @@ class GraspProcesses:
         slices, slices_end = context.Pipe(duplex=False)
         steps, steps_end = context.Pipe(duplex=False)
         detector_end, alive = context.Pipe(duplex=False)  # nothing is sent: it ends when the detector does
-        self.slices, self.steps = Inbox(slices), Inbox(steps)
+        self.slices, self.steps = MessageReader(slices), MessageReader(steps)
         self.detector = context.Process(
             target=detector_process.run_detector,
             args=(detector, self.status, world, theirs[0], slices_end, alive),
@@ -74,7 +74,7 @@ class GraspProcesses:
         )
         for process in (self.detector, self.controller):
             process.daemon = True
-            starting.start(process)
+            start_shielded(process)
         # Our copies of their ends; else a pipe would not end with the process at its other end.
         for end in (*theirs, slices_end, steps_end, detector_end, alive):
             end.close()
@@ -96,7 +96,7 @@ class GraspProcesses:
             self._orders[0].send("go")
 
     @staticmethod
-    def _wait_for(kind: type[_T], inbox: Inbox, process: Any, most_s: float, signals: list[int]) -> _T:
+    def _wait_for(kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
         """The first message of a kind; what went wrong before it comes is raised."""
         until_s = time.monotonic() + most_s
         while time.monotonic() < until_s and not signals:

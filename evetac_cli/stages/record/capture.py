@@ -11,7 +11,6 @@ The first camera leads: it gives the number of slices, and its file has the grip
 
 import sys
 import threading
-import time
 from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,7 +23,7 @@ from uuid import uuid4
 import numpy as np
 
 from evetac_cli import console
-from evetac_cli.devices import EventCamera, GripperReading, Rig
+from evetac_cli.devices import EventCamera, GripperReading, Rig, camera_time
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, EvetacError, InputError
@@ -49,7 +48,7 @@ OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "
 class SliceThread:
     """Reads another camera of the same trial, so that no camera waits for the other.
 
-    Slices are kept, each with the host time (s) at which it came, until they are taken.
+    Slices are kept, each with the time (s) at which it came, until they are taken.
     """
 
     def __init__(self, camera: EventCamera) -> None:
@@ -76,7 +75,7 @@ class SliceThread:
     def _run(self) -> None:
         try:
             while self._running and (events := self._camera.read()) is not None:
-                self._slices.append((events, time.monotonic()))
+                self._slices.append((events, camera_time(self._camera).now_s()))
         except Exception as error:  # raised by the thread that records
             self.error = error
 
@@ -93,7 +92,7 @@ class CameraRecording:
     events: int = 0
     ended: str = ""
     error: Exception | None = None
-    first_s: float = 0.0  # host time at which the first and the last slice came
+    first_s: float = 0.0  # when the first and the last slice came
     last_s: float = 0.0
     late_us: "array[float]" = field(default_factory=lambda: array("d"))
     loop: GripperLoop | None = None  # commands the gripper, if there is one
@@ -274,7 +273,7 @@ def _write(
             target_ma = step(state, law, reading, rng)
             return target_ma, state.ended
 
-        first.loop = GripperLoop(first.rig.gripper, act, first.rig.clock.now_us)
+        first.loop = GripperLoop(first.rig.gripper, act, first.rig.clock.now_us, camera_time(first.rig.camera))
     for recording in recordings[1:]:
         recording.thread = SliceThread(recording.rig.camera)
     most = round(1000 * params.seconds) if params.seconds is not None else None
@@ -320,7 +319,7 @@ def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: li
         if first.slices == 0 and loop is not None:
             loop.start()
         _fetch(recordings)
-        first.append(events, time.monotonic())
+        first.append(events, camera_time(first.rig.camera).now_s())
         failed = [part.error for part in (loop, *(each.thread for each in recordings)) if part and part.error]
         if failed:
             raise failed[0]

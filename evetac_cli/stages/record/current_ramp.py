@@ -7,7 +7,6 @@ scene simulated.py commands in step with the scene's time instead.)
 
 import math
 import threading
-import time
 from array import array
 from collections import deque
 from collections.abc import Callable
@@ -19,6 +18,7 @@ import numpy as np
 
 from evetac_cli.devices import Gripper, GripperReading, gripper_row
 from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSettings
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
 RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
@@ -89,12 +89,20 @@ class GripperLoop:
     """A thread that reads and commands a gripper every 2 ms, and keeps a row of each command until it is fetched."""
 
     def __init__(
-        self, gripper: Gripper, act: Callable[[GripperReading], tuple[float, str]], now_us: Callable[[], int]
+        self,
+        gripper: Gripper,
+        act: Callable[[GripperReading], tuple[float, str]],
+        now_us: Callable[[], int],
+        time: TimeSource = HOST_TIME,
     ) -> None:
-        """act: (target current in mA, why it is over or "") for a reading; now_us: device time of the recording."""
+        """act: (target current in mA, why it is over or "") for a reading; now_us: device time of the recording.
+
+        time: by which the loop goes.
+        """
         self._gripper = gripper
         self._act = act
         self._now_us = now_us
+        self._time = time
         self._rows: deque[dict[str, Any]] = deque()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="gripper", daemon=True)
@@ -120,18 +128,18 @@ class GripperLoop:
 
     def _run(self) -> None:
         try:
-            due = time.monotonic()
+            due = self._time.now_s()
             while not (self._stop.is_set() or self.ended):
-                started = time.monotonic()
+                started = self._time.now_s()
                 self._command()
-                now = time.monotonic()
+                now = self._time.now_s()
                 self.cycle_us.append((now - started) * 1e6)
                 due += COMMAND_MS * 1e-3
                 if now > due + COMMAND_MS * 1e-3:
                     missed = int((now - due) / (COMMAND_MS * 1e-3))
                     self.misses += missed
                     due += missed * COMMAND_MS * 1e-3
-                self._stop.wait(max(0.0, due - now))
+                self._time.sleep(max(0.0, due - now))
         except Exception as error:  # raised by the thread that records
             self.error = error
 

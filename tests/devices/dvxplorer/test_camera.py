@@ -18,8 +18,8 @@ from evetac_cli.devices.dvxplorer import camera as dvxplorer
 from evetac_cli.devices.dvxplorer import event_words, protocol, usb_reader
 from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera, find_cameras
 from evetac_cli.devices.dvxplorer.protocol import READOUT_RATES, DvxplorerSettings
-from evetac_cli.devices.virtual.virtual_dvxplorer import STORE_TO_FLASH, PreparedWords, VirtualDvxplorer
-from evetac_cli.devices.virtual.word_sources import random_event_words
+from evetac_cli.devices.virtual.dvxplorer import STORE_TO_FLASH, VirtualDvxplorer
+from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.events import SLICE_US, Events, concatenate
 

@@ -24,8 +24,8 @@ import usb.core
 
 from evetac_cli.devices.dvxplorer import event_words
 from evetac_cli.devices.dvxplorer.protocol import DVS, RUN, DvxplorerSettings, Generation, configure
-from evetac_cli.devices.virtual.virtual_dvxplorer import PreparedWords, VirtualDvxplorer
-from evetac_cli.devices.virtual.word_sources import random_event_words
+from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
+from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 from evetac_cli.events import Events
 
 pytestmark = pytest.mark.skipif(

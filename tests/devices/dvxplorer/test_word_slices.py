@@ -4,7 +4,7 @@ import numpy as np
 
 from evetac_cli.devices.device_slices import ClockOffset
 from evetac_cli.devices.dvxplorer import event_words
-from evetac_cli.devices.dvxplorer.word_slices import WordSlices
+from evetac_cli.devices.dvxplorer.camera import WordSlices
 from evetac_cli.events import Events
 
 PATIENCE_US = 2000.0

@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.devices.virtual.dynamixel_frames import Instruction
-from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError
 from tests.conftest import SLOW, is_off
 

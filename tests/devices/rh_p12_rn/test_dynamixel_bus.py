@@ -13,7 +13,7 @@ from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings, change_baud
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus, Found, latency_timer_ms, scan
 from evetac_cli.devices.virtual.dynamixel_frames import FrameReader, Instruction, status
-from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from tests.conftest import SLOW
 

@@ -1,18 +1,24 @@
 """The virtual world: what its camera sends is what the simulation sees, its gripper follows the servo's registers."""
 
+import os
+import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from evetac_cli.devices.dvxplorer import event_words
+from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.devices.virtual import world as virtual
+from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion
 from evetac_cli.devices.virtual.world import FIRST_MS, VirtualWorld
 from evetac_cli.errors import DeviceError, SceneError
 from evetac_cli.events import SLICE_US, Events
+from evetac_cli.realtime.shared_time import CREEP
 from evetac_cli.sim import scene
 from tests.conftest import Made
 
@@ -86,8 +92,11 @@ def test_time_stands_still_until_it_runs(world: VirtualWorld) -> None:
     assert world.take(65536, 0.1) == b""
 
 
-def test_looking_comes_to_an_end(world: VirtualWorld) -> None:
+def test_looking_comes_to_an_end(made: Made, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Assert that who looks for words until there are none is not kept by those that a late world still makes."""
+    monkeypatch.setattr(VirtualWorld, "patient", False)
+    world = VirtualWorld(plan_of(made), seeds())
+    request.addfinalizer(world.close)
     world.run(True)
     time.sleep(0.3)
     made = 0
@@ -95,6 +104,33 @@ def test_looking_comes_to_an_end(world: VirtualWorld) -> None:
         made = max(made, world._counters[virtual._MADE])
     assert made >= 250  # all that was due when it was first looked
     assert made < SHORT_MS
+
+
+def test_time_waits_for_a_world_that_is_late(world: VirtualWorld) -> None:
+    """Assert that time stands still while the world's process does, and then goes on from there, nothing left out."""
+    world.run(True)
+    world.time.sleep(0.05)
+    assert world.pid is not None
+    os.kill(world.pid, signal.SIGSTOP)
+    stopped_s = world.time.now_s()
+    time.sleep(0.5)
+    assert world.time.now_s() - stopped_s < virtual.LATE_S + 2 * virtual.SLICE_S + CREEP * 5.0
+    os.kill(world.pid, signal.SIGCONT)
+    world.time.sleep(0.1)
+    assert world.counted["slices_dropped"] == 0
+
+
+def test_time_waits_for_the_reader(world: VirtualWorld) -> None:
+    """Assert that a driver whose slices nobody reads holds up the world, and that it goes on once they are read."""
+    with closing(DvxplorerCamera(backend=VirtualDvxplorer(world))) as camera:
+        for _ in range(50):
+            camera.read()
+        time.sleep(0.5)
+        assert world._counters[virtual._MADE] < 50 + 1e3 * (virtual.READER_S + 2 * virtual.LATE_S)
+        for _ in range(100):
+            camera.read()
+        assert world._counters[virtual._MADE] >= 150
+        assert camera.counted["late_events"] == 0
 
 
 def goals(**registers: int) -> Goals:

@@ -17,7 +17,7 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
-from evetac_cli.realtime.message_pipe import Inbox, Outbox
+from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.controller_process import (
     COMMAND_BYTES,
@@ -180,10 +180,10 @@ class Bench:
 
     def run(self, **changed: Any) -> tuple[ControllerEnded, list[dict[str, Any]]]:
         settings = replace(self.settings, **changed)
-        outbox = Outbox(self._writing)
+        outbox = MessageWriter(self._writing)
         ended = command_grasp(self.hand, self.shared, settings, outbox, self.clock, self.clock.sleep)
         assert outbox.flush(1.0)
-        return ended, [row for rows in Inbox(self._reading).take() for row in rows]
+        return ended, [row for rows in MessageReader(self._reading).take() for row in rows]
 
     def close(self) -> None:
         self._reading.close()

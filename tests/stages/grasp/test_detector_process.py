@@ -11,8 +11,8 @@ import pytest
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events, empty
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime import scheduling
-from evetac_cli.realtime.message_pipe import Inbox, Outbox
+from evetac_cli.realtime import processes
+from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.detector_process import BATCH_MS, SliceBatch, detect, noise
 
@@ -70,14 +70,14 @@ class SpiedStatus(SharedStatus):
 
 
 @pytest.fixture
-def pipe() -> Iterator[tuple[Inbox, Outbox]]:
+def pipe() -> Iterator[tuple[MessageReader, MessageWriter]]:
     reading, writing = multiprocessing.Pipe(duplex=False)
-    yield Inbox(reading), Outbox(writing)
+    yield MessageReader(reading), MessageWriter(writing)
     reading.close()
     writing.close()
 
 
-def batches_in(inbox: Inbox, outbox: Outbox) -> list[SliceBatch]:
+def batches_in(inbox: MessageReader, outbox: MessageWriter) -> list[SliceBatch]:
     batches: list[SliceBatch] = []
     while outbox.waiting_bytes:
         batches += inbox.take()
@@ -85,12 +85,12 @@ def batches_in(inbox: Inbox, outbox: Outbox) -> list[SliceBatch]:
     return batches + list(inbox.take())
 
 
-def test_status_and_slices(pipe: tuple[Inbox, Outbox]) -> None:
+def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that every slice gives a status, with the host's time of the first event of slip, and is handed over."""
     camera, shared, most = Camera(4 * BATCH_MS), SpiedStatus(), 2 * BATCH_MS + 7
     detect(camera, Detector(), shared, pipe[1], most)
     assert [status.slices for status in shared.published] == list(range(1, most + 1))
-    assert [status.felt.slips for status in shared.published] == [k // 3 for k in range(1, most + 1)]
+    assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(1, most + 1)]
     assert {status.zero_us for status in shared.published} == {7e6}
     began = [7e6 + (float(camera.slices[k].t[0]) if camera.slices[k].size else 1e3 * k) for k in range(2, most, 3)]
     assert list(shared.published[-1].slip_us) == began[-len(shared.published[-1].slip_us) :]
@@ -105,16 +105,16 @@ def test_status_and_slices(pipe: tuple[Inbox, Outbox]) -> None:
     assert [p for batch in batches for p in batch.probability] == [0.25 * (k % 3) for k in range(1, most + 1)]
 
 
-def test_without_a_detector(pipe: tuple[Inbox, Outbox]) -> None:
+def test_without_a_detector(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that slices are recorded, and a status published, where there is no detector."""
     shared = SpiedStatus()
     detect(Camera(20), None, shared, pipe[1], 10)
     assert shared.published[-1].slices == 10
-    assert shared.published[-1].felt.slips == 0
+    assert shared.published[-1].signal.slips == 0
     assert np.isnan(batches_in(*pipe)[0].probability).all()
 
 
-def test_ends(pipe: tuple[Inbox, Outbox]) -> None:
+def test_ends(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that an order to stop ends it, and that a stream which ends too early is an error."""
     shared = SpiedStatus()
     shared.stop()
@@ -128,7 +128,7 @@ def test_a_recorder_that_does_not_read() -> None:
     """Assert that slices which are not fetched are an error once too much is waiting, and not silently lost."""
     reading, writing = multiprocessing.Pipe(duplex=False)
     with pytest.raises(DeviceError, match="cannot keep up"):
-        detect(Camera(500), Detector(), SpiedStatus(), Outbox(writing, most_bytes=3_000_000), 500)
+        detect(Camera(500), Detector(), SpiedStatus(), MessageWriter(writing, most_bytes=3_000_000), 500)
     reading.close()
     writing.close()
 
@@ -148,13 +148,13 @@ def test_priority_as_far_as_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
         PRIO_PROCESS=0,
         setpriority=lambda *what: asked.append(("nice", what)),
     )
-    monkeypatch.setattr(scheduling, "os", permitted)
-    monkeypatch.setattr(scheduling, "sys", SimpleNamespace(platform="linux"))
-    assert scheduling.set_realtime_priority(20) == "real-time 20"
+    monkeypatch.setattr(processes, "os", permitted)
+    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="linux"))
+    assert processes.set_realtime_priority(20) == "real-time 20"
     permitted.sched_setscheduler = refuse
-    assert scheduling.set_realtime_priority(20, 4711) == "nice -10"
+    assert processes.set_realtime_priority(20, 4711) == "nice -10"
     assert asked[-1] == ("nice", (0, 4711, -10))
     permitted.setpriority = refuse
-    assert scheduling.set_realtime_priority(20) == "as usual"
-    monkeypatch.setattr(scheduling, "sys", SimpleNamespace(platform="darwin"))
-    assert scheduling.set_realtime_priority(20) == "as usual"
+    assert processes.set_realtime_priority(20) == "as usual"
+    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="darwin"))
+    assert processes.set_realtime_priority(20) == "as usual"

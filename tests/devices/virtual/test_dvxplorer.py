@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from evetac_cli.devices.dvxplorer import event_words
-from evetac_cli.devices.virtual.camera_faults import FAULTS, fault
-from evetac_cli.devices.virtual.virtual_dvxplorer import STORE_TO_FLASH, PreparedWords, VirtualDvxplorer
-from evetac_cli.devices.virtual.word_sources import due_us, random_event_words
-from evetac_cli.errors import InputError
+from evetac_cli.devices.virtual.dvxplorer import STORE_TO_FLASH, VirtualDvxplorer
+from evetac_cli.devices.virtual.word_sources import PreparedWords, due_us, random_event_words
 from evetac_cli.events import Events, concatenate
 
 WRITE, READ = 0x40, 0xC0
@@ -272,26 +270,6 @@ def test_log_packet_and_silence() -> None:
         device.read(0x81, 64, 1)
     events, _ = decoded(b"".join(transfers(device, timeout_ms=150)))
     assert 0 < events.size < decoded(words.tobytes())[0].size
-
-
-def test_faults_by_name() -> None:
-    """Assert how faults are written, and an InputError that lists them."""
-    assert fault("unplug@2.5") == ("unplug", 2.5, 0.0)
-    assert fault("silence@1:0.5") == ("silence", 1.0, 0.5)
-    assert fault("damage") == ("damage", 0.0, 0.1)
-    assert [fault("damage@1:0.5").at(now) for now in (0.9, 1.0, 1.4, 1.5)] == [False, True, True, False]
-    assert fault("unplug@1").at(1e9)
-    assert fault("busy").before_run
-    for wrong in ("fire", "unplug@", "unplug@x", "unplug@-1", "unplug@nan", "busy@2", "silence@1:-1", "@1", ""):
-        if wrong == "unplug@":
-            continue
-        with pytest.raises(InputError, match="no such fault"):
-            fault(wrong)
-    with pytest.raises(
-        InputError, match="NAME@SECONDS.* of unplug, .*; or NAME alone, .* of no-permission, busy, usb2, "
-    ):
-        fault("busy@0")
-    assert all(fault(name).name == name for name in FAULTS)
 
 
 # The sources of words.

@@ -12,7 +12,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 from evetac_cli.devices.virtual.dynamixel_frames import Fault
-from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper
+from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.resources import PACKAGE
 
 ANSWER_MS = 2000.0  # a busy machine may stop either process for long
@@ -121,7 +121,7 @@ def test_a_stopped_servo_does_not_blame_the_host(gripper: VirtualGripper, port: 
 def test_process_ends_with_its_parent() -> None:
     """Assert that the servo's process is gone after the program that started it was killed."""
     program = (
-        "import time; from evetac_cli.devices.virtual.virtual_gripper import VirtualGripper;"
+        "import time; from evetac_cli.devices.virtual.gripper import VirtualGripper;"
         "gripper = VirtualGripper(); print(gripper._process.pid, flush=True); time.sleep(60)"
     )
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}

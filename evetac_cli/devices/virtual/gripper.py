@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
-from evetac_cli.devices.virtual.servo_faults import ServoFault
+from evetac_cli.devices.virtual.faults import gripper_fault
 from evetac_cli.devices.virtual.servo_plant import Obstacle, SharedPlant
 from evetac_cli.errors import DeviceError
 from evetac_cli.resources import PACKAGE
@@ -39,45 +39,45 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         """Start the process; when this returns, the servo listens.
 
         plant: what it moves: a gripper in a world stepped elsewhere; else its own drive, starting at position_ticks,
-        with or without an obstacle. faults: as `servo_faults` names them. registers: values that differ from the
+        with or without an obstacle. faults: as in faults.py. registers: values that differ from the
         factory's, by name. seed: of the faults that strike by chance.
         """
         if isinstance(plant, SharedPlant):
-            moved: dict[str, Any] = {"shared": str(plant.path)}
+            plant_config: dict[str, Any] = {"shared": str(plant.path)}
         else:
-            moved = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
+            plant_config = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
         choice = {
-            "plant": moved,
+            "plant": plant_config,
             "faults": [_checked(fault) for fault in faults],
             "registers": {"Baud Rate": baud_code(baud), **(registers or {})},
             "seed": seed,
         }
-        found_at = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
+        python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
             [sys.executable, "-m", "evetac_cli.devices.virtual.servo_process", json.dumps(choice)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": found_at},
+            env={**os.environ, "PYTHONPATH": python_path},
             start_new_session=True,
         )
         try:
-            self.port: str = self._told()
+            self.port: str = self._receive()
         except BaseException:
             self.close()
             raise
 
     @property
     def pid(self) -> int:
-        """Number of the servo's process."""
+        """Process id of the servo."""
         return self._process.pid
 
     def inject(self, fault: str) -> None:
-        """Let a fault strike, at once or as its moment or share says."""
+        """Let a fault strike, at once, or as its moment or share has it."""
         self._ask(inject=_checked(fault))
 
     def read_register(self, register: str) -> int:
-        """Value of a register, read past the wire."""
-        return int(self._ask(look=register))
+        """Value of a register, read without using the serial port."""
+        return int(self._ask(read=register))
 
     def instructions(self) -> dict[int, int]:
         """How often the servo received each instruction."""
@@ -104,16 +104,17 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(question).encode() + b"\n")
         self._process.stdin.flush()
-        return self._told()
+        return self._receive()
 
-    def _told(self) -> Any:
+    def _receive(self) -> Any:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise DeviceError("the virtual gripper's process has ended", hint="its words are on stderr")
+            raise DeviceError("the virtual gripper's process has ended", hint="its last messages are on stderr")
         return json.loads(line)
 
 
 def _checked(fault: str) -> str:
-    ServoFault.parse(fault)
+    """The text of a fault; InputError if there is no such."""
+    gripper_fault(fault)
     return fault

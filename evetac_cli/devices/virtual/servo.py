@@ -36,7 +36,7 @@ class Answer(NamedTuple):
 
 
 class Refused(Exception):
-    """An instruction that is not carried out."""
+    """An instruction that is not carried out; `fault` is the error of its answer."""
 
     def __init__(self, fault: Fault) -> None:
         self.fault = fault
@@ -61,7 +61,7 @@ class VirtualServo:
         self._registered: tuple[int, bytes] | None = None
         self._motion = self._plant.advance(Goals(), now_s)
         self._set("Goal Position", self._motion.position_ticks)
-        self._take_over()
+        self._apply_registers()
 
     def value(self, name: str) -> int:
         """A register's value, what is measured included."""
@@ -70,7 +70,7 @@ class VirtualServo:
 
     @property
     def baud(self) -> int:
-        """The rate that it listens at."""
+        """Baud rate at which the servo listens and answers."""
         return table.BAUD_RATES[self._get("Baud Rate")]
 
     @property
@@ -96,23 +96,23 @@ class VirtualServo:
         self._motion = self._plant.advance(self._goals, now_s)
 
     def forgive(self, frozen_s: float) -> None:
-        """Its process was stopped for so long and could hear nobody: that is no silence of the host."""
+        """Leave out a time for which this process was stopped (s): the host was not silent then."""
         self._heard_s += frozen_s
 
     def trip(self) -> None:
         """The Bus Watchdog trips: no current, and goals are refused until 0 is written to it."""
         self._set("Bus Watchdog", table.WATCHDOG_TRIPPED)
-        self._take_over()
+        self._apply_registers()
 
     def overload(self) -> None:
         """A hardware error; torque off where Shutdown says so."""
         self._set("Hardware Error Status", self._get("Hardware Error Status") | _OVERLOAD)
         if self._get("Shutdown") & _OVERLOAD:
             self._set("Torque Enable", 0)
-        self._take_over()
+        self._apply_registers()
 
-    def _take_over(self) -> None:
-        """Heed what was written: the plant's goals, the watchdog's time (s, 0 is off)."""
+    def _apply_registers(self) -> None:
+        """Apply what was written: the plant's goals, the watchdog's time (s, 0 is off)."""
         watchdog = self._get("Bus Watchdog")
         self._watchdog_s = max(watchdog, 0) * table.WATCHDOG_MS * 1e-3
         self._goals = Goals(
@@ -144,7 +144,7 @@ class VirtualServo:
         self.tick(now_s)
         answer = self._answer(frame, now_s, answer_level)
         if frame.instruction not in (Instruction.PING, Instruction.READ):
-            self._take_over()
+            self._apply_registers()
             self.tick(now_s)  # passes the goals on at once
         if answer is None:
             return []
@@ -309,7 +309,7 @@ class VirtualServo:
         if address + len(data) > table.TABLE_SIZE:
             raise Refused(Fault.ACCESS)
         bytes_at = {self._mapped(address + at): value for at, value in enumerate(data)}
-        found = []
+        writes = []
         while bytes_at:
             register = BY_ADDRESS.get(next(iter(bytes_at)))
             if register is None or not register.writable or (register.eeprom and self._get("Torque Enable")):
@@ -319,8 +319,8 @@ class VirtualServo:
                 raise Refused(Fault.DATA_LENGTH)
             value = register.decode(bytes(bytes_at.pop(place) for place in places))
             self._check_value(register, value)
-            found.append((register, value))
-        return found
+            writes.append((register, value))
+        return writes
 
     def _check_value(self, register: Register, value: int) -> None:
         if not register.accepts(value):
@@ -339,7 +339,7 @@ class VirtualServo:
 
 
 def _target(parameters: bytes) -> tuple[int, bytes]:
-    """Address and data of a write."""
+    """Address and data in the parameters of a write; Refused if they are too short."""
     if len(parameters) < 2:
         raise Refused(Fault.DATA_LENGTH)
     return struct.unpack_from("<H", parameters)[0], parameters[2:]

@@ -16,8 +16,8 @@ from evetac_cli.devices.virtual.dynamixel_frames import (
     frame,
     status,
 )
+from evetac_cli.devices.virtual.servo import VirtualServo
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion
-from evetac_cli.devices.virtual.virtual_servo import VirtualServo
 
 REGISTERS = table.REGISTERS
 

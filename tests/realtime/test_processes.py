@@ -8,14 +8,14 @@ import sys
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from evetac_cli.realtime import starting
+from evetac_cli.realtime import processes
 
 
 def child(pipe: Connection) -> None:
     """Tell whether Ctrl-C was held back until now, and go on though it came."""
     held_back = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     os.kill(os.getpid(), signal.SIGINT)
-    starting.ignore_interrupts()
+    processes.ignore_interrupts()
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     os.kill(os.getpid(), signal.SIGINT)
     pipe.send(held_back)
@@ -25,7 +25,7 @@ def parent() -> None:
     """Start the first process of a program; Ctrl-C goes on to come up here."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
-    starting.start(context.Process(target=child, args=(theirs,)))
+    processes.start_shielded(context.Process(target=child, args=(theirs,)))
     theirs.close()
     assert ours.recv() is True
     try:
@@ -36,7 +36,7 @@ def parent() -> None:
 
 def test_ctrl_c_is_held_back_from_the_first_moment() -> None:
     """Assert that a child never sees Ctrl-C, not even the first process that a program starts, and the parent does."""
-    program = "from tests.realtime import test_starting as test; test.parent()"
+    program = "from tests.realtime import test_processes as test; test.parent()"
     path = str(Path(__file__).resolve().parents[2])
     run = subprocess.run(
         [sys.executable, "-c", program],

@@ -22,7 +22,7 @@ import usb.core
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.protocol import Generation
 from evetac_cli.devices.virtual.device_model import DeviceModel, WordSource
-from evetac_cli.devices.virtual.word_sources import PreparedWords as PreparedWords
+from evetac_cli.realtime.shared_time import TimeSource
 
 FIFO_BYTES = 512 << 10
 STORE_TO_FLASH = 0xC7  # obeyed, and logged; the driver does not know it
@@ -38,7 +38,7 @@ def _fail(what: str, number: int, code: int) -> NoReturn:
 class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """One camera and its bus; pass it as `backend` to DvxplorerCamera.
 
-    firmware: 10 takes 8-byte values, 9 and before 4-byte ones; board: 4 for a Mini; faults: see virtual_faults.
+    firmware: 10 takes 8-byte values, 9 and before 4-byte ones; board: 4 for a Mini; faults: see faults.py.
     `log` holds every vendor request that was obeyed: (request, value, index, data).
     """
 
@@ -56,26 +56,32 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._board = board
         self._strings = ("\u0409", *_STRINGS, serial)
         self._configuration = 1
-        self._body = DeviceModel(source, firmware, faults, fifo_bytes)
+        self._source = source
+        self._model = DeviceModel(source, firmware, faults, fifo_bytes)
         self.log: list[tuple[int, int, int, bytes]] = []
+
+    @property
+    def time(self) -> TimeSource:
+        """The time by which its words come; the driver goes by it."""
+        return self._source.time
 
     @property
     def overflowed(self) -> int:
         """Words that were lost because nobody fetched them in time."""
-        return self._body.overflowed
+        return self._model.overflowed
 
     # What pyusb asks of a bus.
 
     def enumerate_devices(self) -> Iterator[Any]:
-        """The one device, unless it is unplugged."""
-        if not self._body.has("unplug"):
+        """The camera, unless it is unplugged."""
+        if not self._model.has("unplug"):
             yield self
 
     def get_parent(self, dev: Any) -> None:
-        """No hub is known."""
+        """None: the camera hangs on no hub."""
 
     def get_device_descriptor(self, dev: Any) -> Any:
-        """What lsusb would show."""
+        """The device descriptor, as lsusb shows it."""
         return SimpleNamespace(
             bLength=18,
             bDescriptorType=1,
@@ -95,11 +101,11 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             bus=9,
             port_number=1,
             port_numbers=(1,),
-            speed=3 if self._body.has("usb2") else 4,
+            speed=3 if self._model.has("usb2") else 4,
         )
 
     def get_configuration_descriptor(self, dev: Any, config: int) -> Any:
-        """The one configuration."""
+        """Descriptor of the only configuration."""
         if config:
             raise IndexError
         numbers = {"bLength": 9, "bDescriptorType": 2, "wTotalLength": 32, "bNumInterfaces": 1}
@@ -107,7 +113,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return SimpleNamespace(**numbers, extra_descriptors=[])
 
     def get_interface_descriptor(self, dev: Any, intf: int, alt: int, config: int) -> Any:
-        """The one interface, without alternatives."""
+        """Descriptor of the only interface, which has no alternate settings."""
         if intf or alt:
             raise IndexError
         numbers = {"bLength": 9, "bDescriptorType": 4, "bInterfaceNumber": 0, "bAlternateSetting": 0}
@@ -122,42 +128,42 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return SimpleNamespace(**numbers, extra_descriptors=[])
 
     def open_device(self, dev: Any) -> Any:
-        """A handle: the camera itself."""
+        """The handle for all further calls: this camera; USBError without permission."""
         self._check()
-        if self._body.has("no-permission"):
+        if self._model.has("no-permission"):
             _fail("Access denied (insufficient permissions)", errno.EACCES, -3)
         return self
 
     def close_device(self, dev_handle: Any) -> None:
-        """Nothing is held."""
+        """Without effect: a virtual camera holds nothing."""
 
     def set_configuration(self, dev_handle: Any, config_value: int) -> None:
-        """Choose the configuration."""
+        """Set the configuration by its number."""
         self._check()
         self._configuration = config_value
 
     def get_configuration(self, dev_handle: Any) -> int:
-        """The configuration chosen."""
+        """Number of the configuration that is set."""
         self._check()
         return self._configuration
 
     def claim_interface(self, dev_handle: Any, intf: int) -> None:
-        """Refused if another program has it."""
+        """Claim the interface; USBError (busy) where the fault says that another program has it."""
         self._check()
-        if self._body.has("busy"):
+        if self._model.has("busy"):
             _fail("Resource busy", errno.EBUSY, -6)
 
     def release_interface(self, dev_handle: Any, intf: int) -> None:
-        """Nothing is held."""
+        """Without effect: a virtual camera holds nothing."""
 
     def is_kernel_driver_active(self, dev_handle: Any, intf: int) -> bool:
         """No driver of the kernel wants this camera."""
         return False
 
     def clear_halt(self, dev_handle: Any, ep: int) -> None:
-        """End a stall."""
+        """Clear a halted endpoint, unless the fault is that it cannot be cleared."""
         self._check()
-        self._body.halted = self._body.has("stall-for-good")
+        self._model.halted = self._model.has("stall-for-good")
 
     def ctrl_transfer(
         self,
@@ -175,8 +181,8 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             text = self._strings[wValue & 0xFF].encode("utf-16-le")
             return _answer(data, bytes([len(text) + 2, 3]) + text)
         if bmRequestType == protocol.READ and bRequest == protocol.CONFIG:
-            value = self._body.read(wValue, wIndex)
-            if value is not None and len(data) == self._body.generation.value:
+            value = self._model.read(wValue, wIndex)
+            if value is not None and len(data) == self._model.generation.value:
                 return _answer(data, value.to_bytes(len(data), "big"))
         elif bmRequestType == protocol.WRITE and self._obeys(bRequest, wValue, wIndex, bytes(data), timeout):
             self.log.append((bRequest, wValue, wIndex, bytes(data)))
@@ -184,21 +190,21 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         _fail("Pipe error", errno.EPIPE, -9)
 
     def bulk_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
-        """One transfer of event words."""
+        """One transfer of event words into the buffer; returns its bytes."""
         self._check()
-        self._body.halted |= self._body.once("stall") or self._body.has("stall-for-good")
-        if self._body.halted:
+        self._model.halted |= self._model.once("stall") or self._model.has("stall-for-good")
+        if self._model.halted:
             _fail("Pipe error", errno.EPIPE, -9)
-        data = self._body.transfer(len(buff), timeout / 1000)
+        data = self._model.transfer(len(buff), timeout / 1000)
         self._check()
         if not data:
             _fail("Operation timed out", errno.ETIMEDOUT, -7)
         return _answer(buff, data)
 
     def intr_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
-        """One packet of the debug endpoint."""
+        """One packet of the debug endpoint into the buffer; returns its bytes."""
         self._check()
-        if self._body.once("log"):
+        if self._model.once("log"):
             return _answer(buff, _LOG_PACKET)
         time.sleep(timeout / 1000)
         _fail("Operation timed out", errno.ETIMEDOUT, -7)
@@ -206,26 +212,26 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def _obeys(self, request: int, value: int, index: int, data: bytes, timeout_ms: int) -> bool:
         """Carry out a vendor request to write; False if the camera knows no such."""
         if request == protocol.CONFIG:
-            size = self._body.generation.value
-            return len(data) == size and self._body.write(value, index, int.from_bytes(data, "big"))
-        if self._body.generation is Generation.REGISTERS:
+            size = self._model.generation.value
+            return len(data) == size and self._model.write(value, index, int.from_bytes(data, "big"))
+        if self._model.generation is Generation.REGISTERS:
             return False
         if request == protocol.FLUSH_STALE:
-            if self._body.has("slow-flush"):
+            if self._model.has("slow-flush"):
                 time.sleep(timeout_ms / 1000)
                 _fail("Operation timed out", errno.ETIMEDOUT, -7)
-            self._body.flush_stale()
+            self._model.flush_stale()
         return request in (protocol.FLUSH_STALE, protocol.LOG_LEVEL, STORE_TO_FLASH)
 
     def _check(self) -> None:
-        """Nothing answers once the plug is pulled."""
-        if self._body.has("unplug"):
-            self._body.power_off()
+        """USBError (no such device) once the plug is pulled."""
+        if self._model.has("unplug"):
+            self._model.power_off()
             _fail("No such device (it may have been disconnected)", errno.ENODEV, -4)
 
 
 def _answer(buffer: Any, data: bytes) -> int:
-    """Put what fits into a buffer of pyusb."""
+    """Copy as many bytes as fit into a buffer of pyusb; returns how many."""
     count = min(len(buffer), len(data))
     buffer[:count] = array("B", data[:count])
     return count

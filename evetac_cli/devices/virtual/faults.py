@@ -1,0 +1,108 @@
+"""What can be made to go wrong with a virtual camera or gripper, and the text by which it is asked for.
+
+A fault is `NAME[%PERCENT][@SECONDS[:DURATION]]`: %PERCENT strikes each answer with that probability, @SECONDS begins so
+long after the camera was started or the gripper's torque first switched on (without it at once), :DURATION ends it.
+On the command line they follow the device, joined by `+`: `--camera virtual:unplug@2 --gripper virtual:lost-answer%2`.
+"""
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from evetac_cli.errors import InputError
+
+
+class FaultKind(NamedTuple):
+    """What a fault does, and which parts of its text it takes."""
+
+    effect: str
+    moment: bool = True  # @SECONDS
+    duration: bool = True  # :DURATION; of one that takes %PERCENT only together with that
+    percent: bool = False  # %PERCENT
+    usual_s: float = 0.0  # its duration if none is given; 0: it strikes once, or lasts for good
+
+
+_BEFORE = {"moment": False, "duration": False}  # it is so from before the camera is opened
+
+CAMERA_FAULTS: Mapping[str, FaultKind] = {
+    "unplug": FaultKind("the camera is no longer on the bus"),
+    "stall": FaultKind("the data endpoint halts, until it is cleared"),
+    "stall-for-good": FaultKind("the data endpoint halts and cannot be cleared"),
+    "lost-timestamps": FaultKind("TIMESTAMP words are missing", usual_s=0.1),
+    "odd": FaultKind("reads return odd numbers of bytes, cutting words", usual_s=0.1),
+    "torn": FaultKind("the last bytes of a transfer are missing"),
+    "damage": FaultKind("one word in 50 is replaced by random bits", usual_s=0.1),
+    "silence": FaultKind("nothing is sent, and what was seen is lost", usual_s=0.1),
+    "log": FaultKind("the camera says `sensor fault` on its debug endpoint"),
+    "no-permission": FaultKind("the system refuses to open the camera", **_BEFORE),
+    "busy": FaultKind("another program has claimed the camera", **_BEFORE),
+    "usb2": FaultKind("the camera is linked by USB 2", **_BEFORE),
+    "slow-flush": FaultKind("the request to flush stale data is never answered", **_BEFORE),
+}
+GRIPPER_FAULTS: Mapping[str, FaultKind] = {
+    "late-answer": FaultKind("the answer comes when the host has long given up", percent=True),
+    "lost-answer": FaultKind("no answer", percent=True),
+    "bad-crc": FaultKind("one byte of the answer is damaged", percent=True),
+    "watchdog": FaultKind("the Bus Watchdog trips as if the host had been silent", duration=False),
+    "overload": FaultKind("hardware error: torque off, an alert in every answer until reboot", duration=False),
+    "unplug": FaultKind("the port is gone", duration=False),
+}
+
+
+_NUMBER = r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)"
+_FORM = re.compile(rf"([a-z0-9-]+)(?:%{_NUMBER})?(?:@{_NUMBER}(?::{_NUMBER})?)?")
+
+
+class Fault(NamedTuple):
+    """One fault: when it begins (s, None: at once), how long it lasts (s, 0: once or for good), which share it hits."""
+
+    name: str
+    start_s: float | None = None
+    duration_s: float = 0.0
+    share: float = 0.0  # of answers; 0 for a fault without %PERCENT
+
+    def lasts(self, now_s: float) -> bool:
+        """Whether it is there at this time, counted from where its moment is counted from."""
+        start_s = self.start_s or 0.0
+        return now_s >= start_s and (self.duration_s == 0.0 or now_s < start_s + self.duration_s)
+
+
+def camera_fault(text: str) -> Fault:
+    """A fault of a virtual camera; InputError if there is no such."""
+    return _parse(text, CAMERA_FAULTS, "camera")
+
+
+def gripper_fault(text: str) -> Fault:
+    """A fault of a virtual gripper; InputError if there is no such."""
+    return _parse(text, GRIPPER_FAULTS, "gripper")
+
+
+def _parse(text: str, kinds: Mapping[str, FaultKind], device: str) -> Fault:
+    form = _FORM.fullmatch(text)
+    kind = kinds.get(form[1]) if form else None
+    if form and kind:
+        name, percent, start, duration = form.groups()
+        fault = Fault(
+            name,
+            None if start is None else float(start),
+            kind.usual_s if duration is None else float(duration),
+            float(percent or 0.0) / 100.0,
+        )
+        if (
+            (percent is None or (kind.percent and 0.0 < fault.share <= 1.0))
+            and (start is None or kind.moment)
+            and (duration is None or (kind.duration and (percent is not None or not kind.percent)))
+        ):
+            return fault
+    raise InputError(f"not a fault of a virtual {device}", expected=_expected(kinds), found=text)
+
+
+def _expected(kinds: Mapping[str, FaultKind]) -> str:
+    """What may be written, with the names for which it may."""
+    forms = (
+        ("NAME@SECONDS or NAME@SECONDS:DURATION", [n for n, k in kinds.items() if k.duration and not k.percent]),
+        ("NAME or NAME@SECONDS", [n for n, k in kinds.items() if k.moment and (k.percent or not k.duration)]),
+        ("NAME%PERCENT, too with @SECONDS or @SECONDS:DURATION,", [n for n, k in kinds.items() if k.percent]),
+        ("NAME alone", [n for n, k in kinds.items() if not k.moment]),
+    )
+    return "; ".join(f"{form} of {', '.join(names)}" for form, names in forms if names)

@@ -1,0 +1,101 @@
+"""Faults of virtual devices by name: one grammar, and two tables that say which parts a fault takes."""
+
+import numpy as np
+import pytest
+
+from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, GRIPPER_FAULTS, Fault, camera_fault, gripper_fault
+from evetac_cli.devices.virtual.servo import Answer
+from evetac_cli.devices.virtual.servo_process import LATE_S, Faults
+from evetac_cli.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("unplug@2.5", Fault("unplug", 2.5)),
+        ("silence@1:0.5", Fault("silence", 1.0, 0.5)),
+        ("damage", Fault("damage", None, 0.1)),
+        ("stall", Fault("stall")),
+        ("busy", Fault("busy")),
+    ],
+)
+def test_faults_of_a_camera(text: str, fault: Fault) -> None:
+    """Assert that name, moment and duration are understood, and that a fault has its usual duration."""
+    assert camera_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("unplug", Fault("unplug")),
+        ("lost-answer@1.5", Fault("lost-answer", 1.5)),
+        ("bad-crc%2.5", Fault("bad-crc", share=0.025)),
+        ("late-answer@0", Fault("late-answer", 0.0)),
+        ("lost-answer%20@1:3", Fault("lost-answer", 1.0, 3.0, 0.2)),
+    ],
+)
+def test_faults_of_a_gripper(text: str, fault: Fault) -> None:
+    """Assert that name, share, moment and duration are understood."""
+    assert gripper_fault(text) == fault
+
+
+WRONG = ["", "@1", "fire", "fire@1", "unplug@x", "unplug@", "unplug@-1", "unplug@inf", "unplug@nan", "unplug%5"]
+
+
+@pytest.mark.parametrize(
+    "text", [*WRONG, "busy@1", "damage%5", "silence@1:x", "silence@1:-1", "silence@1:", "watchdog"]
+)
+def test_other_faults_of_a_camera_are_refused(text: str) -> None:
+    """Assert that what is no fault of a camera is refused, with all that are, and how they are written."""
+    with pytest.raises(InputError, match="virtual camera") as refused:
+        camera_fault(text)
+    assert "NAME@SECONDS:DURATION of unplug, stall," in str(refused.value)
+    assert "NAME alone of no-permission, busy, usb2, slow-flush" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "text", [*WRONG, "bad-crc%101", "bad-crc%0", "bad-crc%", "bad-crc%-1", "bad-crc@1:2", "overload@1:2", "stall"]
+)
+def test_other_faults_of_a_gripper_are_refused(text: str) -> None:
+    """Assert that what is no fault of a gripper is refused, with all that are, and how they are written."""
+    with pytest.raises(InputError, match="virtual gripper") as refused:
+        gripper_fault(text)
+    assert "NAME@SECONDS of late-answer, lost-answer, bad-crc, watchdog, overload, unplug" in str(refused.value)
+    assert "DURATION, of late-answer, lost-answer, bad-crc" in str(refused.value)
+
+
+def test_every_fault_may_be_written_as_its_name() -> None:
+    """Assert that each name alone is a fault."""
+    assert [camera_fault(name).name for name in CAMERA_FAULTS] == list(CAMERA_FAULTS)
+    assert [gripper_fault(name).name for name in GRIPPER_FAULTS] == list(GRIPPER_FAULTS)
+
+
+def test_how_long_a_fault_lasts() -> None:
+    """Assert that it lasts from its moment to its end, that included and this not, and without a duration for good."""
+    assert [camera_fault("damage@1:0.5").lasts(now_s) for now_s in (0.9, 1.0, 1.4, 1.5)] == [False, True, True, False]
+    assert camera_fault("unplug@1").lasts(1e9)
+    assert not camera_fault("unplug").lasts(-1.0)
+
+
+def spoilt(faults: Faults, times_s: list[float]) -> list[Answer | None]:
+    return [faults.spoil(Answer(b"ab", 0.0), now_s, torque=True) for now_s in times_s]
+
+
+def test_a_share_of_answers_is_lost_for_its_time() -> None:
+    """Assert that answers are lost between moment and end, counted from the first torque, and none else."""
+    faults = Faults([gripper_fault("lost-answer%100@1:2")], np.random.default_rng(0))
+    answer = Answer(b"ab", 0.0)
+    assert faults.spoil(answer, 0.0, torque=False) == answer
+    assert spoilt(faults, [10.0, 10.9, 11.0, 12.9, 13.0]) == [answer, answer, None, None, answer]
+
+
+def test_an_answer_is_spoilt_once() -> None:
+    """Assert that a fault without a share hits one answer, which is damaged or late, and that others wait for it."""
+    faults = Faults([gripper_fault("bad-crc"), gripper_fault("late-answer@1")], np.random.default_rng(0))
+    assert faults.due(0.0, torque=True) == []
+    damaged, whole, late = spoilt(faults, [0.0, 0.5, 1.0])
+    assert damaged is not None and damaged.data[:1] == b"a" and damaged.data[1:] != b"b"
+    assert whole == (b"ab", 0.0)
+    assert late == (b"ab", LATE_S)
+    faults.add(gripper_fault("overload@2"))
+    assert [faults.due(now_s, torque=True) for now_s in (1.9, 2.0, 2.1)] == [[], ["overload"], []]
