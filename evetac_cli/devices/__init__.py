@@ -97,14 +97,14 @@ class Closable(Protocol):
 
 @dataclass(frozen=True)
 class Rig:
-    """Devices that belong together in one trial."""
+    """Camera, gripper and clock of one trial, and what is known of them."""
 
     camera: EventCamera
     gripper: Gripper | None
     clock: Clock
     truth: Callable[[], Mapping[str, Any]] | None = None  # one row per slice just read; simulations only
     holding_ma: float = 0.0  # the current that holds the object stably; 0 where it is not known
-    drawn: str = ""  # JSON of what a simulation drew for this trial
+    sampled: str = ""  # JSON of the parameters that a simulation sampled for this trial
     sensor: Mapping[str, Any] = field(default_factory=dict)  # what is known beyond what the camera says of itself
     setup: Mapping[str, Any] = field(default_factory=dict)  # what the devices are and how they are set; JSON
     simulated: bool = True  # what the camera sees comes from a simulation
@@ -112,7 +112,7 @@ class Rig:
     peers: tuple[Closable, ...] = ()  # what the devices need, such as the virtual ones behind the wire
 
     def known_sensor(self) -> dict[str, Any]:
-        """All that is known of the sensor, by the camera and beyond it."""
+        """All datasets of the sensor, those of the camera and those known beyond it."""
         return {**self.camera.sensor, **self.sensor}
 
     def counted(self) -> dict[str, int]:

@@ -1,7 +1,7 @@
 """Cameras by name, as on the command line: `--camera dvxplorer:DXM00042`.
 
 `parse` turns a name into an object of one of the kinds in `KINDS` and touches no device; its `open` starts the camera.
-A driver is imported only when a camera of its kind is opened, so that the library of a device that is not there is not
+A driver is imported only when a camera of its kind is opened, so that the library of a device that is not used is not
 needed.
 """
 
@@ -64,7 +64,7 @@ class NamedCamera:
     name: ClassVar[str]
     is_stepped: ClassVar[bool] = False  # its time passes as slices are read: a simulation that is not in real time
     is_simulated: ClassVar[bool] = False  # what it sees is simulated now; a replay may show an earlier simulation
-    is_hardware: ClassVar[bool] = False  # somebody has to put an object in place
+    is_hardware: ClassVar[bool] = False  # a person puts the object in place
     is_adjustable: ClassVar[bool] = False  # thresholds and readout rate can be set
     is_replay: ClassVar[bool] = False
     own_gripper: ClassVar[str] = "none"  # the gripper that belongs to it where none is named
@@ -125,7 +125,7 @@ class Simulated(NamedCamera):
 
     @property
     def simulates_scene(self) -> bool:
-        """True: there is nothing else for it to see."""
+        """True, always."""
         return True
 
 
@@ -267,7 +267,7 @@ KINDS: dict[str, Callable[[str], NamedCamera]] = {
 
 
 def parse(text: str) -> NamedCamera:
-    """Understand --camera; InputError if there is no such kind of camera, or no such option of a virtual one."""
+    """Understand --camera; InputError if it is no such kind of camera, or no such option of a virtual one."""
     kind, _, rest = text.partition(":")
     if kind in KINDS:
         return KINDS[kind](rest)

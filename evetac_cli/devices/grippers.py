@@ -34,8 +34,8 @@ class NamedGripper:
 
     name: ClassVar[str]
     is_stepped: ClassVar[bool] = False  # part of a simulation whose time passes as slices are read
-    is_hardware: ClassVar[bool] = False  # it can hurt somebody
-    is_moved: ClassVar[bool] = True  # somebody commands it
+    is_hardware: ClassVar[bool] = False  # it moves real fingers
+    is_moved: ClassVar[bool] = True  # commands move it
 
     @property
     def port(self) -> str:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 LOAD_S = 120.0  # in which both must be ready, compiling included
 OPEN_S = 30.0  # in which the camera must run
-LAST_S = 0.5  # that one of both has, once the other has ended, to end by itself
+LAST_S = 0.5  # for the one to end by itself, once the other has ended
 END_S = 3.0
 POLL_S = 0.05
 ALIVE = "it is still running"
@@ -133,7 +133,7 @@ def exit_words(process: Any) -> str:
 
 @dataclass
 class RecordedGrasp:
-    """What a grasp in real time amounts to."""
+    """What was recorded of a grasp in real time, and why it ended."""
 
     end_ms: int  # when it is to be over
     slices: int = 0
@@ -145,9 +145,7 @@ class RecordedGrasp:
     slice_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     step_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     latency_us: "array[float]" = field(default_factory=lambda: array("d"))
-    steps: TrialBuffer = field(
-        default_factory=TrialBuffer
-    )  # of the controller: from them it is known what became of the grasp
+    steps: TrialBuffer = field(default_factory=TrialBuffer)  # of the controller, as far as the outcome needs them
     truth: TrialBuffer = field(default_factory=TrialBuffer)  # of a virtual world
     truths: int = 0  # slices whose truth is known
     world_over: bool = False
@@ -215,7 +213,7 @@ class RecordedGrasp:
             self.truth.rows.setdefault(name, []).extend(values)
         self.truths += len(next(iter(rows.values())))
 
-    def is_to_stop(self) -> bool:
+    def must_stop(self) -> bool:
         """Whether something has come up for which the other processes have to end now."""
         if self.world_over and self.truths < self.end_ms and not self.ended:
             self.ended = FELL
@@ -293,7 +291,7 @@ def record(
         recorded.detector_died = processes.slices.ended and recorded.detector is None
         if signals and not recorded.ended:
             recorded.ended = INTERRUPTED
-        if stopped_s == math.inf and (recorded.is_to_stop() or now_s > first_end_s + LAST_S):
+        if stopped_s == math.inf and (recorded.must_stop() or now_s > first_end_s + LAST_S):
             processes.status.stop()
             stopped_s = now_s
     until_s = time.monotonic() + LAST_S

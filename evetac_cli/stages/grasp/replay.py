@@ -58,7 +58,7 @@ class RecordedGripper:
 
 
 def check(trial: ReplayTrial, params: Grasp, *, force: bool) -> None:
-    """InputError for what a run would refuse; only files are looked at."""
+    """InputError for what a run would refuse; only files are read."""
     with open_recording(trial.inputs[0]) as recording:
         timing = make_timing(params, recording.header["parameters"])
         control = Control(setup.make_law(params), params.control_hz)

@@ -1,4 +1,4 @@
-"""What a grasp is made of, by its flags: law, model, phases, detector; the same in simulation and in real time."""
+"""Law, model, phases and detector of a grasp by its flags; the same in simulation and in real time."""
 
 from collections.abc import Mapping
 from dataclasses import asdict

@@ -58,7 +58,7 @@ def run(trial: SimulatedTrial, params: Grasp, *, force: bool, progress: Progress
         devices.close()
     arrays = buffer.arrays()
     figures = grasp_outcome.outcome(arrays, parameters["sensor_row"]["mm_per_px"], timing.end_ms)
-    more = {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.drawn, "t_offset": np.int64(0)}
-    write_stage(trial.output, recipe, {**devices.camera.sensor, **arrays, **more})
+    arrays |= {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.sampled}
+    write_stage(trial.output, recipe, {**devices.camera.sensor, **arrays, "t_offset": np.int64(0)})
     slipping = detector.count if detector else 0
     return outcome(trial, made=True, simulated=True, slices=slices, slices_with_slip=slipping, **figures)

@@ -1,4 +1,4 @@
-"""Recording from devices: whatever ends it, what was recorded until then is kept.
+"""Recording from devices: whatever ends it, what was recorded until then is saved.
 
 The camera gives the pace: its slices are written as they come. A gripper is commanded by a thread of its own
 (current_ramp.py). The end of the time, Ctrl-C, a gripper that has let go and a device that fails all end with a valid

@@ -62,7 +62,7 @@ def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
 
 
 def _frame(text: str | None) -> tuple[int, int] | None:
-    """Width and height of --frame-size; InputError if it is no such thing."""
+    """Width and height of --frame-size; InputError if it is not two numbers."""
     if text is None:
         return None
     width, _, height = text.lower().partition("x")

@@ -1,4 +1,4 @@
-"""What a camera sees, as a small picture of characters on the terminal; nothing is written and no gripper moves."""
+"""record --live: what a camera sees, as a picture of characters on the terminal; nothing is written or moved."""
 
 import time
 from collections import deque
@@ -79,6 +79,6 @@ def picture(parts: list[Events], frame_px: tuple[int, ...]) -> str:
         row = events.y.astype(np.int64) * ROWS // height
         counts += np.bincount(row * COLUMNS + column, minlength=ROWS * COLUMNS)
     pixels = width * height / (ROWS * COLUMNS)
-    dark = np.sqrt(np.minimum(counts / (FULL * pixels), 1.0))  # a single dot's events are to be seen, too
+    dark = np.sqrt(np.minimum(counts / (FULL * pixels), 1.0))  # events of a single dot are visible, too
     shade = np.ceil(dark * (len(SHADES) - 1)).astype(np.int64).reshape(ROWS, COLUMNS)
     return "\n".join("".join(SHADES[value] for value in line) for line in shade)

@@ -39,7 +39,7 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
     devices = rig(recipe.parameters, seeds)
     scene = recipe.parameters["scene"]
     longest_ms = round(1000 * _longest_s(scene["time"]))
-    known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.drawn}
+    known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     writer = RecordingWriter(trial.output, known, discard_leftover=True)
     try:
         slices, events = _follow(devices, writer, Handling.read(scene), ramp, lambda done: progress(done, longest_ms))
