@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 Progress = Callable[[int, int], None]  # (done, total)
 
@@ -12,17 +12,17 @@ def silent(done: int, total: int) -> None:
     """Report no progress."""
 
 
-class Job(NamedTuple):
-    """One output to make: its inputs, where it goes, and what else tells it from its siblings."""
+@dataclass(frozen=True)
+class Job:
+    """One output to make from its inputs; a stage that has to know more of it adds fields in a class of its own."""
 
     inputs: tuple[Path, ...]
     output: Path
-    choice: dict[str, Any] = {}
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a job has to say: flat rows for the table and --json (units end the names), figures over all rows."""
+    """What a job reports: flat rows for the table and --json (units end the names), figures over all rows."""
 
     rows: list[dict[str, Any]]
     simulated: bool

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from evetac_cli.events import Events
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 
 class EventCamera(Protocol):
-    """A source of slices."""
+    """A source of slices, one for every millisecond."""
 
     @property
     def sensor(self) -> Mapping[str, Any]:
@@ -28,18 +29,35 @@ class EventCamera(Protocol):
         """The next slice of 1 ms (t in us, absolute), or None once the stream has ended; DeviceError if it broke."""
 
     def close(self) -> None:
-        """Let go of the device; a second call does nothing."""
+        """Stop the camera; a second call does nothing."""
 
 
 class GripperReading(NamedTuple):
-    """What a gripper says of itself; closing is positive."""
+    """Current and position as a gripper measures them; closing is positive."""
 
     current_ma: float
     position_ticks: int
 
 
+def gripper_row(
+    now_us: int, reading: GripperReading, *, target_ma: float = float("nan"), written_ma: int = 0
+) -> dict[str, Any]:
+    """The row of a command in datasets `gripper/...` of a recording.
+
+    now_us: device time; target_ma, written_ma: the goal current and what was written of it; the defaults stand for a
+    command that is a position.
+    """
+    return {
+        "gripper/t_us": now_us,
+        "gripper/current_target_ma": target_ma,
+        "gripper/current_written_ma": written_ma,
+        "gripper/current_ma": reading.current_ma,
+        "gripper/position_ticks": reading.position_ticks,
+    }
+
+
 class Gripper(Protocol):
-    """A parallel gripper driven by motor current or by goal position."""
+    """A parallel gripper that is commanded by motor current or by goal position."""
 
     @property
     def counted(self) -> Mapping[str, int]:
@@ -65,31 +83,36 @@ class Clock(Protocol):
         """Microseconds since the start of the recording."""
 
 
+def camera_time(camera: EventCamera) -> TimeSource:
+    """The time by which a camera runs, and loops with it: the host's, unless it says otherwise."""
+    return getattr(camera, "time", HOST_TIME)
+
+
 class Closable(Protocol):
-    """What has to be let go of at the end."""
+    """A device, or what is behind one, that has to be closed at the end."""
 
     def close(self) -> None:
-        """Let go; a second call does nothing."""
+        """Close it; a second call does nothing."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Devices that belong together in one trial."""
+    """Camera, gripper and clock of one trial, and what is known of them."""
 
     camera: EventCamera
     gripper: Gripper | None
     clock: Clock
     truth: Callable[[], Mapping[str, Any]] | None = None  # one row per slice just read; simulations only
-    holding_ma: float = 0.0  # the current that holds the object stably; 0 where nobody knows
-    drawn: str = ""  # JSON of what a simulation drew for this trial
+    holding_ma: float = 0.0  # the current that holds the object stably; 0 where it is not known
+    sampled: str = ""  # JSON of the parameters that a simulation sampled for this trial
     sensor: Mapping[str, Any] = field(default_factory=dict)  # what is known beyond what the camera says of itself
     setup: Mapping[str, Any] = field(default_factory=dict)  # what the devices are and how they are set; JSON
     simulated: bool = True  # what the camera sees comes from a simulation
     parents: tuple[dict[str, Any], ...] = ()  # headers of the files that the camera plays
     peers: tuple[Closable, ...] = ()  # what the devices need, such as the virtual ones behind the wire
 
-    def sensor_known(self) -> dict[str, Any]:
-        """All that is known of the sensor, by the camera and beyond it."""
+    def known_sensor(self) -> dict[str, Any]:
+        """All datasets of the sensor, those of the camera and those known beyond it."""
         return {**self.camera.sensor, **self.sensor}
 
     def counted(self) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""Camera, gripper and clock of a simulated world: reading a slice is what makes its time pass."""
+"""Camera, gripper and clock of a simulated scene: reading a slice is what makes its time pass."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -13,32 +13,34 @@ from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
 from evetac_cli.sim.scenes.vibrating import Vibration
 
-DRIVEN = {"press": Pressing, "rub": Rubbing, "tone": Vibration}  # kinds of scene without a gripper
+DRIVEN_SCENES = {"press": Pressing, "rub": Rubbing, "tone": Vibration}  # kinds of scene without a gripper
+
+Simulation = GraspSimulation | Pressing | Vibration
 
 
 class SimulatedCamera:
-    """A camera that looks at a world, and the clock of that world."""
+    """The camera of a simulated scene, and the clock of that scene."""
 
     counted: Mapping[str, int] = MappingProxyType({})
 
-    def __init__(self, world: GraspSimulation | Pressing | Vibration, name: str, sensor_row: Mapping[str, Any]) -> None:
-        self._world: GraspSimulation | Pressing | Vibration | None = world
+    def __init__(self, simulation: Simulation, name: str, sensor_row: Mapping[str, Any]) -> None:
+        self._simulation: Simulation | None = simulation
         self._now_us = 0
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array(sensor_row["frame_px"], np.int32),
             "sensor/name": name,
-            "sensor/dot_xy_px": world.gel_camera.grid_xy_px,
+            "sensor/dot_xy_px": simulation.gel_camera.grid_xy_px,
             "sensor/dot_radius_px": np.float64(sensor_row["dot_radius_px"]),
         }
-        if world.gel_camera.window_px is not None:
-            self.sensor = {**self.sensor, "sensor/window_px": np.array(world.gel_camera.window_px, np.int32)}
+        if simulation.gel_camera.window_px is not None:
+            self.sensor = {**self.sensor, "sensor/window_px": np.array(simulation.gel_camera.window_px, np.int32)}
 
     def read(self) -> Events | None:
-        """Advance the world by 1 ms and return what the camera saw; None once the scene has ended."""
-        if self._world is None or self._world.finished:
+        """Advance the scene by 1 ms and return what the camera saw; None once the scene has ended."""
+        if self._simulation is None or self._simulation.finished:
             return None
         self._now_us += SLICE_US
-        return self._world.step()
+        return self._simulation.step()
 
     def now_us(self) -> int:
         """End of the slice that was read last."""
@@ -46,44 +48,48 @@ class SimulatedCamera:
 
     def close(self) -> None:
         """End the simulation."""
-        self._world = None
+        self._simulation = None
 
 
 class SimulatedGripper:
-    """A gripper in a world; as on the real one, a command holds until the next."""
+    """The gripper of a simulated scene; as on the real one, a command holds until the next."""
 
     counted: Mapping[str, int] = MappingProxyType({})
 
-    def __init__(self, world: GraspSimulation) -> None:
-        self.world = world
+    def __init__(self, simulation: GraspSimulation) -> None:
+        self.simulation = simulation
 
     def read(self) -> GripperReading:
-        """Current and integer encoder position."""
-        finger = self.world.finger
+        """Current of the motor and position of the encoder, which is a whole number."""
+        finger = self.simulation.finger
         return GripperReading(finger.current_ma, finger.position_ticks)
 
     def write_current(self, current_ma: int) -> None:
-        """Current mode."""
-        self.world.command = ("current", current_ma)
+        """Command a current, from the next slice on."""
+        self.simulation.command = ("current", current_ma)
 
     def write_position(self, goal_ticks: int) -> None:
-        """Position mode."""
-        self.world.command = ("position", goal_ticks)
+        """Command a position, from the next slice on."""
+        self.simulation.command = ("position", goal_ticks)
 
     def close(self) -> None:
-        """Current zero."""
-        self.world.command = ("current", 0)
+        """Command no current."""
+        self.simulation.command = ("current", 0)
 
 
 def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: float) -> Rig:
-    """Build the devices of a simulated trial; each part draws from a stream of its own."""
+    """Build the devices of a simulated trial; mechanics and optics draw from random streams of their own.
+
+    durations: lift_s and balance_s of a scene in which an object is lifted.
+    """
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
     named = plan["sensor"], plan["sensor_row"]
-    driven = DRIVEN.get(plan["scene"]["kind"])
+    driven = DRIVEN_SCENES.get(plan["scene"]["kind"])
     if driven is not None:
         trial = driven(plan, mechanics, optics)
         camera = SimulatedCamera(trial, *named)
-        return Rig(camera, None, camera, trial.truth, drawn=trial.sampled.as_json())
-    world = GraspSimulation(plan, mechanics, optics, **durations)
-    camera = SimulatedCamera(world, *named)
-    return Rig(camera, SimulatedGripper(world), camera, world.truth, world.holding_ma(), world.sampled.as_json())
+        return Rig(camera, None, camera, trial.truth, sampled=trial.sampled.as_json())
+    simulation = GraspSimulation(plan, mechanics, optics, **durations)
+    camera = SimulatedCamera(simulation, *named)
+    gripper, sampled = SimulatedGripper(simulation), simulation.sampled.as_json()
+    return Rig(camera, gripper, camera, simulation.truth, simulation.holding_ma(), sampled)

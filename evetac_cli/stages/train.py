@@ -11,6 +11,7 @@ which the same command goes on to the same result.
 import time
 import zipfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,15 @@ VALIDATE_EVERY = 8
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
 
-def jobs(files: list[Path], params: Train, out: Path | None) -> list[Job]:
+@dataclass(frozen=True)
+class TrainJob(Job):
+    """One model to train on the first `learned` of its inputs, with a seed; the others validate."""
+
+    learned: int
+    seed: int
+
+
+def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
     """One model for every seed, each from all features files together."""
     validate = named_files(params.validate, "features", "--validate") if params.validate else []
     files, validate = _with_objects(files, params), _with_objects(validate, params)
@@ -63,7 +72,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[Job]:
         number = f"-s{seed}" if params.seeds > 1 else ""
         name = f"{params.model}{horizon_ms}{number}.model.h5"
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
-        trainings.append(Job((*learn, *validate), output, {"learn": len(learn), "seed": seed}))
+        trainings.append(TrainJob((*learn, *validate), output, len(learn), seed))
     return trainings
 
 
@@ -78,10 +87,10 @@ def _with_objects(files: list[Path], params: Train) -> list[Path]:
     return chosen
 
 
-def run(job: Job, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
     headers = [_header(path) for path in job.inputs]
-    learn, seed = job.choice["learn"], job.choice["seed"]
+    learn, seed = job.learned, job.seed
     check_disjoint(headers[:learn], headers[learn:], "validated on", job.inputs[learn:])
     labels = _label_method(job.inputs[:learn], headers[:learn])
     folds = make_folds(headers, learn, params.folds)
@@ -161,7 +170,7 @@ def run(job: Job, params: Train, *, force: bool = False, progress: Progress = si
 
 
 def _train(
-    job: Job, params: Train, recipe: Recipe, samples: Samples, place: tuple[int, int], progress: Progress
+    job: TrainJob, params: Train, recipe: Recipe, samples: Samples, place: tuple[int, int], progress: Progress
 ) -> tuple["Training", int | None]:
     """Train from the beginning, or from the saved state of an interrupted run; its step, or None, is returned too.
 
@@ -170,7 +179,7 @@ def _train(
     from evetac_cli.kernels.slip import training
 
     number, networks = place
-    seed = job.choice["seed"]
+    seed = job.seed
     part = _part(job, *place)
     saved = _read_part(part, recipe)
     written = time.monotonic()

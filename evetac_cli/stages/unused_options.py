@@ -1,13 +1,13 @@
 """Refuses options of `record` and `grasp` that would have no effect in a run: none is ignored silently."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from enum import StrEnum
 
-from evetac_cli.devices.naming import camera_name
+from evetac_cli.devices.cameras import NamedCamera
+from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.params import Grasp, Record, flag_of
-from evetac_cli.stages.record.capture_plan import names
 
 
 class Source(StrEnum):
@@ -24,7 +24,7 @@ class Source(StrEnum):
     GRASPED = "a grasp with devices (--camera virtual, dvxplorer or dv)"
 
 
-# Options that are not listed have an effect in every run, or `names` checks how they fit together.
+# Options that are not listed have an effect in every run, or their stage checks how they fit together.
 RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("scene", "objects", "sensor", "gel", "readout"), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
@@ -43,38 +43,36 @@ GRASP: dict[str, tuple[Source, ...]] = {
 }
 
 
-def sources(params: Record) -> set[Source]:
-    """The parts of a run; InputError for unknown devices, or devices that do not fit together."""
-    cameras, gripper = names(params)
+def refuse_unused_of_record(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> None:
+    """InputError for an option of record that is not at its default and belongs to nothing that this run has."""
+    _refuse(params, RECORD, _record_sources(params, cameras, gripper))
+
+
+def refuse_unused_of_grasp(params: Grasp, camera: NamedCamera) -> None:
+    """InputError for an option of grasp that is not at its default and belongs to nothing that this run has."""
+    scene = {Source.SCENE} if camera.simulates_scene else set()
+    _refuse(params, GRASP, scene | ({Source.GRASPED} if camera.is_adjustable else set()))
+
+
+def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> set[Source]:
     if params.source is not None:
         return {Source.IMPORT}
-    if cameras[0].kind == "sim":
+    if cameras[0].is_stepped:
         return {Source.SCENE, Source.STEPPED} | ({Source.LIVE} if params.live else set())
-    parts = {Source.DEVICE, Source.LIVE if params.live else Source.RECORDED}
-    if any(camera.kind == "virtual" and camera.prepared_events_s is None for camera in cameras):
-        parts.add(Source.SCENE)
-    if any(camera.kind != "replay" for camera in cameras):
-        parts.add(Source.SENSOR)
-    if gripper.kind != "none" and not params.live:
-        parts.add(Source.MOVED)
-    return parts
+    sources = {Source.DEVICE, Source.LIVE if params.live else Source.RECORDED}
+    if any(camera.simulates_scene for camera in cameras):
+        sources.add(Source.SCENE)
+    if any(camera.is_adjustable for camera in cameras):
+        sources.add(Source.SENSOR)
+    if gripper.is_moved and not params.live:
+        sources.add(Source.MOVED)
+    return sources
 
 
-def refuse_unused_options(params: Record | Grasp) -> None:
-    """InputError for an option that is not at its default and belongs to no part of this run."""
-    if isinstance(params, Grasp):
-        camera = camera_name(params.camera)
-        simulated = camera.kind in ("sim", "virtual") and camera.prepared_events_s is None
-        has = {Source.SCENE} if simulated else set()
-        _refuse(params, GRASP, has if camera.kind in ("sim", "replay") else has | {Source.GRASPED})
-    else:
-        _refuse(params, RECORD, sources(params))
-
-
-def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], has: set[Source]) -> None:
+def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], sources: set[Source]) -> None:
     for item in fields(params):
         belongs = table.get(item.name)
-        if belongs is None or getattr(params, item.name) == item.default or has.intersection(belongs):
+        if belongs is None or getattr(params, item.name) == item.default or sources.intersection(belongs):
             continue
         raise InputError(
             f"has no effect in this run: it belongs to {' or '.join(belongs)}",

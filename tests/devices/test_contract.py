@@ -1,18 +1,19 @@
 """The contract of being a camera or a gripper, run over all of them; a new device gets these tests by a row.
 
-A real one joins with `pytest tests/test_devices_contract.py --camera dvxplorer --gripper /dev/ttyUSB0`; the gripper
+A real one joins with `pytest tests/devices/test_contract.py --camera dvxplorer --gripper /dev/ttyUSB0`; the gripper
 then moves, with 60 mA.
 """
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
 
-from evetac_cli.devices import EventCamera, Rig
-from evetac_cli.devices.naming import CameraSettings, camera_name, gripper_name, open_rig
+from evetac_cli.devices import EventCamera, Rig, cameras, grippers
+from evetac_cli.devices.cameras import CameraSettings
+from evetac_cli.devices.grippers import Mode
+from evetac_cli.devices.opening import open_rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import DeviceError
@@ -20,8 +21,6 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.scene import for_trial, plan
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
-
-Mode = Literal["current", "position"]
 
 
 def simulated(made: Made, mode: Mode = "current") -> Rig:
@@ -34,10 +33,9 @@ def lifted(made: Made, mode: Mode = "current") -> Rig:
 
 def named(camera: str, gripper: str, made: Made, mode: Mode = "current") -> Rig:
     """What the command line opens for these names."""
-    gel_camera = camera_name(camera)
     ramp = for_trial(plan(str(made.scene), "8", "evetac", ("ramp",))[0], (5, 8, 0))
-    hand = gripper_name(gripper, gel_camera)
-    return open_rig(gel_camera, hand, CameraSettings(), ramp, np.random.SeedSequence([5, 8, 0]), mode=mode)
+    seeds = np.random.SeedSequence([5, 8, 0])
+    return open_rig(cameras.parse(camera), grippers.parse(gripper), CameraSettings(), ramp, seeds, mode=mode)
 
 
 # Cameras whose stream ends by itself, and those that go on until they are closed.
@@ -221,8 +219,8 @@ def test_replay_of_another_kind_is_refused(made: Made, tmp_path: Path) -> None:
         ReplayCamera(made.model)
 
 
-class Thing:
-    """Something that says when it is closed, or cannot be."""
+class Device:
+    """A device that logs when it is closed, or cannot be."""
 
     def __init__(self, name: str, log: list[str], counted: dict[str, int] | None = None, fails: bool = False) -> None:
         self.name, self.log, self.fails = name, log, fails
@@ -237,8 +235,8 @@ class Thing:
 def test_rig_closes_everything_in_order() -> None:
     """Assert that the gripper is let go of first and what is behind the devices last, whatever fails on the way."""
     log: list[str] = []
-    camera, gripper = Thing("camera", log, {"late": 2}), Thing("gripper", log, {"lost": 1}, fails=True)
-    peers = Thing("servo", log), Thing("world", log, {"slices_late": 3})
+    camera, gripper = Device("camera", log, {"late": 2}), Device("gripper", log, {"lost": 1}, fails=True)
+    peers = Device("servo", log), Device("world", log, {"slices_late": 3})
     devices = Rig(camera, gripper, camera, peers=peers)  # type: ignore[arg-type]  # only what is asked of them here
     assert devices.counted() == {"camera.late": 2, "gripper.lost": 1, "world.slices_late": 3}
     with pytest.raises(DeviceError, match="gripper will not close"):

@@ -1,34 +1,52 @@
 """Devices by name: what each name means, and that nonsense is refused before anything is touched."""
 
+import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from evetac_cli.devices import naming
-from evetac_cli.devices.naming import BAUD, CameraName, CameraSettings, GripperName, camera_name, gripper_name
+from evetac_cli.devices import cameras, grippers
+from evetac_cli.devices.cameras import CameraSettings, NamedCamera
+from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import EvetacError, InputError
+from tests.conftest import Made
 
-CAMERAS = {
-    "sim": CameraName("sim"),
-    "virtual": CameraName("virtual"),
-    "virtual:unplug@2": CameraName("virtual", faults=("unplug@2",)),
-    "virtual:odd@1+unplug@2": CameraName("virtual", faults=("odd@1", "unplug@2")),
-    "virtual:prepared": CameraName("virtual", prepared_events_s=1e6),
-    "virtual:prepared=2e5+stall@1": CameraName("virtual", faults=("stall@1",), prepared_events_s=2e5),
-    "virtual:firmware=9": CameraName("virtual", firmware=9),
-    "virtual:firmware=9+busy+silence@1:0.5": CameraName("virtual", faults=("busy", "silence@1:0.5"), firmware=9),
-    "dvxplorer": CameraName("dvxplorer"),
-    "dvxplorer:DXM00042": CameraName("dvxplorer", "DXM00042"),
-    "dv:DXM00042": CameraName("dv", "DXM00042"),
-    "replay:some/a:b.recording.h5": CameraName("replay", "some/a:b.recording.h5"),
+CAMERAS: dict[str, NamedCamera] = {
+    "sim": cameras.Simulated(),
+    "virtual": cameras.Virtual(),
+    "virtual:unplug@2": cameras.Virtual(faults=("unplug@2",)),
+    "virtual:odd@1+unplug@2": cameras.Virtual(faults=("odd@1", "unplug@2")),
+    "virtual:prepared": cameras.Virtual(prepared_events_s=1e6),
+    "virtual:prepared=2e5+stall@1": cameras.Virtual(faults=("stall@1",), prepared_events_s=2e5),
+    "virtual:firmware=9": cameras.Virtual(firmware=9),
+    "virtual:firmware=9+busy+silence@1:0.5": cameras.Virtual(faults=("busy", "silence@1:0.5"), firmware=9),
+    "dvxplorer": cameras.Dvxplorer(),
+    "dvxplorer:DXM00042": cameras.Dvxplorer("DXM00042"),
+    "dv:DXM00042": cameras.Dv("DXM00042"),
+    "replay:some/a:b.recording.h5": cameras.Replay(Path("some/a:b.recording.h5")),
 }
 
 
 @pytest.mark.parametrize("text", CAMERAS)
 def test_cameras(text: str) -> None:
-    """Assert that a name is understood."""
-    assert camera_name(text) == CAMERAS[text]
+    """Assert that a name is understood, and that what it names can be sent to another process."""
+    assert cameras.parse(text) == CAMERAS[text]
+    assert pickle.loads(pickle.dumps(CAMERAS[text])) == CAMERAS[text]
+
+
+def test_every_kind_is_named() -> None:
+    """Assert that the table above has every kind of camera, by the name with which it begins."""
+    assert {(type(camera), camera.name) for camera in CAMERAS.values()} == {
+        (cameras.Simulated, "sim"),
+        (cameras.Virtual, "virtual"),
+        (cameras.Dvxplorer, "dvxplorer"),
+        (cameras.Dv, "dv"),
+        (cameras.Replay, "replay"),
+    }
+    assert all(text.startswith(camera.name) for text, camera in CAMERAS.items())
 
 
 @pytest.mark.parametrize(
@@ -41,44 +59,75 @@ def test_cameras(text: str) -> None:
 def test_no_such_camera(text: str) -> None:
     """Assert that other names are refused, with those that there are, or what is wrong with the number."""
     with pytest.raises(InputError) as refused:
-        camera_name(text)
+        cameras.parse(text)
     assert "expected" in str(refused.value)
 
 
-def test_near_miss_is_told() -> None:
+def test_near_miss_has_a_hint() -> None:
     """Assert that a slip of the pen is understood."""
     with pytest.raises(InputError, match="did you mean dvxplorer"):
-        camera_name("dvexplorer")
+        cameras.parse("dvexplorer")
 
 
-GRIPPERS = {
-    "sim": GripperName("sim"),
-    "none": GripperName("none"),
-    "virtual:lost-answer@1+overload@2": GripperName("virtual", faults=("lost-answer@1", "overload@2")),
-    "/dev/ttyUSB0": GripperName("port", "/dev/ttyUSB0", BAUD),
-    "/dev/ttyUSB0@57600": GripperName("port", "/dev/ttyUSB0", 57600),
+def test_what_kinds_say_of_themselves() -> None:
+    """Assert which cameras simulate a scene, and how the files of each begin."""
+    assert [text for text, camera in CAMERAS.items() if camera.simulates_scene] == [
+        *("sim", "virtual", "virtual:unplug@2", "virtual:odd@1+unplug@2"),
+        *("virtual:firmware=9", "virtual:firmware=9+busy+silence@1:0.5"),
+    ]
+    stems = {text: CAMERAS[text].file_stem for text in ("virtual:prepared", "dvxplorer", "dv:DXM00042")}
+    assert stems == {"virtual:prepared": "virtual", "dvxplorer": "dvxplorer", "dv:DXM00042": "dv-DXM00042"}
+    replay = CAMERAS["replay:some/a:b.recording.h5"]
+    assert (replay.file_stem, str(replay)) == ("replay-a:b", "replay:some/a:b.recording.h5")
+    assert str(CAMERAS["dvxplorer:DXM00042"]) == "dvxplorer:DXM00042"
+
+
+def test_a_replay_knows_its_recording(made: Made) -> None:
+    """Assert that before it is opened, a replay says its frame, its dots and its recording, which is simulated."""
+    replay = cameras.Replay(made.recordings[0])
+    assert replay.frame_px() == (640, 480)
+    assert "sensor/dot_xy_px" in replay.known_sensor()
+    assert len(replay.parents()) == 1
+    assert replay.shows_simulation()
+    assert not replay.is_simulated
+
+
+GRIPPERS: dict[str, NamedGripper] = {
+    "sim": grippers.Simulated(),
+    "none": grippers.NoGripper(),
+    "virtual:lost-answer@1+overload@2": grippers.Virtual(("lost-answer@1", "overload@2")),
+    "/dev/ttyUSB0": grippers.Serial("/dev/ttyUSB0", grippers.BAUD),
+    "/dev/ttyUSB0@57600": grippers.Serial("/dev/ttyUSB0", 57600),
 }
 
 
 @pytest.mark.parametrize("text", GRIPPERS)
 def test_grippers(text: str) -> None:
-    """Assert that a name is understood."""
-    assert gripper_name(text, CameraName("dvxplorer")) == GRIPPERS[text]
+    """Assert that a name is understood, and that what it names can be sent to another process."""
+    assert grippers.parse(text) == GRIPPERS[text]
+    assert pickle.loads(pickle.dumps(GRIPPERS[text])) == GRIPPERS[text]
+
+
+def test_a_port_is_written_with_its_rate() -> None:
+    """Assert that a gripper at a port says where it is and how fast, and that other grippers have no port."""
+    assert str(GRIPPERS["/dev/ttyUSB0@57600"]) == "/dev/ttyUSB0@57600"
+    assert (GRIPPERS["/dev/ttyUSB0@57600"].port, GRIPPERS["/dev/ttyUSB0@57600"].baud) == ("/dev/ttyUSB0", 57600)
+    assert (GRIPPERS["sim"].port, GRIPPERS["sim"].baud) == ("", grippers.BAUD)
 
 
 @pytest.mark.parametrize("text", ["", "grip", "/dev/ttyUSB0@fast", "/dev/ttyUSB0@0", "sim2", "virtual:dead@1"])
 def test_no_such_gripper(text: str) -> None:
     """Assert that other names are refused."""
     with pytest.raises(InputError):
-        gripper_name(text, CameraName("dvxplorer"))
+        grippers.parse(text)
 
 
 def test_gripper_follows_the_camera() -> None:
-    """Assert that without a name the gripper is that of the camera, and none where there is none."""
-    kinds = {text: gripper_name(None, name).kind for text, name in CAMERAS.items()}
-    assert kinds["sim"] == "sim"
-    assert kinds["virtual:odd@1+unplug@2"] == "virtual"
-    assert kinds["dvxplorer"] == kinds["replay:some/a:b.recording.h5"] == "none"
+    """Assert that without a name the gripper is that of the camera, and none where it has none."""
+    own = {text: grippers.parse(camera.own_gripper) for text, camera in CAMERAS.items()}
+    assert own["sim"] == grippers.Simulated()
+    assert own["virtual:odd@1+unplug@2"] == grippers.Virtual()
+    assert own["dvxplorer"] == own["replay:some/a:b.recording.h5"] == grippers.NoGripper()
 
 
 def test_settings_left_open_are_the_drivers() -> None:
@@ -90,14 +139,14 @@ def test_settings_left_open_are_the_drivers() -> None:
 @pytest.mark.parametrize(
     ("camera", "gripper"),
     [
-        (CameraName("virtual", faults=("nonsense@1",)), GripperName("none")),
-        (CameraName("virtual"), GripperName("virtual", faults=("nonsense",))),
-        (CameraName("virtual", faults=("busy",)), GripperName("virtual")),
+        (cameras.Virtual(faults=("nonsense@1",)), grippers.NoGripper()),
+        (cameras.Virtual(), grippers.Virtual(("nonsense",))),
+        (cameras.Virtual(faults=("busy",)), grippers.Virtual()),
     ],
     ids=["camera", "gripper", "busy"],
 )
 def test_failed_opening_leaves_nothing_open(
-    camera: CameraName, gripper: GripperName, monkeypatch: pytest.MonkeyPatch
+    camera: cameras.Virtual, gripper: NamedGripper, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Assert that when one device cannot be opened, those before it are closed again."""
     from evetac_cli.devices.virtual import gripper as virtual_gripper
@@ -106,21 +155,19 @@ def test_failed_opening_leaves_nothing_open(
     close = virtual_gripper.VirtualGripper.close
     monkeypatch.setattr(virtual_gripper.VirtualGripper, "close", lambda self: (closed.append(self), close(self)))
     with pytest.raises(EvetacError):
-        naming.open_rig(
-            replace(camera, prepared_events_s=1e4), gripper, CameraSettings(), None, np.random.SeedSequence(0)
-        )
-    assert len(closed) == (gripper == GripperName("virtual"))
+        open_rig(replace(camera, prepared_events_s=1e4), gripper, CameraSettings(), None, np.random.SeedSequence(0))
+    assert len(closed) == (gripper == grippers.Virtual())
 
 
 def test_prepared_words_hold_the_rate() -> None:
     """Assert that prepared words are as many events a second as asked for, second after second."""
     from evetac_cli.devices.dvxplorer import event_words
 
-    source = naming._prepared(20_000, np.random.SeedSequence(3))
+    source = cameras.prepared_words(20_000, np.random.SeedSequence(3))
     data = bytes(source._data)
     decoder = event_words.start()
     events = event_words.step(decoder, data)
     more = event_words.flush(decoder)
     t = np.concatenate([events.t, more.t]) - 1000
-    assert np.bincount(t // 1_000_000).tolist() == [20_000] * naming.PREPARED_S
+    assert np.bincount(t // 1_000_000).tolist() == [20_000] * cameras.PREPARED_S
     assert not any(decoder.counted.values())

@@ -6,15 +6,24 @@ from typing import Any
 
 import pytest
 
+from evetac_cli.devices.cameras import parse
 from evetac_cli.errors import InputError
 from evetac_cli.params import Grasp, Record
 from evetac_cli.stages import grasp, record
-from evetac_cli.stages.unused_options import GRASP, RECORD, refuse_unused_options
+from evetac_cli.stages.unused_options import GRASP, RECORD, refuse_unused_of_grasp, refuse_unused_of_record
 
 FILE = {"source": Path("one.txt")}
 REPLAY = {"camera": "replay:a.recording.h5"}
 PREPARED = {"camera": "virtual:prepared"}
 LIVE = {"camera": "dvxplorer", "live": True}
+
+
+def refuse_unused(params: Record | Grasp) -> None:
+    """Refuse as a stage does, which knows the devices."""
+    if isinstance(params, Record):
+        refuse_unused_of_record(params, *record.devices(params))
+    else:
+        refuse_unused_of_grasp(params, parse(params.camera))
 
 
 @pytest.mark.parametrize(
@@ -44,7 +53,7 @@ LIVE = {"camera": "dvxplorer", "live": True}
 )
 def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], flag: str, belongs: str) -> None:
     """Assert that an option without effect is refused by name, with what it belongs to; without it all is well."""
-    refuse_unused_options(Record(**run))
+    refuse_unused(Record(**run))
     with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to .*{belongs}"):
         record.jobs([], Record(**run, **option), None)
 
@@ -64,7 +73,7 @@ def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], 
 )
 def test_options_of_this_source(flags: dict[str, Any]) -> None:
     """Assert that options with an effect are not refused."""
-    refuse_unused_options(Record(**flags))
+    refuse_unused(Record(**flags))
 
 
 def test_every_option_belongs_somewhere() -> None:
@@ -89,7 +98,7 @@ def test_what_belongs_to_a_moving_gripper(camera: str, option: dict[str, Any], f
     """Assert that a grasp in which nothing moves refuses what is for devices, and that one with devices does not."""
     with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to a grasp with devices"):
         grasp.jobs([], Grasp(camera=camera, **option), None)
-    refuse_unused_options(Grasp(camera="virtual", **option))
+    refuse_unused(Grasp(camera="virtual", **option))
     assert set(GRASP) < {item.name for item in fields(Grasp)}
 
 
@@ -98,6 +107,6 @@ def test_what_belongs_to_a_simulated_grasp(option: dict[str, Any]) -> None:
     """Assert that an object or a gel is chosen where they are simulated, and refused where they are what they are."""
     for camera in ("dvxplorer", "replay:a.recording.h5", "virtual:prepared"):
         with pytest.raises(InputError, match="it belongs to a simulated scene"):
-            refuse_unused_options(Grasp(camera=camera, **option))
+            refuse_unused(Grasp(camera=camera, **option))
     for camera in ("sim", "virtual"):
-        refuse_unused_options(Grasp(camera=camera, **option))
+        refuse_unused(Grasp(camera=camera, **option))

@@ -250,7 +250,7 @@ class _RunningWorld:
         self._rig = rig(plan, seeds, **durations)
         if not isinstance(self._rig.gripper, SimulatedGripper):
             raise DeviceError("a virtual gripper needs a scene with a gripper", found=str(plan["scene"]["name"]))
-        self._world = self._rig.gripper.world
+        self._world = self._rig.gripper.simulation
         self._gain_ma_tick = self._world.drive.gain_ma_tick / PAPER_P_GAIN
         self._plant = plant
         self._time = plant.time
@@ -273,7 +273,7 @@ class _RunningWorld:
         return {
             "sensor": dict(self._rig.camera.sensor),
             "holding_ma": self._rig.holding_ma,
-            "drawn": self._rig.drawn,
+            "drawn": self._rig.sampled,
         }
 
     def run(self, on: bool) -> None:

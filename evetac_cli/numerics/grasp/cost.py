@@ -23,7 +23,7 @@ from evetac_cli.numerics.grasp.trials import GraspResult, ShortGrasp, ground_tru
 from evetac_cli.numerics.rows import Extent, Row, collect, run_times
 from evetac_cli.params import EvaluateCost
 from evetac_cli.stages.evaluate import Rows, picture
-from evetac_cli.stages.grasp.loop import Sense
+from evetac_cli.stages.grasp.loop import SlipDetector
 from evetac_cli.stages.related_files import named_files
 
 OBJECTS = Extent[tuple[int, ...]](quick=(11, 17), full=(10, 11, 12, 13, 17, 18))
@@ -101,7 +101,7 @@ def _rows(settings: Sequence[Setting], params: EvaluateCost) -> Iterator[Row]:
             yield {"setting": f"{controller}, {setting.name}", **_figures(results)}
 
 
-def _unchanged(detector: Sense, devices: Rig) -> Sense:
+def _unchanged(detector: SlipDetector, devices: Rig) -> SlipDetector:
     return detector
 
 

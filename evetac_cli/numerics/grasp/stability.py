@@ -20,7 +20,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.numerics.grasp.trials import CONTROLLERS, FixedDetector, GraspResult, ShortGrasp, run_short_grasp
 from evetac_cli.numerics.rows import Row, case_row, run_case
 from evetac_cli.sim.gripper import Drive
-from evetac_cli.stages.grasp.loop import Sense
+from evetac_cli.stages.grasp.loop import SlipDetector
 
 Plan = dict[str, Any]
 QUICK_CONTROLLERS = ("paper", "load-proportional")
@@ -34,7 +34,7 @@ USUAL_OBJECT = 11
 class UnevenSlices:
     """A detector whose slices are lost or come twice on their way to it, at random."""
 
-    detector: Sense
+    detector: SlipDetector
     rng: np.random.Generator
     lost: float = 0.0  # share
     twice: float = 0.0
@@ -49,9 +49,9 @@ class UnevenSlices:
         return self.detector.step(events)
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         """The detector's signal for the controller."""
-        return self.detector.felt
+        return self.detector.signal
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Case:
 
     name: str
     change_plan: Callable[[Plan], None] = lambda plan: None
-    wrap_detector: Callable[[Sense, np.random.Generator], Sense] = lambda detector, rng: detector
+    wrap_detector: Callable[[SlipDetector, np.random.Generator], SlipDetector] = lambda detector, rng: detector
     timing: tuple[tuple[str, Any], ...] = ()  # fields of ShortGrasp
     paper_only: bool = False
 

@@ -20,7 +20,7 @@ from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.params import Grasp
 from evetac_cli.sim import grasp_outcome, scene
-from evetac_cli.stages.grasp.loop import SLICES_S, Sense, Timing, TrialBuffer, run_grasp
+from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.setup import open_detector
 from evetac_cli.store.files import StageFile
 
@@ -33,7 +33,7 @@ CONTROLLERS = ("paper", "paper-reset", "load-proportional")
 class TimedDetector:
     """A detector whose slices are timed."""
 
-    detector: Sense
+    detector: SlipDetector
     took_us: list[float] = field(default_factory=list)
 
     def step(self, events: Events) -> float:
@@ -44,16 +44,16 @@ class TimedDetector:
         return probability
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         """The detector's signal for the controller."""
-        return self.detector.felt
+        return self.detector.signal
 
 
 @dataclass
 class FixedDetector:
     """A detector whose decision comes from elsewhere: `slips` says whether there is slip; displacements stay."""
 
-    detector: Sense
+    detector: SlipDetector
     slips: Callable[[], bool]
     count: int = 0
 
@@ -65,12 +65,12 @@ class FixedDetector:
         return float(slip)
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         """The detector's signal, with the slices counted that were said to slip."""
-        return self.detector.felt._replace(slips=self.count)
+        return self.detector.signal._replace(slips=self.count)
 
 
-def ground_truth_detector(detector: Sense, devices: Rig) -> Sense:
+def ground_truth_detector(detector: SlipDetector, devices: Rig) -> SlipDetector:
     """A detector that gives the simulation's own knowledge of slip."""
     truth = devices.truth
     assert truth is not None
@@ -134,7 +134,7 @@ def run_short_grasp(
     seed: int,
     model: Path | None = None,
     change_plan: Callable[[dict[str, Any]], None] = lambda plan: None,
-    wrap_detector: Callable[[Sense, Rig], Sense] = lambda detector, devices: detector,
+    wrap_detector: Callable[[SlipDetector, Rig], SlipDetector] = lambda detector, devices: detector,
 ) -> GraspResult:
     """Simulate one short grasp.
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,13 @@ from evetac_cli.store.files import StageFile, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
 Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class ModelsReportJob(Job):
+    """One report over files and models: the last `models` inputs are the model files."""
+
+    models: int
 
 
 def report_job(files: list[Path], subject: str, out: Path | None, *more: Path) -> list[Job]:

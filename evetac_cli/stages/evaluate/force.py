@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import EvaluateForce, recipe_of
 from evetac_cli.resources import table
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job
 from evetac_cli.stages.related_files import named_files, recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
@@ -47,16 +47,16 @@ class TrialForce(NamedTuple):
     predicted_n: dict[str, forces.Floats]  # regression or network -> (models, samples, 2)
 
 
-def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[Job]:
+def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ModelsReportJob]:
     """One report over all tracks files."""
     models = named_files(params.model, "force-model", "--model")
     (job,) = report_job(files, "force", out, *models)
-    return [Job(job.inputs, job.output, {"models": len(models)})]
+    return [ModelsReportJob(job.inputs, job.output, len(models))]
 
 
-def run(job: Job, params: EvaluateForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: ModelsReportJob, params: EvaluateForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Rows of both models for every trajectory: mean and sd of the absolute error, for x and y."""
-    files, model_paths = job.inputs[: -job.choice["models"]], job.inputs[-job.choice["models"] :]
+    files, model_paths = job.inputs[: -job.models], job.inputs[-job.models :]
     models = _models(model_paths)
     headers = []
     for path in files:

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.params import EvaluateSlip, recipe_of
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job
 from evetac_cli.stages.evaluate.slip_models import Model, check, predict_all
 from evetac_cli.stages.evaluate.slip_tables import tables
 from evetac_cli.stages.related_files import named_files
@@ -33,7 +33,7 @@ PANELS = 4  # distributions side by side
 TITLE_WIDTH = 38  # characters above one
 
 
-def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Job]:
+def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[ModelsReportJob]:
     """One report over all features files and models."""
     features, models = split_models(files, params.model)
     if not features:
@@ -41,7 +41,7 @@ def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Job]
             "no features files are given", expected="labelled features that the models were not trained on"
         )
     (job,) = report_job(features, "slip", out, *models)
-    return [job._replace(choice={"models": len(models)})]
+    return [ModelsReportJob(job.inputs, job.output, len(models))]
 
 
 def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], list[Path]]:
@@ -64,9 +64,9 @@ def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], lis
     return others, list(models.values())
 
 
-def run(job: Job, params: EvaluateSlip, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Rows of settings, timing, objects, models and trajectories, and a picture of them."""
-    split = len(job.inputs) - job.choice["models"]
+    split = len(job.inputs) - job.models
     paths = job.inputs[:split]
     models = [Model.read(path) for path in job.inputs[split:]]
     headers = check(models, paths)

@@ -1,9 +1,9 @@
-"""The controller's process of a grasp in real time: every 2 ms read the gripper, look at the board, command.
+"""The controller's process of a grasp in real time: every 2 ms read the gripper and the detector's status, command.
 
 Deadlines are absolute: a step that comes late does not move those after it, and one that is missed is counted, not made
 up for. Whatever ends the grasp, torque is switched off; nothing is opened. That is also what happens where the detector
-gives no sign of life, or its camera no event, for longer than the watchdog allows, and where the bus fails. What this
-process itself cannot notice, its own death, is noticed by the servo, whose Bus Watchdog is set to the same time.
+publishes no status, or its camera gives no event, for longer than the watchdog allows, and where the bus fails. What
+this process itself cannot notice, its own death, is noticed by the servo, whose Bus Watchdog is set to the same time.
 
 Why so: a sensor's noise alone gives events in every slice, at rest too. So a camera without any is broken or unplugged,
 not idle.
@@ -29,17 +29,17 @@ from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.stages.grasp.loop import Timing, row_of
+from evetac_cli.stages.grasp.loop import Timing, control_row
 
-RANK = 30  # of urgency
-PIECE_STEPS = 25  # whose rows the recorder gets at once
+PRIORITY = 30
+BATCH_STEPS = 25  # whose rows the recorder gets at once
 COMMAND_BYTES = 19  # of a goal position on the wire, 10 bits each
-FROZEN_US = 10_000.0  # a step that looks so much later than due was stopped, or waited for an answer
-FRESH_US = 150.0  # age of the news at which a step should look: the detector is not always as fast
-FOLLOWING = 0.02
+FROZEN_US = 10_000.0  # a step so much later than due was stopped, or waited for an answer
+FRESH_US = 150.0  # age that a status should have when a step reads it: the detector is not always as fast
+FOLLOWING = 0.02  # of what a step is off, so much is corrected at a time
 MOST_SHIFT_US = 4.0
 FLUSH_S = 5.0
-FIRST_SIGN_S = 30.0  # in which the camera must be found and give its first slice
+FIRST_STATUS_S = 30.0  # in which the camera must be found and give its first slice
 WAITING_S = 0.01
 OVER = "the grasp is over"
 STOPPED = "stopped"
@@ -47,27 +47,27 @@ TOO_LONG = "the time allowed is over"
 
 
 @dataclass(frozen=True)
-class Commanding:
-    """What the controller is made of; may be sent to another process."""
+class ControllerSettings:
+    """What the controller's process is made of; it is sent there."""
 
     port: str
     baud: int
-    settings: RhP12RnSettings
+    gripper: RhP12RnSettings
     law: Any
     timing: Timing
     watchdog_ms: int
-    most_s: float  # however long the camera's clock says that the grasp has yet to go
+    most_s: float  # that the grasp may take, whatever the camera's clock says
     time: TimeSource = HOST_TIME  # by which the controller goes
 
 
-class Ready(NamedTuple):
+class GripperReady(NamedTuple):
     """The gripper has torque and waits."""
 
     setup: dict[str, Any]
     scheduling: str
 
 
-class CommandingEnded(NamedTuple):
+class ControllerEnded(NamedTuple):
     """Why no more commands are given."""
 
     ended: str
@@ -76,8 +76,8 @@ class CommandingEnded(NamedTuple):
     missed: int  # deadlines
     seconds: float  # from the first step to the last
     cycle_us: "array[float]"  # of every step, from its beginning to the end of its command
-    alive_us: float  # last sign of life of the camera where it is silent, else of the detector; NaN if the bus failed
-    released_us: float  # when torque was off; NaN where nobody knows
+    alive_us: float  # last event of the camera where it is silent, else last status; NaN if the bus failed
+    released_us: float  # when torque was off; NaN where that is not known
     counted: dict[str, int]
 
 
@@ -116,184 +116,180 @@ class Pace:
 
 
 def shift_us(age_us: float) -> float:
-    """How much later deadlines should be, given how old the news was at which a step looked.
+    """How much later deadlines should be, given how old the status was that a step read.
 
-    News come every millisecond. A step that looks just before they do learns of slip a millisecond later than one that
-    looks just after. So the steps follow the news, by little at a time: their clock may run a little otherwise.
+    There is a new one every millisecond. A step that reads just before it comes learns of slip a millisecond later than
+    one that reads just after. So the steps follow, by little at a time: the camera's clock may run a little otherwise.
     """
     off_us = (FRESH_US - age_us + SLICE_US / 2) % SLICE_US - SLICE_US / 2
     return min(max(FOLLOWING * off_us, -MOST_SHIFT_US), MOST_SHIFT_US)
 
 
 class Watch:
-    """Tells when the detector is dead or its camera silent.
+    """Says when the detector is dead or its camera silent.
 
     Why so: a busy computer stops all of its processes now and then, by up to 0.1 s. So silence counts from where the
     controller itself has been awake, and a detector that was stopped with it has the watchdog's time to go on.
     """
 
-    def __init__(self, watchdog_ms: float, gone: Callable[[], bool] = lambda: False) -> None:
-        """`gone` says whether the detector's process has ended, which needs no waiting."""
+    def __init__(self, watchdog_ms: float, has_ended: Callable[[], bool] = lambda: False) -> None:
+        """`has_ended` says whether the detector's process has ended, which needs no waiting."""
         self._watchdog_us = 1e3 * watchdog_ms
-        self._gone = gone
+        self._has_ended = has_ended
         self._awake_us = -math.inf
 
     def slept_until(self, now_us: float) -> None:
         """The controller was stopped until now."""
         self._awake_us = now_us
 
-    def wrong(self, sign: DetectorStatus, now_us: float) -> tuple[str, float]:
-        """What is wrong, "" if nothing is, and the last sign of life of what that is about."""
-        if self._gone():
-            return "the detector died", sign.at_us
+    def fault(self, status: DetectorStatus, now_us: float) -> tuple[str, float]:
+        """What is wrong, "" if nothing is, and when what is at fault was last alive."""
+        if self._has_ended():
+            return "the detector died", status.at_us
         for what, alive_us in (
-            ("the detector hangs: no sign of life", sign.at_us),
-            ("the camera is silent: not a single event", sign.heard_us),
+            ("the detector hangs: no sign of life", status.at_us),
+            ("the camera is silent: not a single event", status.heard_us),
         ):
             if now_us - max(alive_us, self._awake_us) > self._watchdog_us:
                 return f"{what} for {(now_us - alive_us) * 1e-3:.0f} ms", alive_us
-        return "", sign.at_us
+        return "", status.at_us
 
 
-def live(
-    commanding: Commanding, board: SharedStatus, orders: Connection, pipe: Connection, detector: Connection
+def run_controller(
+    settings: ControllerSettings, shared: SharedStatus, orders: Connection, pipe: Connection, detector: Connection
 ) -> None:
-    """Be the controller's process: wait for word, open the gripper, command until the end, torque off, say why.
+    """The controller's process: wait for an order, open the gripper, command until the end, torque off, say why.
 
     detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
     outbox = MessageWriter(pipe)
-    told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
+    result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
         orders.recv()
-        scheduling = set_realtime_priority(RANK)
-        with RhP12Rn(commanding.port, commanding.baud, "position", commanding.settings) as gripper:
+        scheduling = set_realtime_priority(PRIORITY)
+        with RhP12Rn(settings.port, settings.baud, "position", settings.gripper) as gripper:
             setup = {name: value for name, value in gripper.described.items() if name != "eeprom_written"}
-            outbox.put(Ready(setup, scheduling))
+            outbox.put(GripperReady(setup, scheduling))
             outbox.flush(FLUSH_S)
             gc.collect()
             gc.freeze()
             gc.disable()  # the loop makes no cycles
-            told = command(
-                gripper,
-                board,
-                commanding,
-                outbox,
-                clock=commanding.time.now_s,
-                sleep=commanding.time.sleep,
-                gone=detector.poll,
-            )
+            clock, sleep = settings.time.now_s, settings.time.sleep
+            result = command_grasp(gripper, shared, settings, outbox, clock, sleep, has_ended=detector.poll)
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as error:
-        told = told._replace(ended=str(error).splitlines()[0], error=error)
-    except Exception as error:  # told by the process that started this
+        result = result._replace(ended=str(error).splitlines()[0], error=error)
+    except Exception as error:  # raised by the process that started this
         failed = DeviceError(f"the controller failed: {type(error).__name__}: {error}")
-        told = told._replace(ended=str(failed), error=failed)
-    outbox.put(told)
+        result = result._replace(ended=str(failed), error=failed)
+    outbox.put(result)
     with contextlib.suppress(BrokenPipeError):
         outbox.flush(FLUSH_S)
 
 
-def command(
+def command_grasp(
     gripper: Gripper,
-    board: SharedStatus,
-    commanding: Commanding,
+    shared: SharedStatus,
+    settings: ControllerSettings,
     outbox: MessageWriter,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-    gone: Callable[[], bool] = lambda: False,
-) -> CommandingEnded:
-    """Command until the grasp is over, the board says stop, or something fails; then torque off."""
-    told = CommandingEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
-    if _first_sign(board, clock, sleep):
-        told = _command(gripper, board, commanding, outbox, clock, sleep, gone)
+    has_ended: Callable[[], bool] = lambda: False,
+) -> ControllerEnded:
+    """Command until the grasp is over, the order to stop comes, or something fails; then torque off.
+
+    has_ended: whether the detector's process has; clock and sleep in seconds.
+    """
+    result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
+    if _wait_for_status(shared, clock, sleep):
+        result = _command(gripper, shared, settings, outbox, clock, sleep, has_ended)
     try:
         gripper.close()  # without effect where the driver has let go of it already
     except DeviceError as failed:
-        return told._replace(ended=str(failed).splitlines()[0], error=failed, counted=dict(gripper.counted))
-    bus_failed = told.error is not None and math.isnan(told.alive_us)  # the error says whether torque is off
+        return result._replace(ended=str(failed).splitlines()[0], error=failed, counted=dict(gripper.counted))
+    bus_failed = result.error is not None and math.isnan(result.alive_us)  # the error says whether torque is off
     released_us = math.nan if bus_failed else clock() * 1e6
-    return told._replace(released_us=released_us, counted=dict(gripper.counted))
+    return result._replace(released_us=released_us, counted=dict(gripper.counted))
 
 
 def _command(
     gripper: Gripper,
-    board: SharedStatus,
-    commanding: Commanding,
+    shared: SharedStatus,
+    settings: ControllerSettings,
     outbox: MessageWriter,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
-    gone: Callable[[], bool],
-) -> CommandingEnded:
-    """The loop; what it leaves to say is when torque was off."""
-    timing = commanding.timing
-    control = Control(commanding.law, timing.control_hz)
+    has_ended: Callable[[], bool],
+) -> ControllerEnded:
+    """The loop; its result does not yet say when torque was off."""
+    timing = settings.timing
+    control = Control(settings.law, timing.control_hz)
     pace = Pace(1.0 / timing.control_hz, clock, sleep)
-    watch = Watch(commanding.watchdog_ms, gone)
+    watch = Watch(settings.watchdog_ms, has_ended)
     parent = os.getppid()
-    wire_us = COMMAND_BYTES * 1e7 / commanding.baud
+    wire_us = COMMAND_BYTES * 1e7 / settings.baud
     cycle_us = array("d")
     rows: list[dict[str, Any]] = []
     ended, error, alive_us = "", None, math.nan
     began_s = last_s = clock()
-    told_missed = seen = 0
+    missed_before = slips_before = 0
     while True:
         late_us = pace.wait()
         begun_s = clock()
         try:
             reading = gripper.read()
             now_us = clock() * 1e6
-            sign = board.latest()
-            assert sign is not None
+            status = shared.latest()
+            assert status is not None
             if now_us - begun_s * 1e6 + late_us > FROZEN_US:
                 watch.slept_until(now_us)
-            pace.shift(shift_us(now_us - sign.at_us))
-            slice_ = max(int(now_us - sign.zero_us) // SLICE_US, 0)
-            wrong, alive_us = watch.wrong(sign, now_us)
+            pace.shift(shift_us(now_us - status.at_us))
+            slice_ = max(int(now_us - status.zero_us) // SLICE_US, 0)
+            fault, alive_us = watch.fault(status, now_us)
             if slice_ >= timing.end_ms:
                 ended = OVER
-            elif board.stopping or os.getppid() != parent:
+            elif shared.stopping or os.getppid() != parent:
                 ended = STOPPED
-            elif begun_s > began_s + commanding.most_s:
+            elif begun_s > began_s + settings.most_s:
                 ended = TOO_LONG
-            elif wrong:
-                ended, error = wrong, DeviceError(f"{wrong}; torque is off")
+            elif fault:
+                ended, error = fault, DeviceError(f"{fault}; torque is off")
             if ended:
                 break
             phase = timing.phase(slice_)
-            goal = control.step(phase, sign.signal, reading.position_ticks)
+            goal = control.step(phase, status.signal, reading.position_ticks)
             gripper.write_position(goal)
         except DeviceError as failed:
             ended, error, alive_us = str(failed).splitlines()[0], failed, math.nan
             break
         last_s = clock()
         cycle_us.append((last_s - begun_s) * 1e6)
-        row = row_of(control, phase, sign.signal, reading, goal, round(now_us - sign.zero_us))
+        row = control_row(control, phase, status.signal, reading, goal, round(now_us - status.zero_us))
         row["control/late_us"] = late_us
-        row["control/missed"] = pace.missed - told_missed
-        row["control/latency_us"] = last_s * 1e6 + wire_us - sign.slip_began_us(seen)
-        row["control/slices_processed"] = sign.slices
-        told_missed, seen = pace.missed, sign.signal.slips
+        row["control/missed"] = pace.missed - missed_before
+        row["control/latency_us"] = last_s * 1e6 + wire_us - status.slip_began_us(slips_before)
+        row["control/slices_processed"] = status.slices
+        missed_before, slips_before = pace.missed, status.signal.slips
         rows.append(row)
-        if len(rows) >= PIECE_STEPS:
+        if len(rows) >= BATCH_STEPS:
             outbox.put(rows)
             outbox.send()
             rows = []
     outbox.put(rows)
     seconds = last_s - began_s
-    return CommandingEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
+    return ControllerEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
 
 
-def _first_sign(board: SharedStatus, clock: Callable[[], float], sleep: Callable[[float], None]) -> bool:
-    """Wait until the detector has felt a first slice; False if it was stopped before."""
-    until_s = clock() + FIRST_SIGN_S
+def _wait_for_status(shared: SharedStatus, clock: Callable[[], float], sleep: Callable[[float], None]) -> bool:
+    """Wait until the detector has evaluated a first slice; False if it was stopped before."""
+    until_s = clock() + FIRST_STATUS_S
     parent = os.getppid()
-    while board.latest() is None:
-        if board.stopping or os.getppid() != parent:
+    while shared.latest() is None:
+        if shared.stopping or os.getppid() != parent:
             return False
         if clock() > until_s:
-            raise DeviceError("the detector felt nothing", expected=f"a first slice within {FIRST_SIGN_S:g} s")
+            raise DeviceError("the detector did not begin", expected=f"a first slice within {FIRST_STATUS_S:g} s")
         sleep(WAITING_S)
     return True

@@ -1,7 +1,7 @@
-"""The loop of a grasp: read a slice, feel, and at the controller's rate read the gripper and command it.
+"""The loop of a grasp: read a slice, detect slip, and at the controller's rate read the gripper and command it.
 
-What happens goes into a `TrialBuffer`: in memory, because a simulated grasp can be made again, and writing it once costs a
-third of writing it in segments.
+What happens goes into a `TrialBuffer`: in memory, because a simulated grasp can be made again, and writing it once
+costs a third of writing it in segments.
 """
 
 from collections import deque
@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from evetac_cli.devices import GripperReading, Rig
+from evetac_cli.devices import GripperReading, Rig, gripper_row
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
@@ -21,15 +21,15 @@ from evetac_cli.store import schema
 SLICES_S = 1_000_000 // SLICE_US
 
 
-class Sense(Protocol):
-    """What feels: a `OnlineSlipDetector`, or what a test puts in its place."""
+class SlipDetector(Protocol):
+    """A detector of slip: an `OnlineSlipDetector`, or what a measurement puts in its place."""
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice."""
 
     @property
-    def felt(self) -> SlipSignal:
-        """What a controller may know after the last slice."""
+    def signal(self) -> SlipSignal:
+        """What the controller gets to know after the last slice."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Timing:
     lift_ms: int
     balance_ms: int
     control_hz: float = 500.0
-    latency_ms: int = 0  # between what is felt and the controller that hears of it
+    latency_ms: int = 0  # from the detector's signal to the controller that gets it
 
     def __post_init__(self) -> None:
         if SLICES_S % self.control_hz:
@@ -77,12 +77,12 @@ class TrialBuffer:
     rows: dict[str, list[Any]] = field(default_factory=dict)
 
     def append(self, events: Events, rows: dict[str, Any]) -> None:
-        """One slice, and one row of each of the named datasets."""
+        """Add one slice, and one row to each of the named datasets."""
         self.events.append(events)
         self.append_rows(rows)
 
     def append_rows(self, rows: dict[str, Any]) -> None:
-        """One row of each of the named datasets, without the events."""
+        """Add one row to each of the named datasets, and no events."""
         for name, row in rows.items():
             self.rows.setdefault(name, []).append(row)
 
@@ -97,60 +97,59 @@ class TrialBuffer:
         return arrays
 
     def arrays(self) -> dict[str, Any]:
-        """All of it, as a recording has it."""
-        whole = concatenate(self.events)
+        """Events and rows as the datasets of a recording."""
+        events = concatenate(self.events)
         starts = np.concatenate([[0], np.cumsum([piece.size for piece in self.events])])
-        columns = {f"events/{name}": getattr(whole, name) for name in Events._fields}
+        columns = {f"events/{name}": getattr(events, name) for name in Events._fields}
         return {**columns, "ms_to_idx": starts.astype(np.int64), **self.row_arrays()}
 
 
-def row_of(
-    control: Control, phase: Phase, felt: SlipSignal, reading: GripperReading, goal: int, now_us: int
+def control_row(
+    control: Control, phase: Phase, signal: SlipSignal, reading: GripperReading, goal: int, now_us: int
 ) -> dict[str, Any]:
-    """What is recorded of a step of the controller."""
+    """What is recorded of a step of the controller: the gripper's row, and the control's."""
     return {
-        "gripper/t_us": now_us,
-        "gripper/current_target_ma": float("nan"),
-        "gripper/current_written_ma": 0,
-        "gripper/current_ma": reading.current_ma,
-        "gripper/position_ticks": reading.position_ticks,
+        **gripper_row(now_us, reading),
         "control/t_us": now_us,
         "control/u_ff_ticks": control.u_ff_ticks,
         "control/x_ref_ticks": control.x_ref_ticks,
         "control/goal_ticks": goal,
         "control/slip": control.slip,
         "control/phase": phase,
-        "control/mean_displacement_px": (felt.mean_displacement_x_px, felt.mean_displacement_y_px),
+        "control/mean_displacement_px": (signal.mean_displacement_x_px, signal.mean_displacement_y_px),
     }
 
 
 def run_grasp(
     devices: Rig,
-    sense: Sense | None,
+    detector: SlipDetector | None,
     control: Control,
     timing: Timing,
-    keep: Callable[[Events, dict[str, Any]], None],
+    append: Callable[[Events, dict[str, Any]], None],
     progress: Callable[[int], None],
 ) -> int:
-    """Read, feel, control, until the scene has ended; returns how many slices there were."""
+    """Read, detect, control, until the scene has ended; returns how many slices it had.
+
+    append: takes each slice and its rows.
+    """
     gripper = devices.gripper
     assert gripper is not None
     every_ms = timing.every_ms
-    heard: deque[SlipSignal] = deque([SlipSignal()] * timing.latency_ms, maxlen=timing.latency_ms + 1)
+    signals: deque[SlipSignal] = deque([SlipSignal()] * timing.latency_ms, maxlen=timing.latency_ms + 1)
     slices = 0
     while (events := devices.camera.read()) is not None:
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
-        rows["control/probability"] = float("nan") if sense is None else sense.step(events)
-        if sense is not None and (timing.latency_ms or slices % every_ms == 0):
-            heard.append(sense.felt)
+        rows["control/probability"] = float("nan") if detector is None else detector.step(events)
+        if detector is not None and (timing.latency_ms or slices % every_ms == 0):
+            signals.append(detector.signal)
         if slices % every_ms == 0:
-            felt = heard[0] if heard else SlipSignal()
+            signal = signals[0] if signals else SlipSignal()
             phase = timing.phase(slices)
             reading = gripper.read()
-            goal = control.step(phase, felt, reading.position_ticks)
+            goal = control.step(phase, signal, reading.position_ticks)
             gripper.write_position(goal)
-            rows |= row_of(control, phase, felt, reading, goal, devices.clock.now_us())
-        keep(events, rows)
+            rows |= control_row(control, phase, signal, reading, goal, devices.clock.now_us())
+        append(events, rows)
         slices += 1
         if slices % 100 == 0:
             progress(slices)

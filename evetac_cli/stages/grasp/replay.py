@@ -1,7 +1,7 @@
 """A grasp on a recording: what detector and controller would have decided, slice by slice; nothing moves.
 
-The gripper is where the recording says it was, if it says so, and obeys nobody. Time is the recording's: every slice is
-felt and every step made, however long they take, so that the same recording gives the same decisions.
+The gripper is where the recording says it was, if it says so, and no command moves it. Time is the recording's: every
+slice is evaluated and every step made, however long they take, so that the same recording gives the same decisions.
 """
 
 from collections.abc import Mapping
@@ -13,13 +13,14 @@ import numpy as np
 from evetac_cli.devices import Clock, GripperReading, Rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, outcome
+from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.sim import scene
 from evetac_cli.stages.grasp import setup
 from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.online_detector import dots_for
+from evetac_cli.stages.trials import OUTPUT, ReplayTrial
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
@@ -42,7 +43,7 @@ class RecordedGripper:
             self._current_ma = recording.read("gripper/current_ma")
 
     def read(self) -> GripperReading:
-        """What it said last before now; 0 if there was none."""
+        """The last reading before now; zeros if there was none."""
         at = max(int(np.searchsorted(self._t_us, self._clock.now_us(), side="right")) - 1, 0)
         return GripperReading(float(self._current_ma[at]), int(self._ticks[at]))
 
@@ -56,23 +57,23 @@ class RecordedGripper:
         """Nothing to let go of."""
 
 
-def check(job: Job, params: Grasp, *, force: bool) -> None:
-    """InputError for what a run would refuse; only files are looked at."""
-    with open_recording(job.inputs[0]) as recording:
+def check(trial: ReplayTrial, params: Grasp, *, force: bool) -> None:
+    """InputError for what a run would refuse; only files are read."""
+    with open_recording(trial.inputs[0]) as recording:
         timing = make_timing(params, recording.header["parameters"])
         control = Control(setup.make_law(params), params.control_hz)
-        if not up_to_date(job.output, _recipe(job, params, recording, timing, control), force=force):
+        if not up_to_date(trial.output, _recipe(trial, params, recording, timing, control), force=force):
             _refuse_unknown_dots(params, recording)
 
 
-def _recipe(job: Job, params: Grasp, recording: Recording, timing: Timing, control: Control) -> Recipe:
+def _recipe(trial: ReplayTrial, params: Grasp, recording: Recording, timing: Timing, control: Control) -> Recipe:
     parameters = {
-        **setup.grasp_parameters(job, params, control),
+        **setup.grasp_parameters(trial, params, control),
         "replayed": True,
         "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
     }
     parents = (*setup.model_headers(setup.model_path_for(params)), recording.header)
-    return Recipe("recording", METHOD, parameters, parents=parents)
+    return Recipe(OUTPUT, METHOD, parameters, parents=parents)
 
 
 def _refuse_unknown_dots(params: Grasp, recording: Recording) -> None:
@@ -85,40 +86,39 @@ def _refuse_unknown_dots(params: Grasp, recording: Recording) -> None:
         dots_for(model, dot_xy_px)
 
 
-def run(job: Job, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
-    """Feel and decide on a recording, and write events and decisions."""
+def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
+    """Detect slip and decide on a recording, and write events and decisions."""
     model_path, control = setup.model_path_for(params), Control(setup.make_law(params), params.control_hz)
-    with open_recording(job.inputs[0]) as recording:
+    with open_recording(trial.inputs[0]) as recording:
         timing = make_timing(params, recording.header["parameters"])
-        recipe = _recipe(job, params, recording, timing, control)
-        if up_to_date(job.output, recipe, force=force):
-            return outcome(job, made=False, simulated=recipe.simulated)
+        recipe = _recipe(trial, params, recording, timing, control)
+        if up_to_date(trial.output, recipe, force=force):
+            return outcome(trial, made=False, simulated=recipe.simulated)
         _refuse_unknown_dots(params, recording)
-        sensor = recording.sensor_datasets()
-        sensor |= {"t_offset": recording.read("t_offset")}
-        sense = None
+        sensor = {**recording.sensor_datasets(), "t_offset": recording.read("t_offset")}
+        detector = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:
-                sense = setup.open_detector(model, sensor, params.tracker)
-        camera = ReplayCamera(job.inputs[0])
+                detector = setup.open_detector(model, sensor, params.tracker)
+        camera = ReplayCamera(trial.inputs[0])
         devices = Rig(camera, RecordedGripper(recording, camera), camera)
-        kept = TrialBuffer()
+        buffer = TrialBuffer()
         try:
             slices = run_grasp(
-                devices, sense, control, timing, kept.append, lambda done: progress(done, len(recording))
+                devices, detector, control, timing, buffer.append, lambda done: progress(done, len(recording))
             )
         finally:
             devices.close()
     if not slices:
-        raise InputError("there is not a single slice", where=str(job.inputs[0]))
-    write_stage(job.output, recipe, {**sensor, **kept.arrays()})
-    steps = kept.row_arrays()
+        raise InputError("there is not a single slice", where=str(trial.inputs[0]))
+    write_stage(trial.output, recipe, {**sensor, **buffer.arrays()})
+    steps = buffer.row_arrays()
     return outcome(
-        job,
+        trial,
         made=True,
         simulated=recipe.simulated,
         slices=slices,
-        slices_with_slip=sense.count if sense is not None else 0,
+        slices_with_slip=detector.count if detector is not None else 0,
         steps=len(steps["control/slip"]),
         steps_with_slip=int(steps["control/slip"].sum()),
     )

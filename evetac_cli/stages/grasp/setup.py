@@ -1,4 +1,4 @@
-"""What a grasp is made of, by its flags: law, model, phases, detector; the same in simulation and in real time."""
+"""Law, model, phases and detector of a grasp by its flags; the same in simulation and in real time."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -7,13 +7,13 @@ from typing import Any
 
 from evetac_cli import resources
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params import Grasp
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
+from evetac_cli.stages.trials import Trial
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
@@ -28,7 +28,7 @@ def make_law(params: Grasp) -> Any:
 
 
 def model_path_for(params: Grasp) -> Path | None:
-    """The model file that a grasp feels with: the one named, else the package's; None without a detector."""
+    """The model file of a grasp's detector: the one named, else the package's; None without a detector."""
     if not grip_control.uses_detector(make_law(params)):
         return None
     return params.model if params.model is not None else resources.MODEL
@@ -48,25 +48,25 @@ def open_detector(model: StageFile, sensor: Mapping[str, Any], preset: str) -> O
     return OnlineSlipDetector.start(model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants)
 
 
-def grasp_parameters(job: Job, params: Grasp, control: Control) -> dict[str, Any]:
+def grasp_parameters(trial: Trial, params: Grasp, control: Control) -> dict[str, Any]:
     """The parameters of a grasp's recipe."""
-    feeling = {"preset": params.tracker, "constants": asdict(tracker.PRESETS[params.tracker])}
+    tracking = {"preset": params.tracker, "constants": asdict(tracker.PRESETS[params.tracker])}
     return {
-        **job.choice.get("plan", {}),
-        "trial": job.choice["trial"],
+        **(trial.plan or {}),
+        "trial": trial.number,
         "controller": params.controller,
         "gain": params.gain,
         "law": control.parameters(),
         "latency_ms": params.latency_ms,
         "control_hz": params.control_hz,
-        "tracker": feeling if grip_control.uses_detector(control.law) else None,
+        "tracker": tracking if grip_control.uses_detector(control.law) else None,
         "lift_s": params.lift_s,
         "balance_s": params.balance_s,
     }
 
 
 def model_headers(model_path: Path | None) -> tuple[Header, ...]:
-    """The model that a grasp feels with, if it does."""
+    """The header of the detector's model, if there is one, as parents of a recipe."""
     if model_path is None:
         return ()
     with StageFile(model_path, "model") as model:

@@ -1,82 +1,51 @@
-"""What a recording from devices is about to do: told, and refused where it would fail, before anything is touched."""
+"""What a recording from devices is about to do: shown, and refused where it would fail, before a device is touched."""
 
-import re
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any
 
-from evetac_cli.devices.naming import CameraName, CameraSettings, GripperName, camera_name, gripper_name
+from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.errors import InputError
-from evetac_cli.events import FRAME_PX
-from evetac_cli.jobs import Job, Outcome
+from evetac_cli.jobs import Outcome
 from evetac_cli.params import Record
-from evetac_cli.stages.record.capture_series import refuse_taken
+from evetac_cli.stages import session
 from evetac_cli.stages.record.current_ramp import Hold
+from evetac_cli.stages.trials import DeviceTrial
 from evetac_cli.store.calibration import read_calibration
-from evetac_cli.store.disk import require_room
-from evetac_cli.store.read import open_recording
 
-HOLDING_MA = 50.0  # where nobody says
-SECONDS = 60.0  # room on the disk for so long, where nobody says how long it will take
-BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
+HOLDING_MA = 50.0  # where no current is asked for
+SECONDS = 60.0  # room on the disk for so long, where nothing says how long it will take
 TAKEN = "--resume goes on with a series, --force replaces it, -o NAME writes elsewhere"
 
 
-def names(params: Record) -> tuple[tuple[CameraName, ...], GripperName]:
-    """The devices that are named; InputError for names that there are not, and for flags that do not fit them."""
-    cameras = tuple(camera_name(text) for text in re.split(",(?=sim|virtual|dvxplorer|dv|replay:)", params.camera))
-    gripper = gripper_name(params.gripper, cameras[0])
-    if any((camera.kind == "sim") != (gripper.kind == "sim") for camera in cameras):
-        raise InputError(
-            "a simulated device has no peer outside its simulation",
-            where="--camera, --gripper",
-            expected="both sim, or neither",
-            found=f"{params.camera}, {gripper}",
-        )
-    if params.source is not None and cameras[0].kind != "sim":
-        raise InputError("either a file or a camera", where="--from, --camera", found=params.camera)
-    worlds = sum(camera.kind in ("sim", "virtual") and camera.prepared_events_s is None for camera in cameras)
-    if len(cameras) > 1 and (worlds or params.live):
-        expected = "one camera of a simulated world" if worlds else "one camera to look through"
-        raise InputError("too many cameras", where="--camera", expected=expected, found=params.camera)
-    return cameras, gripper
-
-
-def check(job: Job, params: Record, *, force: bool) -> None:
+def check(trial: DeviceTrial, params: Record, *, force: bool) -> None:
     """InputError for whatever can be known to be wrong with a trial before a device is touched."""
-    cameras, gripper = names(params)
-    for camera in cameras:
-        frame_px = FRAME_PX
-        if camera.kind == "replay":
-            with open_recording(Path(camera.which or "")) as recording:
-                frame_px = recording.frame_px
+    for camera in trial.cameras:
+        frame_px = camera.frame_px()
         if params.calibration is not None:
             read_calibration(params.calibration, frame_px)
-    if gripper.kind != "none" and asked_ma(params, "plan" in job.choice) is not None:
-        hold_of(params, None)
+    if trial.gripper.is_moved and asked_holding_ma(trial, params) is not None:
+        make_hold(trial, params, 0.0)
     if params.live:
         return
-    refuse_taken(job, again="a recording from a device", hint=TAKEN, force=force, resume=params.resume)
-    needed = needed_bytes(params) * len(cameras)
-    require_room(job.output.parent, needed, "--expected-event-rate and --seconds say what is needed")
+    session.refuse_taken(trial, again="a recording from a device", hint=TAKEN, force=force, resume=params.resume)
+    hint = "--expected-event-rate and --seconds say what is needed"
+    session.check_room(trial, params.expected_event_rate, _seconds(params), hint)
 
 
-def is_there(job: Job, params: Record, *, force: bool) -> bool:
-    """Whether the trial of a series that goes on is there already."""
-    return params.resume and not force and all(output.exists() for output in job.choice["outputs"])
+def is_done(trial: DeviceTrial, params: Record, *, force: bool) -> bool:
+    """Whether the trial of a series that goes on was recorded before."""
+    return params.resume and not force and all(output.exists() for output in trial.outputs)
 
 
-def asked_ma(params: Record, world: bool) -> float | None:
-    """The holding current that is set up; None where a world draws one for each trial."""
-    return params.holding_ma if params.holding_ma is not None or world else HOLDING_MA
+def asked_holding_ma(trial: DeviceTrial, params: Record) -> float | None:
+    """The holding current that is set up; None where a simulated scene draws one for each trial."""
+    return params.holding_ma if params.holding_ma is not None or trial.plan is not None else HOLDING_MA
 
 
-def hold_of(params: Record, drawn_ma: float | None) -> Hold:
-    """How the object is handled; drawn_ma: what a world draws. InputError for a current that has nowhere to fall."""
-    asked = asked_ma(params, drawn_ma is not None)
-    holding_ma = drawn_ma if asked is None else asked
-    assert holding_ma is not None
+def make_hold(trial: DeviceTrial, params: Record, drawn_ma: float) -> Hold:
+    """How the object is handled; drawn_ma: what a scene draws. InputError for a current that cannot fall."""
+    asked_ma = asked_holding_ma(trial, params)
+    holding_ma = drawn_ma if asked_ma is None else asked_ma
     if params.lowest_ma >= holding_ma:
         raise InputError(
             "the current would not fall",
@@ -87,47 +56,42 @@ def hold_of(params: Record, drawn_ma: float | None) -> Hold:
     return Hold(params.closing_ma, holding_ma, params.hold_s, params.lowest_ma)
 
 
-def dry_run(jobs: list[Job], params: Record, *, force: bool = False) -> Outcome:
+def dry_run(trials: Sequence[DeviceTrial], params: Record, *, force: bool = False) -> Outcome:
     """What would be opened and done, checked as by a run; no device is touched, and no file written."""
-    for job in jobs:
-        if not is_there(job, params, force=force):
-            check(job, params, force=force)
-    cameras, gripper = names(params)
-    told = _told(asdict(settings(params))) or "the driver's settings"
-    seconds = params.seconds if params.seconds is not None else SECONDS
-    rows = [
-        *({"part": "camera", "what": str(camera), "detail": told} for camera in cameras),
-        {"part": "gripper", "what": str(gripper), "detail": "not moved" if gripper.kind == "none" else _plan(params)},
-        {
-            "part": "end",
-            "what": f"after {params.seconds:g} s" if params.seconds is not None else _end(cameras, gripper),
-            "detail": f"room for {needed_bytes(params) / 1e6:,.0f} MB is asked for, {params.expected_event_rate:,.0f} events/s"
-            f" for {seconds:g} s",
-        },
-        *(
-            {"part": "file", "what": str(output), "detail": f"trial {job.choice['trial']}"}
-            for job in jobs
-            for output in job.choice["outputs"]
-        ),
+    for trial in trials:
+        if not is_done(trial, params, force=force):
+            check(trial, params, force=force)
+    first = trials[0]
+    given = ", ".join(f"{name} {value}" for name, value in asdict(settings(params)).items() if value is not None)
+    room_mb = session.needed_bytes(params.expected_event_rate, _seconds(params)) / 1e6
+    rate = f"{params.expected_event_rate:,.0f} events/s for {_seconds(params):g} s"
+    parts = [
+        *(("camera", str(camera), given or "the driver's settings") for camera in first.cameras),
+        ("gripper", str(first.gripper), _handling(first, params) if first.gripper.is_moved else "not moved"),
+        ("end", _end(first, params), f"room for {room_mb:,.0f} MB is asked for, {rate}"),
     ]
-    files = sum(len(job.choice["outputs"]) for job in jobs)
-    return Outcome(rows, any(camera.kind == "virtual" for camera in cameras), {"files": files}, made=False)
+    return session.plan_shown(trials, parts, simulated=any(camera.shows_simulation() for camera in first.cameras))
 
 
-def _end(cameras: tuple[CameraName, ...], gripper: GripperName) -> str:
-    ends = ["it lets go"] * (gripper.kind != "none") + ["the recording is over"] * (cameras[0].kind == "replay")
+def _seconds(params: Record) -> float:
+    """How long a recording is taken to be where room on the disk is asked for."""
+    return params.seconds if params.seconds is not None else SECONDS
+
+
+def _end(trial: DeviceTrial, params: Record) -> str:
+    """What ends a recording, in words."""
+    if params.seconds is not None:
+        return f"after {params.seconds:g} s"
+    ends = ["it lets go"] * trial.gripper.is_moved + ["the recording is over"] * trial.cameras[0].is_replay
     return "until " + ", or ".join([*ends, "Ctrl-C"])
 
 
-def _told(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in values.items() if value is not None)
-
-
-def _plan(params: Record) -> str:
-    holding = "the world's" if params.holding_ma is None and params.camera.startswith("virtual") else HOLDING_MA
-    holding = params.holding_ma if params.holding_ma is not None else holding
+def _handling(trial: DeviceTrial, params: Record) -> str:
+    """What the gripper does, in words."""
+    asked_ma = asked_holding_ma(trial, params)
+    holding = f"{asked_ma} mA" if asked_ma is not None else "the current of its scene"
     return (
-        f"closes with {params.closing_ma:g} mA until contact, holds with {holding} mA for {params.hold_s:g} s,"
+        f"closes with {params.closing_ma:g} mA until contact, holds with {holding} for {params.hold_s:g} s,"
         f" lets the current fall to {params.lowest_ma:g} mA"
     )
 
@@ -135,9 +99,3 @@ def _plan(params: Record) -> str:
 def settings(params: Record) -> CameraSettings:
     """What is set on the camera."""
     return CameraSettings(params.threshold_on, params.threshold_off, params.readout_rate)
-
-
-def needed_bytes(params: Record) -> float:
-    """Room that a recording may need on its disk."""
-    seconds = params.seconds if params.seconds is not None else SECONDS
-    return params.expected_event_rate * seconds * BYTES_AN_EVENT

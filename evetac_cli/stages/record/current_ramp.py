@@ -2,12 +2,11 @@
 
 The law is a pure start/step state machine; the loop runs it at 500 Hz in a thread of its own, so that a gripper that
 answers late does not hold up the camera. (paper, "Experimental Setup and Data Collection Procedure"; in a simulated
-scene stages/record.py commands in step with the world's time instead.)
+scene simulated.py commands in step with the scene's time instead.)
 """
 
 import math
 import threading
-import time
 from array import array
 from collections import deque
 from collections.abc import Callable
@@ -17,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.devices import Gripper, GripperReading
+from evetac_cli.devices import Gripper, GripperReading, gripper_row
 from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSettings
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
 RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
@@ -26,7 +26,7 @@ OPENED_TICKS = 30  # an object is lost once the fingers are so far apart again: 
 
 
 class Phase(IntEnum):
-    """What the gripper is about."""
+    """What the gripper is doing."""
 
     CLOSING = 0
     HOLDING = 1
@@ -45,7 +45,7 @@ class Hold:
 
 @dataclass
 class HoldState:
-    """What is remembered between commands."""
+    """The state between two commands."""
 
     closing: Closing
     phase: Phase = Phase.CLOSING
@@ -89,23 +89,31 @@ class GripperLoop:
     """A thread that reads and commands a gripper every 2 ms, and keeps a row of each command until it is fetched."""
 
     def __init__(
-        self, gripper: Gripper, act: Callable[[GripperReading], tuple[float, str]], now_us: Callable[[], int]
+        self,
+        gripper: Gripper,
+        act: Callable[[GripperReading], tuple[float, str]],
+        now_us: Callable[[], int],
+        time: TimeSource = HOST_TIME,
     ) -> None:
-        """act: (target current in mA, why it is over or "") for a reading; now_us: device time of the recording."""
+        """act: (target current in mA, why it is over or "") for a reading; now_us: device time of the recording.
+
+        time: by which the loop goes.
+        """
         self._gripper = gripper
         self._act = act
         self._now_us = now_us
+        self._time = time
         self._rows: deque[dict[str, Any]] = deque()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="gripper", daemon=True)
         self.commands = 0
-        self.misses = 0  # moments at which no command was given, because the one before took too long
+        self.misses = 0  # times at which no command was given, because the one before took too long
         self.cycle_us = array("d")  # time that reading and commanding took
         self.ended = ""
         self.error: Exception | None = None
 
     def start(self) -> None:
-        """Begin."""
+        """Begin to command the gripper."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -115,24 +123,24 @@ class GripperLoop:
             self._thread.join()
 
     def rows(self) -> list[dict[str, Any]]:
-        """The rows of the commands given since this was last asked, oldest first."""
+        """The rows of the commands given since the last call, oldest first."""
         return [self._rows.popleft() for _ in range(len(self._rows))]
 
     def _run(self) -> None:
         try:
-            due = time.monotonic()
+            due = self._time.now_s()
             while not (self._stop.is_set() or self.ended):
-                started = time.monotonic()
+                started = self._time.now_s()
                 self._command()
-                now = time.monotonic()
+                now = self._time.now_s()
                 self.cycle_us.append((now - started) * 1e6)
                 due += COMMAND_MS * 1e-3
                 if now > due + COMMAND_MS * 1e-3:
                     missed = int((now - due) / (COMMAND_MS * 1e-3))
                     self.misses += missed
                     due += missed * COMMAND_MS * 1e-3
-                self._stop.wait(max(0.0, due - now))
-        except Exception as error:  # told by the thread that records
+                self._time.sleep(max(0.0, due - now))
+        except Exception as error:  # raised by the thread that records
             self.error = error
 
     def _command(self) -> None:
@@ -141,13 +149,5 @@ class GripperLoop:
         now_us = self._now_us()
         written_ma = round(target_ma)
         self._gripper.write_current(written_ma)
-        self._rows.append(
-            {
-                "gripper/t_us": now_us,
-                "gripper/current_target_ma": target_ma,
-                "gripper/current_written_ma": written_ma,
-                "gripper/current_ma": reading.current_ma,
-                "gripper/position_ticks": reading.position_ticks,
-            }
-        )
+        self._rows.append(gripper_row(now_us, reading, target_ma=target_ma, written_ma=written_ma))
         self.commands += 1

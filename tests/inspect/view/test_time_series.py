@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.inspect.view import collect_view, time_series
 from evetac_cli.inspect.view.trial_files import open_trial
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.params import View
 from tests.inspect.view.trials import SLICES
 

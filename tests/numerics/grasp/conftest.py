@@ -11,7 +11,7 @@ class CountingDetector:
     """A detector that counts the slices it is given."""
 
     def __init__(self) -> None:
-        self.slices, self.felt = 0, SlipSignal(mean_displacement_x_px=1.5)
+        self.slices, self.signal = 0, SlipSignal(mean_displacement_x_px=1.5)
 
     def step(self, events: Events | None) -> float:
         self.slices += 1

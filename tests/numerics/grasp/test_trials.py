@@ -36,7 +36,7 @@ def test_a_fixed_detector(slip: bool) -> None:
     """Assert that its decision is the one given, and its displacements are the detector's own."""
     detector = FixedDetector(CountingDetector(), lambda: slip)
     assert [detector.step(None) for _ in range(3)] == [float(slip)] * 3
-    assert detector.felt == SlipSignal(3 * slip, mean_displacement_x_px=1.5)
+    assert detector.signal == SlipSignal(3 * slip, mean_displacement_x_px=1.5)
 
 
 def test_the_truth_as_a_detector() -> None:
@@ -51,4 +51,4 @@ def test_the_truth_as_a_detector() -> None:
 
     detector = ground_truth_detector(CountingDetector(), Devices())
     assert [detector.step(None) for _ in range(8)] == [0, 1, 1, 0, 0, 0, 1, 0]
-    assert detector.felt == SlipSignal(3, mean_displacement_x_px=1.5)
+    assert detector.signal == SlipSignal(3, mean_displacement_x_px=1.5)

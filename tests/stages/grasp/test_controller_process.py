@@ -3,6 +3,7 @@
 import math
 import multiprocessing
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -25,23 +26,23 @@ from evetac_cli.stages.grasp.controller_process import (
     OVER,
     STOPPED,
     TOO_LONG,
-    Commanding,
-    CommandingEnded,
+    ControllerEnded,
+    ControllerSettings,
     Pace,
     Watch,
-    command,
+    command_grasp,
     shift_us,
 )
 from evetac_cli.stages.grasp.loop import Timing
 
 PERIOD_S = 0.002
 READ_S, WRITE_S = 400e-6, 100e-6
-FELT_S = 600e-6  # from the end of a slice until it is on the board
+FELT_S = 600e-6  # from the end of a slice until it is in shared memory
 MOST_S = 1e-9  # of rounding
 
 
 class Clock:
-    """Time that passes only when somebody sleeps, or is told to."""
+    """Time that passes only in a sleep, or when a test moves it."""
 
     def __init__(self) -> None:
         self.now_s = 1000.0
@@ -91,8 +92,8 @@ def test_one_long_step() -> None:
 
 
 @given(age_us=st.floats(0.0, 5000.0))
-def test_steps_follow_the_news(age_us: float) -> None:
-    """Assert that a shift is small, repeats with the slices, and brings the age of the news to what is wanted."""
+def test_steps_follow_the_status(age_us: float) -> None:
+    """Assert that a shift is small, repeats with the slices, and brings the age of the status to what is wanted."""
     shift = shift_us(age_us)
     assert abs(shift) <= MOST_SHIFT_US
     assert shift_us(age_us + 1000.0) == pytest.approx(shift, abs=1e-6)
@@ -102,21 +103,21 @@ def test_steps_follow_the_news(age_us: float) -> None:
 
 
 def test_watch() -> None:
-    """Assert that silence of detector and camera are told apart, and that time counts only while one was awake."""
+    """Assert that silence of detector and camera are distinguished, and that time counts only while it runs."""
     watch = Watch(60)
-    sign = DetectorStatus(SlipSignal(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
-    assert watch.wrong(sign, 1.059e6)[0] == ""
-    reason, alive_us = watch.wrong(sign, 1.061e6)
+    status = DetectorStatus(SlipSignal(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
+    assert watch.fault(status, 1.059e6)[0] == ""
+    reason, alive_us = watch.fault(status, 1.061e6)
     assert ("detector" in reason, alive_us) == (True, 1e6)
-    reason, alive_us = watch.wrong(sign._replace(at_us=1.06e6), 1.061e6)
+    reason, alive_us = watch.fault(status._replace(at_us=1.06e6), 1.061e6)
     assert ("camera" in reason, alive_us) == (True, 1e6)
     watch.slept_until(1.2e6)
-    assert watch.wrong(sign, 1.25e6)[0] == ""
-    assert "detector" in watch.wrong(sign, 1.261e6)[0]
+    assert watch.fault(status, 1.25e6)[0] == ""
+    assert "detector" in watch.fault(status, 1.261e6)[0]
 
 
 class Hand:
-    """A gripper whose finger is where it was told to be, and which takes its time; fails when told."""
+    """A gripper whose finger is where it was commanded to be, and which takes its time; fails at a step."""
 
     def __init__(self, clock: Clock) -> None:
         self.counted: dict[str, int] = {"answers_lost": 0}
@@ -148,37 +149,39 @@ class Hand:
 
 
 class Bench:
-    """A controller at a board, on which a detector of these tests tells what it feels."""
+    """A controller, and a detector of these tests that publishes its status."""
 
     def __init__(self, timing: Timing, slips: Callable[[int], bool] = lambda k: False) -> None:
         self.clock = Clock()
-        self.board, self.hand = SharedStatus(), Hand(self.clock)
+        self.shared, self.hand = SharedStatus(), Hand(self.clock)
         self.zero_s = self.clock.now_s
         self.dies_at = self.silent_at = self.stops_at = 10**9
-        self._slips, self._told, self._known, self._heard_us = slips, 0, list[float](), 0.0
-        self.clock.passing = self._tell
+        self._slips, self._slices, self._known, self._events_us = slips, 0, list[float](), 0.0
+        self.clock.passing = self._publish
         self._reading, self._writing = multiprocessing.Pipe(duplex=False)
-        self.commanding = Commanding("nowhere", 2_000_000, RhP12RnSettings(), PAPER, timing, 60, 100.0)
+        self.settings = ControllerSettings("nowhere", 2_000_000, RhP12RnSettings(), PAPER, timing, 60, 100.0)
 
-    def _tell(self) -> None:
-        while self.clock.now_s >= self.zero_s + (self._told + 1) * 1e-3 + FELT_S and self._told < self.dies_at:
-            slice_ = self._told
-            self._told += 1
-            at_us = (self.zero_s + self._told * 1e-3 + FELT_S) * 1e6
-            self._heard_us = at_us if slice_ < self.silent_at else self._heard_us
+    def _publish(self) -> None:
+        while self.clock.now_s >= self.zero_s + (self._slices + 1) * 1e-3 + FELT_S and self._slices < self.dies_at:
+            slice_ = self._slices
+            self._slices += 1
+            at_us = (self.zero_s + self._slices * 1e-3 + FELT_S) * 1e6
+            self._events_us = at_us if slice_ < self.silent_at else self._events_us
             if self._slips(slice_):
                 self._known.append((self.zero_s + slice_ * 1e-3) * 1e6 + 50.0)
-            felt = SlipSignal(len(self._known), 0.5, 0.0, 0.0)
-            self.board.publish(
-                DetectorStatus(felt, self._told, at_us, self._heard_us, self.zero_s * 1e6, tuple(self._known[-20:]))
+            signal = SlipSignal(len(self._known), 0.5, 0.0, 0.0)
+            self.shared.publish(
+                DetectorStatus(
+                    signal, self._slices, at_us, self._events_us, self.zero_s * 1e6, tuple(self._known[-20:])
+                )
             )
             if slice_ == self.stops_at:
-                self.board.stop()
+                self.shared.stop()
 
-    def run(self, **changed: Any) -> tuple[CommandingEnded, list[dict[str, Any]]]:
-        commanding = self.commanding if not changed else Commanding(**{**vars(self.commanding), **changed})
+    def run(self, **changed: Any) -> tuple[ControllerEnded, list[dict[str, Any]]]:
+        settings = replace(self.settings, **changed)
         outbox = MessageWriter(self._writing)
-        ended = command(self.hand, self.board, commanding, outbox, self.clock, self.clock.sleep)
+        ended = command_grasp(self.hand, self.shared, settings, outbox, self.clock, self.clock.sleep)
         assert outbox.flush(1.0)
         return ended, [row for rows in MessageReader(self._reading).take() for row in rows]
 
@@ -213,9 +216,9 @@ def test_a_grasp_that_is_over(bench: Callable[..., Bench]) -> None:
     assert set(phases) == set(Phase)
     law, position = Control(PAPER), 400
     slips = [sum(150 <= k < 160 or 320 <= k < 330 for k in range(row["control/slices_processed"])) for row in rows]
-    for row, felt, goal in zip(rows, slips, at.hand.goals, strict=False):
+    for row, count, goal in zip(rows, slips, at.hand.goals, strict=False):
         assert row["gripper/position_ticks"] == position
-        assert row["control/goal_ticks"] == goal == law.step(row["control/phase"], SlipSignal(felt), position)
+        assert row["control/goal_ticks"] == goal == law.step(row["control/phase"], SlipSignal(count), position)
         position += (goal > position) - (goal < position)
     assert sum(row["control/slip"] for row in rows) == pytest.approx(10, abs=2)
     times = [row["control/t_us"] for row in rows]
@@ -223,17 +226,17 @@ def test_a_grasp_that_is_over(bench: Callable[..., Bench]) -> None:
 
 
 def test_latency_is_from_the_event_to_the_last_byte(bench: Callable[..., Bench]) -> None:
-    """Assert that latency counts slice, detector, waiting, command and wire, and exists only in steps with news."""
+    """Assert that latency counts slice, detector, waiting, command and wire, and exists only after a new slip."""
     at = bench(slips=lambda k: k % 50 == 7)
     _, rows = at.run()
     wire_us = COMMAND_BYTES * 10 / 2.0
     least_us = 1000.0 - 50.0 + FELT_S * 1e6 + WRITE_S * 1e6 + wire_us
     latency = np.array([row["control/latency_us"] for row in rows])
-    news = np.array([row["control/slip"] for row in rows], bool)
-    assert news.any()
-    assert (np.isfinite(latency) == news).all()
-    assert (latency[news] >= least_us - 0.01).all()
-    assert (latency[news] <= least_us + PERIOD_S * 1e6 + 0.01).all()
+    new = np.array([row["control/slip"] for row in rows], bool)
+    assert new.any()
+    assert (np.isfinite(latency) == new).all()
+    assert (latency[new] >= least_us - 0.01).all()
+    assert (latency[new] <= least_us + PERIOD_S * 1e6 + 0.01).all()
 
 
 @pytest.mark.parametrize(("dies_at", "silent_at", "what"), [(250, 10**9, "detector"), (10**9, 250, "camera")])
@@ -250,7 +253,7 @@ def test_silence_ends_with_torque_off(bench: Callable[..., Bench], dies_at: int,
 
 
 def test_a_bus_that_fails(bench: Callable[..., Bench]) -> None:
-    """Assert that the driver's error ends the grasp and is handed on; nobody claims to know when torque was off."""
+    """Assert that the driver's error ends the grasp and is handed on; when torque was off is not known."""
     at = bench()
     at.hand.fails_at = 60
     ended, rows = at.run()
@@ -262,7 +265,7 @@ def test_a_bus_that_fails(bench: Callable[..., Bench]) -> None:
 
 
 def test_a_computer_that_stops_everything(bench: Callable[..., Bench]) -> None:
-    """Assert that 0.1 s in which nobody ran is no death of the detector, and that its deadlines are counted."""
+    """Assert that 0.1 s in which no process ran is no death of the detector, and that its deadlines are counted."""
     at = bench()
     at.hand.frozen_at = 60
     ended, rows = at.run()

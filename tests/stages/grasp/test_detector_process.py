@@ -1,4 +1,4 @@
-"""The detector's loop: a sign for every slice, and every slice for the recorder."""
+"""The detector's loop: a status for every slice, and every slice for the recorder."""
 
 import multiprocessing
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime import processes
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
-from evetac_cli.stages.grasp.detector_process import PIECE_MS, Piece, feel, noise
+from evetac_cli.stages.grasp.detector_process import BATCH_MS, SliceBatch, detect, noise
 
 
 class Camera:
@@ -41,8 +41,8 @@ class Camera:
         pass
 
 
-class Sense:
-    """Feels slip in every third slice."""
+class Detector:
+    """Detects slip in every third slice."""
 
     def __init__(self) -> None:
         self.steps = self.slips = 0
@@ -53,20 +53,20 @@ class Sense:
         return 0.25 * (self.steps % 3)
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         return SlipSignal(self.slips, 0.25 * (self.steps % 3), 1.0, -2.0)
 
 
-class Spied(SharedStatus):
-    """A board that remembers all that it was told."""
+class SpiedStatus(SharedStatus):
+    """Shared memory that remembers all that was published."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.told: list[DetectorStatus] = []
+        self.published: list[DetectorStatus] = []
 
-    def publish(self, sign: DetectorStatus) -> None:
-        super().publish(sign)
-        self.told.append(sign)
+    def publish(self, status: DetectorStatus) -> None:
+        super().publish(status)
+        self.published.append(status)
 
 
 @pytest.fixture
@@ -77,61 +77,63 @@ def pipe() -> Iterator[tuple[MessageReader, MessageWriter]]:
     writing.close()
 
 
-def pieces(inbox: MessageReader, outbox: MessageWriter) -> list[Piece]:
-    found: list[Piece] = []
+def batches_in(inbox: MessageReader, outbox: MessageWriter) -> list[SliceBatch]:
+    batches: list[SliceBatch] = []
     while outbox.waiting_bytes:
-        found += inbox.take()
+        batches += inbox.take()
         outbox.send()
-    return found + list(inbox.take())
+    return batches + list(inbox.take())
 
 
-def test_signs_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
-    """Assert that every slice gives a sign, with the host's time of the first event of slip, and is handed over."""
-    camera, board, most = Camera(4 * PIECE_MS), Spied(), 2 * PIECE_MS + 7
-    feel(camera, Sense(), board, pipe[1], most)
-    assert [sign.slices for sign in board.told] == list(range(1, most + 1))
-    assert [sign.signal.slips for sign in board.told] == [k // 3 for k in range(1, most + 1)]
-    assert {sign.zero_us for sign in board.told} == {7e6}
+def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
+    """Assert that every slice gives a status, with the host's time of the first event of slip, and is handed over."""
+    camera, shared, most = Camera(4 * BATCH_MS), SpiedStatus(), 2 * BATCH_MS + 7
+    detect(camera, Detector(), shared, pipe[1], most)
+    assert [status.slices for status in shared.published] == list(range(1, most + 1))
+    assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(1, most + 1)]
+    assert {status.zero_us for status in shared.published} == {7e6}
     began = [7e6 + (float(camera.slices[k].t[0]) if camera.slices[k].size else 1e3 * k) for k in range(2, most, 3)]
-    assert list(board.told[-1].slip_us) == began[-len(board.told[-1].slip_us) :]
-    assert all(sign.heard_us == board.told[k - 1].heard_us for k, sign in enumerate(board.told) if k % 5 == 4)
-    came = pieces(*pipe)
-    assert [len(piece.counts) for piece in came] == [PIECE_MS, PIECE_MS, 7]
-    assert [count for piece in came for count in piece.counts] == [part.size for part in camera.slices[:most]]
-    t_us = np.concatenate([piece.events.t for piece in came])
+    assert list(shared.published[-1].slip_us) == began[-len(shared.published[-1].slip_us) :]
+    assert all(
+        status.heard_us == shared.published[k - 1].heard_us for k, status in enumerate(shared.published) if k % 5 == 4
+    )
+    batches = batches_in(*pipe)
+    assert [len(batch.counts) for batch in batches] == [BATCH_MS, BATCH_MS, 7]
+    assert [count for batch in batches for count in batch.counts] == [part.size for part in camera.slices[:most]]
+    t_us = np.concatenate([batch.events.t for batch in batches])
     np.testing.assert_array_equal(t_us, np.concatenate([part.t for part in camera.slices[:most]]))
-    assert [p for piece in came for p in piece.probability] == [0.25 * (k % 3) for k in range(1, most + 1)]
+    assert [p for batch in batches for p in batch.probability] == [0.25 * (k % 3) for k in range(1, most + 1)]
 
 
 def test_without_a_detector(pipe: tuple[MessageReader, MessageWriter]) -> None:
-    """Assert that slices are recorded, and signs of life given, where nothing is felt."""
-    board = Spied()
-    feel(Camera(20), None, board, pipe[1], 10)
-    assert board.told[-1].slices == 10
-    assert board.told[-1].signal.slips == 0
-    assert np.isnan(pieces(*pipe)[0].probability).all()
+    """Assert that slices are recorded, and a status published, where there is no detector."""
+    shared = SpiedStatus()
+    detect(Camera(20), None, shared, pipe[1], 10)
+    assert shared.published[-1].slices == 10
+    assert shared.published[-1].signal.slips == 0
+    assert np.isnan(batches_in(*pipe)[0].probability).all()
 
 
 def test_ends(pipe: tuple[MessageReader, MessageWriter]) -> None:
-    """Assert that an order to stop ends it with what was felt, and that a stream which ends too early is an error."""
-    board = Spied()
-    board.stop()
-    feel(Camera(20), Sense(), board, pipe[1], 10)
-    assert board.told == []
+    """Assert that an order to stop ends it, and that a stream which ends too early is an error."""
+    shared = SpiedStatus()
+    shared.stop()
+    detect(Camera(20), Detector(), shared, pipe[1], 10)
+    assert shared.published == []
     with pytest.raises(DeviceError, match="stream ended"):
-        feel(Camera(20), Sense(), Spied(), pipe[1], 30)
+        detect(Camera(20), Detector(), SpiedStatus(), pipe[1], 30)
 
 
 def test_a_recorder_that_does_not_read() -> None:
-    """Assert that slices which nobody fetches are an error once too much is waiting, and not silently lost."""
+    """Assert that slices which are not fetched are an error once too much is waiting, and not silently lost."""
     reading, writing = multiprocessing.Pipe(duplex=False)
     with pytest.raises(DeviceError, match="cannot keep up"):
-        feel(Camera(500), Sense(), Spied(), MessageWriter(writing, most_bytes=3_000_000), 500)
+        detect(Camera(500), Detector(), SpiedStatus(), MessageWriter(writing, most_bytes=3_000_000), 500)
     reading.close()
     writing.close()
 
 
-def test_urgency_as_far_as_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_priority_as_far_as_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that what is not permitted is not asked for again but left, and that what came of it is said."""
     asked: list[tuple[str, Any]] = []
 

@@ -17,14 +17,15 @@ import numpy as np
 import pytest
 
 from evetac_cli.devices import GripperReading, Rig
-from evetac_cli.devices.naming import gripper_name, open_rig
+from evetac_cli.devices.grippers import NoGripper
+from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.inspect import repair, validate
 from evetac_cli.params import Record
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages import record
-from evetac_cli.stages.record import capture, capture_plan, capture_series
+from evetac_cli.stages import record, session
+from evetac_cli.stages.record import capture
 from evetac_cli.store import disk, segments
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
@@ -33,7 +34,7 @@ from tests.conftest import Made
 
 
 class Camera:
-    """A camera that makes ten events in every slice, and fails or ends when told."""
+    """A camera that makes ten events in every slice, and fails or ends after a number of slices."""
 
     def __init__(self, slices: int = 10**9, fails_at: int = 10**9) -> None:
         self.sensor: Mapping[str, Any] = {
@@ -66,7 +67,7 @@ class Camera:
 
 
 class Hand:
-    """A gripper that stands still, and fails when told."""
+    """A gripper that stands still, and fails after a number of commands."""
 
     def __init__(self, fails_at: int = 10**9) -> None:
         self.counted = {"answers_lost": 2}
@@ -185,7 +186,7 @@ def test_device_that_fails_at_once_leaves_nothing(rig_is: Callable[..., Rig], tm
 def test_gripper_is_let_go_of_before_the_file_is_joined(
     rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Assert that torque does not wait for the disk, and that a gripper that will not let go is told afterwards."""
+    """Assert that torque does not wait for the disk, and that a gripper that will not let go is an error afterwards."""
     hand = Hand()
     join = segments.join
 
@@ -299,8 +300,8 @@ def test_changed_setup_is_refused(
     if "seed" in change:  # it names other files: of this series by hand
         series = ((job.output,), (tmp_path / "b.recording.h5",))
         jobs = [
-            job_._replace(output=paths[0], choice={**job_.choice, "outputs": paths, "series": series})
-            for job_, paths in zip(jobs, series, strict=True)
+            dataclasses.replace(trial, output=files[0], files=files, series=series)
+            for trial, files in zip(jobs, series, strict=True)
         ]
     with pytest.raises(InputError, match="another set-up") as refused:
         record.run(jobs[1], params)
@@ -323,7 +324,7 @@ def test_drawn_current_is_the_trials(rig_is: Callable[..., Rig], tmp_path: Path)
 
     trials(1, 10.0)
     paths = trials(2, 19.0, resume=True)
-    headers = [capture_series.header_of(path)["parameters"] for path in paths]
+    headers = [capture._header(path)["parameters"] for path in paths]
     assert [header["drawn_holding_ma"] for header in headers] == [10.0, 19.0]
     assert [header["handling"]["holding_ma"] for header in headers] == [None, None]
     with pytest.raises(InputError, match="another set-up(.|\n)*holding_ma"):
@@ -410,7 +411,7 @@ def test_room_is_asked_for_before(rig_is: Callable[..., Rig], tmp_path: Path, mo
     (job,) = record.jobs([], params, tmp_path / "new" / "folder")
     with pytest.raises(InputError, match="not enough room") as refused:
         record.run(job, params)
-    needed = 1e6 * 10 * capture_plan.BYTES_AN_EVENT
+    needed = 1e6 * 10 * session.BYTES_AN_EVENT
     assert f"{needed / 1e6:,.0f} MB" in str(refused.value)
     assert "10 MB free" in str(refused.value)
     assert not rig.camera.closed
@@ -442,7 +443,7 @@ def test_what_does_not_fit_is_refused(flags: dict[str, Any], tmp_path: Path) -> 
     """Assert that half a simulation, and a camera and a file at once, are refused."""
     params = Record(**flags)
     with pytest.raises(InputError):
-        capture_plan.names(params)
+        record.devices(params)
 
 
 def test_replay_is_recorded_as_it_was(made: Made, tmp_path: Path) -> None:
@@ -480,9 +481,9 @@ def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         count_writes()
         return opened[0]
 
-    def release_and_count(takings: Any) -> None:
+    def release_and_count(recordings: Any) -> None:
         count_writes()
-        release(takings)
+        release(recordings)
 
     release = capture._release
     monkeypatch.setattr(capture, "open_rig", open_and_count)
@@ -499,7 +500,7 @@ def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         assert [events.size for events in file] == [100] * 700
         rows = file.length("gripper/t_us")
         written = file.read("gripper/current_written_ma")
-        lost = {name: int(file.read(name)) for name in file.contents() if name.startswith(capture.LOST)}
+        lost = {name: int(file.read(name)) for name in file.contents() if name.startswith(session.LOST)}
         assert (np.diff(file.read("gripper/t_us")) > 0).all()
         assert file.header["parameters"]["setup"]["gripper"]["model"] == "RH-P12-RN(A)"
     assert not any(count for name, count in lost.items() if "camera" in name)
@@ -540,10 +541,10 @@ def test_two_cameras_of_one_trial(made: Made, tmp_path: Path) -> None:
     assert jobs[0].inputs == tuple(both)
     first = record.run(jobs[0], params)
     record.run(jobs[1], dataclasses.replace(params, resume=True))
-    assert [row["output"] for row in first.rows] == [str(path) for path in jobs[0].choice["outputs"]]
+    assert [row["output"] for row in first.rows] == [str(path) for path in jobs[0].outputs]
     ids = []
     for job in jobs:
-        with open_recording(job.choice["outputs"][0]) as one, open_recording(job.choice["outputs"][1]) as other:
+        with open_recording(job.outputs[0]) as one, open_recording(job.outputs[1]) as other:
             assert len(one) == 400
             assert abs(len(other) - 400) < 200
             for recorded, path in ((one, both[0]), (other, both[1])):
@@ -567,14 +568,14 @@ def test_two_cameras_end_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     opened = list(rigs)
     params = Record(camera="dvxplorer:A,dvxplorer:B", gripper="/dev/ttyUSB0", expected_event_rate=1e4)
     (job,) = record.jobs([], params, tmp_path)
-    assert [path.name for path in job.choice["outputs"]] == [
+    assert [path.name for path in job.outputs] == [
         "dvxplorer-A-s0-000.recording.h5",
         "dvxplorer-B-s0-000.recording.h5",
     ]
     with pytest.raises(DeviceError, match="no longer on the bus"):
         record.run(job, params)
-    assert all(faults(path) is None for path in job.choice["outputs"])
-    with open_recording(job.choice["outputs"][1]) as file:
+    assert all(faults(path) is None for path in job.outputs)
+    with open_recording(job.outputs[1]) as file:
         assert len(file) == 50
     assert hand.closed
     assert all(rig.camera.closed for rig in opened)
@@ -584,7 +585,7 @@ def test_two_cameras_end_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 def test_cameras_that_do_not_go_together(camera: str) -> None:
     """Assert that a simulated world has one camera."""
     with pytest.raises(InputError, match="too many cameras"):
-        capture_plan.names(Record(camera=camera))
+        record.devices(Record(camera=camera))
 
 
 def evetac(*arguments: str, **more: Any) -> "subprocess.Popen[str]":
@@ -611,7 +612,7 @@ def test_interrupted_recording_is_complete(number: int, made: Made, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["a.recording.h5"]
     assert faults(output) is None
     with open_recording(output) as file:
-        assert file.read("capture/ended") == capture.INTERRUPTED
+        assert file.read("capture/ended") == session.INTERRUPTED
 
 
 def quiet_then_busy(path: Path) -> Path:
@@ -656,5 +657,4 @@ def test_full_disk(tmp_path: Path) -> None:
 
 def test_gripper_of_a_name_that_is_not_given() -> None:
     """Assert that a camera alone moves no gripper."""
-    camera, gripper = capture_plan.names(Record(camera="dvxplorer"))
-    assert gripper == gripper_name("none", camera[0])
+    assert record.devices(Record(camera="dvxplorer"))[1] == NoGripper()

@@ -17,17 +17,17 @@ import pytest
 from evetac_cli.devices import GripperReading
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.inspect import validate
-from evetac_cli.jobs import Job
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
 from evetac_cli.params import Grasp
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import grasp
-from evetac_cli.stages.grasp import live
-from evetac_cli.stages.grasp.controller_process import CommandingEnded, Ready
-from evetac_cli.stages.grasp.detector_process import FeelingEnded, Piece, Seen, noise
-from evetac_cli.stages.grasp.loop import row_of
-from evetac_cli.stages.grasp.recorder import Recorded
+from evetac_cli.stages.grasp import real_time
+from evetac_cli.stages.grasp.controller_process import ControllerEnded, GripperReady
+from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, SliceBatch, noise
+from evetac_cli.stages.grasp.loop import control_row
+from evetac_cli.stages.grasp.recorder import RecordedGrasp
+from evetac_cli.stages.trials import DeviceTrial
 from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter
 
@@ -91,9 +91,9 @@ def test_dry_run_touches_nothing(tmp_path: Path) -> None:
     params = Grasp(camera="dvxplorer", gripper=PORT, dry_run=True, count=2, calibration=grid_of(tmp_path))
     out = tmp_path / "out"
     shown = grasp.dry_run(grasp.jobs([], params, out), params)
-    told = {row["part"]: row for row in shown.rows}
-    assert "100 mA" in told["gripper"]["detail"]
-    assert "falls" in told["end"]["detail"]
+    rows = {row["part"]: row for row in shown.rows}
+    assert "100 mA" in rows["gripper"]["detail"]
+    assert "falls" in rows["end"]["detail"]
     assert shown.summary["files"] == 2
     assert not shown.simulated
     assert not out.exists()
@@ -102,7 +102,7 @@ def test_dry_run_touches_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        ({}, "nobody knows where the dots"),
+        ({}, "it is not known where the dots"),
         ({"calibration": Path("nope.json")}, "nope.json: cannot be read"),
         ({"camera": "virtual", "gripper": None, "calibration": Path("nope.json")}, "nope.json: cannot be read"),
         ({"calibration": "grid", "model": Path("nope.h5")}, "nope.h5: no such file"),
@@ -139,7 +139,7 @@ def test_series_is_not_begun_in_part(tmp_path: Path) -> None:
 
 
 def test_no_dot_grid(tmp_path: Path) -> None:
-    """Assert that a camera whose gel nobody knows is refused before a gripper moves."""
+    """Assert that a camera whose gel is not known is refused before a gripper moves."""
     params = Grasp(camera="dvxplorer", gripper=PORT, arm=True)
     (job,) = grasp.jobs([], params, tmp_path / "a.recording.h5")
     with pytest.raises(InputError, match="--calibration"):
@@ -148,14 +148,14 @@ def test_no_dot_grid(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def armed(tmp_path: Path) -> tuple[Grasp, Job]:
+def armed(tmp_path: Path) -> tuple[Grasp, DeviceTrial]:
     """A grasp with a gripper that does not exist, at a gel whose dots are known."""
     params = Grasp(camera="virtual:prepared=10000", gripper=PORT, arm=True, calibration=grid_of(tmp_path))
     (job,) = grasp.jobs([], params, tmp_path / "b.recording.h5")
     return params, job
 
 
-class Loops:
+class GraspProcesses:
     """In place of detector and controller: two that are ready, and do nothing."""
 
     closed = 0
@@ -163,16 +163,16 @@ class Loops:
     def __init__(self, *made_of: Any) -> None:
         pass
 
-    def begin(self, came: list[int]) -> tuple[Seen, Ready]:
+    def begin(self, signals: list[int]) -> tuple[CameraReady, GripperReady]:
         print("ready", file=sys.stderr)
         sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "dvxplorer:T1"}
-        return Seen(sensor, {"serial": "T1"}, (), "as usual"), Ready({"mode": "position"}, "as usual")
+        return CameraReady(sensor, {"serial": "T1"}, (), "as usual"), GripperReady({"mode": "position"}, "as usual")
 
     def go(self) -> None:
         print("go", file=sys.stderr)
 
     def close(self) -> None:
-        Loops.closed += 1
+        GraspProcesses.closed += 1
 
 
 @pytest.fixture
@@ -180,44 +180,44 @@ def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
     """Let a function stand for detector, controller and recorder."""
 
     def put(record: Any) -> None:
-        Loops.closed = 0
-        monkeypatch.setattr(live, "Loops", Loops)
-        monkeypatch.setattr(live, "record", record)
+        GraspProcesses.closed = 0
+        monkeypatch.setattr(real_time, "GraspProcesses", GraspProcesses)
+        monkeypatch.setattr(real_time, "record", record)
 
     return put
 
 
-def some(writer: RecordingWriter, ended: str, error: Exception | None = None, steps: int = 2) -> Recorded:
+def some(writer: RecordingWriter, ended: str, error: Exception | None = None, steps: int = 2) -> RecordedGrasp:
     """What is recorded of a grasp of a few slices."""
-    recorded = Recorded(1000, ended=ended, error=error)
-    piece = Piece(noise(np.random.default_rng(0), 0), [3000], [0.5], [1.0], [600.0])
-    recorded.take_slices(piece, writer)
+    recorded = RecordedGrasp(1000, ended=ended, error=error)
+    batch = SliceBatch(noise(np.random.default_rng(0), 0), [3000], [0.5], [1.0], [600.0])
+    recorded.take_slices(batch, writer)
     control = Control(PAPER)
-    row = row_of(control, Phase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
+    row = control_row(control, Phase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
     late = {"control/late_us": 5.0, "control/missed": 1, "control/latency_us": 2500.0, "control/slices_processed": 1}
     recorded.take_steps([{**row, **late}] * steps, writer)
     cycle_us = array("d", [700.0] * steps)
-    recorded.commanding = CommandingEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
-    recorded.feeling = FeelingEnded({"late_events": 3}, None)
+    recorded.controller = ControllerEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
+    recorded.detector = DetectorEnded({"late_events": 3}, None)
     return recorded
 
 
-def test_motion_is_told_when_all_is_ready(
-    armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
+def test_motion_is_announced_when_all_is_ready(
+    armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Assert that "moves now" is said once both processes are ready and the file is begun, and next is motion."""
-    recorder_is(lambda loops, world, writer, *more: some(writer, "the grasp is over"))
+    recorder_is(lambda processes, world, writer, *more: some(writer, "the grasp is over"))
     grasp.run(armed[1], armed[0])
     ready, moves, go = capsys.readouterr().err.splitlines()
     assert (ready, go) == ("ready", "go")
     assert moves.startswith(f"{PORT}@2000000 moves now; torque is switched off")
 
 
-def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
-    """Assert that misses, latency, losses and urgency are in file and row, and that both processes are ended."""
-    recorder_is(lambda loops, world, writer, *more: some(writer, "the grasp is over"))
+def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
+    """Assert that misses, latency, losses and scheduling are in file and row, and that both processes are ended."""
+    recorder_is(lambda processes, world, writer, *more: some(writer, "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
-    assert Loops.closed
+    assert GraspProcesses.closed
     assert (row["command_misses"], row["latency_us_median"], row["latencies"]) == (1, 2500.0, 2)
     assert row["lost"] == "camera.late_events 3; gripper.answers_lost 4"
     with open_recording(armed[1].output) as file:
@@ -228,10 +228,10 @@ def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, Job], recorder_is: Ca
         assert file.header["parameters"]["setup"]["camera"] == {"serial": "T1"}
 
 
-def test_a_failure_is_told_and_kept(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
-    """Assert that what failed is raised, with what is kept, and that the file says it and how long torque stayed on."""
+def test_a_failure_says_what_was_saved(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
+    """Assert that a failure is raised with what was saved, and that the file says it and how long torque stayed on."""
     failed = DeviceError("the camera is silent; torque is off")
-    recorder_is(lambda loops, world, writer, *more: some(writer, "the camera is silent", failed))
+    recorder_is(lambda processes, world, writer, *more: some(writer, "the camera is silent", failed))
     with pytest.raises(DeviceError, match="silent(.|\n)*kept: .*1 slices in"):
         grasp.run(armed[1], armed[0])
     assert validate.run([armed[1].output]).rows[0]["faults"] is None
@@ -240,27 +240,27 @@ def test_a_failure_is_told_and_kept(armed: tuple[Grasp, Job], recorder_is: Calla
         assert float(file.read("capture/released_us")) == pytest.approx(70_000.0)
 
 
-def test_interrupted(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
+def test_interrupted(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that Ctrl-C goes on as such, once the file is there."""
-    recorder_is(lambda loops, world, writer, *more: some(writer, "interrupted"))
+    recorder_is(lambda processes, world, writer, *more: some(writer, "interrupted"))
     with pytest.raises(KeyboardInterrupt, match="torque is off: 1 slices"):
         grasp.run(armed[1], armed[0])
     assert validate.run([armed[1].output]).rows[0]["faults"] is None
 
 
-def test_nothing_happened(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
+def test_nothing_happened(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that a grasp without a step leaves no file, and says why it ended."""
-    recorder_is(lambda loops, world, writer, *more: some(writer, "no answer", DeviceError("no answer"), steps=0))
+    recorder_is(lambda processes, world, writer, *more: some(writer, "no answer", DeviceError("no answer"), steps=0))
     with pytest.raises(DeviceError, match="no answer(.|\n)*nothing was recorded"):
         grasp.run(armed[1], armed[0])
     assert not armed[1].output.exists()
     assert not list(armed[1].output.parent.glob("*.part"))
 
 
-def test_a_full_disk(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None]) -> None:
-    """Assert that what was written waits for repair, that it is said, and that nobody grasps over it."""
+def test_a_full_disk(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
+    """Assert that what was written waits for repair, that it is said, and that no grasp is made over it."""
 
-    def fails(loops: Any, world: Any, writer: RecordingWriter, *more: Any) -> None:
+    def fails(processes: Any, world: Any, writer: RecordingWriter, *more: Any) -> None:
         some(writer, "")
         writer.close_segment()
         raise InputError("a segment cannot be written")
@@ -268,15 +268,15 @@ def test_a_full_disk(armed: tuple[Grasp, Job], recorder_is: Callable[[Any], None
     recorder_is(fails)
     with pytest.raises(InputError, match="cannot be written(.|\n)*evetac repair"):
         grasp.run(armed[1], armed[0])
-    assert Loops.closed
-    Loops.closed = 0
+    assert GraspProcesses.closed
+    GraspProcesses.closed = 0
     with pytest.raises(InputError, match="broke off here"):
         grasp.run(armed[1], armed[0])
-    assert not Loops.closed
+    assert not GraspProcesses.closed
 
 
 def test_a_gripper_that_is_not_there(
-    armed: tuple[Grasp, Job], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    armed: tuple[Grasp, DeviceTrial], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Assert that the driver's words come through two processes, that both end, that nothing is left, nor moved."""
     params, job = armed
@@ -319,10 +319,10 @@ def test_a_virtual_grasp(tmp_path: Path) -> None:
 
 
 def children_of(process: int) -> list[int]:
-    found = []
+    children: list[str] = []
     for task in os.listdir(f"/proc/{process}/task"):
-        found += Path(f"/proc/{process}/task/{task}/children").read_text().split()
-    spawned = [int(child) for child in found if "multiprocessing-fork" in Path(f"/proc/{child}/cmdline").read_text()]
+        children += Path(f"/proc/{process}/task/{task}/children").read_text().split()
+    spawned = [int(child) for child in children if "multiprocessing-fork" in Path(f"/proc/{child}/cmdline").read_text()]
     return sorted(spawned)  # world, detector, controller: as they were started
 
 

@@ -1,4 +1,4 @@
-"""What a camera sees, as a small picture of characters on the terminal; nothing is written and no gripper moves."""
+"""record --live: what a camera sees, as a picture of characters on the terminal; nothing is written or moved."""
 
 import time
 from collections import deque
@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli import console
-from evetac_cli.devices import Rig
-from evetac_cli.devices.naming import GripperName, camera_name, open_rig
+from evetac_cli.devices import Rig, cameras
+from evetac_cli.devices.grippers import NoGripper
+from evetac_cli.devices.opening import open_rig
 from evetac_cli.events import Events
-from evetac_cli.jobs import Job, Outcome, Progress
+from evetac_cli.jobs import Outcome
 from evetac_cli.params import Record
 from evetac_cli.stages.record.capture_plan import settings
+from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial
 
 COLUMNS, ROWS = 80, 30  # characters, which are twice as high as wide
 SHOWN_MS = 100  # events of so long make one picture
@@ -21,18 +23,13 @@ SHADES = " .:-=+*#%@"
 FULL = 2.0  # events a pixel for the darkest shade
 
 
-def run(job: Job, params: Record, seeds: np.random.SeedSequence, progress: Progress) -> Outcome:
+def run(trial: SimulatedTrial | DeviceTrial, params: Record) -> Outcome:
     """Show the camera until --seconds are over, its stream ends, or Ctrl-C."""
-    camera = camera_name(params.camera)
-    if camera.kind == "sim":
-        from evetac_cli.devices.simulated import rig as simulated
-
-        rig = simulated(job.choice["plan"], seeds)
-    else:
-        rig = open_rig(camera, GripperName("none"), settings(params), job.choice.get("plan"), seeds)
+    camera = trial.cameras[0] if isinstance(trial, DeviceTrial) else cameras.Simulated()
+    rig = open_rig(camera, NoGripper(), settings(params), trial.plan, trial.seeds())
     try:
         most = round(1000 * params.seconds) if params.seconds is not None else None
-        row = _watch(rig, most, paced=camera.kind == "sim")
+        row = _watch(rig, most, paced=camera.is_stepped)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("stopped; nothing was written") from None
     finally:
@@ -43,7 +40,7 @@ def run(job: Job, params: Record, seeds: np.random.SeedSequence, progress: Progr
 
 def _watch(rig: Rig, most: int | None, *, paced: bool) -> dict[str, Any]:
     """Read and show; `paced` holds a simulation back to real time."""
-    frame = tuple(int(size) for size in rig.sensor_known()["sensor/frame_px"])
+    frame = tuple(int(size) for size in rig.known_sensor()["sensor/frame_px"])
     latest: deque[Events] = deque(maxlen=SHOWN_MS)
     slices = total = 0
     began_s = time.monotonic()
@@ -82,6 +79,6 @@ def picture(parts: list[Events], frame_px: tuple[int, ...]) -> str:
         row = events.y.astype(np.int64) * ROWS // height
         counts += np.bincount(row * COLUMNS + column, minlength=ROWS * COLUMNS)
     pixels = width * height / (ROWS * COLUMNS)
-    dark = np.sqrt(np.minimum(counts / (FULL * pixels), 1.0))  # a single dot's events are to be seen, too
+    dark = np.sqrt(np.minimum(counts / (FULL * pixels), 1.0))  # events of a single dot are visible, too
     shade = np.ceil(dark * (len(SHADES) - 1)).astype(np.int64).reshape(ROWS, COLUMNS)
     return "\n".join("".join(SHADES[value] for value in line) for line in shade)

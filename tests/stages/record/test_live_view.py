@@ -7,7 +7,7 @@ import numpy as np
 from evetac_cli.events import Events, empty
 from evetac_cli.params import Record
 from evetac_cli.stages import record
-from evetac_cli.stages.record import live
+from evetac_cli.stages.record import live_view
 from tests.conftest import Made
 
 
@@ -19,17 +19,17 @@ def at(x: int, y: int, count: int) -> Events:
 
 def test_picture_is_where_the_events_are() -> None:
     """Assert that events darken their own place only, more events more, and no event nothing; edges included."""
-    lines = live.picture([at(0, 0, 1), at(639, 479, 500)], (640, 480)).splitlines()
-    assert len(lines) == live.ROWS
-    assert {len(line) for line in lines} == {live.COLUMNS}
+    lines = live_view.picture([at(0, 0, 1), at(639, 479, 500)], (640, 480)).splitlines()
+    assert len(lines) == live_view.ROWS
+    assert {len(line) for line in lines} == {live_view.COLUMNS}
     assert lines[0][0] != " "
-    assert live.SHADES.index(lines[-1][-1]) > live.SHADES.index(lines[0][0])
-    assert "".join(lines).count(" ") == live.ROWS * live.COLUMNS - 2
-    assert set(live.picture([empty()], (640, 480))) == {" ", "\n"}
+    assert live_view.SHADES.index(lines[-1][-1]) > live_view.SHADES.index(lines[0][0])
+    assert "".join(lines).count(" ") == live_view.ROWS * live_view.COLUMNS - 2
+    assert set(live_view.picture([empty()], (640, 480))) == {" ", "\n"}
 
 
 def test_nothing_is_written(made: Made, tmp_path: Path) -> None:
-    """Assert that looking at a camera or a simulation tells its rate and leaves no file."""
+    """Assert that a live view of a camera or a simulation reports its rate and leaves no file."""
     for camera in ("sim", f"replay:{made.recordings[0]}"):
         scene = {"scene": str(made.scene)} if camera == "sim" else {}
         params = Record(camera=camera, live=True, seconds=0.2, **scene)

@@ -1,0 +1,305 @@
+"""Cameras by name, as on the command line: `--camera dvxplorer:DXM00042`.
+
+`parse` turns a name into an object of one of the kinds in `KINDS` and touches no device; its `open` starts the camera.
+A driver is imported only when a camera of its kind is opened, so that the library of a device that is not used is not
+needed.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+
+from evetac_cli.devices import Clock, EventCamera
+from evetac_cli.devices.naming import no_such_device, parse_number
+from evetac_cli.devices.replay import ReplayCamera
+from evetac_cli.devices.virtual.faults import camera_fault
+from evetac_cli.events import FRAME_PX
+from evetac_cli.store.provenance import Header
+from evetac_cli.store.read import open_recording
+
+if TYPE_CHECKING:
+    from evetac_cli.devices.virtual.word_sources import PreparedWords
+    from evetac_cli.devices.virtual.world import VirtualWorld
+
+NAMES = "sim, virtual, dvxplorer[:SERIAL], dv[:SERIAL] or replay:FILE"
+PREPARED_EVENTS_S = 1_000_000
+PREPARED_S = 30  # how long prepared words are played; then the camera is silent
+TIMESTAMP_CODE = 2  # of an event word: bits 26 up
+FIRMWARE = 10
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """What can be set on an event camera; None leaves the driver's default."""
+
+    threshold_on: int | None = None
+    threshold_off: int | None = None
+    readout_rate: str | None = None
+    flush_us: int | None = None
+
+    def given(self) -> dict[str, Any]:
+        """Those that are set."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+class RunningCamera(EventCamera, Clock, Protocol):
+    """A camera that is running, and its clock."""
+
+
+class OpenedCamera(NamedTuple):
+    """A camera that was opened, what it is and how it is set (for a header), and headers of the files that it plays."""
+
+    camera: RunningCamera
+    setup: dict[str, Any]
+    parents: tuple[Header, ...] = ()
+
+
+@dataclass(frozen=True)
+class NamedCamera:
+    """A camera as it was named, before it is opened; the class variables say what commands may expect of its kind."""
+
+    name: ClassVar[str]
+    is_stepped: ClassVar[bool] = False  # its time passes as slices are read: a simulation that is not in real time
+    is_simulated: ClassVar[bool] = False  # what it sees is simulated now; a replay may show an earlier simulation
+    is_hardware: ClassVar[bool] = False  # a person puts the object in place
+    is_adjustable: ClassVar[bool] = False  # thresholds and readout rate can be set
+    is_replay: ClassVar[bool] = False
+    own_gripper: ClassVar[str] = "none"  # the gripper that belongs to it where none is named
+
+    @property
+    def simulates_scene(self) -> bool:
+        """Whether a scene is simulated in front of it."""
+        return False
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Recordings that it reads."""
+        return ()
+
+    @property
+    def file_stem(self) -> str:
+        """How the names of its recordings begin."""
+        return self.name
+
+    def __str__(self) -> str:
+        return self.name
+
+    def frame_px(self) -> tuple[int, int]:
+        """Width and height of its frame."""
+        return FRAME_PX
+
+    def known_sensor(self) -> dict[str, Any]:
+        """Datasets `sensor/...` that are known before it is opened."""
+        return {}
+
+    def parents(self) -> tuple[Header, ...]:
+        """Headers of the recordings that it plays."""
+        return ()
+
+    def shows_simulation(self) -> bool:
+        """Whether what it sees is, or once was, simulated."""
+        return self.is_simulated or any(header["simulated"] for header in self.parents())
+
+    def open(
+        self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
+    ) -> OpenedCamera:
+        """Start the camera; DeviceError if it cannot be opened.
+
+        world: what a virtual camera looks at, None for prepared words, which are drawn from the seeds. A `Simulated`
+        camera has no driver: devices.simulated builds it together with its gripper.
+        """
+        raise NotImplementedError(f"{self.name} has no driver")
+
+
+@dataclass(frozen=True)
+class Simulated(NamedCamera):
+    """`sim`: the camera of a scene that is simulated as fast as it is read."""
+
+    name = "sim"
+    own_gripper = "sim"
+    is_stepped = True
+    is_simulated = True
+
+    @property
+    def simulates_scene(self) -> bool:
+        """True, always."""
+        return True
+
+
+@dataclass(frozen=True)
+class Virtual(NamedCamera):
+    """`virtual[:OPTION+OPTION...]`: the real driver before a virtual DVXplorer, in real time."""
+
+    name = "virtual"
+    own_gripper = "virtual"
+    is_simulated = True
+    is_adjustable = True
+    faults: tuple[str, ...] = ()  # such as `unplug@2.0`
+    prepared_events_s: float | None = None  # plays prepared words of this rate instead of a simulated scene
+    firmware: int = FIRMWARE
+
+    @classmethod
+    def parse(cls, options: str) -> "Virtual":
+        """Understand `prepared[=EVENTS_S]`, `firmware=NUMBER` and faults, joined by +; InputError for any other."""
+        name = f"{cls.name}:{options}" if options else cls.name
+        given = list(filter(None, options.split("+")))
+        numbers = {key: option for option in given if (key := option.partition("=")[0]) in ("prepared", "firmware")}
+        faults = tuple(option for option in given if option not in numbers.values())
+        for each in faults:
+            camera_fault(each)
+        prepared, firmware = (numbers.get(key, "").partition("=")[2] for key in ("prepared", "firmware"))
+        rate = parse_number(prepared or str(PREPARED_EVENTS_S), "prepared=EVENTS_S", name)
+        number = round(parse_number(firmware or str(FIRMWARE), "firmware=NUMBER", name))
+        return cls(faults, rate if "prepared" in numbers else None, number)
+
+    @property
+    def simulates_scene(self) -> bool:
+        """False where it plays prepared words."""
+        return self.prepared_events_s is None
+
+    def open(
+        self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
+    ) -> OpenedCamera:
+        """Start the driver on a virtual camera that looks at the world, or plays prepared words."""
+        from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
+
+        source = prepared_words(self.prepared_events_s or PREPARED_EVENTS_S, seeds) if world is None else world
+        backend = VirtualDvxplorer(source, self.firmware, faults=self.faults)
+        return _open_dvxplorer(self.name, None, settings, backend)
+
+
+@dataclass(frozen=True)
+class Dvxplorer(NamedCamera):
+    """`dvxplorer[:SERIAL]`: a DVXplorer Mini, by our driver."""
+
+    name = "dvxplorer"
+    is_hardware = True
+    is_adjustable = True
+    serial: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.serial}" if self.serial else self.name
+
+    @property
+    def file_stem(self) -> str:
+        """Kind and serial number."""
+        return f"{self.name}-{_stem(self.serial)}" if self.serial else self.name
+
+    def open(
+        self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
+    ) -> OpenedCamera:
+        """Start the camera of this serial number, or the only one."""
+        return _open_dvxplorer(self.name, self.serial, settings, None)
+
+
+@dataclass(frozen=True)
+class Dv(Dvxplorer):
+    """`dv[:SERIAL]`: any camera that the library dv-processing can open."""
+
+    name = "dv"
+
+    def open(
+        self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
+    ) -> OpenedCamera:
+        """Start the camera of this serial number, or the first."""
+        from evetac_cli.devices.dv import DvCamera
+        from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
+
+        chosen = DvxplorerSettings(**settings.given())
+        camera = DvCamera(self.serial, chosen)
+        sensor = str(camera.sensor["sensor/name"])
+        return OpenedCamera(camera, {"name": self.name, "sensor": sensor, "settings": asdict(chosen)})
+
+
+@dataclass(frozen=True)
+class Replay(NamedCamera):
+    """`replay:FILE`: a recording, handed out at the pace at which it was made."""
+
+    name = "replay"
+    is_replay = True
+    path: Path
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.path}"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The recording."""
+        return (self.path,)
+
+    @property
+    def file_stem(self) -> str:
+        """Kind, and the name of the recording without its ending."""
+        return f"{self.name}-{_stem(self.path)}"
+
+    def frame_px(self) -> tuple[int, int]:
+        """That of the recording."""
+        with open_recording(self.path) as recording:
+            return recording.frame_px
+
+    def known_sensor(self) -> dict[str, Any]:
+        """All that the recording says of its sensor."""
+        with open_recording(self.path) as recording:
+            return recording.sensor_datasets()
+
+    def parents(self) -> tuple[Header, ...]:
+        """That of the recording."""
+        with open_recording(self.path) as recording:
+            return (recording.header,)
+
+    def open(
+        self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
+    ) -> OpenedCamera:
+        """Open the recording; its time begins with the first slice that is read."""
+        camera = ReplayCamera(self.path, paced=True)
+        return OpenedCamera(camera, {"name": self.name, "recording": camera.header["id"]}, (camera.header,))
+
+
+# What stands before the colon: what comes after it is given to the kind, which refuses what it does not understand.
+KINDS: dict[str, Callable[[str], NamedCamera]] = {
+    "virtual": Virtual.parse,
+    "dvxplorer": lambda serial: Dvxplorer(serial or None),
+    "dv": lambda serial: Dv(serial or None),
+}
+
+
+def parse(text: str) -> NamedCamera:
+    """Understand --camera; InputError if it is no such kind of camera, or no such option of a virtual one."""
+    kind, _, rest = text.partition(":")
+    if kind in KINDS:
+        return KINDS[kind](rest)
+    if kind == Replay.name and rest:
+        return Replay(Path(rest))
+    if text in (Simulated.name, f"{Simulated.name}:"):
+        return Simulated()
+    raise no_such_device("camera", NAMES, text, (Simulated.name, *KINDS, f"{Replay.name}:"))
+
+
+def prepared_words(events_s: float, seeds: np.random.SeedSequence) -> "PreparedWords":
+    """Event words of one second of events at random, played again and again for half a minute."""
+    from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
+
+    second = random_event_words(events_s, 1.0, np.random.default_rng(seeds))
+    stamps = second >> 26 == TIMESTAMP_CODE
+    return PreparedWords(
+        np.concatenate([np.where(stamps, second + np.uint32(1000 * played), second) for played in range(PREPARED_S)])
+    )
+
+
+def _open_dvxplorer(name: str, serial: str | None, settings: CameraSettings, backend: Any) -> OpenedCamera:
+    """Start our driver; backend: the virtual USB device that it speaks to, None for the computer's own USB."""
+    from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
+    from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
+
+    chosen = DvxplorerSettings(**settings.given())
+    camera = DvxplorerCamera(serial, chosen, backend=backend)
+    about = {"serial": camera.serial, "firmware": camera.firmware, "settings": asdict(chosen)}
+    return OpenedCamera(camera, {"name": name, **about})
+
+
+def _stem(name: str | Path) -> str:
+    """A serial number, or a file's name without folder and endings."""
+    return Path(name).name.split(".")[0]

@@ -1,0 +1,88 @@
+"""Open the camera and the gripper that were named, with what is behind them where they are virtual."""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.devices import Rig
+from evetac_cli.devices.cameras import CameraSettings, NamedCamera
+from evetac_cli.devices.grippers import Mode, NamedGripper
+
+if TYPE_CHECKING:
+    from evetac_cli.devices.virtual.gripper import VirtualGripper
+    from evetac_cli.devices.virtual.world import VirtualWorld
+
+
+class Peers(NamedTuple):
+    """What is behind virtual devices; None where they are real."""
+
+    world: "VirtualWorld | None"
+    servo: "VirtualGripper | None"
+
+
+def open_peers(
+    camera: NamedCamera,
+    gripper: NamedGripper,
+    plan: Mapping[str, Any] | None,
+    seeds: np.random.SeedSequence,
+    opened: ExitStack,
+    *,
+    tells_truth: bool,
+    **durations: float,
+) -> Peers:
+    """Start the virtual world and the virtual servo that the names ask for; they are closed with `opened`.
+
+    plan: what the world simulates, as in devices.simulated.rig; tells_truth: whether the world gives its truth.
+    """
+    world = None
+    if plan is not None and camera.simulates_scene:
+        from evetac_cli.devices.virtual.world import VirtualWorld
+
+        world = VirtualWorld(plan, seeds, tells_truth=tells_truth, **durations)
+        opened.callback(world.close)
+    servo = gripper.open_peer(world.plant if world is not None else None)
+    if servo is not None:
+        opened.callback(servo.close)
+    return Peers(world, servo)
+
+
+def open_rig(
+    camera: NamedCamera,
+    gripper: NamedGripper,
+    settings: CameraSettings,
+    plan: Mapping[str, Any] | None,
+    seeds: np.random.SeedSequence,
+    *,
+    mode: Mode = "current",
+) -> Rig:
+    """Open what was named, the gripper first: a camera's clock starts when it is opened.
+
+    plan: what a simulated scene is made of; mode: of the gripper. DeviceError if a device cannot be opened; what was
+    opened until then is closed again.
+    """
+    if camera.is_stepped:
+        from evetac_cli.devices.simulated import rig
+
+        assert plan is not None
+        return rig(plan, seeds)
+    with ExitStack() as opened:
+        world, servo = open_peers(camera, gripper, plan, seeds, opened, tells_truth=False)
+        driver, gripper_setup = gripper.open(mode, gripper.port if servo is None else servo.port)
+        if driver is not None:
+            opened.callback(driver.close)
+        running, camera_setup, parents = camera.open(settings, world, seeds)
+        opened.pop_all()
+    return Rig(
+        running,
+        driver,
+        running,
+        holding_ma=world.holding_ma if world else 0.0,
+        sampled=world.drawn if world else "",
+        sensor=world.sensor if world else {},
+        setup={"camera": camera_setup, "gripper": gripper_setup},
+        simulated=camera.is_simulated,
+        parents=parents,
+        peers=tuple(peer for peer in (servo, world) if peer is not None),
+    )

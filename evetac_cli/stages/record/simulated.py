@@ -1,0 +1,105 @@
+"""Record a trial in a simulated scene, whose time passes as its slices are read.
+
+Where the scene has a gripper, the object is held by motor current, which is lowered at random until the object slips
+out (paper, "Experimental Setup and Data Collection Procedure").
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices import Gripper, Rig, gripper_row
+from evetac_cli.jobs import Outcome, Progress, outcome
+from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
+from evetac_cli.stages.trials import OUTPUT, SimulatedTrial
+from evetac_cli.store.files import up_to_date
+from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.segments import RecordingWriter
+
+METHOD = 2
+CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
+
+
+def make_recipe(trial: SimulatedTrial) -> Recipe:
+    """What determines the recording of a trial."""
+    return Recipe(OUTPUT, METHOD, {**trial.plan, "trial": trial.number}, seed=trial.seed, simulated_source=True)
+
+
+def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
+    """Simulate one trial and write it; nothing is left of one that is broken off."""
+    recipe = make_recipe(trial)
+    if up_to_date(trial.output, recipe, force=force):
+        return outcome(trial, made=False, simulated=True)
+    from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
+
+    seeds = trial.seeds()
+    ramp = np.random.default_rng(seeds.spawn(1)[0])
+    devices = rig(recipe.parameters, seeds)
+    scene = recipe.parameters["scene"]
+    longest_ms = round(1000 * _longest_s(scene["time"]))
+    known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
+    writer = RecordingWriter(trial.output, known, discard_leftover=True)
+    try:
+        slices, events = _follow(devices, writer, Handling.read(scene), ramp, lambda done: progress(done, longest_ms))
+        writer.finish(recipe)
+    except BaseException:
+        writer.discard()  # a simulation can be made again
+        raise
+    finally:
+        devices.close()
+    return outcome(trial, made=True, simulated=True, slices=slices, events=events)
+
+
+def _longest_s(time: Mapping[str, float]) -> float:
+    """How long a scene takes at most, for the progress shown."""
+    return time["tone_at_s"] + time["tone_s"] + time["after_s"] if "tone_s" in time else time.get("longest_s", 100.0)
+
+
+@dataclass(frozen=True)
+class Handling:
+    """When the gripper does what, in slices: closes to touch, grips with the holding current, lowers it."""
+
+    close_ms: int
+    grip_ms: int
+    ramp_ms: int
+
+    @classmethod
+    def read(cls, scene: Mapping[str, Any]) -> "Handling":
+        """As the scene says; in a ramp scene the object is held from the start."""
+        if scene["kind"] == "ramp":
+            time = scene["time"]
+            return cls(0, 0, round(1000 * (time["rest_s"] + time["load_s"] + time["hold_s"])))
+        return cls(*(round(1000 * scene.get("gripper", {}).get(name, 0.0)) for name in ("close_s", "grip_s", "ramp_s")))
+
+
+def _follow(
+    devices: Rig, writer: RecordingWriter, handling: Handling, rng: np.random.Generator, progress: Callable[[int], None]
+) -> tuple[int, int]:
+    """Write every slice, and command the gripper, if there is one, every 2 ms, until the scene has ended."""
+    slices = events = 0
+    target_ma = devices.holding_ma
+    while (piece := devices.camera.read()) is not None:
+        rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
+        if devices.gripper is not None and slices % COMMAND_MS == 0:
+            if slices > handling.ramp_ms:
+                target_ma += rng.uniform(*RAMP_MA)
+            now_us = devices.clock.now_us()
+            rows |= _command(devices.gripper, now_us, target_ma, slices, handling)
+        writer.append(piece, rows)
+        slices += 1
+        events += piece.size
+        if slices % 100 == 0:
+            progress(slices)
+    return slices, events
+
+
+def _command(gripper: Gripper, now_us: int, target_ma: float, now_ms: int, handling: Handling) -> dict[str, Any]:
+    """One command to the gripper, and its row: position mode until it grips, current mode from then on."""
+    reading = gripper.read()
+    if now_ms < handling.grip_ms:
+        gripper.write_position(reading.position_ticks + (CLOSING_TICKS if now_ms >= handling.close_ms else 0))
+        return gripper_row(now_us, reading)
+    gripper.write_current(round(target_ma))
+    return gripper_row(now_us, reading, target_ma=target_ma, written_ma=round(target_ma))

@@ -1,0 +1,176 @@
+"""Trials: which recordings `record` and `grasp` make, from what, and with which seeds.
+
+A trial is a job of one of three types: in a simulated scene that passes as fast as it is computed, with devices in real
+time (real ones, or virtual ones in front of a simulated scene), or on a recording that is replayed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices.cameras import NamedCamera
+from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome
+from evetac_cli.params import Trials
+from evetac_cli.sim import scene
+from evetac_cli.stages import one_file
+from evetac_cli.store.segments import refuse_leftover
+
+OUTPUT = "recording"
+DRY_SLICES = 200
+
+Plan = dict[str, Any]  # what a scene is built from, as sim.scene.plan gives it
+
+
+@dataclass(frozen=True)
+class Trial(Job):
+    """One of a series of trials: its number, the seed of the series, and the scene, None where none is simulated."""
+
+    number: int
+    seed: int
+    plan: Plan | None
+
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """All files of the trial."""
+        return (self.output,)
+
+    def seeds(self) -> np.random.SeedSequence:
+        """The seeds of this trial, which depend on no other trial."""
+        if self.plan is None:
+            return np.random.SeedSequence([self.seed, self.number])
+        tone_mhz = [round(1000 * self.plan["tone_hz"])] if "tone_hz" in self.plan else []
+        return np.random.SeedSequence([self.seed, self.plan["object"] or 0, self.number, *tone_mhz])
+
+
+@dataclass(frozen=True)
+class SimulatedTrial(Trial):
+    """A trial in a simulated scene, whose time passes as its slices are read."""
+
+    plan: Plan
+
+
+@dataclass(frozen=True)
+class DeviceTrial(Trial):
+    """A trial with devices, in real time; each of its cameras fills a file, the first one's has the gripper.
+
+    series: the files of all trials, by trial; taken: those of them that were taken before the first trial.
+    """
+
+    cameras: tuple[NamedCamera, ...]
+    gripper: NamedGripper
+    files: tuple[Path, ...]
+    series: tuple[tuple[Path, ...], ...]
+    taken: tuple[Path, ...]
+
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """A file for each camera."""
+        return self.files
+
+
+@dataclass(frozen=True)
+class ReplayTrial(Trial):
+    """A trial on a recording, its only input, in which nothing moves."""
+
+    camera: NamedCamera
+
+
+def simulated_trials(
+    kinds: tuple[str, ...], params: Trials, out: Path | None, tones: str | None = None, prefix: str = ""
+) -> list[SimulatedTrial]:
+    """`count` trials of every object or tone in a scene of one of these kinds.
+
+    They are named <prefix><scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
+    """
+    trials = []
+    for plan in scene.plan(params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones):
+        what = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
+        what += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
+        for number in range(params.count):
+            name = f"{prefix}{plan['scene']['name']}{what}-s{params.seed}-{number:03d}.{OUTPUT}.h5"
+            output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
+            built = scene.for_trial(plan, (params.seed, plan["object"] or 0, number))
+            trials.append(SimulatedTrial((), output, number, params.seed, built))
+    one_file(trials, out)
+    return trials
+
+
+def device_trials(
+    kinds: tuple[str, ...],
+    cameras: tuple[NamedCamera, ...],
+    gripper: NamedGripper,
+    params: Trials,
+    out: Path | None,
+    prefix: str = "",
+) -> list[DeviceTrial]:
+    """`count` trials with these devices; in front of a virtual camera, of every object in a scene of these kinds.
+
+    They are named <prefix><camera>[-<serial or recording>][-<which of the same>]-s<seed>-<trial>.recording.h5, those
+    of a virtual scene virtual-<scene>...
+    """
+    plans: list[tuple[int, Plan | None]]
+    outputs: list[tuple[Path, ...]]
+    if cameras[0].simulates_scene:
+        simulated = simulated_trials(kinds, params, out, prefix="virtual-")
+        plans = [(trial.number, trial.plan) for trial in simulated]
+        outputs = [trial.outputs for trial in simulated]
+    else:
+        plans = [(number, None) for number in range(params.count)]
+        outputs = [_camera_files(cameras, params.seed, number, out, prefix) for number in range(params.count)]
+        one_file([path for files in outputs for path in files], out)
+    inputs = tuple(path for camera in cameras for path in camera.files)
+    taken = tuple(path for files in outputs for path in files if _is_taken(path))
+    return [
+        DeviceTrial(inputs, files[0], number, params.seed, plan, cameras, gripper, files, tuple(outputs), taken)
+        for (number, plan), files in zip(plans, outputs, strict=True)
+    ]
+
+
+def _camera_files(
+    cameras: Sequence[NamedCamera], seed: int, number: int, out: Path | None, prefix: str
+) -> tuple[Path, ...]:
+    """A file for each camera of a trial."""
+    if out is not None and out.suffix == ".h5":
+        return (out,) * len(cameras)
+    stems = [prefix + camera.file_stem for camera in cameras]
+    numbered = [
+        f"{stem}-{stems[:place].count(stem) + 1}" if stems.count(stem) > 1 else stem for place, stem in enumerate(stems)
+    ]
+    return tuple((out or Path()) / f"{stem}-s{seed}-{number:03d}.{OUTPUT}.h5" for stem in numbered)
+
+
+def _is_taken(output: Path) -> bool:
+    """Whether a recording is at this place, or one that broke off waits there for repair."""
+    try:
+        refuse_leftover(output)
+    except InputError:
+        return True
+    return output.exists()
+
+
+def built_parts(trials: Sequence[Trial]) -> Outcome:
+    """What the first trial builds and leaves out, and what its slices cost here: measured on 0.2 s of it."""
+    from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
+
+    first = trials[0]
+    assert first.plan is not None
+    devices = rig(first.plan, first.seeds())
+    devices.camera.read()  # compiles, or loads what was compiled
+    started = perf_counter()
+    for _ in range(DRY_SLICES):
+        devices.camera.read()
+    us = (perf_counter() - started) / DRY_SLICES * 1e6
+    devices.close()
+    summary = {
+        "files": len(trials),
+        "first_file": str(first.output),
+        "time_us_a_slice_at_rest": us,
+        "times_real_time_at_rest": 1000 / us,
+    }
+    return Outcome(scene.parts(first.plan), True, summary, made=False)
