@@ -5,7 +5,7 @@ import json
 import pytest
 
 from evetac_cli.jobs import silent
-from evetac_cli.numerics import labels
+from evetac_cli.numerics import cost, labels
 from evetac_cli.params import EvaluateCost
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
@@ -30,6 +30,7 @@ def test_rows_of_labels(monkeypatch: pytest.MonkeyPatch, one_recording: None) ->
     assert rows[1]["error_ms_reference"] <= 1
     assert [row["trials"] for row in rows] == [1] * 4
     json.dumps(rows, allow_nan=False)
+    assert {name for name in rows[0] if name.startswith("error_")} == set(cost.PARTS["label"].errors)
 
 
 def test_searching_gives_the_onset_of_every_slice(made: Made, one_recording: None) -> None:

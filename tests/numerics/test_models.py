@@ -137,6 +137,7 @@ def test_figures_are_those_of_evaluate_slip(files: dict[str, list[Path]], quick:
         assert 0 < row["time_us_median"] <= row["time_us_p99"]
         assert 0 < row["step_us_median"] <= row["step_us_p99"]
     assert any(row["pareto_f1"] for row in outcome.rows)
+    assert {name for name in outcome.rows[0] if name.startswith("error_")} == set(cost.PARTS["model"].errors)
     assert [row["faults"] for row in validate.run([tmp_path / "a.report.h5"]).rows] == [None]
     with StageFile(files["seeds"][0], "model") as model:
         weights = {name: shape for name, (_, shape) in model.contents().items() if name.startswith("weights/")}

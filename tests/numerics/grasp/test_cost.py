@@ -58,6 +58,7 @@ def test_a_real_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.summary.items() >= {"settings": 4, "trials": 4}.items()
     assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
     assert outcome.simulated
+    assert {name for name in outcome.rows[0] if name.startswith("error_")} == set(command.PARTS["grasp"].errors)
 
 
 def test_detectors_to_compare_with(tmp_path: Path) -> None:

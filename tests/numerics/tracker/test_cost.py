@@ -7,6 +7,7 @@ import pytest
 
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.tracking.tracker import PRESETS
+from evetac_cli.numerics import cost as command
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.numerics.tracker import cost
 from evetac_cli.params import EvaluateCost
@@ -25,6 +26,7 @@ def test_cost_has_a_row_for_every_setting_and_workload(rows):
     assert len({tuple(row) for row in rows}) == 1
     assert len({(row["part"], row["setting"]) for row in rows}) == len(rows)
     json.dumps(rows, allow_nan=False)
+    assert {name for name in rows[0] if name.startswith("error_")} == set(command.PARTS["track"].errors)
     assert [name for name in rows[0] if name.startswith("time_us_")][2:] == [
         f"time_us_{count}" for count in (0, 50, 200, 1000, 5000, 20000)
     ]
