@@ -313,9 +313,9 @@ VIBRATION_RANDOMIZED = Table(
     VIBRATION_COLUMNS,
     replace(VIBRATION_ACROSS, mark="same method"),
     notes=(
-        "Random about the adjusted amplitudes of the table above; the paper's figures are for its one set-up. The second"
-        " harmonic is at most 0.65 of the tone; with up to 1 the default method was right in 53 of 60 windows of 1 s"
-        " (c80c948).",
+        "Random about the adjusted amplitudes of the table above; the paper's figures are for its one set-up."
+        " The second harmonic is at most 0.65 of the tone; with up to 1 the default method was right in 53 of 60"
+        " windows of 1 s (c80c948).",
     ),
 )
 

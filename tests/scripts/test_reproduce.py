@@ -1,6 +1,7 @@
 """scripts/reproduce.py: tables say what was run, and no run destroys what another has kept."""
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -163,6 +164,13 @@ def test_wrong_names_and_sizes_are_refused(words: list[str]) -> None:
     """Assert that an experiment or size that does not exist, and a size of another type, end with an error."""
     with pytest.raises(SystemExit, match="error: "):
         reproduce.main([*words, "--dry-run"])
+
+
+def test_every_experiment_is_a_make_target() -> None:
+    """Assert that make targets and experiments have the same names."""
+    makefile = (reproduce.ROOT / "Makefile").read_text()
+    targets = re.findall(r"^([\w-]+):.*\n\t@\$\(REPRODUCE\) --only \$@$", makefile, re.MULTILINE)
+    assert sorted(targets) == sorted(BY_NAME)
 
 
 @SMALLNESS
