@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from evetac_cli import params
 from evetac_cli.errors import SceneError
-from evetac_cli.resources import SCENES
+from evetac_cli.resources import SCENES, table
 from evetac_cli.sim import gripper, sampling, scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
@@ -268,14 +268,19 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_data_rates_are_the_papers(tmp_path: Path) -> None:
-    """Assert that five trajectories of the data-rate scene have the paper's mean data rates, and its peaks."""
+    """Assert that mean data rates of five trials do not differ from the paper's by more than chance, and its peaks.
+
+    The paper gives mean and deviation of five trials. Two means of five with this deviation differ by less than
+    t * sd * sqrt(2 / 5) in 95 of 100 cases, with t = 2.306 (Student's, 8 degrees of freedom): at contact by 0.012.
+    """
     recipe = params.Record(scene="data-rate", count=5)
-    result = []
+    measured = []
     for job in record.jobs([], recipe, tmp_path):
         record.run(job, recipe)
-        result.append(ratios(job.output))
-    whole, contact, about_slip, most_kb = np.mean(result, axis=0)
-    assert whole == pytest.approx(0.017, abs=0.008)
-    assert contact == pytest.approx(0.028, abs=0.016)
-    assert about_slip == pytest.approx(0.119, abs=0.03)
+        measured.append(ratios(job.output))
+    *means, most_kb = np.mean(measured, axis=0)
+    reported = table("paper")["data_rate"]
+    for interval, mean in zip(("whole", "contact", "slip"), means, strict=True):
+        paper_mean, paper_sd = reported[interval]
+        assert mean == pytest.approx(paper_mean, abs=2.306 * paper_sd * np.sqrt(2 / 5)), interval
     assert 10 < most_kb < 25
