@@ -1,11 +1,81 @@
-"""evetac: event-based touch, from a recording to a grasp."""
+"""evetac: event-based touch, from an event camera behind a dotted gel to a grasp.
 
-import os
-import tempfile
-from pathlib import Path
+    import evetac_cli as evetac
+
+    with evetac.open_recording("a.recording.h5") as recording:
+        detector = evetac.SlipDetector(recording.dot_xy_px, recording.window_px)
+        for events in recording:            # one millisecond at a time: t, x, y, p as numpy arrays
+            probability = detector.step(events)
+
+Each name of `__all__` is imported when it is first used, so that `import evetac_cli` costs next to nothing.
+"""
+
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# numba keeps compiled kernels beside their source, else below the home folder, and fails where it can write to neither.
-if "NUMBA_CACHE_DIR" not in os.environ and not os.access(Path(__file__).parent, os.W_OK):
-    os.environ["NUMBA_CACHE_DIR"] = str(Path(tempfile.gettempdir()) / f"evetac-numba-{os.getuid()}")
+if TYPE_CHECKING:
+    from evetac_cli.api import (
+        DotTracker,
+        SlipDetector,
+        objects,
+        open_features,
+        open_forces,
+        open_labels,
+        open_model,
+        open_report,
+        open_tracks,
+        presets,
+        scenes,
+        sensors,
+        simulate,
+    )
+    from evetac_cli.errors import EvetacError, InputError
+    from evetac_cli.events import Events, Slicer
+    from evetac_cli.store.read import Recording, SlipWindows, open_recording
+
+__all__ = [
+    "DotTracker",
+    "Events",
+    "EvetacError",
+    "InputError",
+    "Recording",
+    "Slicer",
+    "SlipDetector",
+    "SlipWindows",
+    "objects",
+    "open_features",
+    "open_forces",
+    "open_labels",
+    "open_model",
+    "open_recording",
+    "open_report",
+    "open_tracks",
+    "presets",
+    "scenes",
+    "sensors",
+    "simulate",
+]
+
+_MODULES = {
+    **dict.fromkeys(("Events", "Slicer"), "events"),
+    **dict.fromkeys(("EvetacError", "InputError"), "errors"),
+    **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.read"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
+    from evetac_cli import resources
+
+    resources.find_kernel_cache()
+    value = getattr(importlib.import_module(f"{__name__}.{_MODULES.get(name, 'api')}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -461,7 +461,7 @@ class Grasp(Trials):
     gain: float = parameter(
         1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0
     )
-    latency_ms: int = parameter(0, "What is felt reaches the controller so much later.", unit="ms", low=0, high=1000)
+    latency_ms: int = parameter(0, "The slip signal reaches the controller so much later.", unit="ms", low=0, high=1000)
     control_hz: float = parameter(
         500.0, "Steps of the controller a second; 1000 has to be a multiple.", unit="Hz", low=1.0, high=1000.0
     )

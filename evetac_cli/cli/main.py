@@ -7,6 +7,7 @@ is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
 import importlib
 import inspect
 import itertools
+import os
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from evetac_cli import __version__, console, params
+from evetac_cli import __version__, console, params, resources
 from evetac_cli.cli import config, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
@@ -339,5 +340,8 @@ _add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, _EXAMINING)
 
 def main() -> None:
     """Entry point of the command `evetac`."""
+    folder = resources.kernel_cache()
+    if folder is not None:
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))  # of this process and of those that it starts
     workers.catch_interrupts()
     app()
