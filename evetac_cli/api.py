@@ -3,7 +3,9 @@
 The examples read files that the commands made: `a.recording.h5`, `a.labels.h5` and so on.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +13,13 @@ from numpy.typing import NDArray
 from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.tracking import tracker
+from evetac_cli.sim import scene
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
+from evetac_cli.stages.record import SCENE_KINDS, simulated
+from evetac_cli.stages.trials import SimulatedTrial
 from evetac_cli.store.files import StageFile
 
 
@@ -96,7 +103,7 @@ class DotTracker:
     """Follows the dots of a gel: a slice of events in, dot centres out, as the command `track` does.
 
     dot_xy_px: centres at rest, (rows, columns, 2) or (n, 2) in px; NaN for a missing dot. preset: see
-    `evetac.presets()["tracker"]`. dot_radius_px: radius of the printed dots. ValueError for dots that cannot be tracked.
+    `evetac.presets()`. dot_radius_px: radius of the printed dots. ValueError for dots that cannot be tracked.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     tracker = evetac.DotTracker(recording.dot_xy_px)
@@ -107,9 +114,7 @@ class DotTracker:
     """
 
     def __init__(self, dot_xy_px: NDArray[np.float64], preset: str = "stable", dot_radius_px: float = 15.0) -> None:
-        if preset not in tracker.PRESETS:
-            raise InputError("unknown preset of the tracker", expected=", ".join(tracker.PRESETS), found=preset)
-        constants = tracker.PRESETS[preset].for_dots(dot_radius_px)
+        constants = _tracker_constants(preset, dot_radius_px)
         self._state = tracker.start(np.asarray(dot_xy_px, np.float64).reshape(-1, 2), constants)
 
     def step(self, events: Events) -> NDArray[np.float64]:
@@ -124,15 +129,18 @@ class DotTracker:
 
 
 class SlipDetector:
-    """Says from events, slice by slice, how probable slip is: the tracker and network that `grasp` runs.
+    """Slip probability from events, slice by slice: the tracker and the network that `grasp` runs.
 
     dot_xy_px: centres at rest, (rows, columns, 2) in px. window_px: x0, y0, x1, y1 of a cut gel's window, None for a
-    closed gel. model: a model file; the package's own by default. InputError if the model is for another dot grid.
+    closed gel. model: a model file; the package's own by default. dot_radius_px: radius of the printed dots. InputError
+    if the model is for another dot grid.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     detector = evetac.SlipDetector(recording.dot_xy_px, recording.window_px)
     ...     probability = [detector.step(events) for events in recording]
     >>> 0.0 <= probability[-1] <= 1.0
+    True
+    >>> detector.slip == (probability[-1] >= detector.threshold)
     True
     """
 
@@ -142,12 +150,109 @@ class SlipDetector:
         window_px: tuple[int, int, int, int] | None = None,
         model: str | Path | None = None,
         tracker_preset: str = "stable",
+        dot_radius_px: float = 15.0,
     ) -> None:
-        if tracker_preset not in tracker.PRESETS:
-            raise InputError("unknown preset of the tracker", expected=", ".join(tracker.PRESETS), found=tracker_preset)
+        constants = _tracker_constants(tracker_preset, dot_radius_px)
         with StageFile(Path(model) if model is not None else resources.MODEL, "model") as file:
-            self._detector = OnlineSlipDetector.start(file, dot_xy_px, window_px, tracker.PRESETS[tracker_preset])
+            self._detector = OnlineSlipDetector.start(file, np.asarray(dot_xy_px, np.float64), window_px, constants)
+
+    @property
+    def threshold(self) -> float:
+        """Probability from which on it is slip, as chosen in training."""
+        return self._detector.threshold
+
+    @property
+    def slip(self) -> bool:
+        """Whether the last slice was slip."""
+        return bool(is_slip(self._detector.probability, self._detector.threshold))
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice, NaN until the history of the network is full."""
         return self._detector.step(events)
+
+
+class Simulation:
+    """A simulated trial: iterate over its slices; see `simulate`. Everything it gives is simulated."""
+
+    def __init__(self, trial: SimulatedTrial) -> None:
+        self._devices, self._slices = simulated.play(trial)
+        sensor = self._devices.camera.sensor
+        self.dot_xy_px: NDArray[np.float64] = np.asarray(sensor["sensor/dot_xy_px"])  # at rest, (rows, columns, 2)
+        width, height = sensor["sensor/frame_px"]
+        self.frame_px = int(width), int(height)
+        window = sensor.get("sensor/window_px")
+        self.window_px: tuple[int, int, int, int] | None = None if window is None else tuple(map(int, window))
+        self.truth: dict[str, Any] = {}  # of the last slice: what only the simulation knows; and gripper/... rows
+
+    def __iter__(self) -> Iterator[Events]:
+        for events, rows in self._slices:
+            self.truth = rows
+            yield events
+
+
+def simulate(
+    scene_name: str = "slip",
+    object_number: int = 8,
+    *,
+    sensor: str = "evetac",
+    gel: str | None = None,
+    readout: str = "dvxplorer",
+    seed: int = 0,
+) -> Simulation:
+    """Simulate one trial of a scene and iterate over its slices; the same events as `record` with these flags.
+
+    scene_name: of `evetac.scenes()`, or a TOML file. gel: cut or closed, default: the scene's. readout: dvxplorer
+    (scanned) or ideal. InputError for what there is not.
+
+    >>> trial = evetac.simulate("slip", object_number=8, seed=3)
+    >>> for milliseconds, events in enumerate(trial):
+    ...     if milliseconds == 500:
+    ...         break
+    >>> trial.dot_xy_px.shape, int(trial.truth["truth/slip"])
+    ((7, 8, 2), 0)
+    """
+    plan = scene.plan(scene_name, str(object_number), sensor, SCENE_KINDS, gel, readout)[0]
+    built = scene.for_trial(plan, (seed, plan["object"] or 0, 0))
+    return Simulation(SimulatedTrial((), Path(), 0, seed, built))
+
+
+def objects() -> dict[int, dict[str, Any]]:
+    """The paper's objects by number: material, width, height, mass and what the simulation needs of them.
+
+    >>> evetac.objects()[11]["mass_g"] > 0
+    True
+    """
+    return {int(number): dict(row) for number, row in resources.table("objects").items()}
+
+
+def sensors() -> list[str]:
+    """Names of the built sensors that can be simulated; `randomized` is another one for every trial.
+
+    >>> "evetac" in evetac.sensors()
+    True
+    """
+    return list(resources.table("sensors"))
+
+
+def scenes() -> list[str]:
+    """Names of the scenes that come with the package.
+
+    >>> "slip" in evetac.scenes()
+    True
+    """
+    return sorted(path.stem for path in resources.SCENES.glob("*.toml"))
+
+
+def presets() -> dict[str, list[str]]:
+    """Names of the presets of the tracker and of the architectures of slip detectors.
+
+    >>> sorted(evetac.presets())
+    ['slip detector', 'tracker']
+    """
+    return {"tracker": list(tracker.PRESETS), "slip detector": list(ARCHITECTURES)}
+
+
+def _tracker_constants(preset: str, dot_radius_px: float) -> tracker.TrackerConstants:
+    if preset not in tracker.PRESETS:
+        raise InputError("unknown preset of the tracker", expected=", ".join(tracker.PRESETS), found=preset)
+    return tracker.PRESETS[preset].for_dots(dot_radius_px)

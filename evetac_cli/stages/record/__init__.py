@@ -24,6 +24,7 @@ from evetac_cli.stages.unused_options import refuse_unused_of_record
 from evetac_cli.store.files import output_path, up_to_date
 
 METHOD = simulated.METHOD
+SCENE_KINDS = ("ramp", "hold", "press", "rub", "tone")  # lift scenes are grasped
 
 
 def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
@@ -35,7 +36,7 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
         return [ImportJob((params.source,), output_path(params.source, OUTPUT, out))]
     if cameras[0].is_stepped:
-        return simulated_trials(("ramp", "hold", "press", "rub", "tone"), params, out, params.tones)
+        return simulated_trials(SCENE_KINDS, params, out, params.tones)
     return device_trials(("ramp", "hold"), cameras, gripper, params, out)
 
 

@@ -4,13 +4,14 @@ Where the scene has a gripper, the object is held by motor current, which is low
 out (paper, "Experimental Setup and Data Collection Procedure").
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from evetac_cli.devices import Gripper, Rig, gripper_row
+from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
 from evetac_cli.stages.trials import OUTPUT, SimulatedTrial
@@ -32,24 +33,38 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
     recipe = make_recipe(trial)
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
-    from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
-
-    seeds = trial.seeds()
-    ramp = np.random.default_rng(seeds.spawn(1)[0])
-    devices = rig(recipe.parameters, seeds)
-    scene = recipe.parameters["scene"]
-    longest_ms = round(1000 * _longest_s(scene["time"]))
+    devices, slices = play(trial)
+    longest_ms = round(1000 * _longest_s(trial.plan["scene"]["time"]))
     known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     writer = RecordingWriter(trial.output, known, discard_leftover=True)
+    written = event_count = 0
     try:
-        slices, events = _follow(devices, writer, Handling.read(scene), ramp, lambda done: progress(done, longest_ms))
+        for events, rows in slices:
+            writer.append(events, rows)
+            written += 1
+            event_count += events.size
+            if written % 100 == 0:
+                progress(written, longest_ms)
         writer.finish(recipe)
     except BaseException:
         writer.discard()  # a simulation can be made again
         raise
     finally:
         devices.close()
-    return outcome(trial, made=True, simulated=True, slices=slices, events=events)
+    return outcome(trial, made=True, simulated=True, slices=written, events=event_count)
+
+
+def play(trial: SimulatedTrial) -> tuple[Rig, Iterator[tuple[Events, dict[str, Any]]]]:
+    """The devices of a trial, and its slices, each with the truth of the slice and every 2 ms a gripper row.
+
+    A slice is simulated when it is asked for; whoever asks closes the devices.
+    """
+    from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
+
+    seeds = trial.seeds()
+    ramp = np.random.default_rng(seeds.spawn(1)[0])
+    devices = rig(trial.plan, seeds)
+    return devices, _slices(devices, Handling.read(trial.plan["scene"]), ramp)
 
 
 def _longest_s(time: Mapping[str, float]) -> float:
@@ -74,25 +89,19 @@ class Handling:
         return cls(*(round(1000 * scene.get("gripper", {}).get(name, 0.0)) for name in ("close_s", "grip_s", "ramp_s")))
 
 
-def _follow(
-    devices: Rig, writer: RecordingWriter, handling: Handling, rng: np.random.Generator, progress: Callable[[int], None]
-) -> tuple[int, int]:
-    """Write every slice, and command the gripper, if there is one, every 2 ms, until the scene has ended."""
-    slices = events = 0
+def _slices(devices: Rig, handling: Handling, rng: np.random.Generator) -> Iterator[tuple[Events, dict[str, Any]]]:
+    """Read every slice, and command the gripper, if there is one, every 2 ms, until the scene has ended."""
     target_ma = devices.holding_ma
-    while (piece := devices.camera.read()) is not None:
+    number = 0
+    while (events := devices.camera.read()) is not None:
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
-        if devices.gripper is not None and slices % COMMAND_MS == 0:
-            if slices > handling.ramp_ms:
+        if devices.gripper is not None and number % COMMAND_MS == 0:
+            if number > handling.ramp_ms:
                 target_ma += rng.uniform(*RAMP_MA)
             now_us = devices.clock.now_us()
-            rows |= _command(devices.gripper, now_us, target_ma, slices, handling)
-        writer.append(piece, rows)
-        slices += 1
-        events += piece.size
-        if slices % 100 == 0:
-            progress(slices)
-    return slices, events
+            rows |= _command(devices.gripper, now_us, target_ma, number, handling)
+        yield events, rows
+        number += 1
 
 
 def _command(gripper: Gripper, now_us: int, target_ma: float, now_ms: int, handling: Handling) -> dict[str, Any]:

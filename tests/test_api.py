@@ -1,0 +1,137 @@
+"""`import evetac_cli`: every name has an example that runs, nothing is loaded or changed by the import, types are known."""
+
+import doctest
+import inspect
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import evetac_cli as evetac
+from evetac_cli import api, params
+from evetac_cli.resources import PACKAGE
+from evetac_cli.stages import predict_force
+from evetac_cli.stages.evaluate import labels
+from evetac_cli.stages.record import jobs, run
+from tests.conftest import Made
+
+NAMES = [name for name in evetac.__all__ if name not in ("EvetacError", "InputError")]
+
+
+@pytest.fixture(scope="module")
+def files(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of files as the examples name them."""
+    folder = tmp_path_factory.mktemp("examples")
+    recording = made.recordings[0]
+    shutil.copy(recording, folder / "a.recording.h5")
+    for kind in ("labels", "tracks", "features"):
+        shutil.copy(made.beside(recording, kind), folder / f"a.{kind}.h5")
+    shutil.copy(made.model, folder / "slip.model.h5")
+    force = params.PredictForce(model=made.force_model)
+    (job,) = predict_force.jobs([folder / "a.tracks.h5"], force, None)
+    predict_force.run(job, force)
+    (job,) = labels.jobs([folder / "a.labels.h5"], params.EvaluateLabels(), folder / "a.report.h5")
+    labels.run(job, params.EvaluateLabels())
+    return folder
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_has_an_example_that_runs(name: str, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the docstring of a name holds an example, and that it prints what it says."""
+    monkeypatch.chdir(files)
+    item = getattr(evetac, name)
+    (test,) = (
+        test
+        for test in doctest.DocTestFinder(recurse=False).find(item, name, globs={"evetac": evetac})
+        if test.name == name
+    )
+    assert test.examples, f"{name} has no example"
+    printed: list[str] = []
+    result = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(test, out=printed.append)
+    assert result.failed == 0, "".join(printed)
+
+
+def test_every_public_function_is_offered() -> None:
+    """Assert that nothing public stands in api.py that `import evetac_cli` does not give."""
+    own = {name for name, item in vars(api).items() if inspect.getmodule(item) is api and not name.startswith("_")}
+    assert own - {"Simulation"} <= set(evetac.__all__)
+    assert set(evetac.__all__) <= set(dir(evetac))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = evetac.nothing
+
+
+def test_simulate_gives_the_events_of_record(short_scene: Path, tmp_path: Path) -> None:
+    """Assert that slices and truth of `simulate` are those that `record` writes with the same flags."""
+    recipe = params.Record(scene=str(short_scene), objects="3", seed=5)
+    (job,) = jobs([], recipe, tmp_path)
+    run(job, recipe)
+    trial = evetac.simulate(str(short_scene), 3, seed=5)
+    with evetac.open_recording(job.output) as recording:
+        shear_n = recording.read("truth/shear_force_n")
+        assert trial.window_px == recording.window_px
+        slices = 0
+        for events, stored in zip(trial, recording, strict=True):
+            assert all(np.array_equal(ours, theirs) for ours, theirs in zip(events, stored, strict=True))
+            np.testing.assert_array_equal(np.asarray(trial.truth["truth/shear_force_n"], np.float32), shear_n[slices])
+            slices += 1
+    assert slices == len(shear_n) > 500
+
+
+IMPORT = """
+import os, sys
+before = dict(os.environ)
+import evetac_cli
+assert dict(os.environ) == before
+print(*sorted(name.split(".")[0] for name in sys.modules))
+evetac_cli.SlipDetector
+assert dict(os.environ) == before
+"""
+
+
+def test_an_import_loads_and_changes_nothing() -> None:
+    """Assert that the import brings no heavy library, and neither it nor a name changes the environment."""
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True, cwd=PACKAGE.parent, timeout=300
+    )
+    assert not {"numpy", "h5py", "torch", "cv2", "scipy", "numba"} & set(done.stdout.split())
+
+
+SCRIPT = """
+import evetac_cli as evetac
+
+with evetac.open_recording("a.recording.h5") as recording:
+    detector = evetac.SlipDetector(recording.dot_xy_px, recording.window_px)
+    slip: list[float] = [detector.step(events) for events in recording]
+"""
+
+
+@pytest.mark.slow
+def test_a_users_script_type_checks_against_the_wheel(tmp_path: Path) -> None:
+    """Assert that mypy --strict is content with a script, given nothing but the installed wheel (slow: it builds one)."""
+    site = tmp_path / "site"
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    subprocess.run([*pip, "--target", str(site), str(PACKAGE.parent)], check=True, timeout=600)
+    assert (site / "evetac_cli" / "py.typed").is_file()
+    (tmp_path / "script.py").write_text(SCRIPT)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", "script.py"],
+        cwd=tmp_path,
+        env=environment | {"MYPYPATH": "", "PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_a_report_is_json(files: Path) -> None:
+    """Assert that a report's texts are what `--json` prints."""
+    with evetac.open_report(files / "a.report.h5") as report:
+        assert json.loads(report.read("rows"))[0]
