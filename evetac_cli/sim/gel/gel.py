@@ -32,7 +32,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import cell_area
-from evetac_cli.sim.gel.time_step import FrictionLaw, Layer, Load, NodeArrays, StepSettings, spring, step_nodes
+from evetac_cli.sim.gel.time_step import Layer, spring, step_nodes
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -264,7 +264,7 @@ def step(
             "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
             f" found {theta}, {tolerance} and {max_sweeps}"
         )
-    arrays = NodeArrays(
+    arrays = (
         state.displacement_m,
         state.velocity_m_s,
         state.maxwell_n,
@@ -276,9 +276,9 @@ def step(
         state.inertia,
         state.node_xy_m,
     )
-    load = Load(nodal, force, prescribed_twist is not None, wanted)
-    law = FrictionLaw(float(friction.static), float(friction.kinetic), float(friction.stribeck_speed_m_s))
-    settings = StepSettings(float(dt_s), float(theta), float(tolerance), max_sweeps)
+    load = (nodal, force, prescribed_twist is not None, wanted)
+    law = (float(friction.static), float(friction.kinetic), float(friction.stribeck_speed_m_s))
+    settings = (float(dt_s), float(theta), float(tolerance), max_sweeps)
     fault = step_nodes(arrays, load, law, settings, state._layer, state._info)
     if fault:
         raise ValueError(_FAULTS[fault])
