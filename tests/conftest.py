@@ -12,6 +12,7 @@ from evetac_cli import params
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.gripper import VirtualGripper
+from evetac_cli.devices.virtual.word_sources import PreparedWords
 from evetac_cli.devices.virtual.world import VirtualWorld
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import featurize, grasp, label, record, track, train
@@ -48,7 +49,8 @@ def _value(value: Any) -> str:
 def _patient_worlds() -> Iterator[None]:
     """Time waits in virtual worlds, so that no test depends on how fast the machine is."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(VirtualWorld, "patient", True)
+        for source in (VirtualWorld, PreparedWords):
+            patch.setattr(source, "patient", True)
         yield
 
 

@@ -19,6 +19,7 @@ from evetac_cli.realtime.shared_row import SharedRow
 PATIENCE_S = 2.0  # time stands still for no longer than this: then who is late may as well be dead
 CREEP = 0.01  # how fast it goes while it waits: two steps of a control loop never happen at the same time
 SHORTEST_SLEEP_S = 2e-4
+READER_S = 0.02  # how far it may be ahead of who reads the slices; a driver on a machine with time is behind by 5 ms
 
 
 class TimeSource(Protocol):
@@ -53,25 +54,30 @@ HOST_TIME = HostTime()
 
 
 class SharedTime:
-    """A clock in a file in shared memory, at `start` of it, where all is 0 before the first use.
+    """A clock in a file in shared memory, at `start` of it, where all is 0 before the first use; or without a file.
 
     It runs as the host's until `limit` says how far it may go. One process limits it (a virtual world), one says how
     far it has read (the driver of the camera), any may ask for the time. It may be pickled: the copy is the same clock.
+    Without a file it is the clock of one process.
     """
 
     SIZE = 128
     _READER_AT = 64
 
-    def __init__(self, path: Path | str, start: int) -> None:
-        self._made_of = (Path(path), start)
-        with open(path, "r+b") as file:
-            memory = mmap.mmap(file.fileno(), start + self.SIZE)
+    def __init__(self, path: Path | None = None, start: int = 0) -> None:
+        self._path, self._start = path, start
+        memory: mmap.mmap | memoryview[int] = memoryview(bytearray(start + self.SIZE))
+        if path is not None:
+            with open(path, "r+b") as file:
+                memory = mmap.mmap(file.fileno(), start + self.SIZE)
         self._limit = SharedRow(memory, start, "2d")  # how much later than the host's it is; how far it may go
         self._reader = SharedRow(memory, start + self._READER_AT, "d")
         self._until_s = -math.inf  # the last limit that was set here
 
     def __reduce__(self) -> tuple[type["SharedTime"], tuple[Path, int]]:
-        return SharedTime, self._made_of
+        if self._path is None:
+            raise TypeError("the clock of one process cannot be given to another: it has no file")
+        return SharedTime, (self._path, self._start)
 
     def now_s(self) -> float:
         """The host's time less what was waited so far; beyond the limit it all but stands still, for PATIENCE_S."""

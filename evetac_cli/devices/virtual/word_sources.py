@@ -1,5 +1,6 @@
 """Event words made beforehand, as something for a virtual camera to send."""
 
+import math
 import time
 from threading import Condition
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from evetac_cli.devices.dvxplorer.event_word_loops import REF_MASK
 from evetac_cli.devices.dvxplorer.event_words import encode
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
+from evetac_cli.realtime.shared_time import HOST_TIME, READER_S, SharedTime, TimeSource
 
 _FRAME_US = 200  # of rain: the camera's default readout
 _DIFFERENT_FRAMES = 500
@@ -20,12 +21,16 @@ class PreparedWords:
 
     paced: a word may be taken once the time of its frame has passed, counted from `run`. Unpaced, there are words
     whenever a reader waits for them (so that no buffer overflows); device time runs ahead of the host's then, and the
-    driver believes no silence of more than a second.
+    driver believes no silence of more than a second. `patient`: paced words wait for a driver whose slices are not
+    read in time; tests set it.
     """
+
+    patient = False
 
     def __init__(self, words: NDArray[np.uint32], *, paced: bool = True) -> None:
         self._data = memoryview(words.astype("<u4").tobytes())
         self._due_us = due_us(words) if paced else None
+        self._time = SharedTime() if paced and self.patient else HOST_TIME
         self._at = 0  # bytes taken
         self._ran_us = 0.0  # before the last run
         self._began_s: float | None = None  # of this run
@@ -33,8 +38,8 @@ class PreparedWords:
 
     @property
     def time(self) -> TimeSource:
-        """The host's clock."""
-        return HOST_TIME
+        """The clock by which words are due; the host's unless it is patient."""
+        return self._time
 
     @property
     def left(self) -> int:
@@ -44,24 +49,33 @@ class PreparedWords:
     def run(self, on: bool) -> None:
         """Let time pass (True), or stand still."""
         with self._changed:
-            now_s = time.monotonic()
+            now_s = self._time.now_s()
             if self._began_s is not None:
                 self._ran_us += 1e6 * (now_s - self._began_s)
             self._began_s = now_s if on else None
+            self._limit_time()
             self._changed.notify_all()
 
     def take(self, most: int, timeout_s: float) -> bytes:
         """At most so many bytes that are due, waiting for the first of them; b"" if there are none in time."""
         end_s = time.monotonic() + timeout_s
         with self._changed:
+            self._limit_time()
             while (wait_s := self._wait_s(timeout_s > 0)) != 0.0:
                 left_s = end_s - time.monotonic()
                 if left_s <= 0:
                     return b""
                 self._changed.wait(left_s if wait_s is None else min(left_s, wait_s))
+                self._limit_time()
             start = self._at
             self._at = min(start + most, self._due())
             return bytes(self._data[start : self._at])
+
+    def _limit_time(self) -> None:
+        """Let time go on as far as the reader of the slices has come."""
+        if isinstance(self._time, SharedTime):
+            ends = self._began_s is None or self._at == len(self._data)
+            self._time.limit(math.inf if ends else self._time.reader_s + READER_S)
 
     def _due(self) -> int:
         """Number of bytes from the start whose time has come."""
@@ -69,7 +83,7 @@ class PreparedWords:
             return self._at
         if self._due_us is None:
             return len(self._data)
-        passed_us = int(self._ran_us + 1e6 * (time.monotonic() - self._began_s))
+        passed_us = int(self._ran_us + 1e6 * (self._time.now_s() - self._began_s))
         return 4 * int(np.searchsorted(self._due_us, passed_us, side="right"))
 
     def _wait_s(self, waited_for: bool) -> float | None:
@@ -79,7 +93,7 @@ class PreparedWords:
         if self._began_s is None or self._due_us is None or self._at == len(self._data):
             return None
         due_s = self._began_s + 1e-6 * float(self._due_us[self._at // 4] - self._ran_us)
-        return max(1e-6, due_s - time.monotonic())
+        return max(1e-6, due_s - self._time.now_s())
 
 
 def due_us(words: NDArray[np.uint32]) -> NDArray[np.int64]:

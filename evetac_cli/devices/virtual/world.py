@@ -31,7 +31,7 @@ from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.processes import ignore_interrupts, start_shielded
-from evetac_cli.realtime.shared_time import SharedTime
+from evetac_cli.realtime.shared_time import READER_S, SharedTime
 
 SLICE_S = 1e-3
 LATE_S = 5e-3  # a slice whose words leave later than this after its end was late
@@ -45,7 +45,6 @@ WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp co
 WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
 TRUTH_SLICES = 50  # whose truth is sent at once
 CATCH_UP_S = 10.0  # a world that is later than this is given up on, for the moment
-READER_S = 0.02  # how far a patient world is ahead of who reads its slices; a driver is behind by 5 ms at most
 STANDING_S = 5e-4  # how often a patient world checks whether its time may go on
 _LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)  # shared with the process; began: host time of time 0, 0 while it stands
 

@@ -11,7 +11,7 @@ import pytest
 
 from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings, change_baud
-from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus, Found, latency_timer_ms, scan
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus, BusDevice, latency_timer_ms, scan
 from evetac_cli.devices.virtual.dynamixel_frames import FrameReader, Instruction, status
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
@@ -100,9 +100,9 @@ def test_baud_rate_is_changed_and_found() -> None:
         writes = gripper.instructions()[Instruction.WRITE]
         change_baud(gripper.port, 1_000_000, 1_000_000, answer_ms=1000)
         assert gripper.instructions()[Instruction.WRITE] == writes + 1  # torque off
-        assert scan(gripper.port, (57_600, 1_000_000)) == [Found(1_000_000, 1, 35074)]
+        assert scan(gripper.port, (57_600, 1_000_000)) == [BusDevice(1_000_000, 1, 35074)]
         with Bus(gripper.port, 1_000_000) as bus:
-            assert bus.everyone() == {1: (35074, 14)}
+            assert bus.devices() == {1: (35074, 14)}
         with pytest.raises(ValueError, match="baud"):
             change_baud(gripper.port, 1_000_000, 123)
 
