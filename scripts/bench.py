@@ -12,7 +12,8 @@ import numpy as np
 from evetac_cli.console import print_table
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.labelling import flow
-from evetac_cli.kernels.slip import features, slip
+from evetac_cli.kernels.slip import features
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.numerics import tracker_cost
 from evetac_cli.sim import scene
@@ -121,7 +122,7 @@ def network() -> list[dict[str, object]]:
     from evetac_cli.kernels.slip.detector import Detector
     from evetac_cli.kernels.slip.networks import SlipNet, onnx_graph
 
-    architecture = slip.ARCHITECTURES["hist10"]
+    architecture = ARCHITECTURES["hist10"]
     detector = Detector(onnx_graph(SlipNet(architecture)), architecture)
     window = np.random.default_rng(0).normal(0, 1, (1, 56, 20)).astype(np.float32)
     return [row("predict hist10", timed(lambda: detector.probability(window), 3000))]

@@ -14,7 +14,7 @@ import numpy as np
 
 from evetac_cli.devices import Clock, EventCamera
 from evetac_cli.devices.naming import no_such_device, parse_number
-from evetac_cli.devices.replay import ReplayCamera, sensor_datasets
+from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.virtual.faults import camera_fault
 from evetac_cli.events import FRAME_PX
 from evetac_cli.store.provenance import Header
@@ -243,7 +243,7 @@ class Replay(NamedCamera):
     def known_sensor(self) -> dict[str, Any]:
         """All that the recording says of its sensor."""
         with open_recording(self.path) as recording:
-            return sensor_datasets(recording)
+            return recording.sensor_datasets()
 
     def parents(self) -> tuple[Header, ...]:
         """That of the recording."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from evetac_cli.events import SLICE_US, Events, Slicer
 from evetac_cli.store.provenance import Header
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.read import open_recording
 
 PACKET_EVENTS = 8192
 
@@ -26,7 +26,7 @@ class ReplayCamera:
     def __init__(self, path: Path, *, paced: bool = False) -> None:
         self._recording = open_recording(path)
         self.header: Header = self._recording.header
-        self.sensor: Mapping[str, Any] = sensor_datasets(self._recording)
+        self.sensor: Mapping[str, Any] = self._recording.sensor_datasets()
         self._slicer = Slicer()
         self._ready: deque[Events] = deque()
         self._read = 0
@@ -64,11 +64,6 @@ class ReplayCamera:
         """Close the file."""
         self._open = False
         self._recording.close()
-
-
-def sensor_datasets(recording: Recording) -> dict[str, Any]:
-    """All that a recording says of its sensor, as datasets `sensor/...`."""
-    return {name: recording.read(name) for name in recording.contents() if name.startswith("sensor/")}
 
 
 def _host_us() -> float:

@@ -124,14 +124,14 @@ def _labels(file: StageFile) -> list[str]:
 
 
 def _model(file: StageFile) -> list[str]:
-    from evetac_cli.kernels.slip import slip
+    from evetac_cli.kernels.slip.architectures import ARCHITECTURES
     from evetac_cli.kernels.slip.detector import Detector
 
     name = file.read("architecture")
-    if name not in slip.ARCHITECTURES:
+    if name not in ARCHITECTURES:
         return [f"unknown architecture {name}"]
     try:
-        Detector(file.read("onnx").tobytes(), slip.ARCHITECTURES[name])
+        Detector(file.read("onnx").tobytes(), ARCHITECTURES[name])
     except ValueError as error:
         return [str(error)]
     return []

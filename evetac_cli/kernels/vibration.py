@@ -4,21 +4,21 @@ Two methods. The paper's takes the strongest line in the spectrum of the number 
 back and forth makes events both ways, so that number also beats at twice the tone, a rattling contact adds half the
 tone, and slices of a millisecond fold all above 500 Hz down: in short windows one of these now and then wins.
 
-The other follows motion. A pixel on a rim gets brighter while the rim moves one way and darker while it moves back, so
+The other follows motion. A pixel on a rim gets brighter while the rim moves forward and darker while it moves back, so
 brighter minus darker events is the speed of its brightness, at the tone's own frequency. Both sides of a dot would
 cancel in a sum over the frame; so the frame is cut into cells smaller than a dot, each with a spectrum of its own, and
-powers are summed: no dots need to be known, nor where the motion goes. Speed over frequency is how far a line moves the
-gel, and the tone is the line with the largest product of way and speed.
+powers are summed: neither the dots nor the direction of motion need to be known. Speed over frequency is how far a line
+moves the gel, and the tone is the line with the largest product of displacement and speed.
 
 Why so:
 - Events are counted at 5 kHz or more whatever band is asked for: the camera scans 5000 times a second, so nothing folds
-  into the band, and a line beyond it is told as such.
+  into the band, and a line above it is reported as such.
 - In each cell, power is over the noise there, the median around a frequency. Without a line it is then exponential with
   mean 1 in any cell, whatever the noise is like (hot pixels, slow motion), and a sum over cells a gamma variate, from
   which the threshold follows. No cell counts for more than LARGEST: one pixel that blinks is not a vibration.
-- By speed alone the second harmonic of a speaker would win (simulated: up to 1.1 times the tone's), by way alone a
-  subharmonic, as the sensor sees large swings and misses small ones (up to 0.93 times the tone's way). The product of
-  both is off by the same factor on either side: in it no other line came to more than 0.83.
+- By speed alone the second harmonic of a speaker would win (simulated: up to 1.1 times the tone's), by displacement
+  alone a subharmonic, as the sensor sees large swings and misses small ones (up to 0.93 times the tone's). The product
+  of both is off by the same factor on either side: in it no other line came to more than 0.83.
 - Hann windows: what leaks from slow motion and strong lines falls with the cube of the distance.
 """
 
@@ -39,7 +39,7 @@ LARGEST = 12.0  # of a cell's power over its noise, as evidence: noise has more 
 NOISE_HZ = 50.0  # the noise is a median over so much of the spectrum
 NOISE_BINS = 32  # or over so many frequencies, if that is more
 CELLS_AT_ONCE = 64
-SAME_BINS = 2.0  # half the width of a line
+LINE_HALF_BINS = 2.0  # half the width of a line
 SPREAD_BINS = 0.608  # sd of a line's place times the root of its power over the noise, see `locate`
 
 Floats = NDArray[np.float64]
@@ -75,7 +75,7 @@ def add_events(
             tally[cell, place] -= 1
 
 
-def cells_of(frame_px: tuple[int, int]) -> tuple[int, int]:
+def cell_grid(frame_px: tuple[int, int]) -> tuple[int, int]:
     """Columns and rows of cells that cover a frame."""
     width, height = frame_px
     if width < 1 or height < 1:
@@ -114,12 +114,12 @@ class Line(NamedTuple):
     power: float  # over the noise
 
 
-class Found(NamedTuple):
-    """What a spectrum says: the tone, or None; its harmonics; the line beyond the band that would be it."""
+class Finding(NamedTuple):
+    """The tone in a spectrum, or None; its harmonics; the line above the band that would otherwise be the tone."""
 
     tone: Line | None
-    harmonics: dict[float, float]  # order (0.5, 2, 3, ...) -> motion over the tone's, 0 where no line stands out
-    beyond: Line | None
+    harmonics: dict[float, float]  # order (0.5, 2, 3, ...) -> motion over the tone's, 0 where there is no line
+    above_band: Line | None
 
 
 def spectrum(tally: Tally, rate_hz: float) -> Spectrum:
@@ -177,57 +177,57 @@ def _noise(powers: NDArray, duration_s: float, of_median: float = math.log(2)) -
     return noise
 
 
-def find(found_in: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: float = 0.01) -> Found:
-    """Find the tone in [lowest_hz, highest_hz], and what goes with it.
+def find(sums: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: float = 0.01) -> Finding:
+    """Find the tone in [lowest_hz, highest_hz], its harmonics, and a stronger line above.
 
     A line is a peak of the evidence that noise alone would exceed anywhere from `lowest_hz` up with a probability of at
     most `false_alarms`: the tail of a gamma variate of as many terms as cells, over the number of frequencies looked at
-    (Bonferroni). The tone is the line with the largest product of way and speed; if that lies beyond the band,
-    there is no tone, but `beyond`. ValueError unless 0 < lowest < highest and 0 < false_alarms < 1.
+    (Bonferroni). The tone is the line with the largest product of displacement and speed; if that lies above
+    the band, there is no tone, but `above_band`. ValueError unless 0 < lowest < highest and 0 < false_alarms < 1.
     """
     if not (0.0 < lowest_hz < highest_hz and math.isfinite(highest_hz)):
         raise ValueError(f"band: expected 0 < lowest < highest, found {lowest_hz} to {highest_hz} Hz")
     if not 0.0 < false_alarms < 1.0:
         raise ValueError(f"false_alarms: expected between 0 and 1, found {false_alarms}")
-    lines = list(_lines(found_in, lowest_hz, false_alarms))
+    lines = list(_lines(sums, lowest_hz, false_alarms))
     if not lines:
-        return Found(None, {}, None)
-    resolution_hz = float(found_in.frequency_hz[1])
+        return Finding(None, {}, None)
+    resolution_hz = float(sums.frequency_hz[1])
     tone = max(lines, key=lambda line: line.motion**2 * line.frequency_hz)
     if tone.frequency_hz > highest_hz + resolution_hz / 2:
-        return Found(None, {}, tone)
-    orders = [0.5, *np.arange(2.0, found_in.frequency_hz[-1] / tone.frequency_hz).tolist()[:4]]
-    others = {order: _at(lines, order * tone.frequency_hz, resolution_hz) for order in orders}
-    return Found(tone, {order: other.motion / tone.motion if other else 0.0 for order, other in others.items()}, None)
+        return Finding(None, {}, tone)
+    orders = [0.5, *np.arange(2.0, sums.frequency_hz[-1] / tone.frequency_hz).tolist()[:4]]
+    others = {order: _line_near(lines, order * tone.frequency_hz, resolution_hz) for order in orders}
+    return Finding(tone, {order: other.motion / tone.motion if other else 0.0 for order, other in others.items()}, None)
 
 
-def _at(lines: list[Line], frequency_hz: float, resolution_hz: float) -> Line | None:
+def _line_near(lines: list[Line], frequency_hz: float, resolution_hz: float) -> Line | None:
     """The line nearest to a frequency, if it lies within its own width of it."""
     near = min(lines, key=lambda line: abs(line.frequency_hz - frequency_hz))
-    return near if abs(near.frequency_hz - frequency_hz) <= SAME_BINS * resolution_hz else None
+    return near if abs(near.frequency_hz - frequency_hz) <= LINE_HALF_BINS * resolution_hz else None
 
 
-def _lines(found_in: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[Line]:
-    """All lines from `lowest_hz` up that stand out."""
-    if found_in.terms == 0:
+def _lines(sums: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[Line]:
+    """All lines from `lowest_hz` up that exceed the noise."""
+    if sums.terms == 0:
         return
-    resolution_hz = float(found_in.frequency_hz[1])
+    resolution_hz = float(sums.frequency_hz[1])
     first = max(math.ceil(lowest_hz / resolution_hz), 2)
-    last = len(found_in.frequency_hz) - 2
+    last = len(sums.frequency_hz) - 2
     if first >= last:
         return
-    terms = float(found_in.terms)
+    terms = float(sums.terms)
     duration_s = 1.0 / resolution_hz
     # The noise is itself a median of few frequencies, so that means are not quite 1: medians of the sums put it right.
     median_share = float(special.gammaincinv(terms, 0.5)) / terms
-    evidence = found_in.evidence / _noise(found_in.evidence, duration_s, median_share) * terms
-    power = found_in.power - _noise(found_in.power, duration_s, 1.0)
-    speed = np.maximum(found_in.speed - _noise(found_in.speed, duration_s, 1.0), 0.0)
+    evidence = sums.evidence / _noise(sums.evidence, duration_s, median_share) * terms
+    power = sums.power - _noise(sums.power, duration_s, 1.0)
+    speed = np.maximum(sums.speed - _noise(sums.speed, duration_s, 1.0), 0.0)
     threshold = float(special.gammainccinv(terms, false_alarms / (last - first)))
     peak = evidence[first:last]
-    standing = (peak > threshold) & (power[first:last] > 0.0) & (power[first:last] >= power[first - 1 : last - 1])
-    standing &= power[first:last] > power[first + 1 : last + 1]
-    for k in np.flatnonzero(standing) + first:
+    is_line = (peak > threshold) & (power[first:last] > 0.0) & (power[first:last] >= power[first - 1 : last - 1])
+    is_line &= power[first:last] > power[first + 1 : last + 1]
+    for k in np.flatnonzero(is_line) + first:
         frequency_hz, uncertainty_hz = locate(power, int(k), terms, resolution_hz)
         motion = math.sqrt(speed[k - 1 : k + 2].sum()) / frequency_hz
         yield Line(frequency_hz, uncertainty_hz, motion, float(power[k]))

@@ -17,7 +17,6 @@ from evetac_cli.numerics.simulator import camera_cost, gel_cost
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report
 
-INPUTS = ()
 OUTPUT = "report"
 METHOD = 1
 REAL_TIME_US = 1000.0  # run time of a simulated millisecond, at real time

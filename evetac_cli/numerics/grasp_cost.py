@@ -8,7 +8,6 @@ stands the simulation's own knowledge of slip (`truth`): no detector can be bett
 may look ahead.
 """
 
-import glob
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from evetac_cli.numerics.grasp_trials import GraspResult, Short, grasp, truthful
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report
 from evetac_cli.stages.grasp.loop import Sense
+from evetac_cli.stages.related_files import named_files
 from evetac_cli.store.files import StageFile
 
 METHOD = 1
@@ -91,10 +91,7 @@ def _as_it_is(sense: Sense, devices: Rig) -> Sense:
 
 def jobs(params: EvaluateCost, out: Path | None) -> list[Job]:
     """One report, made from the models that are named, if any."""
-    models: list[Path] = []
-    if params.model is not None:
-        pattern = str(params.model / "*.model.h5") if params.model.is_dir() else str(params.model)
-        models = [Path(name) for name in sorted(glob.glob(pattern))] or [params.model]
+    models = named_files(params.model, "model", "--model") if params.model is not None else []
     return [Job(tuple(models), own_report("grasp", "cost", out))]
 
 

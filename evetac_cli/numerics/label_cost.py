@@ -131,7 +131,7 @@ def _plain(recording: Recording, around_ms: int) -> tuple[int, float]:
     plain = _constants(plain=True, coarse_ms=1, after_ms=0)
     last = min(true + SAMPLE_MS, len(recording))
     seen = flow.label(recording.between, last, *label.regions(recording), plain, max(true - SAMPLE_MS, 0))
-    return onset, (time.perf_counter() - begin) * US / max(seen.pairs, 1)
+    return onset, (time.perf_counter() - begin) * US / max(seen.flow_pairs, 1)
 
 
 def _searched(recording: Recording, around_ms: int) -> tuple[int, float]:

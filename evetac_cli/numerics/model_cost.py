@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.kernels.slip import slip
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.numerics import tracker_cost
 from evetac_cli.params import EvaluateCost, Grasp, recipe_of
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report, report_job
-from evetac_cli.stages.evaluate.slip import sort_out
+from evetac_cli.stages.evaluate.slip import split_models
 from evetac_cli.stages.evaluate.slip_models import Model
-from evetac_cli.stages.evaluate.slip_tables import settings_of
+from evetac_cli.stages.evaluate.slip_tables import group_by_setting
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
@@ -68,7 +68,7 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
     """One report: beside that of `evaluate slip`, or without files in the present folder."""
     if not files and params.model is None:
         return [Job((), own_report("model", "cost", out))]
-    judged, models = sort_out(files, params.model)
+    judged, models = split_models(files, params.model)
     if len(judged) != 1:
         raise InputError(
             "how well do they judge?",
@@ -116,7 +116,11 @@ def _told(path: Path, models: Sequence[Model]) -> tuple[list[Header], dict[str, 
     behind = {id_ for id_ in header["parents"] if header["history"][id_]["kind"] == "model"}
     told = {row["setting"]: row for row in rows if "seeds" in row}
     given = {model.header["id"] for model in models}
-    if header["parameters"].get("command") != "evaluate slip" or given != behind or {*settings_of(models)} != {*told}:
+    if (
+        header["parameters"].get("command") != "evaluate slip"
+        or given != behind
+        or {*group_by_setting(models)} != {*told}
+    ):
         raise InputError(
             "this is not the report of `evaluate slip` on the models given",
             where=str(path),
@@ -128,7 +132,7 @@ def _told(path: Path, models: Sequence[Model]) -> tuple[list[Header], dict[str, 
 
 def _judged(models: Sequence[Model], told: dict[str, dict[str, Any]]) -> list[Candidate]:
     found = []
-    for setting, members in settings_of(models).items():
+    for setting, members in group_by_setting(models).items():
         first, row = models[members[0]], told[setting]
         errors = {
             f"error_share_{name}": None if row[figure] is None else 1 - row[figure] for name, figure in FIGURES.items()
@@ -144,7 +148,7 @@ def _untrained() -> list[Candidate]:
     from evetac_cli.kernels.slip import networks  # imports torch
 
     found = []
-    for name, architecture in slip.ARCHITECTURES.items():
+    for name, architecture in ARCHITECTURES.items():
         network = networks.build(architecture, *GRID)
         graph = networks.onnx_graph(network)
         found.append(Candidate(name, Detector(graph, architecture), GRID, networks.parameters(network), len(graph)))
@@ -175,7 +179,7 @@ def _row(candidate: Candidate, times: dict[str, float]) -> dict[str, Any]:
 
 def _one_judgement(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
     architecture = candidate.detector.architecture
-    if isinstance(architecture, slip.ImageArchitecture):
+    if isinstance(architecture, ImageArchitecture):
         shape: tuple[int, ...] = architecture.input_shape
     else:
         shape = (candidate.dot_shape[0] * candidate.dot_shape[1], architecture.inputs_per_dot)
@@ -191,7 +195,7 @@ def _one_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], An
         expected, found = "at most 7 x 9 dots", f"{rows} x {columns}"
         raise InputError("no events to time this grid on", where=candidate.setting, expected=expected, found=found)
     rest = whole[:rows, :columns].reshape(-1, 2)
-    window = None if columns == whole.shape[1] else (slip.GEL_PX[0], 0, 640, 480)
+    window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
     state = tracker.start(rest, TRACKER)
     live = Live(candidate.detector, rest, window)
     slices = [_rims(rng, float(rest[:, 0].max()) + 20.0) for _ in range(DISTINCT)]

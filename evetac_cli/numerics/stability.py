@@ -10,7 +10,6 @@ from evetac_cli.numerics.simulator import gel_stability
 from evetac_cli.params import EvaluateStability, recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, report
 
-INPUTS = ()
 OUTPUT = "report"
 METHOD = 1
 

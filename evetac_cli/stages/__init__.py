@@ -1,6 +1,6 @@
 """One module or folder per command, and which outputs a command makes from which inputs.
 
-A stage has INPUTS and OUTPUT (kinds of file), METHOD (raised when its numbers change) and two functions:
+A stage has OUTPUT (a kind of file), METHOD (raised when its numbers change) and two functions:
 `jobs(files, params, out)` says which outputs will be made from which inputs, `run(job, params, ...)` makes one of them.
 """
 

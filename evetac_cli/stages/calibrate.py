@@ -1,8 +1,8 @@
-"""calibrate: where the dots of a gel are at rest, from a press recording, or imported; a JSON file for --calibration.
+"""calibrate: the places of a gel's dots at rest, from a press recording or imported; a JSON file for --calibration.
 
 A press recording shows a stylus that strokes the whole gel, lifted off between the strokes; `--scene press` simulates
-one. Nothing is known beforehand of where dots are, how large they are or how many (kernels.rest_image, dot_search,
-grid). What an Evetac's gel must look like is only used to refuse a grid of which a part was never pressed.
+one. Neither places nor size nor number of the dots need to be known (kernels/calibration). The known grid of an
+Evetac's gel is only used to refuse a grid of which a part was never pressed.
 """
 
 from pathlib import Path
@@ -23,7 +23,6 @@ from evetac_cli.store.files import stem
 from evetac_cli.store.provenance import Recipe, made
 from evetac_cli.store.read import Recording, open_recording
 
-INPUTS = ("recording",)
 OUTPUT = "calibration"
 METHOD = 1
 BLOCK_SLICES = 200
@@ -41,9 +40,11 @@ Grid = NDArray[np.float64]
 def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
     """One calibration for every recording, `<name>.calibration.json`, or one for the file that is imported."""
     if params.source is not None and (files or params.refine):
-        raise InputError("an import needs no recording and no default", where="--import", found=str(params.source))
+        raise InputError(
+            "an import takes neither recordings nor a default grid", where="--import", found=str(params.source)
+        )
     if params.source is None and not files:
-        raise InputError("nothing to calibrate from", expected="a press recording, or --import FILE")
+        raise InputError("no recording is given", expected="a press recording, or --import FILE")
     sources = [params.source] if params.source is not None else files
     if out is not None and out.suffix == ".h5":
         raise InputError("a calibration is JSON", where="--out", expected="a name that ends in .json", found=str(out))
@@ -55,7 +56,7 @@ def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
 
 
 def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Find the dots of one recording, or import them, and write them down."""
+    """Find the dots in one recording, or import them, and write the calibration."""
     if params.source is not None:
         return _import(job, params, force)
     default = None
@@ -70,30 +71,30 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         where = str(recording.path)
         halves = rest_images(recording, progress)
         picture = halves[0].joined(halves[1])
-        found = dot_search.find(picture)
-        if len(found.radius_px) < LEAST_DOTS:
-            raise InputError(f"no dots were seen to move: {len(found.radius_px)} found", where=where, hint=PRESS)
-        radius = float(np.median(found.radius_px))
+        places = dot_search.find(picture)
+        if len(places.radius_px) < LEAST_DOTS:
+            raise InputError(f"no dots were seen to move: {len(places.radius_px)} found", where=where, hint=PRESS)
+        radius = float(np.median(places.radius_px))
         if default is None:
             try:
-                dots = grid.lattice(found.centre_xy_px)
+                dots = grid.lattice(places.centre_xy_px)
             except ValueError as error:
                 raise InputError(f"the dots do not form a grid: {error}", where=where, hint=PRESS) from None
             window = _window(dots, radius, recording.frame_px, params, where)
-            kept = 0
+            from_default = 0
         else:
-            dots, kept = _refined(default.dot_xy_px, found.centre_xy_px, where)
+            dots, from_default = _refined(default.dot_xy_px, places.centre_xy_px, where)
             window = default.window_px
         jitter = _jitter_px(halves, dots, radius)
         if not jitter <= WORST_JITTER_PX:
             raise InputError(
-                "the dots rest elsewhere from stroke to stroke",
+                "the dots come to rest at different places after each stroke",
                 where=where,
                 expected=f"jitter of at most {WORST_JITTER_PX:g} px rms",
-                found=f"{jitter:.2f} px" if np.isfinite(jitter) else "too few strokes to tell",
+                found=f"{jitter:.2f} px" if np.isfinite(jitter) else "too few strokes to measure it",
                 hint=PRESS,
             )
-        figures = {"jitter_px_rms": jitter, "kept_from_default": kept, **_against_stored(recording, dots)}
+        figures = {"jitter_px_rms": jitter, "kept_from_default": from_default, **_against_stored(recording, dots)}
         calibration = Calibration(recording.frame_px, dots, radius, window)
     _write(job.output, calibration, recipe, figures)
     return _outcome(job, recipe, made_now=True)
@@ -118,7 +119,7 @@ def rest_images(recording: Recording, progress: Progress = silent) -> tuple[Rest
 
 
 def _seen(recording: Recording, start: int, stop: int, *, backwards: bool = False) -> RestImage:
-    """What the slices [start, stop) tell of the rest before them, or, backwards, of the rest after them."""
+    """The gel at rest before the slices [start, stop), as their events show it; backwards: at rest after them."""
     if backwards:
         edges = range(stop, max(start, stop - LONGEST_STROKE), -BLOCK_SLICES)
         blocks = [(max(start, edge - BLOCK_SLICES), edge) for edge in edges]
@@ -170,7 +171,7 @@ def _write(path: Path, calibration: Calibration, recipe: Recipe, figures: dict[s
 
 
 def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
-    """What the file says, whether it was made now or before."""
+    """The row of a calibration file, whether it was made now or before."""
     calibration = read_calibration(job.output)
     rows, columns = calibration.dot_xy_px.shape[:2]
     missing = int(np.isnan(calibration.dot_xy_px[..., 0]).sum())
@@ -179,7 +180,7 @@ def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
         made=made_now,
         simulated=recipe.simulated,
         dots=rows * columns - missing,
-        missing=missing,
+        missing_dots=missing,
         rows=rows,
         columns=columns,
         gel="closed" if calibration.window_px is None else "cut",
@@ -217,35 +218,35 @@ def _window(
     return edge, 0, *frame_px
 
 
-def _refined(default: Grid, found: Grid, where: str) -> tuple[Grid, int]:
-    """The default's dots where they were found, and how many were not and keep their place in the shifted default.
+def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:
+    """The default grid with the dots that were measured, and how many were not: these keep their shifted place.
 
     The default must be within half a pitch of the truth: from there on, dots are taken for their neighbours.
     """
     reach = grid.pitch(default) / 2
     shift = np.zeros(2)
     for _ in range(2):  # the second time with the places of most dots
-        offset = found[None] - (default.reshape(-1, 2) + shift)[:, None]
+        offset = measured[None] - (default.reshape(-1, 2) + shift)[:, None]
         distance = np.linalg.norm(offset, axis=2)
         nearest = np.where(np.isnan(distance), np.inf, distance).argmin(axis=1)
-        of_dot = np.arange(len(offset))
-        near = np.flatnonzero(distance[of_dot, nearest] < reach)
+        every_dot = np.arange(len(offset))
+        near = np.flatnonzero(distance[every_dot, nearest] < reach)
         if len(near) < LEAST_DOTS:
             raise InputError(
-                "the default does not fit", where=where, expected=f"{LEAST_DOTS} of its dots", found=str(len(near))
+                "the default grid does not fit", where=where, expected=f"{LEAST_DOTS} of its dots", found=str(len(near))
             )
         shift = shift + np.median(offset[near, nearest[near]], axis=0)
     refined = default.reshape(-1, 2) + shift
-    refined[near] = found[nearest[near]]
+    refined[near] = measured[nearest[near]]
     return refined.reshape(default.shape), int(np.isfinite(default[..., 0]).sum()) - len(near)
 
 
 def _jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
     """How far from its mean a dot is found in one half of the strokes, rms over dots; NaN if the halves share none."""
-    there = dots[np.isfinite(dots[..., 0])]
+    present = dots[np.isfinite(dots[..., 0])]
     if any(dot_search.contrast(half) == 0.0 for half in halves):
         return float("nan")
-    first, second = (dot_search.fit(half, there, radius).centre_xy_px for half in halves)
+    first, second = (dot_search.fit(half, present, radius).centre_xy_px for half in halves)
     apart = np.sum((first - second) ** 2, axis=1)
     apart = apart[np.isfinite(apart)]
     return float(np.sqrt(apart.mean() / 2)) if len(apart) else float("nan")
@@ -256,7 +257,7 @@ def _against_stored(recording: Recording, dots: Grid) -> dict[str, float]:
     stored = recording.dot_xy_px
     if stored is None or not recording.has("truth/dot_xy_px"):
         return {}
-    there = dots[np.isfinite(dots[..., 0])]
+    present = dots[np.isfinite(dots[..., 0])]
     true = stored[np.isfinite(stored[..., 0])]
-    error = np.linalg.norm(there[:, None] - true[None], axis=2).min(axis=1)
+    error = np.linalg.norm(present[:, None] - true[None], axis=2).min(axis=1)
     return {"error_px_rms": float(np.sqrt((error**2).mean())), "error_px_worst": float(error.max())}

@@ -1,7 +1,7 @@
-"""featurize: what a slip detector may see, slice by slice (paper, "Evetac Touch Features").
+"""featurize: the inputs of slip detectors, slice by slice (paper, "Evetac Touch Features").
 
 Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag, which
-may be a folder. Event images, which only the image baselines see, are added on request: they are half of the file.
+may be a folder. Event images, which only the image baselines need, are added on request: they are half of the file.
 """
 
 from pathlib import Path
@@ -12,35 +12,36 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.slip import features
-from evetac_cli.kernels.slip.slip import GEL_PX
+from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.params import Featurize, recipe_of
 from evetac_cli.stages import one_file
+from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 
-INPUTS = ("recording", "tracks", "labels")
 OUTPUT = "features"
 METHOD = 2
 
 
 def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
-    """One features file for every recording; its tracks must be there, its labels may be."""
+    """One features file for every recording, from its tracks and, where there are any, its labels."""
     one_file(files, out)
     named = [path for path in (params.tracks, params.labels) if path and not path.is_dir()]
     if len(files) > 1 and named:
         raise InputError(
-            "--tracks and --labels name one file, or a folder",
-            expected="one recording",
-            found=f"{len(files)} recordings and {named[0]}",
+            "one file cannot belong to several recordings",
+            where="--tracks, --labels",
+            expected="a folder, or one recording",
+            found=f"{named[0]} and {len(files)} recordings",
         )
-    found = []
+    made = []
     for file in files:
         tracks = _named(file, "tracks", params.tracks)
         labels = _named(file, "labels", params.labels)
         inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
-        found.append(Job(inputs, output_path(file, OUTPUT, out)))
-    return found
+        made.append(Job(inputs, output_path(file, OUTPUT, out)))
+    return made
 
 
 def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -57,14 +58,14 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         parents = [recording.header]
         arrays: dict[str, Any] = {}
         with StageFile(tracks_path, "tracks") as tracks:
-            _check_parent(tracks, recording)
+            check_made_from(tracks, recording)
             parents.append(tracks.header)
             dot_xy_px, events_per_dot = tracks.read("dot_xy_px"), tracks.read("events_per_dot")
             rest_xy_px = tracks.read("sensor/dot_xy_px")
             window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
         for path in labels_path:
             with StageFile(path, "labels") as labels:
-                _check_parent(labels, recording)
+                check_made_from(labels, recording)
                 parents.append(labels.header)
                 arrays["label"] = labels.read("label")
                 arrays["onset_slice"] = labels.read("onset_slice")
@@ -102,23 +103,17 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
                 "image/sign": np.concatenate([np.empty(0, np.int8), *(sign for _, sign in images)]),
             }
     write_stage(job.output, recipe, arrays)
-    onset = int(arrays.get("onset_slice", -1))
-    return outcome(job, made=True, simulated=simulated, slices=slices, labelled="label" in arrays, onset_ms=onset)
+    onset = int(arrays.get("onset_slice", -1))  # a slice is a millisecond
+    return outcome(
+        job,
+        made=True,
+        simulated=simulated,
+        slices=slices,
+        labelled="label" in arrays,
+        onset_ms=onset if onset >= 0 else None,
+    )
 
 
 def _named(recording: Path, kind: str, given: Path | None) -> Path:
     """The file of a kind that belongs to a recording: beside it, in the folder given, or the file given."""
     return given if given is not None and not given.is_dir() else output_path(recording, kind, given)
-
-
-def _check_parent(file: StageFile, recording: StageFile) -> None:
-    """Refuse tracks or labels of another recording."""
-    if recording.header["id"] not in file.header["parents"]:
-        parents = [parent[:12] for parent in file.header["parents"]]
-        raise InputError(
-            f"these {file.kind} belong to another recording",
-            where=str(file.path),
-            expected=f"made from {recording.path} (id {recording.header['id'][:12]})",
-            found=f"made from id {', '.join(parents)}",
-            hint=f"evetac {'track' if file.kind == 'tracks' else 'label'} --force {recording.path}",
-        )

@@ -4,8 +4,8 @@ A trajectory begins where the object is held stably and the gripper's current st
 Setup and Data Collection Procedure"); closing and loading before are not examined. Without a gripper it begins at 0.
 
 The methods: `event-flow` (default) counts motion from events, `farneback` is the paper's optical flow, `dis` and
-`event-count` are its alternatives, `truth` copies what a simulation knows; the header of the labels, and of all that is
-made from them, says which.
+`event-count` are its alternatives, `truth` copies what a simulation knows; the header of the labels, and of all files
+made from them, names the method.
 """
 
 from pathlib import Path
@@ -22,7 +22,6 @@ from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 
-INPUTS = ("recording",)
 OUTPUT = "labels"
 METHOD = 3
 # The border of the window is the gel's cut edge, which moves with the gel and is part of neither region.
@@ -36,7 +35,7 @@ def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
 
 
 def run(job: Job, params: Label, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Find the onset by the method asked for, and label every slice."""
+    """Find the onset by the method that is chosen, and label every slice."""
     with open_recording(job.inputs[0]) as recording:
         recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=(recording.header,))
         simulated = recording.header["simulated"]
@@ -49,7 +48,7 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         "relative_flow_px": labels.relative_flow_px,
         "onset_slice": np.int64(labels.onset),
         "confidence": np.float64(labels.confidence),
-        "flow_pairs_computed": np.int64(labels.pairs),
+        "flow_pairs_computed": np.int64(labels.flow_pairs),
     }
     write_stage(job.output, recipe, arrays)
     return outcome(
@@ -58,9 +57,9 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         simulated=simulated,
         method=params.method,
         slices=slices,
-        onset_ms=labels.onset,
-        confidence=labels.confidence,
-        pairs=labels.pairs,
+        onset_ms=labels.onset if labels.onset >= 0 else None,
+        confidence=labels.confidence if labels.onset >= 0 else None,
+        flow_pairs=labels.flow_pairs,
     )
 
 
@@ -71,7 +70,7 @@ def _event_flow(params: Label) -> event_flow.EventFlowConstants:
 
 
 def compute(recording: Recording, params: Label, progress: Progress = silent) -> flow.Labels:
-    """Labels of a recording by the method asked for; InputError where the recording cannot tell."""
+    """Labels of a recording by the method that is chosen; InputError where the recording lacks what it needs."""
     if params.method == "truth":
         return from_truth(recording, params.after_ms)
     window, gel = regions(recording)
@@ -86,7 +85,7 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
             dots = recording.dot_xy_px
             if dots is None:
                 raise InputError(
-                    "event-flow follows the dots, and the recording holds no dot grid",
+                    "event-flow follows the dots, and the recording has no dot grid",
                     where=str(recording.path),
                     hint="record with --calibration GRID.json, or label with --method farneback",
                 )
@@ -119,16 +118,16 @@ def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
 
 
 def from_truth(recording: Recording, after_ms: int) -> flow.Labels:
-    """What a simulation knows: every slice up to `after_ms` after the first that slips; InputError without truth."""
+    """Labels from a simulation's truth, up to `after_ms` after the first slice of slip; InputError without truth."""
     if not recording.has("truth/slip"):
         raise InputError(
-            "this recording has no truth: only a simulation knows it",
+            "the recording has no truth: only a simulation knows it",
             where=str(recording.path),
             hint="label with another --method",
         )
     slips = recording.read("truth/slip")
     labels = slips.astype(np.int8)
-    labels[: ramp_start(recording)] = -1  # as the other methods: a trial begins when the object is held
+    labels[: ramp_start(recording)] = -1  # as for the other methods: a trial begins when the object is held
     slipping = np.flatnonzero(slips)
     onset = int(slipping[0]) if len(slipping) else -1
     confidence = float("nan")

@@ -1,88 +1,89 @@
-"""Slip detectors out of model files, and what they see and say of features files."""
+"""Slip detectors from model files, their inputs from features files, and their predictions."""
 
 from pathlib import Path
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import features, inputs, slip
+from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.stages.splits import object_of
+from evetac_cli.kernels.slip.labels import shift_labels
+from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
 
-def read_trajectory(path: Path, architecture: slip.Architecture) -> Trajectory:
-    """What an architecture sees of a labelled features file, and its labels."""
+def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:
+    """The inputs of an architecture from a labelled features file, and the labels; InputError if they are missing."""
     with StageFile(path, "features") as file:
         if not file.has("label"):
-            raise InputError(
-                "these features have no labels", where=str(path), hint="evetac label, then evetac featurize"
-            )
+            raise InputError("the features have no labels", where=str(path), hint="evetac label, then evetac featurize")
         return Trajectory(
-            series_of(file, architecture),
+            read_series(file, architecture),
             file.read("events_outside"),
             file.read("label"),
             int(file.read("onset_slice")),
         )
 
 
-def series_of(
-    file: StageFile, architecture: slip.Architecture, start: int = 0, stop: int | None = None
-) -> inputs.Series:
-    """What an architecture sees of the slices [start, stop) of a features file; InputError if it is not there."""
-    if isinstance(architecture, slip.ImageArchitecture):
+def read_series(file: StageFile, architecture: Architecture, start: int = 0, stop: int | None = None) -> inputs.Series:
+    """The features that an architecture needs, of the slices [start, stop) of a file; InputError if missing."""
+    if isinstance(architecture, ImageArchitecture):
         if not file.has("image"):
             raise InputError(
-                f"{architecture.name} sees event images, and these features have none",
+                f"{architecture.name} needs event images, and the features have none",
                 where=str(file.path),
                 hint="evetac featurize --images",
             )
         begin = file.read("image/start", start, None if stop is None else stop + 1)
         pixels = (file.read(f"image/{name}", int(begin[0]), int(begin[-1])) for name in ("pixel", "sign"))
         return features.EventImages(begin - begin[0], *pixels)
-    across = None
+    displacement_xy_px = None
     if {"x", "y"} & {view.channel for view in architecture.views}:
         if not file.has("displacement_xy_px"):
             raise InputError(
-                f"{architecture.name} sees displacements with their direction, and these features have none",
+                f"{architecture.name} needs displacements with their direction, and the features have none",
                 where=str(file.path),
                 hint="they were made by an older evetac; evetac featurize --force",
             )
-        across = file.read("displacement_xy_px", start, stop)
-    return features.series(file.read("displacement_px", start, stop), file.read("events_per_dot", start, stop), across)
+        displacement_xy_px = file.read("displacement_xy_px", start, stop)
+    return features.series(
+        file.read("displacement_px", start, stop), file.read("events_per_dot", start, stop), displacement_xy_px
+    )
 
 
-def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> slip.Prediction:
-    """What a detector says of a trajectory, beside its labels, from the first slice that is labelled.
+def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> Prediction:
+    """The probabilities of a detector for a trajectory, from its first labelled slice on, beside its labels.
 
-    The labels are shifted by `ahead_ms`, as F1 is counted; the onset is not, as the timing is judged.
+    The labels are shifted by `horizon_ms`, for F1; the onset is not, for the timing.
     """
     architecture, slices = detector.architecture, len(trajectory.label)
     examined = np.flatnonzero(trajectory.label >= 0)
     probability = np.full(slices, np.nan, np.float32)
     if len(examined):
-        # what stands before has no part in anything, and images take long: begin where the first history begins
+        # earlier slices count for nothing, and images take long: begin where the first history begins
         begin = max(0, int(examined[0]) - architecture.history - architecture.every + 2)
         probability[begin:] = detector.over(inputs.part(trajectory.series, begin, slices), begin)
         probability[: examined[0]] = np.nan
-    label = slip.shift(trajectory.label, horizon_ms)
-    return slip.Prediction(probability, label, trajectory.onset, object_of(header))
+    label = shift_labels(trajectory.label, horizon_ms)
+    return Prediction(probability, label, trajectory.onset, object_name(header))
 
 
-def horizon_ms_of(model: StageFile) -> int:
-    """How far ahead a model predicts slip, in ms."""
+def read_horizon_ms(model: StageFile) -> int:
+    """How far ahead a model predicts slip, in ms; 0 for detection."""
     return int(model.read("horizon_ms")) if model.has("horizon_ms") else 0
 
 
 def load_detector(model: StageFile) -> Detector:
     """The detector in a model file; InputError if its architecture is unknown or its graph damaged."""
     name = model.read("architecture")
-    if name not in slip.ARCHITECTURES:
-        known = ", ".join(slip.ARCHITECTURES)
+    if name not in ARCHITECTURES:
+        known = ", ".join(ARCHITECTURES)
         raise InputError("unknown architecture", where=str(model.path), expected=known, found=str(name))
     try:
-        return Detector(model.read("onnx").tobytes(), slip.ARCHITECTURES[name])
+        return Detector(model.read("onnx").tobytes(), ARCHITECTURES[name])
     except ValueError as error:
         raise InputError(str(error), where=str(model.path), hint="the file is damaged; train it again") from error

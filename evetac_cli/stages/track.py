@@ -16,7 +16,6 @@ from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 
-INPUTS = ("recording",)
 OUTPUT = "tracks"
 METHOD = 4
 
@@ -27,18 +26,18 @@ def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
 
 
 def constants(preset: str, **overrides: Any) -> tuple[str, tracker.TrackerConstants]:
-    """The constants of a preset, and its name; overridden by hand it is `custom from` that preset."""
+    """Name and constants of a preset; with overrides the name is `custom from PRESET`. InputError if invalid."""
     chosen = {name: value for name, value in overrides.items() if value is not None}
     base = tracker.PRESETS[preset]
     try:
         custom = dataclasses.replace(base, **chosen)
     except ValueError as error:
-        raise InputError(f"the tracker refuses its constants: {error}") from error
+        raise InputError(f"impossible constants of the tracker: {error}") from error
     return (preset if custom == base else f"custom from {preset}"), custom
 
 
 def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Fold the tracker over a recording."""
+    """Track the dots of a recording, slice by slice."""
     name, chosen = constants(
         params.preset,
         step_size=params.step_size,
@@ -90,7 +89,7 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
         simulated=simulated,
         slices=slices,
         dots=dots,
-        moved_px_most=float(np.nanmax(moved)) if moved.size else 0.0,
+        max_displacement_px=float(np.nanmax(moved)) if moved.size else 0.0,
         dots_lost=int(lost[-1].sum()) if slices else 0,
     )
 
@@ -102,7 +101,7 @@ def _calibration(recording: Recording, given: Path | None) -> Calibration:
     dots = recording.dot_xy_px
     if dots is None:
         raise InputError(
-            "the recording holds no dot grid",
+            "the recording has no dot grid",
             where=str(recording.path),
             hint="give one with --calibration GRID.json",
         )

@@ -1,9 +1,9 @@
-"""track-rgb: where every dot is as an RGB sensor at 25 Hz would track it (paper, "Dot-based Shear Force Reconstruction").
+"""track-rgb: dots as an RGB sensor at 25 Hz would track them (paper, "Dot-based Shear Force Reconstruction").
 
-The gel of a simulated recording is drawn in frames, as it truly moved, and its dots are followed by optical flow. The
-tracks are like those from events in all but this: between two frames dots stay where the last one showed them.
+The gel of a simulated recording is rendered as frames from its true motion, and its dots are followed by optical flow.
+The files are like tracks from events; between two frames dots stay where the last frame showed them.
 
-Without `-o` they go to the folder `rgb` beside the recording, as their name is that of the tracks from its events.
+Without `-o` they go to the folder `rgb` beside the recording, because tracks from its events have the same name.
 """
 
 import dataclasses
@@ -21,7 +21,6 @@ from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 
-INPUTS = ("recording",)
 OUTPUT = "tracks"
 METHOD = 1
 PRESET = "rgb"
@@ -36,14 +35,14 @@ def jobs(files: list[Path], params: TrackRgb, out: Path | None) -> list[Job]:
 
 
 def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Draw the frames of a recording and follow the dots in them."""
+    """Render the frames of a recording and follow the dots in them."""
     camera = RgbCamera()
     with open_recording(job.inputs[0]) as recording:
         parameters = {"preset": PRESET, "camera": dataclasses.asdict(camera), **recipe_of(params)}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=(recording.header,))
         if not recording.has("truth"):
             raise InputError(
-                "no frames can be drawn: only a simulation knows where the gel is",
+                "no frames can be rendered: only a simulation knows where the gel is",
                 where=str(recording.path),
                 hint="give a simulated recording",
             )
@@ -52,22 +51,22 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
         true_px = recording.read("truth/dot_xy_px").astype(float)
         arrays = {name: recording.read(name) for name in SENSOR if recording.has(name)}
     slices, dots = true_px.shape[:2]
-    shrink = np.array(camera.frame_px) / arrays["sensor/frame_px"]
-    radius_px = float(arrays["sensor/dot_radius_px"]) * float(shrink.mean())
+    scale = np.array(camera.frame_px) / arrays["sensor/frame_px"]
+    radius_px = float(arrays["sensor/dot_radius_px"]) * float(scale.mean())
     rng = np.random.default_rng([params.seed, int(recipe.parents[0]["id"][:8], 16)])
 
-    def drawn(dot_xy_px: np.ndarray) -> np.ndarray:  # pixels are counted from their centres
-        return frame(camera, (dot_xy_px + 0.5) * shrink - 0.5, radius_px, rng)
+    def render(dot_xy_px: np.ndarray) -> np.ndarray:  # pixels are counted from their centres
+        return frame(camera, (dot_xy_px + 0.5) * scale - 0.5, radius_px, rng)
 
     rest_px = arrays["sensor/dot_xy_px"].reshape(-1, 2)
     followed = np.empty((slices, dots, 2), np.float32)
     lost = np.empty((slices, dots), np.uint8)
-    state = frame_tracker.start(drawn(rest_px), (rest_px + 0.5) * shrink - 0.5)
+    state = frame_tracker.start(render(rest_px), (rest_px + 0.5) * scale - 0.5)
     for first in range(0, slices, camera.frame_ms):
-        frame_tracker.step(state, drawn(true_px[first]))
-        held = slice(first, first + camera.frame_ms)
-        followed[held] = (state.dot_xy_px + 0.5) / shrink - 0.5
-        lost[held] = state.lost
+        frame_tracker.step(state, render(true_px[first]))
+        shown = slice(first, first + camera.frame_ms)
+        followed[shown] = (state.dot_xy_px + 0.5) / scale - 0.5
+        lost[shown] = state.lost
         progress(first // camera.frame_ms, -(-slices // camera.frame_ms))
     arrays |= {"dot_xy_px": followed, "events_per_dot": np.zeros((slices, dots), np.int32), "lost": lost}
     write_stage(job.output, recipe, arrays)
@@ -78,6 +77,6 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
         simulated=True,
         frames=-(-slices // camera.frame_ms),
         dots=dots,
-        moved_px_most=float(moved.max(initial=0.0)),
+        max_displacement_px=float(moved.max(initial=0.0)),
         dots_lost=int(lost[-1].sum()) if slices else 0,
     )

@@ -4,11 +4,10 @@ Checkpoint and threshold are chosen on validation trajectories (paper, "Evaluati
 never trained on: those named by --validate, or every 8th of the inputs. With --folds they are chosen on objects that a
 network has not seen, by networks that are trained for this alone.
 
-A run that was interrupted leaves `NAME.model.part` for each network, a numpy archive of at most half a minute ago, from
+An interrupted run leaves `NAME.model.part` for each network, a numpy archive that is written every half a minute, from
 which the same command goes on to the same result.
 """
 
-import glob
 import time
 import zipfile
 from collections.abc import Callable
@@ -20,14 +19,18 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
-from evetac_cli.kernels.slip import sampling, slip
+from evetac_cli.kernels.slip import sampling
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.sampling import Samples
+from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
 from evetac_cli.params import Train, recipe_of
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
+from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.slip_detectors import predict, read_trajectory
-from evetac_cli.stages.splits import check_disjoint, folds_of, object_of
+from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
@@ -35,11 +38,10 @@ from evetac_cli.store.provenance import Header, Recipe
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Training, TrainingState
 
-INPUTS = ("features",)
 OUTPUT = "model"
 METHOD = 3
 VALIDATE_EVERY = 8
-KEEP_S = 30.0  # at most so much work is lost when a run is interrupted
+SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
 
 @dataclass(frozen=True)
@@ -52,38 +54,37 @@ class TrainJob(Job):
 
 def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
     """One model for every seed, each from all features files together."""
-    pattern = params.validate if not Path(params.validate).is_dir() else f"{params.validate}/*.{INPUTS[0]}.h5"
-    validate = [Path(name) for name in sorted(glob.glob(pattern))] if params.validate else []
-    if params.validate and not validate:
-        raise InputError("no features there", where="--validate", found=params.validate)
-    files, validate = _of_objects(files, params), _of_objects(validate, params)
+    validate = named_files(params.validate, "features", "--validate") if params.validate else []
+    files, validate = _with_objects(files, params), _with_objects(validate, params)
     if not validate:
         validate = files[VALIDATE_EVERY - 1 :: VALIDATE_EVERY] or files[-1:]
     learn = [file for file in files if file not in validate]
     if not learn:
         raise InputError(
-            "nothing is left to train on", expected="at least two features files", found=f"{len(files)}, all validate"
+            "no file is left to train on",
+            expected="at least two features files",
+            found=f"{len(files)}, all of them validate",
         )
     one_file(range(params.seeds), out)
-    found = []
+    trainings = []
     for seed in range(params.seed, params.seed + params.seeds):
         horizon_ms = f"-{params.horizon_ms}ms" if params.horizon_ms else ""
         number = f"-s{seed}" if params.seeds > 1 else ""
         name = f"{params.model}{horizon_ms}{number}.model.h5"
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
-        found.append(TrainJob((*learn, *validate), output, len(learn), seed))
-    return found
+        trainings.append(TrainJob((*learn, *validate), output, len(learn), seed))
+    return trainings
 
 
-def _of_objects(files: list[Path], params: Train) -> list[Path]:
-    """The files of the objects that are wanted; InputError if there is none of them."""
+def _with_objects(files: list[Path], params: Train) -> list[Path]:
+    """The files of the objects that `--object` names, or all; InputError if none is of these objects."""
     if not params.objects or not files:
         return files
     wanted = {str(number) for number in scene.numbers(params.objects)}
-    found = [file for file in files if object_of(_header(file)) in wanted]
-    if not found:
-        raise InputError("no features of these objects", where="--object", found=params.objects)
-    return found
+    chosen = [file for file in files if object_name(_header(file)) in wanted]
+    if not chosen:
+        raise InputError("no features are of these objects", where="--object", found=params.objects)
+    return chosen
 
 
 def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -92,7 +93,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     learn, seed = job.learned, job.seed
     check_disjoint(headers[:learn], headers[learn:], "validated on", job.inputs[learn:])
     labels = _label_method(job.inputs[:learn], headers[:learn])
-    folds = folds_of(headers, learn, params.folds)
+    folds = make_folds(headers, learn, params.folds)
     parameters = {**recipe_of(params), "seed": seed, "trained_on": learn}
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=tuple(headers))
     simulated = any(header["simulated"] for header in headers)
@@ -107,28 +108,28 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
     torch.set_num_threads(1)  # these networks are too small to share, and one thread gives one result
     shape = _common_shape(job.inputs)
-    architecture = slip.ARCHITECTURES[params.model]
-    predictions: list[list[slip.Prediction]] = []
+    architecture = ARCHITECTURES[params.model]
+    predictions: list[list[Prediction]] = []
     try:
         for number, fold in enumerate(folds):
-            learned = (read_trajectory(job.inputs[index], architecture) for index in fold.learned)
-            samples = sampling.gather(learned, architecture, *shape, params.horizon_ms)
+            trajectories = (read_trajectory(job.inputs[index], architecture) for index in fold.trained_on)
+            samples = sampling.gather(trajectories, architecture, *shape, params.horizon_ms)
             result, resumed = _train(job, params, recipe, samples, (number, len(folds)), progress)
-            kept = result.checkpoints[-slip.LAST_CHECKPOINTS :]
-            graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in kept]
+            last = result.checkpoints[-LAST_CHECKPOINTS:]
+            graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in last]
             detectors = [Detector(graph, architecture) for graph in graphs]
             predictions = predictions or [[] for _ in detectors]
-            for index in fold.judged:
+            for index in fold.evaluated_on:
                 trajectory = read_trajectory(job.inputs[index], architecture)
-                for detector, found in zip(detectors, predictions, strict=True):
-                    found.append(predict(detector, trajectory, headers[index], params.horizon_ms))
-        choice = slip.choose_threshold(predictions)
+                for detector, of_detector in zip(detectors, predictions, strict=True):
+                    of_detector.append(predict(detector, trajectory, headers[index], params.horizon_ms))
+        choice = choose_threshold(predictions)
     except ValueError as error:
         raise InputError(
             f"cannot be trained: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more"
         ) from error
     arrays: dict[str, Any] = {
-        **{f"weights/{name}": value for name, value in kept[choice.checkpoint].weights.items()},
+        **{f"weights/{name}": value for name, value in last[choice.checkpoint].weights.items()},
         "onnx": np.frombuffer(graphs[choice.checkpoint], np.uint8),
         "architecture": architecture.name,
         "history": np.int64(architecture.history),
@@ -137,7 +138,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         "threshold": np.float64(choice.threshold),
         "curve/step": result.curve_step,
         "curve/loss": result.curve_loss,
-        "checkpoint/step": np.array([checkpoint.step for checkpoint in kept], np.int64),
+        "checkpoint/step": np.array([checkpoint.step for checkpoint in last], np.int64),
         "checkpoint/score": choice.scores,
         "checkpoint/threshold": choice.thresholds,
         "checkpoint/chosen": np.int64(choice.checkpoint),
@@ -156,11 +157,11 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         horizon_ms=params.horizon_ms,
         labels=labels,
         trajectories=learn,
-        validated_on=sum(len(fold.judged) for fold in folds),
+        validated_on=sum(len(fold.evaluated_on) for fold in folds),
         folds=params.folds,
         steps=result.steps,
         steps_of_all_epochs=result.steps_planned,
-        cut=result.cut,
+        stopped_early=result.cut,
         resumed_at_step=resumed,
         loss=float(result.curve_loss[-1]),
         threshold=choice.threshold,
@@ -171,21 +172,21 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
 def _train(
     job: TrainJob, params: Train, recipe: Recipe, samples: Samples, place: tuple[int, int], progress: Progress
 ) -> tuple["Training", int | None]:
-    """Train from the beginning or from where an interrupted run was kept; says at which step that was.
+    """Train from the beginning, or from the saved state of an interrupted run; its step, or None, is returned too.
 
-    `place`: which network this is, and of how many; the last one is drawn alike whatever stands before it.
+    `place`: the network's number and how many there are; the last one draws the same numbers whatever their count.
     """
     from evetac_cli.kernels.slip import training
 
     number, networks = place
     seed = job.seed
     part = _part(job, *place)
-    kept = _read_part(part, recipe)
+    saved = _read_part(part, recipe)
     written = time.monotonic()
 
-    def keep(state: Callable[[], "TrainingState"]) -> None:
+    def save(state: Callable[[], "TrainingState"]) -> None:
         nonlocal written
-        if time.monotonic() - written >= KEEP_S:
+        if time.monotonic() - written >= SAVE_S:
             _write_part(part, recipe, state())
             written = time.monotonic()
 
@@ -197,20 +198,20 @@ def _train(
         max_steps=params.max_steps,
         on_progress=lambda step, steps, loss: progress(number * steps + step, networks * steps),
         device=params.device,
-        kept=kept,
-        on_keep=keep,
+        resume_from=saved,
+        on_save=save,
     )
-    return result, None if kept is None else int(kept["step"])
+    return result, None if saved is None else int(saved["step"])
 
 
 def _part(job: Job, number: int, networks: int) -> Path:
-    """Where an interrupted run is kept: NAME.model.part, or NAME.model.fold1.part for the first fold."""
+    """Where the state of a run is saved: NAME.model.part, or NAME.model.fold1.part for the first fold."""
     fold = "" if number == networks - 1 else f".fold{number + 1}"
     return job.output.with_name(job.output.name.removesuffix(".h5") + fold + ".part")
 
 
 def _read_part(path: Path, recipe: Recipe) -> "TrainingState | None":
-    """A kept run of this recipe; None where there is none, or one of another recipe, or a damaged one."""
+    """The saved state of a run of this recipe; None if there is none, it is damaged, or of another recipe."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
@@ -219,28 +220,28 @@ def _read_part(path: Path, recipe: Recipe) -> "TrainingState | None":
     return arrays if str(arrays.pop("recipe", "")) == recipe.id else None
 
 
-def _write_part(path: Path, recipe: Recipe, kept: "TrainingState") -> None:
-    """Keep a run, all or nothing."""
+def _write_part(path: Path, recipe: Recipe, state: "TrainingState") -> None:
+    """Save the state of a run, all or nothing."""
     with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, recipe=np.array(recipe.id), **kept)  # type: ignore[arg-type]
+        np.savez(file, recipe=np.array(recipe.id), **state)  # type: ignore[arg-type]
 
 
 def _label_method(paths: tuple[Path, ...], headers: list[Header]) -> str:
-    """How the onset of slip was found in the training files, `truth` among them; one way for all."""
-    found: dict[str, Path] = {}
+    """The method that labelled the training files, `truth` included; InputError if they are labelled differently."""
+    methods: dict[str, Path] = {}
     for path, header in zip(paths, headers, strict=True):
         for ancestor in header["history"].values():
             if ancestor["kind"] == "labels":
-                found.setdefault(str(ancestor["parameters"].get("method", "farneback")), path)
-    if len(found) > 1:
-        (first, path), (other, elsewhere) = list(found.items())[:2]
+                methods.setdefault(str(ancestor["parameters"].get("method", "farneback")), path)
+    if len(methods) > 1:
+        (first, path), (other, elsewhere) = list(methods.items())[:2]
         raise InputError(
-            "the files to train on are labelled in different ways",
+            "the files to train on are labelled by different methods",
             where=str(elsewhere),
             expected=f"{first} as in {path}",
             found=other,
         )
-    return next(iter(found), "none")
+    return next(iter(methods), "none")
 
 
 def _header(path: Path) -> Header:

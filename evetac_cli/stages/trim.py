@@ -1,11 +1,11 @@
 """trim: a range of slices out of a recording, as a recording of its own.
 
-Every group is cut: what is stored of every slice by its index, gripper and controller by their time; times begin anew
-at 0, and `t_offset` says by how much. What belongs to no moment stays, but of `capture` only the lost slices and the
-end, for its counts are those of the whole.
+Every group is cut: rows of slices by their index, rows of gripper and controller by their time. Times begin anew at 0,
+and `t_offset` says by how much. Datasets without time are copied, but of `capture` only the lost slices and why it
+ended, because its counts are those of the whole recording.
 
-Tracks and features of a piece from slice 0 on are the first rows of those of the whole, bit for bit, because both only
-look back. A piece that begins later begins with dots at rest, as every recording does, whatever they did before.
+Tracks and features of a piece from slice 0 on are the first rows of those of the whole, bit for bit, because a slice's
+depend on no later slice. In a piece that begins later the tracker starts with dots at rest, as in every recording.
 """
 
 from pathlib import Path
@@ -24,7 +24,6 @@ from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 
-INPUTS = ("recording",)
 OUTPUT = "recording"
 METHOD = 1
 CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us"}  # dims whose rows have times of their own
@@ -33,7 +32,12 @@ CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us"}  # dims w
 def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
     """One piece of every recording, named <name>-<from>-<to>ms."""
     if params.to_ms is not None and params.to_ms <= params.from_ms:
-        raise InputError("ends before it begins", where="--to-ms", expected=f"more than {params.from_ms}")
+        raise InputError(
+            "the piece ends before it begins",
+            where="--to-ms",
+            expected=f"more than --from-ms {params.from_ms}",
+            found=f"{params.to_ms}",
+        )
     one_file(files, out)
     if out is not None and out.suffix == ".h5":
         return [Job((file,), out) for file in files]
@@ -43,7 +47,7 @@ def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
 
 
 def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Cut one recording."""
+    """Write the slices [from_ms, to_ms) of a recording; InputError if it has no such slices."""
     with open_recording(job.inputs[0]) as recording:
         first = params.from_ms
         end = len(recording) if params.to_ms is None else params.to_ms
@@ -68,7 +72,7 @@ def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = sil
 
 
 def _piece(recording: Recording, first: int, end: int) -> dict[str, Any]:
-    """All datasets of the slices [first, end)."""
+    """The datasets of a recording, cut to the slices [first, end)."""
     shift_us = first * SLICE_US
     begin, stop = int(recording.starts[first]), int(recording.starts[end])
     rows = {dim: _rows(recording.read(clock), first, end) for dim, clock in CLOCKS.items() if recording.has(clock)}
@@ -96,6 +100,7 @@ def _piece(recording: Recording, first: int, end: int) -> dict[str, Any]:
 
 
 def _rows(t_us: NDArray[np.int64], first: int, end: int) -> NDArray[np.bool_]:
+    """Which times lie within the slices [first, end)."""
     return (t_us >= first * SLICE_US) & (t_us < end * SLICE_US)
 
 

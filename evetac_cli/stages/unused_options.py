@@ -1,4 +1,4 @@
-"""Which options of `record` and `grasp` belong to what a run may have, so that none is ignored without a word."""
+"""Refuses options of `record` and `grasp` that would have no effect in a run: none is ignored silently."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -11,7 +11,7 @@ from evetac_cli.params import Grasp, Record, flag_of
 
 
 class Source(StrEnum):
-    """Where events come from, and what is commanded beside; a run has some of these."""
+    """Parts of a run that options belong to: where its events come from, and what it commands."""
 
     IMPORT = "an import (--from)"
     SCENE = "a simulated scene (--camera sim or virtual)"
@@ -24,7 +24,7 @@ class Source(StrEnum):
     GRASPED = "a grasp with devices (--camera virtual, dvxplorer or dv)"
 
 
-# Of a field that is not named here nothing depends on the source, or its stage says what fits together.
+# Options that are not listed have an effect in every run, or their stage checks how they fit together.
 RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("scene", "objects", "sensor", "gel", "readout"), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
@@ -75,7 +75,7 @@ def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], sou
         if belongs is None or getattr(params, item.name) == item.default or sources.intersection(belongs):
             continue
         raise InputError(
-            f"has no effect here: it belongs to {' or '.join(belongs)}",
+            f"has no effect in this run: it belongs to {' or '.join(belongs)}",
             where=flag_of(item),
             found=_source_flags(params),
             hint=f"leave out {flag_of(item)}",

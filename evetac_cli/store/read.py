@@ -84,6 +84,10 @@ class Recording(StageFile):
         """Dot centres at rest (rows, columns, 2), or None where no calibration is stored."""
         return self.read("sensor/dot_xy_px") if self.has("sensor/dot_xy_px") else None
 
+    def sensor_datasets(self) -> dict[str, Any]:
+        """What belongs to the sensor, `sensor/...` by name: dot grid, window, frame size, to be copied along."""
+        return {name: self.read(name) for name in self.contents() if name.startswith("sensor/")}
+
     def between(self, start: int, stop: int) -> Events:
         """All events of the slices [start, stop) in one; t stays absolute."""
         if not 0 <= start <= stop <= len(self):
@@ -148,16 +152,10 @@ class SlipWindows:
         return len(self._index)
 
     def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
-        from evetac_cli.kernels.slip import (  # brings numba, which a mere reader need not wait for
-            features,
-            inputs,
-            slip,
-        )
+        from evetac_cli.kernels.slip import inputs  # brings numba, which a mere reader need not wait for
 
         trial, slice_ = self._index[index]
         displacement, events, label = self._trials[trial]
-        first = slice_ + 1 - self.history
-        series = features.series(displacement[first : slice_ + 1], events[first : slice_ + 1])
-        views = tuple(slip.View(channel, self.history) for channel in ("distance", "events"))
-        (window,) = inputs.at(slip.DotArchitecture("window", views, 1, 1), series, np.array([self.history - 1]))
+        rows = slice(slice_ + 1 - self.history, slice_ + 1)
+        (window,) = inputs.windows(displacement[rows], events[rows], np.array([self.history - 1]), self.history)
         return window, np.float32(label[slice_])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from evetac_cli.kernels import vibration
-from evetac_cli.kernels.vibration import CELL_PX, Spectrum, add_events, cells_of, find, locate, strongest_of_counts
+from evetac_cli.kernels.vibration import CELL_PX, Spectrum, add_events, cell_grid, find, locate, strongest_of_counts
 
 RATE_HZ = 1000
 BINS = 1000
@@ -45,7 +45,7 @@ def tone_of(tally: NDArray[np.int16], rate_hz: float = RATE_HZ, **how: Any) -> v
 def test_events_are_added_where_and_when_they_were(seed: int, rate_hz: int) -> None:
     """Assert that every event counts once, with its sign, in its cell and bin, and those outside not at all."""
     rng = np.random.default_rng(seed)
-    across, down = cells_of((100, 50))
+    across, down = cell_grid((100, 50))
     t_us = np.sort(rng.integers(0, 30_000, 500))
     x_px, y_px = (rng.integers(0, most, 500).astype(np.uint16) for most in (across * CELL_PX, down * CELL_PX))
     brighter = rng.integers(0, 2, 500).astype(np.uint8)
@@ -63,7 +63,7 @@ def test_events_are_added_where_and_when_they_were(seed: int, rate_hz: int) -> N
 @pytest.mark.parametrize(("frame_px", "cells"), [((640, 480), (40, 30)), ((346, 260), (22, 17)), ((1, 1), (1, 1))])
 def test_cells_cover_the_frame(frame_px: tuple[int, int], cells: tuple[int, int]) -> None:
     """Assert that every pixel has a cell."""
-    assert cells_of(frame_px) == cells
+    assert cell_grid(frame_px) == cells
 
 
 @given(place=st.floats(20.0, 40.0), height=st.floats(1e-3, 1e6))
@@ -98,16 +98,16 @@ def test_frequency_error_against_the_bound() -> None:
     depth, events, cells, duration_s = 0.6, 400.0, 64, BINS / RATE_HZ
     over_noise = depth**2 * events * cells / 4  # of a window without taper
     bound_hz = math.sqrt(6 / over_noise) / (2 * np.pi * duration_s)
-    errors, said = [], []
+    errors, stated_hz = [], []
     for _ in range(100):
         tone_hz = rng.uniform(199.5, 200.5)
-        found = tone_of(trains(rng, tone_hz=tone_hz, depth=depth))
-        assert found is not None
-        errors.append(found.frequency_hz - tone_hz)
-        said.append(found.uncertainty_hz)
+        result = tone_of(trains(rng, tone_hz=tone_hz, depth=depth))
+        assert result is not None
+        errors.append(result.frequency_hz - tone_hz)
+        stated_hz.append(result.uncertainty_hz)
     rms_hz = math.sqrt(np.mean(np.square(errors)))
     assert bound_hz < rms_hz < 2.1 * bound_hz
-    assert 0.7 * rms_hz < math.sqrt(np.mean(np.square(said))) < 1.8 * rms_hz
+    assert 0.7 * rms_hz < math.sqrt(np.mean(np.square(stated_hz))) < 1.8 * rms_hz
     assert abs(np.mean(errors)) < 4 * rms_hz / math.sqrt(len(errors))
 
 
@@ -120,8 +120,8 @@ def test_chance_of_finding_a_weak_tone(wanted: float) -> None:
     threshold = special.gammainccinv(cells, false_alarms / frequencies)
     centrality = _solve(lambda total: stats.ncx2.sf(2 * threshold, 2 * cells, 2 * total), wanted)
     depth = math.sqrt(6 * centrality / (cells * events))
-    found = [tone_of(trains(rng, tone_hz=200.0, depth=depth), false_alarms=false_alarms) for _ in range(trials)]
-    right = sum(line is not None and abs(line.frequency_hz - 200.0) < 1.0 for line in found)
+    result = [tone_of(trains(rng, tone_hz=200.0, depth=depth), false_alarms=false_alarms) for _ in range(trials)]
+    right = sum(line is not None and abs(line.frequency_hz - 200.0) < 1.0 for line in result)
     assert abs(right / trials - wanted) < 0.04 + 3.3 * math.sqrt(wanted * (1 - wanted) / trials)
 
 
@@ -170,9 +170,9 @@ def test_the_tone_and_not_twice_it() -> None:
     tally = np.round(6 * side * speed).astype(np.int16)
     counts = np.abs(tally).sum(axis=0).reshape(-1, 5).sum(axis=1)
     assert strongest_of_counts(counts, 1000, 25.0) == pytest.approx(220.0, abs=0.5)
-    found = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
-    assert found.tone is not None
-    assert found.tone.frequency_hz == pytest.approx(110.0, abs=0.01)
+    result = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
+    assert result.tone is not None
+    assert result.tone.frequency_hz == pytest.approx(110.0, abs=0.01)
 
 
 def test_a_speaker_with_harmonics() -> None:
@@ -185,11 +185,11 @@ def test_a_speaker_with_harmonics() -> None:
     )
     lean = rng.choice([-1.0, 1.0], (40, 1)) * speed * 0.3
     tally = (rng.poisson(np.maximum(1 + lean, 0)) - rng.poisson(np.maximum(1 - lean, 0))).astype(np.int16)
-    found = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
-    assert found.tone is not None
-    assert found.tone.frequency_hz == pytest.approx(150.0, abs=0.02)
+    result = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
+    assert result.tone is not None
+    assert result.tone.frequency_hz == pytest.approx(150.0, abs=0.02)
     for order, share in ((0.5, 0.3), (2.0, 0.45), (3.0, 0.2)):
-        assert found.harmonics[order] == pytest.approx(share, rel=0.1)
+        assert result.harmonics[order] == pytest.approx(share, rel=0.1)
 
 
 @pytest.mark.parametrize(("tone_hz", "folded_hz"), [(600.0, 400.0), (1300.0, 300.0), (1750.0, 250.0)])
@@ -197,12 +197,12 @@ def test_nothing_folds(tone_hz: float, folded_hz: float) -> None:
     """Assert that a tone beyond the band is told as such, where a count a slice shows it folded."""
     rng = np.random.default_rng(5)
     tally = trains(rng, tone_hz=tone_hz, depth=0.8, bins=5000, rate_hz=5000)
-    found = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
-    assert found.tone is None
-    assert found.beyond is not None
-    assert found.beyond.frequency_hz == pytest.approx(tone_hz, abs=0.2)
+    result = find(vibration.spectrum(tally, 5000), 25.0, 500.0)
+    assert result.tone is None
+    assert result.above_band is not None
+    assert result.above_band.frequency_hz == pytest.approx(tone_hz, abs=0.2)
     within = find(vibration.spectrum(tally, 5000), 25.0, 2500.0).tone
-    assert within is not None and within.frequency_hz == found.beyond.frequency_hz
+    assert within is not None and within.frequency_hz == result.above_band.frequency_hz
     counts = rng.poisson(50 * (1 + 0.8 * np.cos(2 * np.pi * tone_hz * np.arange(1000) / 1000)))
     assert strongest_of_counts(counts, 1000, 25.0) == pytest.approx(folded_hz)
 
@@ -271,7 +271,7 @@ def test_counts_below_the_lowest_are_removed() -> None:
         (lambda good: find(good, 25.0, 20.0), "lowest < highest"),
         (lambda good: find(good, 25.0, math.inf), "lowest < highest"),
         (lambda good: find(good, 25.0, 500.0, 1.0), "between 0 and 1"),
-        (lambda good: cells_of((0, 5)), "at least 1 x 1"),
+        (lambda good: cell_grid((0, 5)), "at least 1 x 1"),
     ],
 )
 def test_nonsense_is_refused(call: Any, says: str) -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from evetac_cli.cli import main
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.slip import slip as kernel
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.numerics import cost, model_cost
 from evetac_cli.params import EvaluateCost, EvaluateSlip
@@ -91,7 +91,7 @@ def untrained() -> list[model_cost.Candidate]:
 
 def test_every_architecture_is_a_candidate(untrained: list[model_cost.Candidate]) -> None:
     """Assert that without models all architectures are there, with the paper's numbers of parameters."""
-    assert [candidate.setting for candidate in untrained] == list(kernel.ARCHITECTURES)
+    assert [candidate.setting for candidate in untrained] == list(ARCHITECTURES)
     found = {candidate.setting: candidate.parameters for candidate in untrained}
     expected = {"no-hist": 14_895, "hist10": 15_125, "hist20": 16_385, "fast-slow": 15_990}
     assert {name: found[name] for name in expected} == expected
@@ -159,7 +159,7 @@ def test_what_is_refused(world: dict[str, list[Path]], tmp_path: Path) -> None:
     """Assert that files for another part, models without their report, and reports on others are errors."""
     with pytest.raises(InputError, match="only the part model"):
         cost.jobs(world["features"], EvaluateCost(part="sim"), tmp_path)
-    with pytest.raises(InputError, match="which model"):
+    with pytest.raises(InputError, match="no model file"):
         cost.jobs(world["features"], EvaluateCost(part="model"), tmp_path)
     for others in ([], world["features"]):
         with pytest.raises(InputError, match="one report of `evaluate slip`"):

@@ -81,7 +81,7 @@ def recorded(path: Path, events: Events, frame_px: tuple[int, int] = (640, 480))
     return path
 
 
-def kept(events: Events, keep: NDArray[np.bool_]) -> Events:
+def selected(events: Events, keep: NDArray[np.bool_]) -> Events:
     return Events(*(column[keep] for column in events))
 
 
@@ -118,7 +118,7 @@ def worst_px(path: Path, truth: Grid) -> float:
 def test_every_dot_from_scratch(pressed: Path, truth: Grid) -> None:
     """Assert that all dots are found within 0.5 px in their places, and that the file says how, and how well."""
     row, path = calibrated(pressed)
-    assert (row["dots"], row["missing"], row["rows"], row["columns"], row["gel"]) == (63, 0, 7, 9, "closed")
+    assert (row["dots"], row["missing_dots"], row["rows"], row["columns"], row["gel"]) == (63, 0, 7, 9, "closed")
     assert worst_px(path, truth) < 0.5
     assert row["error_px_worst"] == pytest.approx(worst_px(path, truth), abs=1e-3)
     assert 0 < row["jitter_px_rms"] < 0.5
@@ -184,9 +184,9 @@ def test_refine(seen: Show, tmp_path: Path, truth: Grid) -> None:
     row, made = calibrated(path, refine=default)
     assert row["dots"] == 63
     assert 63 - 7 * 4 >= row["kept_from_default"] >= 63 - 7 * 5
-    found = read_calibration(made).dot_xy_px
-    assert np.abs(found[:, :4] - truth[:, :4]).max() < 0.5
-    assert np.abs(found - truth).max() < 1.0
+    results = read_calibration(made).dot_xy_px
+    assert np.abs(results[:, :4] - truth[:, :4]).max() < 0.5
+    assert np.abs(results - truth).max() < 1.0
     made.unlink()
     row, made = calibrated(path, any_grid=True)
     assert row["columns"] in (4, 5)
@@ -195,14 +195,14 @@ def test_refine(seen: Show, tmp_path: Path, truth: Grid) -> None:
 def test_missing_dot(seen: Show, tmp_path: Path, events: Events, truth: Grid) -> None:
     """Assert that a dot that never shows is missing in its place, and that track and featurize do without it."""
     row, made = calibrated(seen(np.hypot(X - truth[2, 3, 0], Y - truth[2, 3, 1]) > 30))
-    assert (row["dots"], row["missing"]) == (62, 1)
+    assert (row["dots"], row["missing_dots"]) == (62, 1)
     dots = read_calibration(made).dot_xy_px
     assert np.argwhere(np.isnan(dots[..., 0])).tolist() == [[2, 3]]
     table = json.loads(made.read_text())
     assert table["mask"][2][3] is False
     assert table["dot_xy_px"][2][3] == [None, None]
     assert table["neighbours"][2 * 9 + 3] == []
-    short = recorded(tmp_path / "short.recording.h5", kept(events, events.t < 300_000))
+    short = recorded(tmp_path / "short.recording.h5", selected(events, events.t < 300_000))
     tracking = params.Track(calibration=made)
     (job,) = track.jobs([short], tracking, None)
     track.run(job, tracking)
@@ -224,14 +224,14 @@ def test_hidden_dots(seen: Show, truth: Grid) -> None:
     with pytest.raises(InputError, match="21 dots missing"):
         calibrated(path)
     row, _ = calibrated(path, any_grid=True)
-    assert (row["dots"], row["missing"]) == (42, 21)
+    assert (row["dots"], row["missing_dots"]) == (42, 21)
 
 
 @pytest.mark.slow
 def test_thresholds_that_differ_by_polarity(tmp_path: Path, events: Events, truth: Grid) -> None:
     """Assert that a camera that loses a quarter of its darker events, and has noise, moves no centre by 1 px."""
     rng = np.random.default_rng(0)
-    seen = kept(events, (events.p == 1) | (rng.uniform(size=events.size) > 0.25))
+    seen = selected(events, (events.p == 1) | (rng.uniform(size=events.size) > 0.25))
     count = 95 * int(seen.t[-1]) // 1000  # as a bare DVXplorer
     noise = Events(
         rng.integers(0, int(seen.t[-1]), count), rng.integers(0, 640, count).astype(np.uint16),
@@ -239,8 +239,8 @@ def test_thresholds_that_differ_by_polarity(tmp_path: Path, events: Events, trut
     )  # fmt: skip
     both = concatenate([seen, noise])
     order = np.argsort(both.t, kind="stable")
-    row, made = calibrated(recorded(tmp_path / "odd.recording.h5", kept(both, order)))  # type: ignore[arg-type]
-    assert row["missing"] == 0
+    row, made = calibrated(recorded(tmp_path / "odd.recording.h5", selected(both, order)))  # type: ignore[arg-type]
+    assert row["missing_dots"] == 0
     assert worst_px(made, truth) < 1.0
 
 
@@ -249,7 +249,7 @@ def test_half_the_resolution(tmp_path: Path, events: Events, truth: Grid) -> Non
     """Assert that a smaller frame, with dots of half the size, is calibrated just so."""
     small = Events(events.t, events.x // 2, events.y // 2, events.p)
     row, made = calibrated(recorded(tmp_path / "small.recording.h5", small, (320, 240)))
-    assert (row["dots"], row["missing"]) == (63, 0)
+    assert (row["dots"], row["missing_dots"]) == (63, 0)
     assert read_calibration(made).frame_px == (320, 240)
     assert worst_px(made, (truth - 0.5) / 2) < 0.5
     assert row["radius_px"] == pytest.approx(7.2, abs=0.5)
@@ -265,17 +265,17 @@ def test_larger_frame(
     with pytest.raises(InputError, match="not the whole grid"):
         calibrated(path)
     row, made = calibrated(path, any_grid=True)
-    assert (row["dots"], row["missing"]) == (63, 0)
+    assert (row["dots"], row["missing_dots"]) == (63, 0)
     assert worst_px(made, truth + (80, 60)) < 0.5
 
 
 def test_nothing_moved(tmp_path: Path, events: Events) -> None:
     """Assert that rest, no events at all, and a stroke without rests are refused in words, and leave nothing."""
-    nothing = kept(events, np.zeros(events.size, bool))
+    nothing = selected(events, np.zeros(events.size, bool))
     for name, part, words in (
-        ("rest", kept(events, events.t < 90_000), "no dot was seen to move"),
+        ("rest", selected(events, events.t < 90_000), "no dot was seen to move"),
         ("empty", nothing, "no dot was seen to move"),
-        ("stroke", kept(events, (events.t >= 280_000) & (events.t < 350_000)), "not at rest before and after"),
+        ("stroke", selected(events, (events.t >= 280_000) & (events.t < 350_000)), "not at rest before and after"),
     ):
         part = Events(part.t - (part.t[0] if part.size else 0), *part[1:])  # noqa: PLW2901 - the same, from t = 0
         path = recorded(tmp_path / f"{name}.recording.h5", part)
@@ -294,7 +294,7 @@ def test_noise_is_no_dot(tmp_path: Path) -> None:
         calibrated(job.output)
     with open_recording(job.output) as recording:
         noise = recording.between(0, len(recording))
-    rests = kept(noise, (noise.t // 1000 % 400 >= 100) | (noise.x < 40))
+    rests = selected(noise, (noise.t // 1000 % 400 >= 100) | (noise.x < 40))
     with pytest.raises(InputError, match="no dots were seen to move: 0 found"):
         calibrated(recorded(tmp_path / "strokes.recording.h5", rests))
 

@@ -17,7 +17,7 @@ import pytest
 from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, train
+from evetac_cli.stages import featurize, grasp, label, predict_force, record, track, track_rgb, train, train_force, trim
 from evetac_cli.stages.evaluate import data_rate as evaluate_data_rate
 from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
@@ -25,24 +25,43 @@ from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.stages.evaluate import slip as evaluate_slip
 from evetac_cli.stages.evaluate import tracking as evaluate_tracking
 from evetac_cli.stages.evaluate import vibration as evaluate_vibration
-from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 from tests.conftest import Made
 
 
 class Stage(NamedTuple):
-    """A stage module, parameters to run it with, others that give another recipe, and its inputs in a folder."""
+    """A stage: its module, parameters to run it with and others, and its inputs in a folder.
+
+    The others give another recipe. A stage without parameters that change numbers has other inputs instead.
+    """
 
     name: str
     module: Any
     params: Callable[[Path], Any]
     other: Callable[[Path], Any]
     inputs: Callable[[Path], list[Path]]
+    other_inputs: Callable[[Path], list[Path]] | None = None
+
+    def another(self, folder: Path) -> tuple[Any, list[Path]]:
+        """Parameters and inputs of another recipe."""
+        return self.other(folder), (self.other_inputs or self.inputs)(folder)
 
 
-def of(kind: str) -> Callable[[Path], list[Path]]:
-    return lambda folder: sorted(folder.glob(f"short-*.{kind}.h5"))[:1]
+def of(kind: str, number: int = 0) -> Callable[[Path], list[Path]]:
+    return lambda folder: [sorted(folder.glob(f"short-*.{kind}.h5"))[number]]
+
+
+def every(kind: str) -> Callable[[Path], list[Path]]:
+    return lambda folder: sorted(folder.glob(f"short-*.{kind}.h5"))
+
+
+def one(name: str) -> Callable[[Path], list[Path]]:
+    return lambda folder: [folder / name]
+
+
+def nothing(folder: Path) -> list[Path]:
+    return []
 
 
 def some(cls: type, **values: Any) -> Callable[[Path], Any]:
@@ -61,38 +80,54 @@ def force_model(folder: Path) -> Path:
     return folder / "dots.force-model.h5"
 
 
+def force_models(folder: Path) -> str:
+    return str(force_model(folder))
+
+
+def another_grasp(folder: Path) -> list[Path]:
+    """A grasp without the detector, which is quickly made."""
+    chosen = params.Grasp(controller="none", lift_s=1.0, balance_s=0.0)
+    (job,) = grasp.jobs([], chosen, folder / "contact-alone.recording.h5")
+    grasp.run(job, chosen, force=True)
+    return [job.output]
+
+
 GRASP = {"model": model, "lift_s": 1.0}
 TRAIN = {"epochs": 1, "max_steps": 5, "preset": "adam"}
+FORCE = {"samples": 10, "epochs": 2}
 STAGES = [
-    Stage("record", record, some(params.Record, scene=scene), some(params.Record, scene=scene, seed=1), lambda _: []),
+    Stage("record", record, some(params.Record, scene=scene), some(params.Record, scene=scene, seed=1), nothing),
+    Stage("trim", trim, some(params.Trim, to_ms=200), some(params.Trim, to_ms=190), of("recording")),
     Stage(
-        "label", label, some(params.Label, after_ms=15), some(params.Label, after_ms=15, confirm_ms=4),
+        "label", label, some(params.Label, after_ms=15), some(params.Label, after_ms=15, slip_distance_px=0.4),
         of("recording"),
     ),
-    Stage("track", track, some(params.Track), some(params.Track, preset="stable"), of("recording")),
-    Stage("featurize", featurize, some(params.Featurize), some(params.Featurize), of("recording")),
-    Stage(
-        "train", train, some(params.Train, **TRAIN), some(params.Train, **TRAIN, seed=1),
-        lambda folder: sorted(folder.glob("short-*.features.h5")),
-    ),
+    Stage("track", track, some(params.Track), some(params.Track, preset="paper"), of("recording")),
+    Stage("featurize", featurize, some(params.Featurize), some(params.Featurize, images=True), of("recording")),
+    Stage("train", train, some(params.Train, **TRAIN), some(params.Train, **TRAIN, seed=1), every("features")),
     Stage("track-rgb", track_rgb, some(params.TrackRgb), some(params.TrackRgb, seed=1), of("recording")),
     Stage(
-        "train-force", train_force, some(params.TrainForce, samples=10, epochs=2), some(params.TrainForce, samples=10, epochs=2, seed=1),
-        lambda folder: sorted(folder.glob("short-*.tracks.h5")),
+        "train-force", train_force, some(params.TrainForce, **FORCE), some(params.TrainForce, **FORCE, seed=1),
+        every("tracks"),
     ),
-    Stage("predict-force", predict_force, some(params.PredictForce, model=force_model), some(params.PredictForce, model=force_model), of("tracks")),
     Stage(
-        "grasp", grasp, some(params.Grasp, **GRASP, balance_s=0.0), some(params.Grasp, **GRASP, balance_s=0.1),
-        lambda _: [],
+        "predict-force", predict_force, some(params.PredictForce, model=force_model),
+        some(params.PredictForce, model=force_model), of("tracks"), of("tracks", 1),
+    ),
+    Stage(
+        "grasp", grasp, some(params.Grasp, **GRASP, balance_s=0.0), some(params.Grasp, **GRASP, balance_s=0.1), nothing,
     ),
     Stage(
         "evaluate slip", evaluate_slip, some(params.EvaluateSlip, model=model),
-        some(params.EvaluateSlip, model=model, threshold=0.5), lambda folder: [folder / "apart.features.h5"],
+        some(params.EvaluateSlip, model=model, threshold=0.5), one("apart.features.h5"),
     ),
-    Stage("evaluate labels", evaluate_labels, some(params.EvaluateLabels), some(params.EvaluateLabels), of("labels")),
+    Stage(
+        "evaluate labels", evaluate_labels, some(params.EvaluateLabels), some(params.EvaluateLabels),
+        of("labels"), of("labels", 1),
+    ),
     Stage(
         "evaluate tracking", evaluate_tracking, some(params.EvaluateTracking), some(params.EvaluateTracking),
-        of("tracks"),
+        of("tracks"), of("tracks", 1),
     ),
     Stage(
         "evaluate vibration", evaluate_vibration, some(params.EvaluateVibration, windows="0.2"),
@@ -103,18 +138,15 @@ STAGES = [
         some(params.EvaluateDataRate, around_s=0.05), of("recording"),
     ),
     Stage(
-        "evaluate force", evaluate_force,
-        some(params.EvaluateForce, model=lambda folder: str(force_model(folder)), samples=10),
-        some(params.EvaluateForce, model=lambda folder: str(force_model(folder)), samples=10, seed=1),
-        lambda folder: [folder / "apart.tracks.h5"],
+        "evaluate force", evaluate_force, some(params.EvaluateForce, model=force_models, samples=10),
+        some(params.EvaluateForce, model=force_models, samples=10, seed=1), one("apart.tracks.h5"),
     ),
     Stage(
         "evaluate grasp", evaluate_grasp, some(params.EvaluateGrasp), some(params.EvaluateGrasp),
-        lambda folder: [folder / "grasp.recording.h5"],
+        one("grasp.recording.h5"), another_grasp,
     ),
 ]  # fmt: skip
 FROM_FILES = [stage for stage in STAGES if stage.name not in ("record", "grasp")]
-TWO_RECIPES = [stage for stage in STAGES if stage.params(Path()) != stage.other(Path())]
 
 
 def each(stages: list[Stage]) -> pytest.MarkDecorator:
@@ -130,10 +162,13 @@ def folder(made: Made, tmp_path: Path) -> Path:
     return work
 
 
-def run(stage: Stage, folder: Path, out: Path, *, chosen: Any = None, **how: Any) -> tuple[Path, Any]:
-    chosen = stage.params(folder) if chosen is None else chosen
-    (job,) = stage.module.jobs(stage.inputs(folder), chosen, out)
-    return job.output, stage.module.run(job, chosen, **how)
+def run(stage: Stage, folder: Path, out: Path, **options: Any) -> tuple[Path, Any]:
+    return run_on(stage, stage.params(folder), stage.inputs(folder), out, **options)
+
+
+def run_on(stage: Stage, chosen: Any, inputs: list[Path], out: Path, **options: Any) -> tuple[Path, Any]:
+    (job,) = stage.module.jobs(inputs, chosen, out)
+    return job.output, stage.module.run(job, chosen, **options)
 
 
 def arrays(path: Path) -> dict[str, bytes]:
@@ -196,18 +231,32 @@ def test_output_is_skipped_when_up_to_date(stage: Stage, folder: Path, tmp_path:
     assert output.stat().st_mtime_ns == written
 
 
-@each(TWO_RECIPES)
+@each(STAGES)
 def test_another_recipe_is_refused(stage: Stage, folder: Path, tmp_path: Path) -> None:
-    """Assert that an output of another recipe is left alone, is named, and is replaced only by force."""
+    """Assert that an output of another recipe is left alone, is named, and is replaced only by force.
+
+    So every stage has two recipes here that differ: if they were one, the output would be up to date.
+    """
     target = tmp_path / "target.h5"
     run(stage, folder, target)
-    before = target.read_bytes()
+    before, first_id = target.read_bytes(), header(target)["id"]
+    another = stage.another(folder)
+    assert another != (stage.params(folder), stage.inputs(folder))
     with pytest.raises(InputError, match="another recipe"):
-        run(stage, folder, target, chosen=stage.other(folder))
+        run_on(stage, *another, target)
     assert target.read_bytes() == before
-    _, outcome = run(stage, folder, target, chosen=stage.other(folder), force=True)
+    _, outcome = run_on(stage, *another, target, force=True)
     assert outcome.made
-    assert target.read_bytes() != before
+    assert header(target)["id"] != first_id
+
+
+def test_every_stage_takes_part() -> None:
+    """Assert that no command that makes a stage file is missing here."""
+    assert {stage.name for stage in STAGES} == set(params.COMMANDS) - {
+        "calibrate",
+        "evaluate cost",
+        "evaluate stability",
+    }
 
 
 @each(FROM_FILES)
@@ -266,9 +315,9 @@ def empty_recording(like: Path, path: Path) -> None:
     from evetac_cli.store.provenance import Recipe, content_digest
 
     with StageFile(like) as file:
-        kept = {name: file.read(name) for name in file.contents() if name.startswith("sensor/")}
+        selected = {name: file.read(name) for name in file.contents() if name.startswith("sensor/")}
         columns = {name: file.read(name, 0, 0) for name in file.contents() if name.startswith("events/")}
-    content = {**kept, **columns, "ms_to_idx": np.zeros(1, np.int64), "t_offset": np.int64(0)}
+    content = {**selected, **columns, "ms_to_idx": np.zeros(1, np.int64), "t_offset": np.int64(0)}
     write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
 
 

@@ -18,12 +18,12 @@ def test_directions_are_the_displacement(made: Made) -> None:
     """Assert that the stored displacements to the right and down are those of the tracks, with the stored length."""
     path = made.recordings[0]
     with StageFile(made.beside(path, "features")) as features, StageFile(made.beside(path, "tracks")) as tracks:
-        found = features.read("displacement_xy_px")
+        result = features.read("displacement_xy_px")
         expected = tracks.read("dot_xy_px") - tracks.read("sensor/dot_xy_px").reshape(-1, 2)
         length = features.read("displacement_px")
         assert not features.has("image")
-    np.testing.assert_allclose(found, expected, atol=1e-4)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=2), length, atol=1e-4)
+    np.testing.assert_allclose(result, expected, atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(result, axis=2), length, atol=1e-4)
 
 
 def test_images_are_the_event_images_of_the_gel(made: Made, tmp_path: Path) -> None:
@@ -44,9 +44,9 @@ def test_images_are_the_event_images_of_the_gel(made: Made, tmp_path: Path) -> N
             events = recording.between(index, index + 1)
             expected = event_image(events.x, events.y, events.p, (540, 480))
             expected[y0:y1, x0:x1] = 0
-            found = np.zeros(540 * 480, np.int8)
-            found[pixel[start[index] : start[index + 1]]] = sign[start[index] : start[index + 1]]
-            np.testing.assert_array_equal(found.reshape(480, 540), expected)
+            result = np.zeros(540 * 480, np.int8)
+            result[pixel[start[index] : start[index + 1]]] = sign[start[index] : start[index + 1]]
+            np.testing.assert_array_equal(result.reshape(480, 540), expected)
     assert len(pixel) > 0
 
 
@@ -56,10 +56,10 @@ def test_tracks_and_labels_of_a_folder(tmp_path: Path) -> None:
     truth = tmp_path / "truth"
     truth.mkdir()
     (truth / "a.labels.h5").touch()
-    found = featurize.jobs(recordings, Featurize(labels=truth), None)
-    assert [job.inputs[2] for job in found] == [truth / "a.labels.h5", truth / "b.labels.h5"]
-    assert [job.inputs[1] for job in found] == [tmp_path / "a.tracks.h5", tmp_path / "b.tracks.h5"]
-    with pytest.raises(InputError, match="name one file, or a folder"):
+    result = featurize.jobs(recordings, Featurize(labels=truth), None)
+    assert [job.inputs[2] for job in result] == [truth / "a.labels.h5", truth / "b.labels.h5"]
+    assert [job.inputs[1] for job in result] == [tmp_path / "a.tracks.h5", tmp_path / "b.tracks.h5"]
+    with pytest.raises(InputError, match="several recordings"):
         featurize.jobs(recordings, Featurize(labels=truth / "a.labels.h5"), None)
     (one,) = featurize.jobs(recordings[:1], Featurize(tracks=truth / "x.h5"), None)
     assert one.inputs[1] == truth / "x.h5"

@@ -86,8 +86,8 @@ def test_the_radius_is_the_recordings(made: Made, tmp_path: Path) -> None:
     with open_recording(made.recordings[0]) as recording:
         rest_px, radius_px = recording.dot_xy_px, float(recording.read("sensor/dot_radius_px"))
     assert rest_px is not None
-    found: dict[str, list[NDArray[np.float32]]] = {"stable": [], "paper": []}
-    for preset, tracks_px in found.items():
+    result: dict[str, list[NDArray[np.float32]]] = {"stable": [], "paper": []}
+    for preset, tracks_px in result.items():
         for stated_px in (radius_px, radius_px - 2.0):
             grid = calibration(tmp_path / f"{stated_px}.json", rest_px, stated_px)
             params = Track(preset=preset, calibration=grid)
@@ -98,9 +98,9 @@ def test_the_radius_is_the_recordings(made: Made, tmp_path: Path) -> None:
                 assert tracks.header["parameters"]["dot_radius_px"] == stated_px
                 assert tracks.header["parameters"]["constants"]["radius_px"] == PRESETS[preset].radius_px
     with StageFile(made.beside(made.recordings[0], "tracks")) as tracks:
-        np.testing.assert_array_equal(tracks.read("dot_xy_px"), found["stable"][0])
-    assert np.abs(found["stable"][0] - found["stable"][1]).max() > 0.1
-    np.testing.assert_array_equal(found["paper"][0], found["paper"][1])
+        np.testing.assert_array_equal(tracks.read("dot_xy_px"), result["stable"][0])
+    assert np.abs(result["stable"][0] - result["stable"][1]).max() > 0.1
+    np.testing.assert_array_equal(result["paper"][0], result["paper"][1])
 
 
 def test_dots_too_small_for_the_ring_are_refused(made: Made, tmp_path: Path) -> None:

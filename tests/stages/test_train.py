@@ -11,8 +11,8 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.kernels.slip.slip import ARCHITECTURES
 from evetac_cli.params import Train
 from evetac_cli.stages import slip_detectors, splits, train
 from evetac_cli.store.files import StageFile, write_stage
@@ -103,7 +103,7 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
         if done >= at:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(train, "KEEP_S", 0.0)
+    monkeypatch.setattr(train, "SAVE_S", 0.0)
     with pytest.raises(KeyboardInterrupt):
         run(job, params, stop)
 
@@ -143,7 +143,7 @@ def test_a_cut_run_says_so(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a run ended by --max-steps says how many steps it took of how many, with curve and checkpoints."""
     (job,) = train.jobs(trials, small(), tmp_path)
     (row,) = run(job, small()).rows
-    assert row["cut"]
+    assert row["stopped_early"]
     assert row["steps"] == 120 < row["steps_of_all_epochs"]
     with StageFile(job.output, "model") as model:
         assert model.read("curve/step")[-1] == 120
@@ -160,8 +160,8 @@ def test_every_kept_checkpoint_has_its_graph(trials: list[Path], tmp_path: Path)
     with StageFile(job.output, "model") as model:
         graphs = [graph.tobytes() for graph in model.read("checkpoint/onnx")]
         assert graphs[int(model.read("checkpoint/chosen"))] == model.read("onnx").tobytes()
-    said = {float(Detector(graph, ARCHITECTURES["hist10"]).probability(inputs)[0]) for graph in graphs}
-    assert len(said) == 3
+    probabilities = {float(Detector(graph, ARCHITECTURES["hist10"]).probability(inputs)[0]) for graph in graphs}
+    assert len(probabilities) == 3
 
 
 def test_a_model_needs_neither_torch_nor_pickle(trials: list[Path], tmp_path: Path) -> None:
@@ -178,26 +178,26 @@ from evetac_cli.store.files import StageFile
 with StageFile({str(job.output)!r}, "model") as model:
     print(float(load_detector(model).probability(np.zeros((1, 56, 20), np.float32))[0]))
 """
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert 0 <= float(found.stdout) <= 1
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert 0 <= float(result.stdout) <= 1
 
 
 def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a model trained 10 ms ahead says so, and feels slip that a model of the present does not."""
-    said = {}
+    probabilities = {}
     for horizon_ms in (0, 10):
         params = small(horizon_ms=horizon_ms, model="no-hist")
         (job,) = train.jobs(trials, params, tmp_path)
         (row,) = run(job, params).rows
         assert row["horizon_ms"] == horizon_ms
         with StageFile(job.output, "model") as model:
-            assert slip_detectors.horizon_ms_of(model) == horizon_ms
-            found = slip_detectors.load_detector(model)
-        trajectory = slip_detectors.read_trajectory(trials[0], found.architecture)
-        said[horizon_ms] = found.over(trajectory.series)[ONSET - 10 : ONSET].mean()
-        judged = slip_detectors.predict(found, trajectory, {"kind": "features", "history": {}}, horizon_ms)
+            assert slip_detectors.read_horizon_ms(model) == horizon_ms
+            result = slip_detectors.load_detector(model)
+        trajectory = slip_detectors.read_trajectory(trials[0], result.architecture)
+        probabilities[horizon_ms] = result.over(trajectory.series)[ONSET - 10 : ONSET].mean()
+        judged = slip_detectors.predict(result, trajectory, {"kind": "features", "history": {}}, horizon_ms)
         assert (judged.onset, np.flatnonzero(judged.label)[0]) == (ONSET, ONSET - horizon_ms)
-    assert said[10] > said[0] + 0.1
+    assert probabilities[10] > probabilities[0] + 0.1
 
 
 @pytest.mark.parametrize("model", ["hist10", "down5", "hist10-img-6x6"])
@@ -212,13 +212,13 @@ def test_what_is_not_examined_is_left_out(trials: list[Path], tmp_path: Path, mo
     whole = detector.over(trajectory.series)
     for first in (0, 5, 33, 61):
         trajectory.label[:first] = -1
-        said = slip_detectors.predict(detector, trajectory, {"kind": "features", "history": {}}, 0).probability
-        assert np.isnan(said[:first]).all()
-        assert np.array_equal(said[first:], whole[first:], equal_nan=True)
+        probabilities = slip_detectors.predict(detector, trajectory, {"kind": "features", "history": {}}, 0).probability
+        assert np.isnan(probabilities[:first]).all()
+        assert np.array_equal(probabilities[first:], whole[first:], equal_nan=True)
     trajectory.label[:] = -1
     nothing = trajectory._replace(onset=-1)
-    said = slip_detectors.predict(detector, nothing, {"kind": "features", "history": {}}, 0).probability
-    assert np.isnan(said).all()
+    probabilities = slip_detectors.predict(detector, nothing, {"kind": "features", "history": {}}, 0).probability
+    assert np.isnan(probabilities).all()
 
 
 def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path: Path) -> None:
@@ -229,7 +229,7 @@ def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path
     (row,) = run(job, params).rows
     assert row["labels"] == "truth"
     (job,) = train.jobs([*truth, trials[1]], params, tmp_path / "mixed")
-    with pytest.raises(InputError, match="labelled in different ways") as refused:
+    with pytest.raises(InputError, match="labelled by different methods") as refused:
         run(job, params)
     assert trials[1].name in str(refused.value)
 
@@ -238,7 +238,7 @@ def test_objects_are_chosen(trials: list[Path], tmp_path: Path) -> None:
     """Assert that --object keeps the files of these objects alone, and that none of them is an error."""
     (job,) = train.jobs(trials, Train(objects="2"), tmp_path)
     assert set(job.inputs) == set(trials[2:])
-    with pytest.raises(InputError, match="no features of these objects"):
+    with pytest.raises(InputError, match="no features are of these objects"):
         train.jobs(trials, Train(objects="3-9"), tmp_path)
 
 
@@ -249,17 +249,17 @@ def test_folds_leave_objects_out(tmp_path: Path) -> None:
     for path in files:
         with StageFile(path, "features") as file:
             headers.append(file.header)
-    assert splits.folds_of(headers, 3, 0) == [splits.Fold([0, 1, 2], [3, 4])]
-    assert splits.folds_of(headers, 3, 3) == [
+    assert splits.make_folds(headers, 3, 0) == [splits.Fold([0, 1, 2], [3, 4])]
+    assert splits.make_folds(headers, 3, 3) == [
         splits.Fold([1, 2], [0, 3]),
         splits.Fold([0, 2], [1, 4]),
         splits.Fold([0, 1], [2]),
         splits.Fold([0, 1, 2], []),
     ]
-    assert [fold.judged for fold in splits.folds_of(headers, 3, 2)] == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
+    assert [fold.judged for fold in splits.make_folds(headers, 3, 2)] == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
     for wrong in (1, 4):
-        with pytest.raises(InputError, match=r"(?s)left out.*2 to 3, or 0.*9, 10, 11"):
-            splits.folds_of(headers, 3, wrong)
+        with pytest.raises(InputError, match=r"(?s)leave out.*2 to 3, or 0.*9, 10, 11"):
+            splits.make_folds(headers, 3, wrong)
 
 
 def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

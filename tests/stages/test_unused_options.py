@@ -54,7 +54,7 @@ def refuse_unused(params: Record | Grasp) -> None:
 def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], flag: str, belongs: str) -> None:
     """Assert that an option without effect is refused by name, with what it belongs to; without it all is well."""
     refuse_unused(Record(**run))
-    with pytest.raises(InputError, match=f"^{flag}: has no effect here: it belongs to .*{belongs}"):
+    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to .*{belongs}"):
         record.jobs([], Record(**run, **option), None)
 
 
@@ -96,7 +96,7 @@ def test_every_option_belongs_somewhere() -> None:
 )
 def test_what_belongs_to_a_moving_gripper(camera: str, option: dict[str, Any], flag: str) -> None:
     """Assert that a grasp in which nothing moves refuses what is for devices, and that one with devices does not."""
-    with pytest.raises(InputError, match=f"^{flag}: has no effect here: it belongs to a grasp with devices"):
+    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to a grasp with devices"):
         grasp.jobs([], Grasp(camera=camera, **option), None)
     refuse_unused(Grasp(camera="virtual", **option))
     assert set(GRASP) < {item.name for item in fields(Grasp)}

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.inspect.view.trial_files import Trial
 from evetac_cli.inspect.view.view_data import BLUE, GREEN, INK, ORANGE, PINK, Lane, Line, Panel
+from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.sim.gripper import gap_m
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
@@ -193,7 +194,7 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
     """Slip probability of each slice of the span, where both a model and features are there."""
     if trial.model is None or trial.features is None:
         return None
-    from evetac_cli.stages.slip_detectors import load_detector, series_of
+    from evetac_cli.stages.slip_detectors import load_detector, read_series
 
     detector = load_detector(trial.model)
     start = span[0]
@@ -204,7 +205,7 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
         # a full history, and as far back as a prediction is held
         before = min(start + first, detector.architecture.history + detector.architecture.every - 2)
         rows = slice(start + first - before, start + last)
-        series = series_of(trial.features, detector.architecture, rows.start, rows.stop)
+        series = read_series(trial.features, detector.architecture, rows.start, rows.stop)
         found[first:last] = detector.over(series, rows.start)[before:]
     return found
 
@@ -222,7 +223,7 @@ def onsets_of(trial: Trial, span: tuple[int, int], probability: NDArray[np.float
         found["label"] = _first(label == 1, start)
         examined = _first(label >= 0, start) or start
     if probability is not None and trial.model is not None:
-        detected = probability >= float(trial.model.read("threshold"))  # NaN is no slip
+        detected = is_slip(probability, float(trial.model.read("threshold")))
         found["model"] = _first(detected[examined - start :], examined)
     elif trial.recording is not None and trial.recording.has("control"):
         t_s, first, last = _timed(trial.recording, "control/t_us", span)
@@ -255,7 +256,7 @@ def lanes_of(trial: Trial, span: tuple[int, int], probability: NDArray[np.float3
     if source is not None:
         lane("label", GREEN, _length(source, "label", span), _rows(source, "label", start), by_slice)
     if probability is not None and trial.model is not None:
-        slip = (probability >= float(trial.model.read("threshold"))).astype(np.int8)
+        slip = is_slip(probability, float(trial.model.read("threshold"))).astype(np.int8)
         slip[np.isnan(probability)] = -1
         lane("model", PINK, len(slip), lambda first, last: slip[first:last, None], by_slice)
     elif recording is not None and recording.has("control"):

@@ -1,1 +1,1 @@
-"""Where the dots of a gel are at rest: a picture from events, dots in it, the grid they form."""
+"""Calibration: an image of the gel at rest from events, the dots in it, and the grid that they form."""

@@ -1,4 +1,4 @@
-"""Finds dots in a picture of the gel at rest (rest_image.py), with no idea of where they are or how large.
+"""Finds dots in an image of the gel at rest (rest_image.py), without knowing their places or size.
 
 First a vote: brightness just inside a circle against just outside, for every pixel and radius; the radius whose best
 places have the most votes is that of the dots. Then a fit: each centre is moved, and its radius changed, until a round
@@ -140,10 +140,10 @@ def _fit_one(picture: RestImage, events: float, place: Floats, radius: float) ->
 
 def _distinct(dots: Dots) -> Dots:
     """Dots that were found, each once: places within a radius of an earlier one are the same dot."""
-    kept: list[int] = []
+    distinct: list[int] = []
     for index, centre in enumerate(dots.centre_xy_px):
         if np.isfinite(centre).all() and all(
-            np.hypot(*(centre - dots.centre_xy_px[other])) > dots.radius_px[other] for other in kept
+            np.hypot(*(centre - dots.centre_xy_px[other])) > dots.radius_px[other] for other in distinct
         ):
-            kept.append(index)
-    return Dots(dots.centre_xy_px[kept], dots.radius_px[kept])
+            distinct.append(index)
+    return Dots(dots.centre_xy_px[distinct], dots.radius_px[distinct])

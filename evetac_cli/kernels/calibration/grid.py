@@ -1,7 +1,7 @@
 """The dot grid: which row and column every dot belongs to, and which dots are next to it.
 
-`arrange` takes all dots of a grid and refuses anything else; `lattice` makes out a grid among places where dots were
-found, of which some may be missing and others no dots at all. `neighbours` needs no grid: dots may come in any order.
+`arrange` takes all dots of a grid and refuses anything else; `lattice` finds the grid among measured places, where some
+dots may be missing and some places may be no dots. `neighbours` needs no grid: dots may come in any order.
 """
 
 import numpy as np
@@ -17,9 +17,9 @@ NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one 
 def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sort dots given in any order into (rows, columns, 2), rows from top to bottom, columns from left to right.
 
-    Accepts (dots, 2) or an array already sorted as (rows, columns, 2), with NaN where a dot is missing. Rows are told
-    apart by gaps in y that exceed half the pitch, so the grid may be tilted by up to about half a pitch over its width.
-    ValueError if the rows run into each other or are uneven, or their dots do not stand below each other.
+    Accepts (dots, 2) or an array already sorted as (rows, columns, 2), with NaN where a dot is missing. Rows are
+    separated by gaps in y that exceed half the pitch, so the grid may be tilted by up to about half a pitch over its
+    width. ValueError if the rows run into each other or are uneven, or their dots do not stand below each other.
     """
     dots = np.asarray(dot_xy_px, dtype=np.float64)
     if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
@@ -48,7 +48,7 @@ def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def lattice(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Make out the grid in places (n, 2) given in any order: (rows, columns, 2) like `arrange`, NaN for a missing dot.
+    """Find the grid in places (n, 2) given in any order: (rows, columns, 2) like `arrange`, NaN for a missing dot.
 
     Steps from dot to dot lead through the largest connected piece of a grid that is tilted by up to about 20 degrees; a
     plane through that says which row and column every place belongs to. Places off the lattice are left out, and so is
@@ -123,14 +123,14 @@ def _largest_piece(
 def _without_weak_borders(grid: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cut off first and last rows and columns with less than half of their dots, until there are none."""
     while grid.size:
-        there = np.isfinite(grid[..., 0])
-        if there[0].mean() < 0.5:
+        present = np.isfinite(grid[..., 0])
+        if present[0].mean() < 0.5:
             grid = grid[1:]
-        elif there[-1].mean() < 0.5:
+        elif present[-1].mean() < 0.5:
             grid = grid[:-1]
-        elif there[:, 0].mean() < 0.5:
+        elif present[:, 0].mean() < 0.5:
             grid = grid[:, 1:]
-        elif there[:, -1].mean() < 0.5:
+        elif present[:, -1].mean() < 0.5:
             grid = grid[:, :-1]
         else:
             break
@@ -156,7 +156,7 @@ def neighbours(dot_xy_px: NDArray[np.float64]) -> NDArray[np.int32]:
     near = distance_px < NEIGHBOUR_PITCHES * pitch(dot_xy_px)
     indices = np.full((len(dot_xy_px), MAX_NEIGHBOURS), -1, np.int32)
     for dot in range(len(dot_xy_px)):
-        found = np.flatnonzero(near[dot])
-        found = found[np.argsort(distance_px[dot, found], kind="stable")][:MAX_NEIGHBOURS]
-        indices[dot, : len(found)] = found
+        others = np.flatnonzero(near[dot])
+        others = others[np.argsort(distance_px[dot, others], kind="stable")][:MAX_NEIGHBOURS]
+        indices[dot, : len(others)] = others
     return indices

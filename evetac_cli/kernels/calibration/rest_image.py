@@ -1,9 +1,9 @@
-"""What the gel looks like at rest, from the events that its motion makes.
+"""An image of the gel at rest, from the events of its motion.
 
 A dark dot that leaves a pixel brightens it, one that comes over it darkens it, in as many events as the step of log
 brightness has thresholds. So the first run of events of one polarity after a rest says how much brighter a pixel can
 become, or how much darker: inside a dot it brightens by the whole contrast, outside it darkens, and on the blurred rim
-the two shares tell the brightness at rest. Together they are a picture of the gel at rest, made by motion alone.
+the two shares are a measure of the brightness at rest. Together they are an image of the gel at rest.
 
 Why so:
 - Only the first run counts. The sum of all events would be simpler, but a camera merges the steps of a fast motion into
@@ -38,7 +38,7 @@ class RestImage(NamedTuple):
     darker: Pixels
 
     def joined(self, other: "RestImage") -> "RestImage":
-        """The most of both."""
+        """The larger count of both, for every pixel."""
         return RestImage(np.maximum(self.brighter, other.brighter), np.maximum(self.darker, other.darker))
 
 
@@ -68,7 +68,7 @@ def quiet_spells(events_a_slice: NDArray[np.integer]) -> list[tuple[int, int]]:
 
 
 def start(frame_px: tuple[int, int]) -> RunState:
-    """Begin a stroke, at rest; frame_px is (width, height)."""
+    """Start a stroke, at rest; frame_px is (width, height)."""
     shape = (frame_px[1], frame_px[0])
     return RunState(
         level=np.zeros(shape, np.int16),

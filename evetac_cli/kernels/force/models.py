@@ -1,7 +1,7 @@
 """Shear force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
 
 Two models: a linear regression on the mean displacement of all dots, and a network that takes the displacement of each.
-Both are applied with numpy alone; force_training trains the network, which needs torch.
+Both are applied with numpy alone; training.py trains the network, which needs torch.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ class Network(NamedTuple):
 def displacement(dot_xy_px: ArrayLike, rest_xy_px: ArrayLike) -> Floats:
     """Displacements (n, dots, 2) of tracked dots (n, dots, 2) from their places at rest (dots, 2), in px.
 
-    ValueError if shapes do not fit or a dot has no place.
+    ValueError if shapes do not fit or a dot's place is NaN.
     """
     dots, rest = np.asarray(dot_xy_px, float), np.asarray(rest_xy_px, float)
     if dots.ndim != 3 or dots.shape[1:] != rest.shape or rest.shape[-1] != 2:
@@ -60,10 +60,10 @@ def fit_regression(moved_px: Floats, force_n: Floats) -> Regression:
     check_samples(moved_px, force_n)
     mean = moved_px.mean(axis=1)
     known = np.column_stack([mean, np.ones(len(mean))])
-    found, _, rank, _ = np.linalg.lstsq(known, force_n, rcond=None)
+    solution, _, rank, _ = np.linalg.lstsq(known, force_n, rcond=None)
     if rank < known.shape[1]:
         raise ValueError(f"expected dots that moved in x and in y, found mean displacements of rank {rank} of 3")
-    return Regression(found[:2], found[2])
+    return Regression(solution[:2], solution[2])
 
 
 def apply_regression(model: Regression, moved_px: Floats) -> Floats:
@@ -97,7 +97,7 @@ def sample_slices(normal_force_n: ArrayLike, count: int, every: int) -> NDArray[
     """`count` slices, evenly spread over the contact, in rests and in moves; shape (count,).
 
     The contact is all from the first to the last slice with a normal force (slices,) of at least CONTACT_N. Only
-    multiples of `every` slices are taken: there a camera that is slower than a slice has a frame that is not old.
+    multiples of `every` slices are taken, at which a slower camera has just taken a frame.
     ValueError without contact, or if it is too short.
     """
     touching = np.flatnonzero(np.asarray(normal_force_n) >= CONTACT_N)
@@ -118,7 +118,7 @@ class Errors(NamedTuple):
     sd_n: Floats  # (2,)
 
 
-def errors(found_n: Floats, measured_n: Floats) -> Errors:
-    """Absolute errors of found against measured forces (n, 2), as in the paper's table."""
-    off = np.abs(found_n - measured_n)
+def errors(predicted_n: Floats, measured_n: Floats) -> Errors:
+    """Absolute errors of predicted against measured forces (n, 2), as in the paper's table."""
+    off = np.abs(predicted_n - measured_n)
     return Errors(off.mean(axis=0), off.std(axis=0))

@@ -1,14 +1,13 @@
-"""Training of the network that tells the shear force from dots (paper, "Dot-based Shear Force Reconstruction").
+"""Training of the network that predicts the shear force from dots (paper, "Dot-based Shear Force Reconstruction").
 
 Two hidden layers of 128 with ReLU and 25 % dropout, 50 epochs, and the weights of the epoch with the least loss on a
 trajectory held out. Where the paper is silent: Adam at 0.002 falling to 0 with a cosine, batches of 32, mean squared
 error; displacements and forces are each divided by their root mean square over the training samples; the first weights
 of the hidden layers are a fifth of torch's.
 
-Why so: three trajectories show three places of contact, and patterns of dots that none of them shows pass through first
-weights that nothing trained. These settings were among the best of some twenty on simulated trajectories apart from all
-that is reported; a rate of 0.001 that does not fall, on first weights as torch draws them, erred more than the
-regression.
+Why so: three trajectories show three places of contact, and other patterns of dots reach first weights that were never
+trained. These settings were among the best of some twenty on simulated trajectories that no report uses; a constant
+rate of 0.001, on first weights as torch draws them, had larger errors than the regression.
 
 Only `train-force` imports this module, as torch takes more than a second to import.
 """

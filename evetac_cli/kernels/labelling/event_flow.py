@@ -1,29 +1,31 @@
-"""When an object slips, from events counted as crossings: flow without pictures, to a fraction of a pixel.
+"""When an object slips, from counted events: flow of dots and window to a fraction of a pixel, without images.
 
 An event says that a pixel's log brightness moved by one threshold. So the events that an edge makes are a measure of
 how far it moved: a dot's rim makes as many a pixel of motion as its contrast spans thresholds, and a texture in the
-window makes a number that the recording itself tells, while the object still sticks to the gel. Both flows follow by
-counting, at any speed; optical flow of pictures needs events enough to recognise a pattern, which slow creep has not.
+window makes a number that is measured in the recording itself, while the object still sticks to the gel. Both flows
+follow by counting, at any speed; optical flow of images needs events enough to recognise a pattern, which slow motion
+does not make.
 
-The object slips when it has slid `slide_px` since it last moved with any part of the gel.
+The object slips when it has slid `slip_distance_px` since it last moved with any part of the gel.
 
 Why so:
 - The gel's flow is that of the dot which follows the object best. Dots away from the contact never move, and before
   gross slip ever more of the pad slips while the rest still holds: only when nothing follows any more is slip gross.
   What still holds may lie between the dots or beside the picture, where a dot sees a twentieth of it.
 - A dot follows while it goes farther from its place at rest. That holds for every direction in which the object may
-  drag the gel, also where the object turns and every dot goes its own way.
-- A rim whose motion turns back is mute for some tenths of a pixel, until brightness has gone back by a threshold. A dot
-  that snapped back may hold again without anybody seeing it, and counts as holding while the object moves `hidden_px`.
-- The window's events a pixel fall with the way travelled: the pixels start anywhere between two thresholds, but later
-  every turn of the texture's slope costs as much brightness as a threshold before events come again. After a way s it
-  makes fresh / (1 + s / fading_px) events a pixel, so events N a way of fading_px (exp(N / (fresh fading_px)) - 1).
+  drag the gel, also where the object turns and every dot moves in another direction.
+- A rim whose motion turns back makes no events for some tenths of a pixel, until brightness has gone back by a
+  threshold. A dot that snapped back may hold again unseen, and counts as holding while the object moves `hidden_px`.
+- The window's events a pixel fall with the distance travelled: the pixels start anywhere between two thresholds, but
+  later every turn of the texture's slope costs as much brightness as a threshold before events come again. After a
+  distance s it makes fresh / (1 + s / fading_px) events a pixel, so N events are a distance of
+  fading_px (exp(N / (fresh fading_px)) - 1).
 - `fresh` is the median over steps of 50 ms in which the dots that move most took the object along. Steps after a slice
-  tell nothing about it, as they may hold the slip.
+  are not used, as they may contain the slip.
 
 The constants were fixed on 308 simulated recordings of all 20 objects, recorded with seeds 0, 20, 1000 and 1500; those
-they are judged on have seed 300. Where the rule fails: an object touched beside the picture, a flat one whose last
-holding corner lies there, and one that turns, of which every part slips for moments only.
+they are evaluated on have seed 300. Where the rule fails: an object touched beside the picture, a flat one whose last
+holding corner lies there, and one that turns, of which every part slips for short times only.
 """
 
 import math
@@ -41,14 +43,14 @@ from evetac_cli.kernels.labelling.flow import Labels, Region
 BLOCK_SLICES = 1000  # events are asked for in blocks of so many slices
 STEP_MS = 50  # of the measurement of the window's events a pixel, and of its noise
 LAG_MS = 30  # a slice uses only steps that ended so long before: later ones may hold the slip itself
-LEAST_STEP_PX = 0.15  # the gel must have moved so far in a step to tell anything
+LEAST_STEP_PX = 0.15  # the gel must have moved so far in a step for it to be used
 LEAST_STEPS = 2
 LEADING_DOTS = 3  # the dots that go farthest went with the object
 HOT_BLOCK_US = 100_000
 HOT_SHARE = 0.5  # a pixel with events in more of these blocks is hot; edges pass it only now and then
 CELL_PX = 35.0  # events farther from every dot's place at rest belong to none
 RING_PX = 8.0  # and so do those farther off its rim
-MOST_FADED = 6.0  # exponent beyond which the window tells no more: it went four hundred times fading_px
+MOST_FADED = 6.0  # exponent beyond which the window is no measure: four hundred times fading_px
 TRAVEL_PX = 1.5  # when the gel was dragged so far, a texture would have been seen
 
 Between = Callable[[int, int], Events]  # events of the slices [start, stop)
@@ -84,7 +86,7 @@ class EventFlowConstants:
 
 
 class Motion(NamedTuple):
-    """What the events say about motion up to the start of every slice, and after the last."""
+    """Motion up to the start of every slice, and after the last, as measured by the events."""
 
     dot_px: Floats  # (slices + 1, dots, 2) displacement of every dot from its place at rest
     window_events: NDArray[np.int64]  # (slices + 1,) events of the window, counted from the start
@@ -150,8 +152,8 @@ def follow(
 ) -> Motion:
     """Follow every dot by the polarity of its rim's events, and count the window's; hot pixels left out.
 
-    A dark dot that moves along e gets brighter at its rear and darker in front, `crossings` times at every rim pixel:
-    the sum of -polarity * normal over its events is pi * radius * crossings a pixel of motion.
+    A dark dot that moves along e gets brighter at its rear and darker in front, with `edge_events` events at every
+    rim pixel: the sum of -polarity * normal over its events is pi * radius * edge_events a pixel of motion.
     """
     height, width = max(window[3], gel[3]), max(window[2], gel[2])
     last = np.full((height, width), -1, np.int64)
@@ -189,12 +191,12 @@ def events_per_px(moved: Floats, away: Floats, assumed: float, fading_px: float)
     leading = _leading(away[::STEP_MS])
     gone = np.diff(leading)
     seen = np.diff(moved[::STEP_MS]) * (1.0 + 0.5 * (leading[1:] + leading[:-1]) / fading_px)
-    told: list[tuple[float, float]] = []
-    for step, (way_px, events) in enumerate(zip(gone, seen, strict=True)):
-        if step and way_px > LEAST_STEP_PX:  # in the first step the dots jump from rest to where they are
-            told.append((events / way_px, way_px))
-        if len(told) >= LEAST_STEPS:
-            rates, weights = np.array(sorted(told)).T
+    steps: list[tuple[float, float]] = []  # events a pixel, weight
+    for step, (moved_px, events) in enumerate(zip(gone, seen, strict=True)):
+        if step and moved_px > LEAST_STEP_PX:  # in the first step the dots jump from rest to where they are
+            steps.append((events / moved_px, moved_px))
+        if len(steps) >= LEAST_STEPS:
+            rates, weights = np.array(sorted(steps)).T
             reached = np.cumsum(weights)
             known[(step + 1) * STEP_MS + LAG_MS :] = rates[np.searchsorted(reached, 0.5 * reached[-1])]
     return known
@@ -211,7 +213,7 @@ def travel(moved: Floats, fresh: Floats, fading_px: float) -> Floats:
 
 
 def _leading(away: Floats) -> Floats:
-    """How far the dots are that the object took farthest: the mean of the first few, in each row of (rows, dots)."""
+    """Mean distance from rest of the three dots that went farthest, in each row of (rows, dots)."""
     return np.asarray(np.sort(away, axis=1)[:, -LEADING_DOTS:].mean(axis=1), np.float64)
 
 
@@ -223,7 +225,7 @@ def _count_blocks(
     last: NDArray[np.int64],
     busy: NDArray[np.int64],
 ) -> None:
-    """In how many blocks of time every pixel had events."""
+    """Count in `busy` (height, width) the blocks of time in which each pixel had events."""
     height, width = busy.shape
     for event in range(len(t)):
         if y[event] >= height or x[event] >= width:
@@ -239,7 +241,7 @@ NOTHING = -1
 
 
 def _parts(hot: NDArray[np.bool_], dots: Floats, window: Region, gel: Region) -> NDArray[np.int16]:
-    """What every pixel belongs to: a dot's index, the WINDOW or NOTHING."""
+    """For each pixel (height, width) the index of its dot, WINDOW or NOTHING."""
     part = np.full(hot.shape, NOTHING, np.int16)
     nearest = np.full(hot.shape, np.inf)
     for index, (dot_x, dot_y) in enumerate(dots):
@@ -274,7 +276,7 @@ def _follow(
     dot_px: Floats,
     window_events: NDArray[np.int64],
 ) -> None:
-    """Move the centres by the events of the slices [first, stop), and note them at the end of every slice."""
+    """Move the centres by the events of the slices [first, stop), and write them down at the end of every slice."""
     height, width = part.shape
     event = 0
     for slice_ in range(first, stop):
@@ -316,7 +318,11 @@ def _search(
     hidden_px: float,
     pause_ms: int,
 ) -> tuple[int, NDArray[np.bool_], Floats]:
-    """The onset, or -1; in which slices no dot follows the object; its way against the best dot over the look-ahead."""
+    """Search for the onset: its slice or -1, and two arrays (slices,).
+
+    The first says in which slices no dot follows the object; the second how far the object slips, over the look-ahead,
+    past the dot that follows it best, in px.
+    """
     slices = len(object_px) - 1
     dots = away_px.shape[1]
     slips = np.zeros(slices, np.bool_)

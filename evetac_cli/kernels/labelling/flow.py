@@ -1,20 +1,20 @@
 """When an object slips: optical flow of the window against the gel (paper, "Data Labelling - Slip Classifier").
 
-Slices are drawn as pictures (grey, white where it got brighter, black where darker), the flow from the picture at t to
-the one `look_ahead` later is Farneback's, in the window and in the marker region apart, and a slice is slip where the
+Slices are drawn as images (grey, white where it got brighter, black where darker), the flow from the image at t to the
+one `look_ahead_ms` later is Farneback's, in the window and in the marker region apart, and a slice is slip where the
 two differ by more than a threshold. That is the paper's method, `farneback`. Its alternatives: `dis`, another flow, and
 `event-count`, the paper's "simpler approach": many events in the window. What they miss, event_flow counts.
 
 Why so, where the paper is silent:
-- A picture sums `accumulate` slices. One slice at the onset of slip has a few dozen events in the window, and of those
-  the next picture shows others: single slices have nothing to correspond.
-- The flow of a region is its mean over the pixels with events. Elsewhere the picture is flat, and so is the flow.
+- An image sums `accumulate_ms` slices. One slice at the onset of slip has a few dozen events in the window, and the
+  next image shows others than those: in single slices nothing corresponds.
+- The flow of a region is its mean over the pixels with events. Elsewhere the image is flat, and the flow is 0.
 - Slip needs a window that moves by more than the threshold itself, too: gel that snaps back under an object at rest is
-  no slip of the object. The flow of the gel, five times as dear, is left out where that already fails, and so are pairs
-  whose window has hardly any events, which tell nothing. `plain` computes them all, for the same answer.
-- Once the object falls, the answer is far from the threshold, and the flow of smaller pictures, a tenth as dear, is
-  enough to tell it: where window alone and window against gel both exceed the threshold by `clear_px`. In 47 slices
-  without slip of five simulated trials the window alone reached 0.43 px. `plain` does without.
+  no slip of the object. The flow of the gel, which costs five times as much, is left out where that already fails, and
+  so are pairs of images whose window has hardly any events. `plain` computes them all, for the same answer.
+- Once the object falls, the answer is far from the threshold, and the flow of smaller images, which costs a tenth, is
+  enough: where window alone and window against gel both exceed the threshold by `clear_px`. In 47 slices
+  without slip of five simulated trials the window alone reached 0.43 px. `plain` leaves that out.
 - Slip holds for `confirm_ms` before it is an onset: a search in steps no longer than that cannot miss one.
 """
 
@@ -31,9 +31,9 @@ from evetac_cli.events import Events
 
 METHODS = ("farneback", "dis", "event-count")
 GREY = 128
-LEAST_SIDE_PX = 32  # pictures smaller than this have no flow
-CLEAR_WINDOW, CLEAR_GEL = 2, 4  # how many times smaller the pictures are that tell clear slip
-GEL_MOVES = 20  # times as many events in the gel as a window needs at least: something moves there
+LEAST_SIDE_PX = 32  # smaller images have no flow
+CLEAR_WINDOW, CLEAR_GEL = 2, 4  # times that images are shrunk for clear slip
+GEL_MOVES = 20  # times as many events in the gel as a window needs at least: the gel moves
 
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
 Between = Callable[[int, int], Events]  # events of the slices [start, stop)
@@ -52,8 +52,8 @@ class FlowConstants:
     after_ms: int
     method: str = "farneback"  # one of METHODS
     threshold_events: int = 200  # of event-count: so many in the window over the look-ahead are slip
-    shrink: int = 1  # flow is computed on pictures so many times smaller
-    clear_px: float = 0.6  # so much above the threshold on smaller pictures is slip; infinity: do not ask them
+    shrink: int = 1  # flow is computed on images so many times smaller
+    clear_px: float = 0.6  # so much above the threshold on smaller images is slip; infinity: compute no smaller ones
     plain: bool = False  # compute the flow of both regions even where it cannot change the answer
 
     def __post_init__(self) -> None:
@@ -67,17 +67,17 @@ class FlowConstants:
 
 
 class Labels(NamedTuple):
-    """Slip labels of a trajectory."""
+    """The slip labels of a trajectory, and what they were derived from."""
 
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
-    relative_flow_px: NDArray[np.float32]  # (slices,) NaN where not computed, of smaller pictures where they tell
+    relative_flow_px: NDArray[np.float32]  # (slices,) NaN where not computed, of smaller images where these decide
     onset: int  # first slice of slip, -1 if there is none
     confidence: float  # share of the slices in the `after_ms` from the onset that are slip; NaN without onset
-    pairs: int  # pairs of pictures of which flow was computed
+    flow_pairs: int  # pairs of images of which flow was computed
 
 
-def picture(events: Events, region: Region) -> NDArray[np.uint8]:
-    """Events of a region as a picture: grey, lighter where more events were brighter, darker where more were darker."""
+def event_picture(events: Events, region: Region) -> NDArray[np.uint8]:
+    """Events of a region as an image: grey, lighter where more events were brighter, darker where more were darker."""
     x0, y0, x1, y1 = region
     inside = (events.x >= x0) & (events.x < x1) & (events.y >= y0) & (events.y < y1)
     place = (events.y[inside].astype(np.int64) - y0) * (x1 - x0) + (events.x[inside] - x0)
@@ -90,9 +90,9 @@ def picture(events: Events, region: Region) -> NDArray[np.uint8]:
 def region_flow(
     now: NDArray[np.uint8], later: NDArray[np.uint8], method: str = "farneback", shrink: int = 1
 ) -> NDArray[np.float64]:
-    """Mean flow (x, y) in px from one picture to another, over the pixels with events in the first.
+    """Mean flow (x, y) in px from one image to another, over the pixels with events in the first.
 
-    By `farneback` or `dis`, on pictures `shrink` times smaller. Zero without events, or smaller than either can take.
+    By `farneback` or `dis`, on images `shrink` times smaller. Zero without events, and for images that are too small.
     """
     if shrink > 1:
         size = (now.shape[1] // shrink, now.shape[0] // shrink)
@@ -115,7 +115,7 @@ def label(
     """Find the onset coarse to fine from slice `start`, and label the slices after it.
 
     `between(start, stop)` gives events of slices. The search looks at every `coarse_ms`-th slice; where one is slip it
-    goes back to the slice before and on from there one by one, until a slice is found from which slip holds for
+    goes back to the slice before and on one by one, up to the first slice from which slip holds for
     `confirm_ms`. Slices before the onset are no slip; those before `start`, or later than `after_ms` after the onset,
     are not examined. ValueError if the gel was seen to move and the window never showed enough: no texture.
     """
@@ -123,21 +123,21 @@ def label(
     onset = search.onset(start)
     if search.gel_moved and not search.textured and constants.method != "event-count":
         raise ValueError(
-            f"texture: expected {constants.min_events} events in a picture of the window, found fewer in all"
+            f"texture: expected {constants.min_events} events in an image of the window, found fewer in all"
         )
     labels = np.zeros(slices, np.int8)
     labels[:start] = -1
     if onset < 0:
-        return Labels(labels, search.relative_px, -1, float("nan"), search.pairs)
+        return Labels(labels, search.relative_px, -1, float("nan"), search.flow_pairs)
     stop = min(onset + max(constants.after_ms, 1), slices)
     labels[stop:] = -1
     for index in range(onset, stop):
         labels[index] = search.slips(index)
-    return Labels(labels, search.relative_px, onset, float(labels[onset:stop].mean()), search.pairs)
+    return Labels(labels, search.relative_px, onset, float(labels[onset:stop].mean()), search.flow_pairs)
 
 
 class _Search:
-    """Flow of a trajectory, computed where it is asked for and remembered."""
+    """Flow of a trajectory, computed only for the slices that the search needs, each once."""
 
     def __init__(self, between: Between, slices: int, window: Region, gel: Region, constants: FlowConstants) -> None:
         self._between = between
@@ -146,8 +146,8 @@ class _Search:
         self.slices = slices
         self.relative_px = np.full(slices, np.nan, np.float32)
         self._known: dict[int, bool] = {}
-        self.pairs = 0
-        self.textured = False  # a picture of the window once had events enough
+        self.flow_pairs = 0
+        self.textured = False  # an image of the window once had events enough
         self.gel_moved = False  # the gel had many more while the window had hardly any
 
     def onset(self, start: int) -> int:
@@ -182,20 +182,20 @@ class _Search:
             return self._count(self._between(index, later), self._window) > constants.threshold_events
         now_events = self._between(index, index + constants.accumulate_ms)
         later_events = self._between(later, later + constants.accumulate_ms)
-        now, then = picture(now_events, self._window), picture(later_events, self._window)
+        now, then = event_picture(now_events, self._window), event_picture(later_events, self._window)
         lit = np.count_nonzero(now != GREY), np.count_nonzero(then != GREY)
         few = bool(min(lit) < constants.min_events)
         self.textured |= bool(max(lit) >= constants.min_events)
         self.gel_moved |= few and self._count(now_events, self._gel) > GEL_MOVES * constants.min_events
         if few and not constants.plain:
             return False
-        self.pairs += 1
+        self.flow_pairs += 1
         drawn_gel = None
         if math.isfinite(constants.clear_px) and not constants.plain:
             least = constants.threshold_px + constants.clear_px
             rough = region_flow(now, then, constants.method, CLEAR_WINDOW * constants.shrink)
             if np.hypot(*rough) > least:
-                drawn_gel = picture(now_events, self._gel), picture(later_events, self._gel)
+                drawn_gel = event_picture(now_events, self._gel), event_picture(later_events, self._gel)
                 rough -= region_flow(*drawn_gel, constants.method, CLEAR_GEL * constants.shrink)
                 relative = float(np.hypot(*rough))
                 if relative > least:
@@ -205,7 +205,7 @@ class _Search:
         still = bool(np.hypot(*window_flow) <= constants.threshold_px)
         if still and not constants.plain:
             return False
-        drawn_gel = drawn_gel or (picture(now_events, self._gel), picture(later_events, self._gel))
+        drawn_gel = drawn_gel or (event_picture(now_events, self._gel), event_picture(later_events, self._gel))
         gel_flow = region_flow(*drawn_gel, constants.method, constants.shrink)
         relative = float(np.hypot(*(window_flow - gel_flow)))
         self.relative_px[index] = relative

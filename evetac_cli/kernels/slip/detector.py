@@ -6,9 +6,9 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import features, inputs, slip
+from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip.architectures import GEL_PX, Architecture, DotArchitecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.slip import GEL_PX
 
 BATCH_VALUES = 1 << 22  # inputs at a time, 16 MiB
 
@@ -16,8 +16,8 @@ BATCH_VALUES = 1 << 22  # inputs at a time, 16 MiB
 class Detector:
     """A network behind onnxruntime, on one thread (faster than two for networks this small)."""
 
-    def __init__(self, graph: bytes, architecture: slip.Architecture) -> None:
-        """Load a graph as kept in a model file; ValueError if onnxruntime refuses it."""
+    def __init__(self, graph: bytes, architecture: Architecture) -> None:
+        """Load the graph of a model file; ValueError if onnxruntime refuses it."""
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1
@@ -40,29 +40,29 @@ class Detector:
         `first`: which slice of the trajectory the series begins with, as a detector that predicts every 5th slice
         counts from the trajectory's beginning.
         """
-        wanted = self.architecture
+        architecture = self.architecture
         slices = inputs.length(series)
         probability = np.full(slices, np.nan, np.float32)
-        late = -first % wanted.every  # after a full history, until the next prediction is due
-        due = np.arange(wanted.history - 1 + late, slices, wanted.every)
-        at_once = max(1, BATCH_VALUES // max(1, self._inputs_of(series)))
+        delay = -first % architecture.every  # after a full history, until the next prediction is due
+        due = np.arange(architecture.history - 1 + delay, slices, architecture.every)
+        at_once = max(1, BATCH_VALUES // max(1, self._input_size(series)))
         for begin in range(0, len(due), at_once):
             ends = due[begin : begin + at_once]
-            probability[ends] = self.probability(inputs.at(wanted, series, ends))
-        if wanted.every > 1 and len(due):
+            probability[ends] = self.probability(inputs.at(architecture, series, ends))
+        if architecture.every > 1 and len(due):
             held = np.arange(due[0], slices)
-            probability[held] = probability[held - (held - due[0]) % wanted.every]
+            probability[held] = probability[held - (held - due[0]) % architecture.every]
         return probability
 
-    def _inputs_of(self, series: inputs.Series) -> int:
-        """How many values one input has."""
-        if isinstance(self.architecture, slip.ImageArchitecture):
+    def _input_size(self, series: inputs.Series) -> int:
+        """Number of values of one input."""
+        if isinstance(self.architecture, ImageArchitecture):
             return int(np.prod(self.architecture.input_shape))
         return 1 if isinstance(series, EventImages) else int(series.shape[1]) * self.architecture.inputs_per_dot
 
 
 class Live:
-    """A detector that is given one slice after the other, and says what `Detector.over` says of all of them."""
+    """A detector that takes one slice after the other; its probabilities are those of `Detector.over`, bit for bit."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Live:
         rest_xy_px: NDArray[np.floating],
         window_px: tuple[int, int, int, int] | NDArray[np.int32] | None,
     ) -> None:
-        """Begin; dots at rest (n, 2) in px and the window as for `features`."""
+        """Start before the first slice; dots at rest (n, 2) in px, and the window (x0, y0, x1, y1) or None."""
         self.detector = detector
         self.slices = 0
         self._probability = float("nan")
@@ -78,11 +78,11 @@ class Live:
         history = detector.architecture.history
         self._dots = features.start(rest_xy_px, history)
         self._newest = np.array([history - 1])
-        if isinstance(detector.architecture, slip.DotArchitecture):
-            self._table = inputs.table(detector.architecture)
+        if isinstance(detector.architecture, DotArchitecture):
+            self._views = inputs.view_table(detector.architecture.views)
             shape = (1, len(self._dots.rest_xy_px), detector.architecture.inputs_per_dot)
             self._batch = np.zeros(shape, np.float32)
-            inputs.fill(self._dots.ring[:history], self._newest, self._table, self._batch)  # compiles or loads it now
+            inputs.fill(self._dots.ring[:history], self._newest, self._views, self._batch)  # compiles or loads it now
         self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=history)
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
 
@@ -95,19 +95,19 @@ class Live:
         p: NDArray[np.uint8],
     ) -> float:
         """Slip probability after one more slice, its dots and its events; NaN until the history is full."""
-        wanted = self.detector.architecture
-        images = isinstance(wanted, slip.ImageArchitecture)
+        architecture = self.detector.architecture
+        images = isinstance(architecture, ImageArchitecture)
         if images:
             self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
         else:
             features.step(self._dots, dot_xy_px, events_per_dot)
         self.slices += 1
-        over = self.slices - wanted.history
-        if over >= 0 and over % wanted.every == 0:
+        since_full = self.slices - architecture.history
+        if since_full >= 0 and since_full % architecture.every == 0:
             if images:
-                batch = inputs.at(wanted, self._stack(), self._newest)
+                batch = inputs.at(architecture, self._stack(), self._newest)
             else:
-                inputs.fill(features.latest(self._dots), self._newest, self._table, self._batch)
+                inputs.fill(features.latest(self._dots), self._newest, self._views, self._batch)
                 batch = self._batch
             self._probability = float(self.detector.probability(batch)[0])
         return self._probability

@@ -24,7 +24,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
-from evetac_cli.kernels.slip.slip import CHANNELS, GEL_PX
+from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX
 
 
 @dataclass(slots=True)

@@ -1,7 +1,7 @@
-"""What a network makes of some slices of features: inputs for dots, or a stack of event images.
+"""The inputs of a network, from slices of features: numbers for each dot, or a stack of event images.
 
-One kernel serves training, a whole trajectory and a live detector, so all three see the same bits: it takes a series of
-slices and the slices at which inputs end. A live detector gives it its last slices as a series.
+One kernel serves training, a whole trajectory and the online detector, so all three see the same bits: it takes a
+series of slices and the slices at which inputs end. The online detector gives it its last slices as a series.
 """
 
 from collections.abc import Sequence
@@ -12,16 +12,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import features
+from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX, Architecture, ImageArchitecture, View
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.slip import CHANNELS, GEL_PX, Architecture, DotArchitecture, ImageArchitecture
 
 Series = NDArray[np.float32] | EventImages
 
 
 class Trajectory(NamedTuple):
-    """What a detector learns from, or is judged on: one trajectory, slice by slice."""
+    """One labelled trajectory, slice by slice: to train a detector on, or to evaluate it."""
 
-    series: Series  # of the sort that its architecture sees
+    series: Series  # dots or images, as the architecture needs
     events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
     onset: int  # first slice of slip, -1 if there is none
@@ -51,18 +51,10 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
     """Network inputs of the samples that end at these slices of a series.
 
     Dots: (slices, n, channels) as from `features.series` -> (samples, n, inputs_per_dot). Images: `EventImages` ->
-    (samples, history, height, width), the newest first. ValueError if the series is of the other sort, or a slice is
-    not there or has fewer than history - 1 slices before it.
+    (samples, history, height, width), the newest first. ValueError if the series is of the other sort, or if a slice
+    is outside of it or has fewer than history - 1 slices before it.
     """
-    ends = np.asarray(slices)
-    if ends.ndim != 1 or ends.dtype.kind not in "iu":
-        raise ValueError(f"expected slices as whole numbers in one dimension, found {ends.dtype} {ends.shape}")
-    last = length(series) - 1
-    if len(ends) and (ends.min() < architecture.history - 1 or ends.max() > last):
-        raise ValueError(
-            f"expected slices from {architecture.history - 1} to {last}, found {ends.min()} to {ends.max()}"
-        )
-    ends = ends.astype(np.int64)
+    ends = _checked_ends(slices, architecture.history, length(series))
     if isinstance(architecture, ImageArchitecture):
         if not isinstance(series, EventImages):
             raise ValueError(f"{architecture.name}: expected event images, found dots {series.shape}")
@@ -70,11 +62,36 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
         _images(*series, ends, GEL_PX[0], architecture.pool_px, images)
         return images
     if isinstance(series, EventImages) or series.ndim != 3 or series.shape[2] != len(CHANNELS):
-        found = "event images" if isinstance(series, EventImages) else str(series.shape)
-        raise ValueError(f"{architecture.name}: expected (slices, n, {len(CHANNELS)}), found {found}")
+        given = "event images" if isinstance(series, EventImages) else str(series.shape)
+        raise ValueError(f"{architecture.name}: expected (slices, n, {len(CHANNELS)}), found {given}")
     dots = np.empty((len(ends), series.shape[1], architecture.inputs_per_dot), np.float32)
-    fill(series, ends, table(architecture), dots)
+    fill(series, ends, view_table(architecture.views), dots)
     return dots
+
+
+def windows(
+    displacement_px: NDArray[np.float32], events_per_dot: NDArray[np.integer], slices: NDArray[np.integer], history: int
+) -> NDArray[np.float32]:
+    """Windows of the features (slices, dots) for a network of any design: (samples, dots, 2 * history).
+
+    Of each dot the displacements of the last `history` slices in px, then their events, each with the newest slice
+    first; a window ends at each of the given slices. ValueError as for `at`.
+    """
+    ends = _checked_ends(slices, history, len(displacement_px))
+    series = features.series(displacement_px, events_per_dot)
+    cut = np.empty((len(ends), series.shape[1], 2 * history), np.float32)
+    fill(series, ends, view_table((View("distance", history), View("events", history))), cut)
+    return cut
+
+
+def _checked_ends(slices: NDArray[np.integer], history: int, available: int) -> NDArray[np.int64]:
+    """Slices at which inputs end, as int64; ValueError unless each has a full history within the available slices."""
+    ends = np.asarray(slices)
+    if ends.ndim != 1 or ends.dtype.kind not in "iu":
+        raise ValueError(f"expected slices as whole numbers in one dimension, found {ends.dtype} {ends.shape}")
+    if len(ends) and (ends.min() < history - 1 or ends.max() > available - 1):
+        raise ValueError(f"expected slices from {history - 1} to {available - 1}, found {ends.min()} to {ends.max()}")
+    return ends.astype(np.int64)
 
 
 def rotate(
@@ -89,7 +106,7 @@ def rotate(
         return np.ascontiguousarray(np.moveaxis(turned, 3, 1))
     grid = inputs.reshape(len(inputs), rows, columns, -1)
     turned = features.rotate(grid, quarter_turns)
-    right, down = architecture.columns_of("x"), architecture.columns_of("y")
+    right, down = architecture.channel_columns("x"), architecture.channel_columns("y")
     for _ in range(quarter_turns % 4):
         across = turned[..., right].copy()
         turned[..., right] = turned[..., down]
@@ -97,22 +114,17 @@ def rotate(
     return turned.reshape(inputs.shape)
 
 
-def table(architecture: DotArchitecture) -> NDArray[np.int64]:
+def view_table(views: Sequence[View]) -> NDArray[np.int64]:
     """The views of an architecture for `fill`, (views, 5): channel, recent, block, means, whether as change."""
-    return np.array(
-        [
-            (CHANNELS.index(view.channel), view.recent, view.block, view.means, view.change)
-            for view in architecture.views
-        ],
-        np.int64,
-    )
+    rows = [(CHANNELS.index(view.channel), view.recent, view.block, view.means, view.change) for view in views]
+    return np.array(rows, np.int64)
 
 
 @njit(cache=True)
 def fill(
     series: NDArray[np.float32], ends: NDArray[np.int64], views: NDArray[np.int64], inputs: NDArray[np.float32]
 ) -> None:
-    """What `at` does for dots, unchecked and into an array that is there; for a live detector, whose slices all fit."""
+    """What `at` does for dots, unchecked and into a given array: for the online detector, whose slices all fit."""
     dots = series.shape[1]
     for sample in range(ends.shape[0]):
         end = ends[sample]

@@ -2,7 +2,7 @@
 
 The networks are the paper's (section Slip Detection, Model Architectures). `SlipNet`: each dot is encoded alone by two
 shared layers, the codes are laid out as the dots lie in the gel, two convolutions combine neighbours, and three layers
-judge the whole. `ImageNet`: four convolutions on event images, and two layers. Only `train` imports this module, as
+classify the whole. `ImageNet`: four convolutions on event images, and two layers. Only `train` imports this module, as
 torch takes more than a second to import.
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from evetac_cli.kernels.slip.slip import Architecture, DotArchitecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture, ImageArchitecture
 
 CONV1 = 16  # channels, the same in all rows of the paper's table
 CONV2 = 32
@@ -69,7 +69,7 @@ class SlipNet(nn.Module):
         self.fc5 = nn.Linear(FC4, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Judge features (batch, dots row-major, inputs_per_dot): logits (batch,), whose sigmoid is the probability."""
+        """Classify features (batch, dots row-major, inputs_per_dot): logits (batch,), whose sigmoid is the probability."""
         code = (features - self.input_offset) * self.input_scale
         code = torch.relu(self.fc1(code))
         code = torch.relu(self.fc2(code))
@@ -107,7 +107,7 @@ class ImageNet(nn.Module):
         self.fc2 = nn.Linear(IMAGE_FC, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Judge images (batch, history, height, width), newest first: logits (batch,)."""
+        """Classify images (batch, history, height, width), newest first: logits (batch,)."""
         wide = self.architecture.history
         images = (images - self.input_offset.view(wide, 1, 1)) * self.input_scale.view(wide, 1, 1)
         # why so: a step of training takes 0.7 to 0.8 of the time on a CPU
@@ -136,7 +136,7 @@ def build(
 
 
 def parameters(network: Network) -> int:
-    """Count what is trained."""
+    """Number of trained weights and biases."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 

@@ -1,4 +1,4 @@
-"""Which slices a slip detector is trained on, how often each is drawn, and how they are varied.
+"""Which slices a slip detector is trained on, how often each is drawn, and how samples are rotated.
 
 Slip is rare, and most of the rest is silence, so samples are drawn from three pools (paper, Model Training & Data
 Selection):
@@ -7,7 +7,7 @@ Selection):
 - busy: slices labelled no slip with more than 25 events;
 - quiet: all other slices labelled no slip.
 
-"Events" are those outside the window strip, because a detector must not know what the window sees. A batch of 72 holds
+"Events" are those outside the window strip, because a detector must not see the window. A batch of 72 holds
 32, 32 and 8 of them, and an epoch is one pass over the busy pool.
 """
 
@@ -19,9 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import inputs, slip
+from evetac_cli.kernels.slip import inputs
+from evetac_cli.kernels.slip.architectures import CHANNELS, Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.labels import check_labels, shift_labels
 
 BUSY_EVENTS = 25  # a slice with more is busy
 SLIP_SHARE = 32  # samples of each pool in a batch
@@ -37,11 +39,11 @@ NORMALISE_VALUES = 1 << 22  # at a time
 class Samples:
     """Trajectories end to end, and for each pool the slices (int64) at which a sample's history ends.
 
-    Why so: inputs are gathered anew for each batch, because all of them together hold every slice as often as the
+    Why so: inputs are gathered again for each batch, because all of them together hold every slice as often as the
     history is long (2.4 GB for 360 trajectories of 1.5 s and hist10), and gathering takes a small part of a step.
     """
 
-    architecture: slip.Architecture
+    architecture: Architecture
     rows: int
     columns: int
     series: inputs.Series
@@ -56,17 +58,17 @@ class Samples:
 
 def gather(
     trajectories: Iterable[Trajectory],
-    architecture: slip.Architecture,
+    architecture: Architecture,
     rows: int = 7,
     columns: int = 8,
     horizon_ms: int = 0,
 ) -> Samples:
-    """Sort the slices of trajectories into the three pools; what no sample sees is left out.
+    """Sort the slices of trajectories into the three pools; slices that no sample needs are left out.
 
     A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
-    50 ms beyond. A slice is a sample when its history is full and it is labelled. With `ahead_ms` the same slices are
-    labelled as in `slip.shift`. ValueError where shapes, values or the onset do not fit, or where the slip or the busy
-    pool would be empty; the quiet pool may be.
+    50 ms beyond. A slice is a sample when its history is full and it is labelled. With `horizon_ms` the same slices are
+    labelled as by `shift_labels`. ValueError where shapes, values or the onset do not fit, or where the slip or the
+    busy pool would be empty; the quiet pool may be.
     """
     history = architecture.history
     pools: dict[str, list[NDArray[np.int64]]] = {"slip": [], "busy": [], "quiet": []}
@@ -76,7 +78,7 @@ def gather(
         count += 1
         try:
             _check(trajectory, rows * columns)
-            shifted = slip.shift(trajectory.label, horizon_ms)
+            shifted = shift_labels(trajectory.label, horizon_ms)
         except ValueError as error:
             raise ValueError(f"trajectory {index}: {error}") from error
         slices = len(shifted)
@@ -104,7 +106,7 @@ def gather(
 
 
 class Batch(NamedTuple):
-    """The slices that the samples of one batch end at, by pool."""
+    """One batch, by pool: the slices at which its samples end."""
 
     slip: NDArray[np.int64]
     busy: NDArray[np.int64]
@@ -144,7 +146,7 @@ def quarter_turns(samples: int, rng: np.random.Generator) -> NDArray[np.int64]:
 
 
 def augment(samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Turn each input of a batch, as if the object had been gripped that way round; a new array (paper, as above)."""
+    """Rotate each input of a batch by its quarter turns, as if the object had been gripped so; a new array (paper)."""
     result = batch.copy()
     for times in (1, 2, 3):
         chosen = turns == times
@@ -155,8 +157,8 @@ def augment(samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int6
 
 def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of each channel over what a batch holds: every pool counts by its share."""
-    images = isinstance(samples.architecture, slip.ImageArchitecture)
-    over = (0, 2, 3) if images else (0, 1)
+    images = isinstance(samples.architecture, ImageArchitecture)
+    axes = (0, 2, 3) if images else (0, 1)
     most = NORMALISE_IMAGES if images else NORMALISE_SAMPLES
     at_once = max(1, NORMALISE_VALUES // samples.inputs(samples.slip[:1]).size)
     shares = np.array([SLIP_SHARE, _busy_share(samples), QUIET_SHARE if len(samples.quiet) else 0])
@@ -167,8 +169,8 @@ def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.flo
             chunk = spaced[begin : begin + at_once]
             values = samples.inputs(chunk).astype(np.float64)
             part = share * len(chunk) / len(spaced)
-            mean = mean + part * values.mean(axis=over)
-            square = square + part * np.square(values).mean(axis=over)
+            mean = mean + part * values.mean(axis=axes)
+            square = square + part * np.square(values).mean(axis=axes)
     return mean, np.sqrt(np.maximum(square - np.square(mean), 0))
 
 
@@ -191,7 +193,7 @@ def _check(trajectory: Trajectory, dots: int) -> None:
         raise ValueError(f"series: expected {slices} slices as labelled, found {inputs.length(trajectory.series)}")
     if trajectory.events_outside.shape != (slices,):
         raise ValueError(f"events_outside: expected shape {(slices,)}, found {trajectory.events_outside.shape}")
-    slip.check_labels(trajectory.label, trajectory.onset)
+    check_labels(trajectory.label, trajectory.onset)
     outside = trajectory.events_outside
     if outside.dtype.kind not in "iu" or np.any(outside < 0):
         raise ValueError(
@@ -199,7 +201,7 @@ def _check(trajectory: Trajectory, dots: int) -> None:
         )
     if isinstance(trajectory.series, EventImages):
         return
-    if trajectory.series.shape[1:] != (dots, len(slip.CHANNELS)):
+    if trajectory.series.shape[1:] != (dots, len(CHANNELS)):
         raise ValueError(f"series: expected {dots} dots, found shape {trajectory.series.shape}")
     if not np.isfinite(trajectory.series).all():
         raise ValueError("series: expected finite numbers")

@@ -1,4 +1,4 @@
-"""Train a slip detector: named recipes, and the steps of the optimiser."""
+"""Train a slip detector: named sets of training constants (presets), and the steps of the optimiser."""
 
 import math
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from evetac_cli.kernels.slip.networks import Network, build, weights
 from evetac_cli.kernels.slip.sampling import Samples, augment, batches, channel_stats, quarter_turns, steps_per_epoch
 
 CURVE_POINTS = 100
-KEEP_STEPS = 50  # how often a run may be kept, see `train`
+SAVE_STEPS = 50  # steps between two states that a run can be resumed from, see `train`
 
 
 @dataclass(frozen=True)
@@ -32,17 +32,14 @@ class Preset:
     weight_decay: float = 0.0
     cosine: bool = False  # let the learning rate fall to 0 over the run, as half a cosine
     average: float = 0.0  # keep the running mean of the weights, with this share of the old a step; 0: keep the last
-    gain: tuple[float, float] = (
-        1.0,
-        1.0,
-    )  # every sample is multiplied by a factor from this range, drawn log-uniformly
+    gain: tuple[float, float] = (1.0, 1.0)  # each sample is multiplied by a factor from this range (log-uniform)
 
 
 PRESETS = {
     preset.name: preset
     for preset in [
         Preset("paper", "sgd", learning_rate=1e-3, normalise=False, epochs=70, checkpoint_every=10),
-        # not the paper's: for when few steps are to be enough; their names travel with the result
+        # not the paper's: for trainings of few steps
         Preset("adam", "adam", learning_rate=1e-3, normalise=True, epochs=70, checkpoint_every=10),
         # A single wrong slice spoils a trajectory's timing, and the mean of many late weights makes fewer of them. The
         # gel is elastic and friction has no scale: an object half as heavy moves the dots half as far, with half the
@@ -64,7 +61,7 @@ PRESETS = {
 
 
 def factors(preset: Preset, samples: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """What each sample is multiplied by, drawn log-uniformly from the range of the preset."""
+    """Factors (samples,) that the samples are multiplied by, drawn log-uniformly from the preset's `gain`."""
     least, most = preset.gain
     return np.exp(rng.uniform(math.log(least), math.log(most), samples)).astype(np.float32)
 
@@ -78,7 +75,7 @@ class Checkpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Training:
-    """What a run of training gave."""
+    """The result of a run of training."""
 
     preset: Preset
     checkpoints: list[Checkpoint]  # the last is the end of the run
@@ -93,7 +90,7 @@ class Training:
         return self.steps < self.steps_planned
 
 
-TrainingState = dict[str, NDArray[Any]]  # a run that is not over, as named arrays
+TrainingState = dict[str, NDArray[Any]]  # an unfinished run, as named arrays
 
 
 def train(
@@ -104,19 +101,20 @@ def train(
     max_steps: int | None = None,
     on_progress: Callable[[int, int, float], None] | None = None,
     device: str = "cpu",
-    kept: TrainingState | None = None,
-    on_keep: Callable[[Callable[[], TrainingState]], None] | None = None,
+    resume_from: TrainingState | None = None,
+    on_save: Callable[[Callable[[], TrainingState]], None] | None = None,
 ) -> Training:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
-    `epochs` None takes the preset's. Checkpoints are kept every `preset.checkpoint_every` epochs and at the end; where
-    `max_steps` cuts the run, as many are spread evenly over the steps that are left, and the result's `cut` is True.
+    `epochs` None takes the preset's. Checkpoints are taken every `preset.checkpoint_every` epochs and at the end; where
+    `max_steps` cuts the run, as many are spread evenly over its steps, and the result's `cut` is True.
     `on_progress` gets (step, steps, loss) at each of the up to 100 points of the loss curve. The result depends on the
     generator's state alone (on one kind of machine and number of torch threads, which is the caller's to set).
 
-    `on_keep` is called every 50 steps with a function that gives the run as it then is. Given back as `kept`, with all
-    else as it was, the run goes on from there to the same result: the generators are led to the same place by drawing
-    again what had been drawn. ValueError when the loss stops being finite, or where `kept` is of another run.
+    `on_save` is called every 50 steps with a function that returns the run's state as named arrays. With that state as
+    `resume_from` and all other arguments as before, the run goes on from that step to the same result: the random
+    generators draw again, and discard, what had been drawn. ValueError when the loss stops being finite, or where
+    `resume_from` is the state of another run.
     """
     epochs = preset.epochs if epochs is None else epochs
     if epochs < 1 or (max_steps is not None and max_steps < 1):
@@ -125,15 +123,15 @@ def train(
     planned = epochs * per_epoch
     steps = planned if max_steps is None else min(planned, max_steps)
     checkpoint_epochs = sorted({*range(preset.checkpoint_every, epochs + 1, preset.checkpoint_every), epochs})
-    wanted = {epoch * per_epoch for epoch in checkpoint_epochs}
+    checkpoint_steps = {epoch * per_epoch for epoch in checkpoint_epochs}
     if steps < planned:
-        wanted = set(_evenly(steps, len(checkpoint_epochs)))
+        checkpoint_steps = set(_evenly(steps, len(checkpoint_epochs)))
     points = set(_evenly(steps, CURVE_POINTS))
 
     seeds, draws, turns, gains = rng.spawn(4)
     run = _Run(_network(samples, preset, int(seeds.integers(2**63))).to(device), preset, device)
-    if kept is not None:
-        run.restore(kept)
+    if resume_from is not None:
+        run.restore(resume_from)
     for step, batch in enumerate(islice(batches(samples, draws), steps), start=1):
         ends = np.concatenate(batch)
         turned = quarter_turns(len(ends), turns)
@@ -151,10 +149,10 @@ def train(
                 raise ValueError(f"preset {preset.name}: expected a finite loss, found {mean} by step {step}")
             if on_progress:
                 on_progress(step, steps, mean)
-        if step in wanted:
+        if step in checkpoint_steps:
             run.checkpoints.append(Checkpoint(step, run.weights()))
-        if on_keep and step % KEEP_STEPS == 0 and step < steps:
-            on_keep(run.keep)
+        if on_save and step % SAVE_STEPS == 0 and step < steps:
+            on_save(run.state)
     curve = np.array(run.curve_step, np.int64), np.array(run.curve_loss)
     return Training(preset, run.checkpoints, *curve, steps, planned)
 
@@ -179,7 +177,7 @@ class _Run:
         self.curve_loss: list[float] = []
 
     def advance(self, batch: NDArray[np.float32], target: Tensor, done: float) -> None:
-        """Take one step of the optimiser; `done` is the share of the run that lies behind."""
+        """Take one step of the optimiser; `done` is the share of the run before it, 0 to 1."""
         if self.preset.cosine:
             for group in self.optimiser.param_groups:
                 group["lr"] = self.preset.learning_rate * 0.5 * (1 + math.cos(math.pi * done))
@@ -197,7 +195,7 @@ class _Run:
             torch._foreach_lerp_(list(self.average.values()), new, 1 - share)
 
     def mean_loss(self) -> float:
-        """Mean loss since this was last asked, which becomes a point of the curve."""
+        """Mean loss since the last call; it becomes a point of the loss curve."""
         mean = float(self.loss_sum) / (self.step - self.since)
         self.curve_step.append(self.step)
         self.curve_loss.append(mean)
@@ -206,11 +204,11 @@ class _Run:
         return mean
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
-        """The weights to be judged: the last, or their running mean."""
+        """Weights that a checkpoint holds: the last ones, or their running mean."""
         return weights(self.network) | {name: value.cpu().numpy().copy() for name, value in self.average.items()}
 
-    def keep(self) -> TrainingState:
-        """The run as named arrays."""
+    def state(self) -> TrainingState:
+        """The run as named arrays, from which `restore` goes on."""
         arrays: TrainingState = {
             "step": np.array(self.step),
             "since": np.array(self.since),
@@ -220,8 +218,8 @@ class _Run:
         }
         arrays |= {f"weights/{name}": value for name, value in weights(self.network).items()}
         arrays |= {f"average/{name}": value.cpu().numpy().copy() for name, value in self.average.items()}
-        for index, state in self.optimiser.state_dict()["state"].items():
-            for name, value in state.items():
+        for index, tensors in self.optimiser.state_dict()["state"].items():
+            for name, value in tensors.items():
                 if value is not None:
                     arrays[f"optimiser/{index}/{name}"] = value.cpu().numpy().copy()
         for checkpoint in self.checkpoints:
@@ -229,36 +227,36 @@ class _Run:
                 arrays[f"checkpoint/{checkpoint.step}/{name}"] = array
         return arrays
 
-    def restore(self, kept: TrainingState) -> None:
-        """Become the run that `keep` gave; ValueError if it does not fit."""
-        found = _groups(kept)
+    def restore(self, saved: TrainingState) -> None:
+        """Go on from a saved state; ValueError if it is of another network or preset."""
+        groups = _groups(saved)
         try:
-            state = {name: torch.from_numpy(np.asarray(array)) for name, array in found["weights"].items()}
+            state = {name: torch.from_numpy(np.asarray(array)) for name, array in groups["weights"].items()}
             self.network.load_state_dict(state)
             for name, average in self.average.items():
-                average.copy_(torch.from_numpy(np.asarray(found["average"][name])))
+                average.copy_(torch.from_numpy(np.asarray(groups["average"][name])))
             optimiser = self.optimiser.state_dict()
             optimiser["state"] = {}
-            for name, array in found["optimiser"].items():
+            for name, array in groups["optimiser"].items():
                 index, key = name.split("/")
                 optimiser["state"].setdefault(int(index), {})[key] = torch.from_numpy(np.array(array))
             self.optimiser.load_state_dict(optimiser)
             checkpoints: dict[int, dict[str, NDArray[np.float32]]] = {}
-            for name, array in found["checkpoint"].items():
+            for name, array in groups["checkpoint"].items():
                 step, key = name.split("/")
                 checkpoints.setdefault(int(step), {})[key] = array
             self.checkpoints = [Checkpoint(*item) for item in checkpoints.items()]
-            self.loss_sum.copy_(torch.from_numpy(np.array(kept["loss_sum"])))
-            self.step, self.since = int(kept["step"]), int(kept["since"])
-            self.curve_step, self.curve_loss = kept["curve_step"].tolist(), kept["curve_loss"].tolist()
+            self.loss_sum.copy_(torch.from_numpy(np.array(saved["loss_sum"])))
+            self.step, self.since = int(saved["step"]), int(saved["since"])
+            self.curve_step, self.curve_loss = saved["curve_step"].tolist(), saved["curve_loss"].tolist()
         except (KeyError, RuntimeError) as error:
-            raise ValueError(f"expected a kept run of this network and preset, found another: {error}") from error
+            raise ValueError(f"expected a saved run of this network and preset, found another: {error}") from error
 
 
-def _groups(kept: TrainingState) -> dict[str, TrainingState]:
+def _groups(saved: TrainingState) -> dict[str, TrainingState]:
     """Arrays by the first part of their names."""
     groups: dict[str, TrainingState] = {name: {} for name in ("weights", "average", "optimiser", "checkpoint")}
-    for name, array in kept.items():
+    for name, array in saved.items():
         group, _, rest = name.partition("/")
         if rest:
             groups[group][rest] = array

@@ -1,18 +1,15 @@
-"""One module per subject of evaluate: files in, flat rows out, kept in a report file."""
+"""One module per subject of evaluate: stage files in, flat rows out, stored in a report file."""
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.console import plain
-from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome
-from evetac_cli.store.files import StageFile, output_path, stem, up_to_date, write_stage
+from evetac_cli.store.files import StageFile, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
-from evetac_cli.store.read import Recording, open_recording
 
 Rows = list[dict[str, Any]]
 
@@ -42,7 +39,7 @@ def report(
     force: bool,
     simulated_source: bool = False,
 ) -> Outcome:
-    """Measure and keep the report, or read it if it is up to date already."""
+    """Measure and write the report, or read its rows and summary if it is up to date already."""
     recipe = Recipe(
         "report", method, {"command": command, **parameters}, parents=tuple(parents), simulated_source=simulated_source
     )
@@ -61,31 +58,3 @@ def own_report(part: str, subject: str, out: Path | None) -> Path:
     if out is not None and out.suffix == ".h5":
         return out
     return (out or Path()) / f"{part}.{subject}.report.h5"
-
-
-@contextmanager
-def with_truth(file: StageFile) -> Iterator[Recording]:
-    """The simulated recording beside a file that was made from it, or in the folder above, as `track-rgb` keeps its tracks.
-
-    InputError if it is not there or has no truth.
-    """
-    path = output_path(file.path, "recording", None)
-    above = path.parent.resolve().parent / path.name
-    path = above if above.exists() and not path.exists() else path
-    with open_recording(path) as recording:
-        check_parent(recording, file)
-        if not recording.has("truth"):
-            raise InputError(
-                "a recording without truth: only a simulation knows it",
-                where=str(path),
-                hint="evaluate simulated files",
-            )
-        yield recording
-
-
-def check_parent(recording: Recording, file: StageFile) -> None:
-    """Refuse a recording that only has the right name."""
-    if recording.header["id"] not in file.header["parents"]:
-        raise InputError(
-            "this is not the recording that the file was made from", where=str(recording.path), expected=str(file.path)
-        )

@@ -1,9 +1,9 @@
 """evaluate data-rate: bytes a second of event recordings against an RGB sensor (paper, "Data Rate Experiments").
 
 Three intervals: the whole recording; contact, from the first touch (0.03 N) to its loss; and so many seconds about the
-onset of slip. When there is contact, only a simulation knows. The onset is the truth's first slice of slip after the
-current begins to fall, and where there is no truth, that of the labels beside the recording. What cannot be answered is
-said in words, and the whole is answered for any recording.
+onset of slip. Contact is known in simulations alone. The onset is the truth's first slice of slip after the current
+begins to fall, and without truth that of the labels beside the recording. Where an interval is unknown, the column
+`not_answered` says why; the whole is known for any recording.
 
 All events count, those in the window too. Every event has the same size, as the paper sends them.
 """
@@ -20,17 +20,17 @@ from evetac_cli.params import EvaluateDataRate, recipe_of
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.stages.label import ramp_start
+from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.provenance import Header
 from evetac_cli.store.read import Recording, open_recording
 
-INPUTS = ("recording", "labels")
 OUTPUT = "report"
 METHOD = 1
 INTERVALS = ("whole", "contact", "slip")
 TOUCH_N = 0.03  # normal force that is contact
-SHOWN = 6  # time courses in the picture
-SHOWN_MS = 10  # that one point of a time course is the mean of
+SHOWN = 6  # recordings in the picture
+SHOWN_MS = 10  # of which one point in the picture is the mean
 
 
 class Interval(NamedTuple):
@@ -38,7 +38,7 @@ class Interval(NamedTuple):
 
     start: int
     stop: int
-    why_not: str = ""
+    missing_because: str = ""
 
 
 def jobs(files: list[Path], params: EvaluateDataRate, out: Path | None) -> list[Job]:
@@ -53,7 +53,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
     for path in job.inputs:
         with open_recording(path) as recording:
             if len(recording) == 0:
-                raise InputError("a recording without a single slice has no data rate", where=str(path))
+                raise InputError("the recording has no slices, so no data rate", where=str(path))
             parents.append(recording.header)
             labels = None if recording.has("truth") else _labels_beside(recording)
             parents += [labels.header] if labels else []
@@ -77,10 +77,10 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
 
 
 def _rgb_bytes_s(params: EvaluateDataRate) -> float:
-    """Bytes a second of the RGB sensor; InputError if its frame is none."""
+    """Bytes a second of the RGB sensor; InputError if `--rgb-frame` is not a size."""
     if not re.fullmatch("[1-9][0-9]{0,4}x[1-9][0-9]{0,4}x[1-9][0-9]?", params.rgb_frame):
         raise InputError(
-            "not a frame",
+            "not the size of a frame",
             where="--rgb-frame",
             expected="width x height x bytes, as in 540x480x3",
             found=params.rgb_frame,
@@ -91,30 +91,30 @@ def _rgb_bytes_s(params: EvaluateDataRate) -> float:
 
 def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
     bytes_a_slice = np.diff(recording.starts) * params.event_bytes
-    found = intervals(recording, params.around_s)
+    spans = intervals(recording, params.around_s)
     row: dict[str, Any] = {
         "file": recording.path.name,
         "duration_s": len(recording) / 1000,
         "events": recording.event_count,
-        "most_bytes_a_slice": int(bytes_a_slice.max()),
-        "contact_from_ms": None if found["contact"].why_not else found["contact"].start,
-        "contact_to_ms": None if found["contact"].why_not else found["contact"].stop,
-        "slip_ms": None if found["slip"].why_not else (found["slip"].start + found["slip"].stop) // 2,
+        "max_bytes_per_slice": int(bytes_a_slice.max()),
+        "contact_from_ms": None if spans["contact"].missing_because else spans["contact"].start,
+        "contact_to_ms": None if spans["contact"].missing_because else spans["contact"].stop,
+        "slip_ms": None if spans["slip"].missing_because else (spans["slip"].start + spans["slip"].stop) // 2,
     }
-    for name, interval in found.items():
+    for name, interval in spans.items():
         bytes_s = None
-        if not interval.why_not:
+        if not interval.missing_because:
             bytes_s = 1000 * float(bytes_a_slice[interval.start : interval.stop].mean())
         row[f"bytes_s_{name}"] = bytes_s
         row[f"share_{name}"] = None if bytes_s is None else bytes_s / _rgb_bytes_s(params)
-    reasons = [f"{name}: {interval.why_not}" for name, interval in found.items() if interval.why_not]
+    reasons = [f"{name}: {interval.missing_because}" for name, interval in spans.items() if interval.missing_because]
     return row | {"not_answered": "; ".join(reasons) or None}
 
 
 def intervals(recording: Recording, around_s: float) -> dict[str, Interval]:
-    """Which slices are the whole, in contact, and about slip."""
+    """The slices of the whole recording, of contact, and of `around_s` about the onset of slip."""
     slices = len(recording)
-    contact = Interval(0, 0, "no truth, and only a simulation knows when it touches")
+    contact = Interval(0, 0, "no truth, and contact is known in simulations alone")
     if recording.has("truth"):
         force_n = recording.read("truth/normal_force_n")
         touched, loaded = np.flatnonzero(force_n >= TOUCH_N), np.flatnonzero(force_n > 0)
@@ -125,7 +125,7 @@ def intervals(recording: Recording, around_s: float) -> dict[str, Interval]:
 
 
 def _about_slip(recording: Recording, around_s: float) -> Interval:
-    """As many slices before the onset as from it on; not answered where the recording does not hold them all."""
+    """As many slices before the onset as from it on; missing unless the recording holds them all."""
     half = round(500 * around_s)
     if recording.has("truth"):
         start = ramp_start(recording)
@@ -158,18 +158,12 @@ def _labels_beside(recording: Recording) -> _Labels | None:
     if not path.exists():
         return None
     with StageFile(path, "labels") as labels:
-        if recording.header["id"] not in labels.header["parents"]:
-            raise InputError(
-                "these labels belong to another recording",
-                where=str(path),
-                expected=f"made from {recording.path}",
-                hint=f"evetac label --force {recording.path}",
-            )
+        check_made_from(labels, recording)
         return _Labels(labels.header, int(labels.read("onset_slice")))
 
 
 def _interval_row(interval: str, rows: Rows) -> dict[str, Any]:
-    """Mean and sd over the trajectories that have an answer, beside the paper's."""
+    """Mean and sd of the share of the RGB sensor's bytes, over the trajectories that have it, beside the paper's."""
     shares = [row[f"share_{interval}"] for row in rows if row[f"share_{interval}"] is not None]
     mean = float(np.mean(shares)) if shares else None
     paper_mean, paper_sd = table("paper")["data_rate"][interval]
@@ -180,7 +174,7 @@ def _interval_row(interval: str, rows: Rows) -> dict[str, Any]:
         "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,
         "paper_share_mean": paper_mean,
         "paper_share_sd": paper_sd,
-        "paper_sds_off": None if mean is None else (mean - paper_mean) / paper_sd,
+        "deviation_from_paper_sds": None if mean is None else (mean - paper_mean) / paper_sd,
     }
 
 
@@ -193,15 +187,15 @@ def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcom
     for axes, path in zip(figure.subplots(len(shown), 1, squeeze=False)[:, 0], shown, strict=True):
         with open_recording(path) as recording:
             bytes_a_slice = np.diff(recording.starts) * params.event_bytes
-            found = intervals(recording, params.around_s)
+            spans = intervals(recording, params.around_s)
         edges = np.arange(0, len(bytes_a_slice), SHOWN_MS)
         width = np.diff(np.append(edges, len(bytes_a_slice)))
         mb_s = np.add.reduceat(bytes_a_slice, edges) / width * 1e-3
         axes.step(edges / 1000, mb_s, where="post", linewidth=0.8, color=picture.CORRECT, label="events")
         axes.axhline(_rgb_bytes_s(params) * 1e-6, color="black", linestyle="--", linewidth=1, label="RGB sensor")
         for name, colour in (("contact", "0.6"), ("slip", picture.EARLY)):
-            if not found[name].why_not:
-                span = (found[name].start / 1000, found[name].stop / 1000)
+            if not spans[name].missing_because:
+                span = (spans[name].start / 1000, spans[name].stop / 1000)
                 axes.axvspan(*span, color=colour, alpha=0.25, linewidth=0, label=name)
         top = 1.25 * max(float(mb_s.max()), _rgb_bytes_s(params) * 1e-6)  # leaves room for the legend
         axes.set(ylabel="MB/s", xlim=(0, len(bytes_a_slice) / 1000), ylim=(0, top))

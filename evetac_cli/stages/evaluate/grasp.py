@@ -1,13 +1,13 @@
 """evaluate grasp: the paper's table of grasps, by controller and object, and its robustness tables (section VII).
 
-Grasps by several controllers, in several scenes, on several sensors are judged at once and stand side by side: those
-that were made alike but for object and trial are one setting. The rows are three tables, told apart by their columns:
-over all objects; by object; by trial. Over all objects gains are taken together, as in the paper's figure, where some
-objects were held with a higher one: a column is an object with a gain. What the paper says of it stands beside.
+Grasps by several controllers, in several scenes, on several sensors are evaluated at once: those that differ in object
+and trial alone are one setting. The rows are three tables with different columns: over all objects; by object; by
+trial. Over all objects gains are taken together, as in the paper's figure, where some objects were held with a higher
+one: a column is an object with a gain. The paper's figures stand beside.
 
-Balance counts the trials that lifted, as in the paper; `success` is both phases. How far an object moved, how firmly it
-was held and how far the gripper opened again are means (or medians) over the trials that held it to the end: an object
-that fell has moved by any distance.
+Balance counts the trials that lifted, as in the paper; `success` is both phases. How far an object moved, the
+force on it and how far the gripper opened again are means (or medians) over the trials that held it to the end: an
+object that fell has moved by any distance.
 """
 
 from collections.abc import Sequence
@@ -21,20 +21,29 @@ from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateGrasp, recipe_of
 from evetac_cli.resources import table
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.stages.evaluate import Rows, grasp_picture, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
-INPUTS = ("recording",)
 OUTPUT = "report"
 METHOD = 2
-USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # of a grasp that says nothing of it
+USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only where they differ
 MEANS = (
     "opening_after_lift_ticks",
     "opening_after_balance_ticks",
     "opening_after_lift_mm",
     "opening_after_balance_mm",
     "reopened_share",
+)
+
+SIZE_IN = (13.0, 10.0)
+PAPER_ORDER = (18, 17, 10, 11, 12, 13, 15, 16, 14, 19, 20)
+MOST_SETTINGS = 8  # colours that can be distinguished
+PANELS = (
+    ("success", "share of trials lifted and balanced"),
+    ("opening_after_balance_ticks", "change of opening at the end [ticks]"),
+    ("force_end_n", "grip force at the end [N]"),
+    ("moved_mm_median", "object moved, median [mm]"),
 )
 
 
@@ -48,13 +57,13 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
     headers = []
     for path in job.inputs:
         with StageFile(path, "recording") as recording:
-            for group, what in (
-                ("control", "it is no grasp"),
-                ("truth/table_gap_mm", "only a simulation knows its outcome"),
+            for group, reason in (
+                ("control", "the recording is no grasp"),
+                ("truth/table_gap_mm", "only a simulation knows how a grasp ended"),
             ):
                 if not recording.has(group):
                     raise InputError(
-                        f"the outcome cannot be told: {what}", where=str(path), expected=f"{group} in the file"
+                        f"the outcome is unknown: {reason}", where=str(path), expected=f"{group} in the file"
                     )
             headers.append(recording.header)
 
@@ -66,23 +75,21 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
         return tables(trials)
 
     outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
-    return picture.beside(
-        outcome, job.output, lambda figure: grasp_picture.draw(figure, outcome.rows), grasp_picture.SIZE_IN
-    )
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows), SIZE_IN)
 
 
 def trial_row(path: Path, header: Header) -> dict[str, Any]:
-    """What became of one grasp, and how it was made."""
+    """Setting and outcome of one grasp."""
     planned = header["parameters"]
     with StageFile(path, "recording") as recording:
         rows = {name: recording.read(name) for name in grasp_outcome.NEEDED}
     seconds = planned["scene"]["time"]["touch_s"] + planned["lift_s"] + planned["balance_s"]
     figures = grasp_outcome.outcome(rows, planned["sensor_row"]["mm_per_px"], round(1000 * seconds))
-    return {"setting": setting_of(planned), "object": planned["object"], "file": path.name, **figures}
+    return {"setting": describe_setting(planned), "object": planned["object"], "file": path.name, **figures}
 
 
-def setting_of(planned: dict[str, Any]) -> str:
-    """What two grasps share that differ in object and trial alone, in words: the controller, and what is unusual."""
+def describe_setting(planned: dict[str, Any]) -> str:
+    """The setting of a grasp in words: its controller, and all that differs from the usual; not object and trial."""
     words = [planned["controller"]]
     chosen = {name: planned.get(name, usual) for name, usual in USUAL.items()}
     if chosen["gain"] != 1.0:
@@ -119,7 +126,7 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
 
 
 def without_gain(setting: str) -> str:
-    """The setting whatever the gain."""
+    """The name of a setting, without its gain."""
     return ", ".join(word for word in setting.split(", ") if not word.startswith("gain "))
 
 
@@ -140,8 +147,8 @@ def figures(trials: Rows) -> dict[str, Any]:
         "moved_mm_median": _quantile(moved, 0.5),
         "moved_mm_mean": _mean(moved),
         "moved_mm_p90": _quantile(moved, 0.9),
-        "moved_below_10_mm": _mean([value < table("paper")["grasp"]["moved_mm"] for value in moved]),
-        "slip_events": _mean([row["slip_events"] for row in trials]),
+        "moved_below_10_mm_share": _mean([value < table("paper")["grasp"]["moved_mm"] for value in moved]),
+        "slip_events_mean": _mean([row["slip_events"] for row in trials]),
     }
 
 
@@ -159,29 +166,74 @@ def _quantile(values: Sequence[float], share: float) -> float | None:
 
 
 def _paper_object(setting: str, number: int) -> dict[str, Any]:
-    """What the paper says of an object, of its own controller in its usual scene."""
+    """The paper's figures for an object, with its own controller in its usual scene; None for all others."""
     grasp = table("paper")["grasp"]
-    said = {}
+    published = {}
     if setting in ("paper", "paper-reset"):
-        said = grasp["objects"].get(str(number), {})
+        published = grasp["objects"].get(str(number), {})
     elif setting in ("paper, gain 2", "paper-reset, gain 2"):
-        said = grasp["objects_higher_gain"].get(str(number), {})
-    success = said["lifted"] * said["balanced"] if said else None
-    return {"paper_success": success, "paper_opening_after_balance_ticks": said.get("opening_after_balance_ticks")}
+        published = grasp["objects_higher_gain"].get(str(number), {})
+    success = published["lifted"] * published["balanced"] if published else None
+    return {"paper_success": success, "paper_opening_after_balance_ticks": published.get("opening_after_balance_ticks")}
 
 
 def _paper_setting(setting: str, columns: int) -> dict[str, Any]:
-    """What the paper says of a setting as a whole: all its columns, or a test of robustness."""
+    """The paper's figures for a setting as a whole: all its columns, or a test of robustness; None without any."""
     grasp = table("paper")["grasp"]
     words = setting.split(", ")
-    said: dict[str, float | None] = {"paper_success": None, "paper_reopened_share": None}
+    published: dict[str, float | None] = {"paper_success": None, "paper_reopened_share": None}
     if words == ["none"]:
-        return {**said, "paper_success": grasp["lifted_by_contact_alone"]}
+        return {**published, "paper_success": grasp["lifted_by_contact_alone"]}
     if words[0] not in ("paper", "paper-reset"):
-        return said
+        return published
     if words[1:] == [] and columns > 1:
         return {"paper_success": grasp["success"], "paper_reopened_share": grasp["reopened_share"]}
     tested = [grasp["robustness"][word] for word in words if word in grasp["robustness"]]
     if "second" in words or "closed gel" in words:
         tested = [grasp["robustness"]["other_sensor"]]
-    return {**said, "paper_success": tested[0]} if tested else said
+    return {**published, "paper_success": tested[0]} if tested else published
+
+
+def _draw(figure: Any, rows: Rows) -> None:
+    """Draw the rows by object into an empty figure."""
+    by_object = [row for row in rows if "moved_mm_median" in row and "object" in row]
+    settings = list(dict.fromkeys(row["setting"] for row in by_object))
+    shown = settings[:MOST_SETTINGS]
+    numbers = sorted({row["object"] for row in by_object}, key=_figure_place)
+    figure.suptitle("grasps (simulated)" + ("" if shown == settings else f"; {MOST_SETTINGS} of {len(settings)}"))
+    width = 0.8 / max(len(shown), 1)
+    for axes, (name, title) in zip(figure.subplots(len(PANELS), 1, sharex=True), PANELS, strict=True):
+        for place, setting in enumerate(shown):
+            values = {row["object"]: row[name] for row in by_object if row["setting"] == setting}
+            at = [index + (place + 0.5) * width - 0.4 for index, number in enumerate(numbers) if number in values]
+            heights = [values[number] or 0.0 for number in numbers if number in values]
+            axes.bar(at, heights, width=0.9 * width, color=f"C{place}", label=setting)
+        for label, at_x, value in _paper_points(name, numbers):
+            axes.plot(at_x, value, label=label, **picture.PAPER)
+        axes.set_ylabel(title, fontsize=8)
+        picture.quiet_grid(axes)
+    axes.set_xticks(range(len(numbers)), [f"object {number}" for number in numbers], fontsize=8)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+
+
+def _paper_points(name: str, numbers: list[int]) -> list[tuple[str, list[float], list[float]]]:
+    """The paper's points of a panel, if it has any: label, x, y."""
+    grasp = table("paper")["grasp"]
+    published = {**grasp["objects_higher_gain"], **grasp["objects"]}
+    points = []
+    for index, number in enumerate(numbers):
+        row = published.get(str(number), {})
+        if name == "success" and row:
+            points.append((float(index), row["lifted"] * row["balanced"]))
+        elif name in row:
+            points.append((float(index), row[name]))
+    if not points:
+        return []
+    at_x, values = (list(column) for column in zip(*points, strict=True))
+    return [("printed in the paper", at_x, values)]
+
+
+def _figure_place(number: int) -> int:
+    """Objects in the order of the paper's figure, the others behind them."""
+    return PAPER_ORDER.index(number) if number in PAPER_ORDER else 100 + number

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateLabels, recipe_of
-from evetac_cli.stages.evaluate import Rows, report, report_job, with_truth
+from evetac_cli.stages.evaluate import Rows, report, report_job
+from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
 
-INPUTS = ("labels", "recording")
 OUTPUT = "report"
 METHOD = 2
-EARLIEST_MS = -4  # the label sees 4 ms ahead
+EARLIEST_MS = -4  # labels look 4 ms ahead
 LATEST_MS = 3
 
 
@@ -26,12 +26,12 @@ def jobs(files: list[Path], params: EvaluateLabels, out: Path | None) -> list[Jo
 def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """A row for every trajectory: t_c from labels, t_s and the start of gross slip from truth, in ms.
 
-    Labels that were themselves copied from truth are told by their method, in the rows and in the summary.
+    Rows and summary name the labels' method, because labels may themselves be copied from truth.
     """
     rows: Rows = []
     headers = []
     for number, path in enumerate(job.inputs):
-        with StageFile(path, "labels") as labels, with_truth(labels) as recording:
+        with StageFile(path, "labels") as labels, recording_with_truth(labels) as recording:
             onset = int(labels.read("onset_slice"))
             true = np.flatnonzero(recording.read("truth/slip"))
             gross = _gross_start(recording.read("truth/slid_px"), int(true[0])) if len(true) else None
@@ -43,25 +43,29 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
                 "method": labels.header["parameters"].get("method", "farneback"),
                 "t_c_ms": onset if onset >= 0 else None,
                 "t_s_ms": int(true[0]) if len(true) else None,
-                "gross_slip_ms": gross,
+                "gross_slip_start_ms": gross,
                 "onset_error_ms": onset - int(true[0]) if both else None,
-                "before_gross_ms": gross - onset if both and gross is not None else None,
+                "onset_before_gross_slip_ms": gross - onset if both and gross is not None else None,
             }
         )
         progress(number + 1, len(job.inputs))
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         errors = np.array([row["onset_error_ms"] for row in rows if row["onset_error_ms"] is not None], float)
-        found = len(errors) > 0
-        early = [row for row in rows if row["before_gross_ms"] is not None and row["before_gross_ms"] > -EARLIEST_MS]
+        any_error = len(errors) > 0
+        early = [
+            row
+            for row in rows
+            if row["onset_before_gross_slip_ms"] is not None and row["onset_before_gross_slip_ms"] > -EARLIEST_MS
+        ]
         right = (errors >= EARLIEST_MS) & (errors <= LATEST_MS)
         slipped = sum(row["t_s_ms"] is not None for row in rows)
         return rows, {
             "method": ", ".join(sorted({row["method"] for row in rows})),
             "trajectories": len(rows),
             "onsets_found": len(errors),
-            "onset_error_ms_median": float(np.median(errors)) if found else None,
-            "onset_error_ms_worst": float(errors[np.argmax(np.abs(errors))]) if found else None,
+            "onset_error_ms_median": float(np.median(errors)) if any_error else None,
+            "onset_error_ms_worst": float(errors[np.argmax(np.abs(errors))]) if any_error else None,
             "within_minus4_plus3_ms": float(right.sum() / slipped) if slipped else None,
             "earlier_than_4_ms_before_gross_slip": len(early),
         }
@@ -70,6 +74,6 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
 
 
 def _gross_start(slid_px: NDArray[np.float64], onset: int) -> int:
-    """First slice of the episode of gross slip that leads to the onset: before it nothing is slid."""
+    """First slice of the gross slip that leads to the onset: the slice after the last without any sliding."""
     still = np.flatnonzero(slid_px[:onset] == 0.0)
     return int(still[-1]) + 1 if len(still) else 0

@@ -28,7 +28,7 @@ def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        shown = "none: needs matplotlib, pip install 'evetac[plot]'"
+        shown = "none: needs matplotlib, pip install '.[plot]'"
     else:
         figure = Figure(figsize=size_in, layout="constrained")
         draw(figure)

@@ -1,4 +1,4 @@
-"""The tables of a report on slip: what predictions come to by setting, object, model and trajectory."""
+"""The tables of a report on slip: timing and F1 by setting, object, model and trajectory."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -6,25 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.kernels.slip import slip
-from evetac_cli.kernels.slip.slip import Prediction
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows
 from evetac_cli.stages.evaluate.slip_models import Model
 
-# Where t_m - t_c is, in ms: the borders of the paper's "Evaluating Slip Timing".
-MOMENTS = (
-    ("earlier", -np.inf, slip.EARLIEST_MS - 1),
-    ("50_to_31_ms_ahead", slip.EARLIEST_MS, -31),
+# Names and bounds of t_m - t_c in ms, both included: the intervals of the paper's "Evaluating Slip Timing".
+TIMING_BINS = (
+    ("over_50_ms_ahead", -np.inf, metrics.EARLIEST_MS - 1),
+    ("50_to_31_ms_ahead", metrics.EARLIEST_MS, -31),
     ("30_to_11_ms_ahead", -30, -11),
     ("10_to_0_ms_ahead", -10, 0),
-    ("1_to_20_ms_after", 1, slip.LATEST_MS),
-    ("later", slip.LATEST_MS + 1, np.inf),
+    ("1_to_20_ms_after", 1, metrics.LATEST_MS),
+    ("over_20_ms_after", metrics.LATEST_MS + 1, np.inf),
 )
 
 
-def settings_of(models: Sequence[Model]) -> dict[str, list[int]]:
-    """Which models (their indices) belong to which setting; its name says what tells it from the other settings."""
+def group_by_setting(models: Sequence[Model]) -> dict[str, list[int]]:
+    """Name of each setting -> indices of its models; a name says in what its setting differs from the others."""
     groups: dict[str, list[int]] = {}
     for index, model in enumerate(models):
         groups.setdefault(model.setting, []).append(index)
@@ -34,7 +34,7 @@ def settings_of(models: Sequence[Model]) -> dict[str, list[int]]:
     for trait, members in zip(traits, groups.values(), strict=True):
         name = ", ".join(trait[key] for key in trait if (key in varying or key == "model") and trait[key])
         while name in named:
-            name += "'"  # trained on other files, and alike in all else
+            name += "'"  # alike in all but the files that it was trained on
         named[name] = members
     return named
 
@@ -55,20 +55,20 @@ def _traits(model: Model) -> dict[str, str]:
 
 
 def tables(
-    models: Sequence[Model], thresholds: Sequence[float], judged: Sequence[list[Prediction]], paths: Sequence[Path]
+    models: Sequence[Model], thresholds: Sequence[float], predictions: Sequence[list[Prediction]], paths: Sequence[Path]
 ) -> tuple[Rows, dict[str, Any]]:
-    """All rows, and a summary; `judged`: the predictions of each model, one for each path."""
-    scores = [slip.score(predictions, at) for predictions, at in zip(judged, thresholds, strict=True)]
+    """All rows, and a summary; `predictions`: those of each model, one for each path."""
+    scores = [metrics.score(of_model, at) for of_model, at in zip(predictions, thresholds, strict=True)]
     settings: Rows = []
     timing_bins: Rows = []
     objects: Rows = []
-    for setting, members in settings_of(models).items():
+    for setting, members in group_by_setting(models).items():
         first = models[members[0]]
-        cells = [by_object(judged[index], thresholds[index]) for index in members]
+        cells = [by_object(predictions[index], thresholds[index]) for index in members]
         late_by = [
             _late_by(prediction, thresholds[index])
             for index in members
-            for prediction in judged[index]
+            for prediction in predictions[index]
             if prediction.onset >= 0
         ]
         settings.append(setting_row(setting, first, cells))
@@ -91,14 +91,14 @@ def tables(
             )
     by_model = [
         {"setting": setting, "file": models[index].path.name, "seed": _seed(models[index]), **scores[index]}
-        for setting, members in settings_of(models).items()
+        for setting, members in group_by_setting(models).items()
         for index in members
     ]
     trajectories = [
         _trajectory_row(setting, models[index], thresholds[index], prediction, path)
-        for setting, members in settings_of(models).items()
+        for setting, members in group_by_setting(models).items()
         for index in members
-        for prediction, path in zip(judged[index], paths, strict=True)
+        for prediction, path in zip(predictions[index], paths, strict=True)
     ]
     return [*settings, *timing_bins, *objects, *by_model, *trajectories], _summary(scores, settings)
 
@@ -113,12 +113,12 @@ def by_object(predictions: Sequence[Prediction], threshold: float) -> dict[str, 
     groups: dict[str, list[Prediction]] = {}
     for prediction in predictions:
         groups.setdefault(prediction.object, []).append(prediction)
-    return {name: slip.score(members, threshold) for name, members in groups.items()}
+    return {name: metrics.score(members, threshold) for name, members in groups.items()}
 
 
 def _late_by(prediction: Prediction, threshold: float) -> int | None:
     """t_m - t_c in ms; None where nothing was detected."""
-    first = slip.onset(prediction.detected(threshold))
+    first = metrics.onset(prediction.detected(threshold))
     return first - prediction.onset if first >= 0 else None
 
 
@@ -163,8 +163,8 @@ def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
     if "unknown" in objects:
         return figures
     if objects <= model.objects and model.horizon_ms == 0:
-        found = paper["training_objects"].get(name, {})
-        figures = {"paper_slip_correct": found.get("correct"), "paper_f1": found.get("f1")}
+        published = paper["training_objects"].get(name, {})
+        figures = {"paper_slip_correct": published.get("correct"), "paper_f1": published.get("f1")}
     elif not objects & model.objects and model.horizon_ms in paper["unseen_objects"]["horizon_ms"]:
         at = paper["unseen_objects"]["horizon_ms"].index(model.horizon_ms)
         figures["paper_slip_correct"] = paper["unseen_objects"].get(name, [None] * (at + 1))[at]
@@ -173,12 +173,12 @@ def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
 
 def _timing_bins(late_by: Sequence[int | None]) -> dict[str, Any]:
     """Shares of the trajectories with an onset, by where t_m - t_c is; the median of those with a detection."""
-    told = [value for value in late_by if value is not None]
-    shares = {name: sum(low <= value <= high for value in told) for name, low, high in MOMENTS}
+    detected = [value for value in late_by if value is not None]
+    shares = {name: sum(low <= value <= high for value in detected) for name, low, high in TIMING_BINS}
     return {
-        "t_m_minus_t_c_ms_median": float(np.median(told)) if told else None,
+        "t_m_minus_t_c_ms_median": float(np.median(detected)) if detected else None,
         **{name: count / len(late_by) if late_by else None for name, count in shares.items()},
-        "never": (len(late_by) - len(told)) / len(late_by) if late_by else None,
+        "never_detected": (len(late_by) - len(detected)) / len(late_by) if late_by else None,
     }
 
 
@@ -190,7 +190,7 @@ def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:
 
 
 def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Prediction, path: Path) -> dict[str, Any]:
-    first = slip.onset(prediction.detected(threshold))
+    first = metrics.onset(prediction.detected(threshold))
     labelled = prediction.onset >= 0
     return {
         "setting": setting,
@@ -200,7 +200,7 @@ def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Pr
         "t_c_ms": prediction.onset if labelled else None,
         "t_m_ms": first if first >= 0 else None,
         "t_m_minus_t_c_ms": first - prediction.onset if labelled and first >= 0 else None,
-        "timing": slip.timing(first, prediction.onset) if labelled else None,
+        "timing": metrics.timing(first, prediction.onset) if labelled else None,
         "f1": prediction.counts(threshold).f1,
     }
 
@@ -213,12 +213,12 @@ def _summary(scores: Rows, settings: Rows) -> dict[str, Any]:
     for figure in ("slip_correct", "f1"):
         known = [row for row in settings if row[figure] is not None]
         top = max(known, key=lambda row: row[figure], default=None)
-        best |= {f"most_{figure}": top and top["setting"], f"{figure}_of_it": top and top[figure]}
+        best |= {f"best_{figure}_setting": top and top["setting"], f"best_{figure}": top and top[figure]}
     return {"models": len(scores), "settings": len(settings), "trajectories": scores[0]["trajectories"], **best}
 
 
 def _values(scores: Iterable[dict[str, Any]], key: str) -> list[float]:
-    """A figure of several scores, those left out where it does not exist: an object that never slips has no timing."""
+    """One figure of several scores, without those that lack it: an object that never slips has no timing."""
     return [float(score[key]) for score in scores if score[key] is not None]
 
 

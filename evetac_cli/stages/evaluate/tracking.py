@@ -2,9 +2,8 @@
 
 A trajectory that begins and ends with nothing on the gel is tracked with success when all dots end within 20 px of
 where they began: the paper's end-point consistency, which needs no truth. Where a simulation knows the dots, their
-distance from truth is told too, over time in the picture, and a trajectory that ends with the gel still sheared is not
-asked for consistency. Tracks of the same recordings by several presets are compared
-row by row.
+distance from truth is reported too, over time in the picture, and a trajectory that ends with the gel still sheared has
+no consistency. Tracks of the same recordings by several presets are compared row by row.
 """
 
 import json
@@ -18,11 +17,11 @@ from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateTracking, recipe_of
-from evetac_cli.stages.evaluate import Rows, check_parent, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import open_recording
 
-INPUTS = ("tracks", "recording")
 OUTPUT = "report"
 METHOD = 4
 CONSISTENT_PX = 20.0  # the paper's
@@ -40,15 +39,15 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
     """A row for every preset, then one for every trajectory; lengths in px over all dots and slices.
 
     dots_lost: dots that end farther than 20 px from where they began; of a preset their mean over the trajectories
-    that have any, as in the paper. `events_per_dot` is a mean over dots and slices. `still` is the error of a tracker
-    that never moves, for comparison.
+    that have any, as in the paper. `events_per_dot` is a mean over dots and slices. `still_px_rms` is the error of a
+    tracker that never moves a dot, for comparison.
     """
     headers = []
     known = 0
     for path in job.inputs:
         with StageFile(path, "tracks") as tracks:
             if not len(tracks.read("dot_xy_px")):
-                raise InputError("tracks without a slice", where=str(path))
+                raise InputError("the tracks have no slices", where=str(path))
             known += _truth(tracks, params.recordings) is not None
             headers.append(tracks.header)
     names = _preset_names([header["parameters"] for header in headers])
@@ -71,7 +70,7 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
         }
         return [*presets, *rows], summary
 
-    # Truth that was found since, or is no longer there, makes another report.
+    # A report with the truth of more or fewer recordings is another report.
     parameters = {**recipe_of(params), "with_truth": known}
     outcome = report(job, "evaluate tracking", METHOD, parameters, headers, measure, force=force)
     if not outcome.made:  # errors over time are not in the rows: they are drawn when they are measured
@@ -84,27 +83,29 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
 
 
 def _truth(tracks: StageFile, folder: Path | None) -> NDArray[np.float32] | None:
-    """True dots (slices, dots, 2) from the recording beside the tracks, or in a folder; None if it has none.
+    """True dots (slices, dots, 2) from the recording beside the tracks, or in a folder; None without truth.
 
-    InputError if another recording has its name, or if none has in a folder that was named.
+    InputError if the recording is another one, or if it is missing in the folder that is named.
     """
     path = output_path(tracks.path, "recording", folder)
     if not path.exists():
         if folder is None:
             return None
-        raise InputError("no such recording", where=str(path), hint="--recordings names their folder")
+        raise InputError(
+            "no such recording", where=str(path), hint="name the folder of the recordings with --recordings"
+        )
     with open_recording(path) as recording:
-        check_parent(recording, tracks)
+        check_made_from(tracks, recording)
         true: NDArray[np.float32] | None = recording.read("truth/dot_xy_px") if recording.has("truth") else None
         return true
 
 
 def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
     """The preset of every file; constants changed by hand are numbered where there are several sets of them."""
-    found: dict[str, list[str]] = {}
+    variants: dict[str, list[str]] = {}
     names = []
     for entry in parameters:
-        same = found.setdefault(entry["preset"], [])
+        same = variants.setdefault(entry["preset"], [])
         constants = json.dumps(entry["constants"], sort_keys=True)
         if constants not in same:
             same.append(constants)
@@ -116,23 +117,23 @@ def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
 def _trajectory(tracks: StageFile, true: NDArray[np.float32] | None) -> tuple[dict[str, Any], Floats | None]:
     """The row of a trajectory, and the mean squared error of its dots over time, if truth is known."""
     rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
-    there = np.isfinite(rest).all(axis=1)
-    rest, dots = rest[there], tracks.read("dot_xy_px")[:, there]
-    off_px = np.linalg.norm(dots[-1] - rest, axis=1)
+    present = np.isfinite(rest).all(axis=1)
+    rest, dots = rest[present], tracks.read("dot_xy_px")[:, present]
+    end_px = np.linalg.norm(dots[-1] - rest, axis=1)
     row: dict[str, Any] = {
-        "consistent": bool((off_px <= CONSISTENT_PX).all()),
-        "dots_lost": int((off_px > CONSISTENT_PX).sum()),
-        "dots_flagged": int(tracks.read("lost")[-1].sum()),
-        "end_px_worst": float(off_px.max()),
-        "events_per_dot": float(tracks.read("events_per_dot")[:, there].mean()),
+        "consistent": bool((end_px <= CONSISTENT_PX).all()),
+        "dots_lost": int((end_px > CONSISTENT_PX).sum()),
+        "dots_flagged_lost": int(tracks.read("lost")[-1].sum()),
+        "end_distance_px_worst": float(end_px.max()),
+        "events_per_dot": float(tracks.read("events_per_dot")[:, present].mean()),
         "error_px_rms": None,
         "error_px_worst": None,
         "still_px_rms": None,
     }
     if true is None:
         return row, None
-    error = np.linalg.norm(dots - true[:, there], axis=2).astype(np.float64)
-    still = np.linalg.norm(rest - true[:, there], axis=2)
+    error = np.linalg.norm(dots - true[:, present], axis=2).astype(np.float64)
+    still = np.linalg.norm(rest - true[:, present], axis=2)
     squares = np.mean(error**2, axis=1)
     if (still[-1] > CONSISTENT_PX).any():
         row |= {"consistent": None, "dots_lost": None}
@@ -159,14 +160,14 @@ def _lengths(rows: Rows) -> dict[str, Any]:
 
 def _preset(name: str, rows: Rows) -> dict[str, Any]:
     """The row of a preset, the paper's figures beside it where it has them."""
-    asked = [row for row in rows if row["consistent"] is not None]
-    failed = [row["dots_lost"] for row in asked if not row["consistent"]]
+    decided = [row for row in rows if row["consistent"] is not None]
+    failed = [row["dots_lost"] for row in decided if not row["consistent"]]
     paper = resources.table("paper")["tracking"].get(name, {})
     return {
         "preset": name,
         "trajectories": len(rows),
-        "consistent": len(asked) - len(failed) if asked else None,
-        "consistent_share": (len(asked) - len(failed)) / len(asked) if asked else None,
+        "consistent": len(decided) - len(failed) if decided else None,
+        "consistent_share": (len(decided) - len(failed)) / len(decided) if decided else None,
         "paper_consistent_share": paper.get("success"),
         "dots_lost_mean": float(np.mean(failed)) if failed else None,
         "paper_dots_lost_mean": paper.get("dots_lost"),
@@ -177,7 +178,7 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
 
 def _draw(figure: Any, presets: Rows, over_time: dict[str, list[Floats]], *, simulated: bool) -> None:
     """Error over time, a line a preset over all its trajectories; how many of them end where they began."""
-    shown = [name for name, found in over_time.items() if found]
+    shown = [name for name, errors in over_time.items() if errors]
     panels = figure.subplots(1, 1 + bool(shown), squeeze=False)[0]
     figure.suptitle("dot tracking" + (" (simulated)" if simulated else ""))
     if shown:

@@ -1,9 +1,9 @@
-"""evaluate vibration: which tone the gel feels, in the whole recording and in windows of some lengths.
+"""evaluate vibration: the frequency at which the gel vibrates, in whole recordings and in windows of some lengths.
 
 Where the tone is known, from a simulation's truth or from `--true-hz`, windows with the right frequency are counted,
-beside the paper's table ("Sensing Vibrations"). The recording passes by in pieces, so its length costs no memory.
+beside the paper's table ("Sensing Vibrations"). Recordings are read in pieces, so their length costs no memory.
 
-Why so: the tone's truth decides only which slices are looked at, those in which it sounds, and what is right.
+Why so: the true tone decides only which slices are examined, those in which it sounds, and which answer is correct.
 """
 
 import math
@@ -23,12 +23,11 @@ from evetac_cli.params import EvaluateVibration, recipe_of
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.store.read import Recording, open_recording
 
-INPUTS = ("recording",)
 OUTPUT = "report"
 METHOD = 2
 SHORTEST_MS, LONGEST_MS = 100, 10_000  # of a window: what has a spectrum, and what has room in memory
 READ_MS = 250  # events read at once
-ENOUGH_WINDOWS = 5  # to tell the tone's uncertainty by how much they differ
+ENOUGH_WINDOWS = 5  # to estimate the tone's uncertainty by how much they differ
 PANELS = 10  # of the picture
 TONE = "truth/tone_hz"
 
@@ -36,7 +35,7 @@ Floats = NDArray[np.float64]
 
 
 class Survey(NamedTuple):
-    """What was found in one recording; frequencies in Hz, None for no vibration."""
+    """Spectra and frequencies of one recording; frequencies in Hz, None for no vibration."""
 
     seconds: float
     whole: vibration.Spectrum  # summed over windows of the longest length
@@ -54,13 +53,13 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
     """A row for each recording and method, then one for each length of window; spectra as a picture beside the report.
 
     The picture has a panel for the first recording of each tone, and for those whose tone is not known.
-    Shares of harmonics (`half`, `double`, `triple`) are how far they move the gel against the tone. The paper's method
-    always has an answer, also where nothing vibrates.
+    `motion_ratio_*` is how far a harmonic moves the gel, over the tone. The paper's method always has an answer, also
+    where nothing vibrates.
     """
     windows_ms = _windows_ms(params.windows)
     if params.lowest_hz >= params.rate / 2:
         raise InputError(
-            "nothing is left between this and half the rate",
+            "no frequencies are left between this and half of --rate",
             where="--lowest-hz",
             expected=f"below {params.rate / 2:g} Hz",
             found=f"{params.lowest_hz:g}",
@@ -111,7 +110,7 @@ def _windows_ms(text: str) -> list[int]:
         lengths = []
     if not lengths or not all(SHORTEST_MS <= length <= LONGEST_MS for length in lengths):
         raise InputError(
-            "not lengths of windows",
+            "not a list of window lengths",
             where="--windows",
             expected=f"seconds from {SHORTEST_MS / 1000:g} to {LONGEST_MS / 1000:g}, as in 10,2,1",
             found=text,
@@ -120,7 +119,7 @@ def _windows_ms(text: str) -> list[int]:
 
 
 def _span(recording: Recording, params: EvaluateVibration) -> tuple[int, int, float | None]:
-    """Slices [start, stop) to look at, and the tone in Hz if it is known: in a simulation while it sounds."""
+    """Slices [start, stop) to examine, and the true tone in Hz or None: in a simulation those in which it sounds."""
     start, stop, expected_hz = 0, len(recording), params.true_hz
     if recording.has(TONE):
         tone_hz = recording.read(TONE)
@@ -129,11 +128,13 @@ def _span(recording: Recording, params: EvaluateVibration) -> tuple[int, int, fl
             # Truth is that of a slice's end: the tone still sounds in the slice at whose end it is over.
             start, stop = int(sounding[0]), min(int(sounding[-1]) + 2, stop)
             if len(np.unique(tone_hz[sounding])) > 1:
-                raise InputError("more than one tone", where=str(recording.path), expected="one tone a recording")
+                raise InputError(
+                    "the recording has more than one tone", where=str(recording.path), expected="one tone a recording"
+                )
             expected_hz = float(tone_hz[start]) if expected_hz is None else expected_hz
     if stop - start < SHORTEST_MS:
         raise InputError(
-            "too short to tell a frequency",
+            "the recording is too short to find a frequency",
             where=str(recording.path),
             expected=f"{SHORTEST_MS} ms or more",
             found=f"{stop - start} ms",
@@ -144,7 +145,7 @@ def _span(recording: Recording, params: EvaluateVibration) -> tuple[int, int, fl
 def _survey(
     recording: Recording, start: int, stop: int, windows_ms: list[int], params: EvaluateVibration, advance: Any
 ) -> Survey:
-    """Look at the slices [start, stop) by both methods, in pieces of the longest window."""
+    """Apply both methods to the slices [start, stop), in pieces of the longest window."""
     piece_ms = min(windows_ms[0], stop - start)
     lengths = [length for length in windows_ms if length <= piece_ms]
     motion: dict[int, list[float | None]] = {length: [] for length in lengths}
@@ -158,13 +159,13 @@ def _survey(
         tally, counts = _read(recording, first, last, fine_hz, params.rate, advance_from=start, advance=advance)
         all_counts.append(counts)
         if last - first == piece_ms:
-            found_in = vibration.spectrum(tally, fine_hz)
-            whole = found_in if whole is None else whole.plus(found_in)
+            piece = vibration.spectrum(tally, fine_hz)
+            whole = piece if whole is None else whole.plus(piece)
         for length in lengths:
             for begin in range(0, last - first - length + 1, length):
-                paper[length].append(_of_counts(_part(counts, begin, length, params.rate), params))
+                paper[length].append(_paper_tone_hz(_part(counts, begin, length, params.rate), params))
                 if with_motion and length == piece_ms:
-                    motion[length].append(_tone_hz(found_in, params))
+                    motion[length].append(_tone_hz(piece, params))
                 elif with_motion:
                     window = vibration.spectrum(_part(tally, begin, length, fine_hz), fine_hz)
                     motion[length].append(_tone_hz(window, params))
@@ -176,7 +177,7 @@ def _read(
     recording: Recording, first: int, last: int, fine_hz: int, rate_hz: int, *, advance_from: int, advance: Any
 ) -> tuple[vibration.Tally, NDArray[np.int64]]:
     """Signed events (cells, bins at `fine_hz`) and events (bins at `rate_hz`) of the slices [first, last)."""
-    across, down = vibration.cells_of(recording.frame_px)
+    across, down = vibration.cell_grid(recording.frame_px)
     tally = np.zeros((across * down, (last - first) * fine_hz // 1000), np.int16)
     bins = (last - first) * rate_hz // 1000
     counts = np.zeros(bins, np.int64)
@@ -195,31 +196,31 @@ def _part(values: NDArray, begin_ms: int, length_ms: int, rate_hz: int) -> NDArr
     return values[..., begin : begin + length_ms * rate_hz // 1000]
 
 
-def _tone_hz(found_in: vibration.Spectrum, params: EvaluateVibration) -> float | None:
-    found = vibration.find(found_in, params.lowest_hz, params.rate / 2, params.false_alarms)
-    return None if found.tone is None else found.tone.frequency_hz
+def _tone_hz(spectrum: vibration.Spectrum, params: EvaluateVibration) -> float | None:
+    tone = vibration.find(spectrum, params.lowest_hz, params.rate / 2, params.false_alarms).tone
+    return None if tone is None else tone.frequency_hz
 
 
-def _of_counts(counts: NDArray[np.int64], params: EvaluateVibration) -> float | None:
+def _paper_tone_hz(counts: NDArray[np.int64], params: EvaluateVibration) -> float | None:
     return vibration.strongest_of_counts(counts, params.rate, params.lowest_hz)
 
 
 def _whole(survey: Survey, method: str, expected_hz: float | None, params: EvaluateVibration) -> dict[str, Any]:
     """The row of a recording."""
-    found = vibration.Found(None, {}, None)
+    finding = vibration.Finding(None, {}, None)
     if method == "paper":
-        frequency_hz = _of_counts(survey.counts, params)
+        frequency_hz = _paper_tone_hz(survey.counts, params)
     else:
-        found = vibration.find(survey.whole, params.lowest_hz, params.rate / 2, params.false_alarms)
-        frequency_hz = found.tone.frequency_hz if found.tone else None
+        finding = vibration.find(survey.whole, params.lowest_hz, params.rate / 2, params.false_alarms)
+        frequency_hz = finding.tone.frequency_hz if finding.tone else None
     return {
         "seconds": survey.seconds,
         "frequency_hz": frequency_hz,
-        "uncertainty_hz": _uncertainty_hz(survey, found.tone) if found.tone else None,
-        "half": found.harmonics.get(0.5),
-        "double": found.harmonics.get(2.0),
-        "triple": found.harmonics.get(3.0),
-        "beyond_hz": found.beyond.frequency_hz if found.beyond else None,
+        "uncertainty_hz": _uncertainty_hz(survey, finding.tone) if finding.tone else None,
+        "motion_ratio_half_tone": finding.harmonics.get(0.5),
+        "motion_ratio_double_tone": finding.harmonics.get(2.0),
+        "motion_ratio_triple_tone": finding.harmonics.get(3.0),
+        "line_above_band_hz": finding.above_band.frequency_hz if finding.above_band else None,
         "expected_hz": expected_hz,
         "correct": None if expected_hz is None else _near(frequency_hz, expected_hz, params.tolerance_hz),
     }
@@ -228,7 +229,7 @@ def _whole(survey: Survey, method: str, expected_hz: float | None, params: Evalu
 def _uncertainty_hz(survey: Survey, tone: vibration.Line) -> float:
     """One sd of a tone: from noise, or from how much the shortest windows differ, if that is more.
 
-    The phase at which the gel answers drifts with the tone's harmonics, which noise does not tell.
+    The phase at which the gel answers drifts with the tone's harmonics, which the noise does not include.
     """
     windows = survey.motion[min(survey.motion)] if survey.motion else []
     near = [hz for hz in windows if hz is not None and abs(hz - tone.frequency_hz) < 0.1 * tone.frequency_hz]
@@ -244,24 +245,24 @@ def _near(frequency_hz: float | None, expected_hz: float, tolerance_hz: float) -
 def _by_window(
     survey: Survey, method: str, expected_hz: float | None, params: EvaluateVibration
 ) -> Iterator[dict[str, Any]]:
-    """A row for each length of window: how many are right, what the others were taken for, the paper's share.
+    """A row for each length of window: how many are correct, which frequency the others gave, the paper's share.
 
     Twice the tone may fold to its half (400 Hz at a rate of 1000 Hz): such a window counts as both.
     """
     table = resources.table("paper")["vibration"]
-    for length, found in (survey.paper if method == "paper" else survey.motion).items():
-        heard = [frequency_hz for frequency_hz in found if frequency_hz is not None]
+    for length, frequencies in (survey.paper if method == "paper" else survey.motion).items():
+        detected = [frequency_hz for frequency_hz in frequencies if frequency_hz is not None]
         row: dict[str, Any] = {
             "window_s": length / 1000,
-            "windows": len(found),
-            "frequency_hz": float(np.median(heard)) if heard else None,
-            "no_vibration": len(found) - len(heard),
+            "windows": len(frequencies),
+            "frequency_hz": float(np.median(detected)) if detected else None,
+            "windows_without_vibration": len(frequencies) - len(detected),
         }
         if expected_hz is not None:
             tolerance_hz = max(params.tolerance_hz, 500.0 / length)  # half the distance of a window's frequencies
-            right = sum(_near(frequency_hz, expected_hz, tolerance_hz) for frequency_hz in found)
+            right = sum(_near(frequency_hz, expected_hz, tolerance_hz) for frequency_hz in frequencies)
             doubles_hz = (2 * expected_hz, abs((2 * expected_hz + params.rate / 2) % params.rate - params.rate / 2))
-            wrong = [frequency_hz for frequency_hz in heard if not _near(frequency_hz, expected_hz, tolerance_hz)]
+            wrong = [frequency_hz for frequency_hz in detected if not _near(frequency_hz, expected_hz, tolerance_hz)]
             half = [_near(frequency_hz, expected_hz / 2, tolerance_hz) for frequency_hz in wrong]
             double = [any(_near(frequency_hz, place, tolerance_hz) for place in doubles_hz) for frequency_hz in wrong]
             published = table.get(f"{expected_hz:g}")
@@ -270,11 +271,11 @@ def _by_window(
                 "expected_hz": expected_hz,
                 "tolerance_hz": tolerance_hz,
                 "correct": right,
-                "share": right / len(found),
+                "share": right / len(frequencies),
                 "paper_share": published[at] if published and at is not None else None,
-                "at_half": sum(half),
-                "at_double": sum(double),
-                "elsewhere": len(wrong) - sum(a or b for a, b in zip(half, double, strict=True)),
+                "windows_at_half_tone": sum(half),
+                "windows_at_double_tone": sum(double),
+                "windows_at_other_frequency": len(wrong) - sum(a or b for a, b in zip(half, double, strict=True)),
             }
         yield row
 
@@ -286,14 +287,14 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
         "vibrating": sum(row["frequency_hz"] is not None for row in first if row["method"] == first[0]["method"]),
     }
     table = resources.table("paper")["vibration"]
-    judged = [row for row in second if "correct" in row]
-    for method in dict.fromkeys(row["method"] for row in judged):
-        for window_s in dict.fromkeys(row["window_s"] for row in judged):
-            rows = [row for row in judged if (row["method"], row["window_s"]) == (method, window_s)]
+    with_tone = [row for row in second if "correct" in row]
+    for method in dict.fromkeys(row["method"] for row in with_tone):
+        for window_s in dict.fromkeys(row["window_s"] for row in with_tone):
+            rows = [row for row in with_tone if (row["method"], row["window_s"]) == (method, window_s)]
             if rows:
                 right = sum(row["correct"] for row in rows)
                 summary[f"{method}_share_{window_s:g}_s"] = right / sum(row["windows"] for row in rows)
-    if judged:
+    if with_tone:
         summary |= {
             f"published_share_{length:g}_s": share
             for length, share in zip(table["window_s"], table["all"], strict=True)

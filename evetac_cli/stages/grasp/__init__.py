@@ -24,7 +24,6 @@ from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, SimulatedTrial, b
 from evetac_cli.stages.unused_options import refuse_unused_of_grasp
 from evetac_cli.store.files import up_to_date
 
-INPUTS = ("model",)
 METHOD = simulated.METHOD
 
 

@@ -1,10 +1,10 @@
-"""The slip detector as a grasp feels with it: slices in, slip and load out, one slice after the other.
+"""The slip detector of a grasp: tracker, features and network, one slice after the other.
 
-The same start/step kernels as in `track` and `featurize`. What a controller is told is a `Felt`: a handful of numbers
-that fit into shared memory, so that a detector in another process can tell them too.
+The same start/step kernels as in `track` and `featurize`. The controller gets a `SlipSignal`: a few numbers that fit
+into shared memory, so that the detector may run in another process.
 
-Why so: a closed gel has a column of dots more than a cut one, where the window would be. All dots are tracked, because
-they steady each other; a network for a cut gel is shown those that it knows.
+Why so: a closed gel has one column of dots more than a cut one, where the window would be. All dots are tracked,
+because they steady each other; a network for a cut gel gets only the dots that a cut gel has.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip.control import SlipSignal
+from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.stages.slip_detectors import load_detector
@@ -22,7 +23,7 @@ from evetac_cli.store.files import StageFile
 
 
 def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.bool_]:
-    """Which of a gel's dots (rows, columns, 2) a network for a grid of rows x columns knows, flattened.
+    """Mask (dots,) of the dots (rows, columns, 2) of a gel that a network for a grid of rows x columns takes.
 
     All of a grid of that size; of one with a column more, all but the column farthest to the right. ValueError for
     another grid.
@@ -37,7 +38,7 @@ def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArr
 
 
 def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which dots of a gel, at rest at (rows, columns, 2), a model knows; InputError if it is for another grid."""
+    """Mask (dots,) of the dots, at rest at (rows, columns, 2), that a model takes; InputError for another grid."""
     rows, columns = (int(size) for size in model.read("dot_shape"))
     try:
         return known_dots(dot_xy_px, rows, columns)
@@ -47,13 +48,13 @@ def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.boo
 
 @dataclass
 class OnlineSlipDetector:
-    """The detector: what it has felt so far."""
+    """The state of the detector after the slices so far."""
 
     tracking: tracker.TrackerState
     live: Live
     threshold: float
     known: NDArray[np.bool_] | None  # dots that the network sees; None: all
-    missing: NDArray[np.bool_] | None  # dots that are not there; None: none
+    missing: NDArray[np.bool_] | None  # dots that the gel lacks; None: none
     count: int = 0  # slices with slip so far: what the controller reads
     probability: float = float("nan")
 
@@ -86,12 +87,12 @@ class OnlineSlipDetector:
         if self.known is not None:
             dots, counts = dots[self.known], counts[self.known]
         self.probability = self.live.step(dots, counts, events.x, events.y, events.p)
-        self.count += self.probability >= self.threshold
+        self.count += is_slip(self.probability, self.threshold)
         return self.probability
 
     @property
     def felt(self) -> SlipSignal:
-        """What a controller may know after the last slice: also how far all dots have been dragged, in the mean."""
-        dragged = self.tracking.dot_xy_px - self.tracking.rest_xy_px
-        x_px, y_px = (dragged if self.missing is None else dragged[~self.missing]).mean(axis=0).tolist()
+        """The signal to the controller after the last slice, with the mean displacement of all dots in px."""
+        displacement = self.tracking.dot_xy_px - self.tracking.rest_xy_px
+        x_px, y_px = (displacement if self.missing is None else displacement[~self.missing]).mean(axis=0).tolist()
         return SlipSignal(self.count, self.probability, x_px, y_px)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.devices import Clock, GripperReading, Rig
-from evetac_cli.devices.replay import ReplayCamera, sensor_datasets
+from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
@@ -95,7 +95,7 @@ def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -
         if up_to_date(trial.output, recipe, force=force):
             return outcome(trial, made=False, simulated=recipe.simulated)
         _refuse_unknown_dots(params, recording)
-        sensor = {**sensor_datasets(recording), "t_offset": recording.read("t_offset")}
+        sensor = {**recording.sensor_datasets(), "t_offset": recording.read("t_offset")}
         detector = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:

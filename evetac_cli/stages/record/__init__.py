@@ -23,7 +23,6 @@ from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, built_parts, d
 from evetac_cli.stages.unused_options import refuse_unused_of_record
 from evetac_cli.store.files import output_path, up_to_date
 
-INPUTS = ()
 METHOD = simulated.METHOD
 
 

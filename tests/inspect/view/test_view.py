@@ -31,8 +31,8 @@ from evetac_cli.inspect.view import page as view_page
 from evetac_cli.inspect.view.collect import collect_view
 from evetac_cli.inspect.view.trial_files import open_trial
 from evetac_cli.inspect.view.view_data import ViewData
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.features import event_image
-from evetac_cli.kernels.slip.slip import ARCHITECTURES
 from evetac_cli.params import View
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Header, Recipe

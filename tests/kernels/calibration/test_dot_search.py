@@ -30,19 +30,19 @@ def places(rows: int, columns: int, pitch: float = 62.0) -> Grid:
     return (grid + rng.uniform(-2, 2, grid.shape)).reshape(-1, 2)
 
 
-def sorted_to(found: Grid, true: Grid) -> Grid:
+def sorted_to(result: Grid, true: Grid) -> Grid:
     """Found dots in the order of the true ones."""
-    return found[np.linalg.norm(true[:, None] - found[None], axis=2).argmin(axis=1)]
+    return result[np.linalg.norm(true[:, None] - result[None], axis=2).argmin(axis=1)]
 
 
 @pytest.mark.parametrize("radius", [6.0, 10.5, 15.0, 21.3])
 def test_dots_of_any_size(radius: float) -> None:
     """Assert that all dots are found within 0.1 px, with their radius, from nothing."""
     true = places(3, 4)
-    found = find(picture(true, radius))
-    assert len(found.radius_px) == 12
-    assert np.abs(sorted_to(found.centre_xy_px, true) - true).max() < 0.1
-    assert np.abs(found.radius_px - radius).max() < 0.15
+    result = find(picture(true, radius))
+    assert len(result.radius_px) == 12
+    assert np.abs(sorted_to(result.centre_xy_px, true) - true).max() < 0.1
+    assert np.abs(result.radius_px - radius).max() < 0.15
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.integers(5, 40))
@@ -51,8 +51,8 @@ def test_fit_is_exact_between_pixels(dx: float, dy: float, events: int) -> None:
     """Assert that a fit finds a dot within 0.1 px wherever in a pixel it lies, from 5 px away, at any contrast."""
     true = np.array([[60 + dx, 50 + dy]])
     seen = picture(true, 14.0, events, (100, 120))
-    found = fit(seen, true + (3, -4), 13.0)
-    assert np.abs(found.centre_xy_px - true).max() < 0.1
+    result = fit(seen, true + (3, -4), 13.0)
+    assert np.abs(result.centre_xy_px - true).max() < 0.1
 
 
 def test_picture_turned_and_mirrored() -> None:
@@ -60,8 +60,8 @@ def test_picture_turned_and_mirrored() -> None:
     true = places(2, 3)
     seen = picture(true, 12.0)
     mirrored = RestImage(*(side[:, ::-1].copy() for side in seen))
-    found, other = fit(seen, true, 12.0), fit(mirrored, [319, 0] + true * [-1, 1], 12.0)
-    np.testing.assert_allclose(other.centre_xy_px, [319, 0] + found.centre_xy_px * [-1, 1], atol=1e-6)
+    result, other = fit(seen, true, 12.0), fit(mirrored, [319, 0] + true * [-1, 1], 12.0)
+    np.testing.assert_allclose(other.centre_xy_px, [319, 0] + result.centre_xy_px * [-1, 1], atol=1e-6)
 
 
 def test_ring_without_middle() -> None:
@@ -70,9 +70,9 @@ def test_ring_without_middle() -> None:
     seen = picture(true, 15.0, reach=5.0)
     y, x = np.mgrid[:240, :320]
     inner = np.min([np.hypot(x - cx, y - cy) for cx, cy in true], axis=0) < 10
-    found = find(RestImage(*(np.where(inner, 0, side).astype(np.uint8) for side in seen)))
-    assert len(found.radius_px) == 12
-    assert np.abs(sorted_to(found.centre_xy_px, true) - true).max() < 0.15
+    result = find(RestImage(*(np.where(inner, 0, side).astype(np.uint8) for side in seen)))
+    assert len(result.radius_px) == 12
+    assert np.abs(sorted_to(result.centre_xy_px, true) - true).max() < 0.15
 
 
 def test_half_a_rim_is_no_dot() -> None:
@@ -82,9 +82,9 @@ def test_half_a_rim_is_no_dot() -> None:
     x, y = true[5]
     hidden[:, int(x) - 30 : int(x)] = False
     seen = RestImage(*(side * hidden for side in picture(true, 12.0)))
-    found = fit(seen, true, 12.0)
-    assert np.isnan(found.centre_xy_px[5]).all()
-    assert np.isfinite(found.centre_xy_px[[0, 3, 7, 11]]).all()
+    result = fit(seen, true, 12.0)
+    assert np.isnan(result.centre_xy_px[5]).all()
+    assert np.isfinite(result.centre_xy_px[[0, 3, 7, 11]]).all()
 
 
 def test_dots_of_another_size_are_refused() -> None:
@@ -92,9 +92,9 @@ def test_dots_of_another_size_are_refused() -> None:
     true = places(2, 4)
     small = picture(true[:1], 6.0)
     seen = picture(true[1:], 14.0).joined(small)
-    found = fit(seen, true, 13.0)
-    assert np.isnan(found.radius_px[0])
-    assert np.isfinite(found.radius_px[1:]).all()
+    result = fit(seen, true, 13.0)
+    assert np.isnan(result.radius_px[0])
+    assert np.isfinite(result.radius_px[1:]).all()
 
 
 def test_other_shapes_are_no_dots() -> None:

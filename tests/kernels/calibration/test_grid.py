@@ -122,9 +122,9 @@ def test_uneven_rows_are_refused() -> None:
 def test_rows_that_lack_different_dots_are_refused() -> None:
     """Assert that rows of equal length are not enough: their dots must stand below each other."""
     grid = regular(3, 5)
-    kept = np.concatenate([np.delete(row, lacking, axis=0) for row, lacking in zip(grid, (0, 2, 4), strict=True)])
+    selected = np.concatenate([np.delete(row, lacking, axis=0) for row, lacking in zip(grid, (0, 2, 4), strict=True)])
     with pytest.raises(ValueError, match="in another place"):
-        arrange(kept)
+        arrange(selected)
 
 
 def test_pitch() -> None:
@@ -157,15 +157,15 @@ def test_lattice_with_holes_and_strangers() -> None:
         grid[hole] = np.nan
     dots = grid.reshape(-1, 2)
     strangers = np.array([[83.0, 70.0], [900.0, 20.0], [300.0, -55.0]])
-    found = lattice(np.random.default_rng(0).permutation(np.concatenate([dots[np.isfinite(dots[:, 0])], strangers])))
-    np.testing.assert_array_equal(found, grid)
+    result = lattice(np.random.default_rng(0).permutation(np.concatenate([dots[np.isfinite(dots[:, 0])], strangers])))
+    np.testing.assert_array_equal(result, grid)
 
 
 def test_lattice_takes_the_better_of_two() -> None:
     """Assert that of two places for one dot the one that fits the lattice stays."""
     grid = regular(5, 5)
-    found = lattice(np.concatenate([grid.reshape(-1, 2), [grid[2, 2] + (12.0, 9.0)]]))
-    np.testing.assert_array_equal(found, grid)
+    result = lattice(np.concatenate([grid.reshape(-1, 2), [grid[2, 2] + (12.0, 9.0)]]))
+    np.testing.assert_array_equal(result, grid)
 
 
 def test_lattice_without_weak_borders() -> None:
@@ -202,10 +202,10 @@ def test_lattice_wants_finite_places(places: Grid) -> None:
 
 def neighbour_counts(dots_px: Grid) -> list[int]:
     """How many dots have 3, 5 and 8 neighbours; fails if the neighbours are not mutual or of another number."""
-    found = neighbours(dots_px)
-    pairs = {(i, int(j)) for i, row in enumerate(found) for j in row if j >= 0}
+    result = neighbours(dots_px)
+    pairs = {(i, int(j)) for i, row in enumerate(result) for j in row if j >= 0}
     assert all((j, i) in pairs for i, j in pairs)
-    counts = (found >= 0).sum(axis=1)
+    counts = (result >= 0).sum(axis=1)
     assert set(counts.tolist()) <= {3, 5, 8}
     return [int((counts == wanted).sum()) for wanted in (3, 5, 8)]
 

@@ -21,9 +21,9 @@ def test_regression_finds_a_linear_gel(slope: list[float], offset: list[float]) 
     """Assert that a force which is linear in the mean displacement is found exactly, whatever its slopes."""
     given_px = moved(40)
     slope_n_px, offset_n = np.array(slope).reshape(2, 2), np.array(offset)
-    found = models.fit_regression(given_px, given_px.mean(axis=1) @ slope_n_px + offset_n)
-    assert np.allclose(found.slope_n_px, slope_n_px, atol=1e-9)
-    assert np.allclose(found.offset_n, offset_n, atol=1e-9)
+    result = models.fit_regression(given_px, given_px.mean(axis=1) @ slope_n_px + offset_n)
+    assert np.allclose(result.slope_n_px, slope_n_px, atol=1e-9)
+    assert np.allclose(result.offset_n, offset_n, atol=1e-9)
 
 
 def test_regression_is_the_least_of_squares() -> None:
@@ -44,10 +44,12 @@ def test_regression_is_the_least_of_squares() -> None:
 def test_regression_sees_the_mean_alone() -> None:
     """Assert that neither the order of dots nor what cancels between them matters to the regression."""
     given_px, model = moved(20), Regression(np.eye(2), np.zeros(2))
-    told = models.apply_regression(model, given_px)
-    assert np.allclose(told, models.apply_regression(model, given_px[:, ::-1]))
+    reported = models.apply_regression(model, given_px)
+    assert np.allclose(reported, models.apply_regression(model, given_px[:, ::-1]))
     cancels = np.random.default_rng(3).normal(0, 1, (20, 63, 2))
-    assert np.allclose(told, models.apply_regression(model, given_px + cancels - cancels.mean(axis=1, keepdims=True)))
+    assert np.allclose(
+        reported, models.apply_regression(model, given_px + cancels - cancels.mean(axis=1, keepdims=True))
+    )
 
 
 def test_network_by_hand() -> None:
@@ -64,8 +66,8 @@ def test_network_by_hand() -> None:
         Layer(last, bias),
     )
     given_px = moved(10, dots)
-    told = models.apply_network(Network(layers, scale_px=2.0, scale_n=6.0), given_px)
-    assert np.allclose(told, (given_px.sum(axis=1) / 2.0 + bias) * 6.0, atol=1e-4)
+    reported = models.apply_network(Network(layers, scale_px=2.0, scale_n=6.0), given_px)
+    assert np.allclose(reported, (given_px.sum(axis=1) / 2.0 + bias) * 6.0, atol=1e-4)
     assert models.apply_network(Network(layers, 2.0, 6.0), given_px[:0]).shape == (0, 2)
     with pytest.raises(ValueError, match="expected 4 dots"):
         models.apply_network(Network(layers, 2.0, 6.0), moved(10, 5))
@@ -111,9 +113,9 @@ def test_no_contact_is_refused() -> None:
 
 def test_errors() -> None:
     """Assert mean and standard deviation of absolute errors on figures that can be added by hand."""
-    found = models.errors(np.array([[1.0, 0.0], [-3.0, 0.0]]), np.array([[0.0, 2.0], [0.0, -2.0]]))
-    assert found.mean_n.tolist() == [2.0, 2.0]
-    assert found.sd_n.tolist() == [1.0, 0.0]
+    result = models.errors(np.array([[1.0, 0.0], [-3.0, 0.0]]), np.array([[0.0, 2.0], [0.0, -2.0]]))
+    assert result.mean_n.tolist() == [2.0, 2.0]
+    assert result.sd_n.tolist() == [1.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -127,7 +129,7 @@ def test_errors() -> None:
         (np.zeros((5, 63, 2)), np.zeros((5, 2)), "moved in x and in y"),
     ],
 )
-def test_bad_samples_are_refused(moved_px: models.Floats, force_n: models.Floats, said: str) -> None:
+def test_bad_samples_are_refused(moved_px: models.Floats, force_n: models.Floats, message: str) -> None:
     """Assert that samples that cannot be fitted are refused, and that it is said why."""
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=message):
         models.fit_regression(moved_px, force_n)

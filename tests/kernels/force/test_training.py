@@ -25,8 +25,8 @@ def train(seed: int = 0, epochs: int = 8) -> training.Training:
 def test_force_is_learned() -> None:
     """Assert that a gel which is linear dot by dot is learned to a tenth of its forces, on samples never seen."""
     moved_px, force_n = gel(100, 3)
-    told = models.apply_network(train().network, moved_px)
-    assert models.errors(told, force_n).mean_n.max() < 0.1 * np.abs(force_n).mean()
+    reported = models.apply_network(train().network, moved_px)
+    assert models.errors(reported, force_n).mean_n.max() < 0.1 * np.abs(force_n).mean()
 
 
 def test_the_best_epoch_is_stored() -> None:

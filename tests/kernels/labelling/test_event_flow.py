@@ -65,17 +65,17 @@ def labels(dot_px: np.ndarray, object_px: Sequence[float], start: int = LOAD_MS,
 
 
 @pytest.mark.parametrize("way", [(4.0, 0.0), (0.0, -7.0), (-5.0, 3.0)])
-def test_dots_are_followed_both_ways(way: tuple[float, float]) -> None:
+def test_dots_are_followed_both_ways(path_px: tuple[float, float]) -> None:
     """Assert that dots that go and come back are followed to 5 % and twice the noise of counting, at both ends."""
-    out = np.linspace(0, 1, 101)[:, None] * np.array(way)
+    out = np.linspace(0, 1, 101)[:, None] * np.array(path_px)
     path = np.concatenate([out, out[-2::-1]])
     dot_px = np.repeat(path[:, None], len(DOTS), axis=1)
     between = scene(dot_px, np.zeros(len(path)))
     motion = event_flow.follow(between, len(path) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS.edge_events)
     error = np.hypot(*(motion.dot_px - dot_px).transpose(2, 0, 1))
     per_px = np.pi * RADIUS_PX * CONSTANTS.edge_events
-    assert error[100].mean() < 0.05 * np.hypot(*way) + 2 * np.sqrt(np.hypot(*way) / per_px)
-    assert error[-1].mean() < 2 * np.sqrt(2 * np.hypot(*way) / per_px)
+    assert error[100].mean() < 0.05 * np.hypot(*path_px) + 2 * np.sqrt(np.hypot(*path_px) / per_px)
+    assert error[-1].mean() < 2 * np.sqrt(2 * np.hypot(*path_px) / per_px)
     assert motion.window_events.max() == 0
 
 
@@ -84,15 +84,15 @@ def test_dots_are_followed_both_ways(way: tuple[float, float]) -> None:
 def test_onset_is_when_half_a_pixel_is_slid(speed: float, angle: float) -> None:
     """Assert that the onset is where 0.5 px is slid, to 2 ms and a fifth of the way, however slow, along x or y."""
     begin = 600
-    found = labels(*slide(0.02, speed, begin, 700, angle))
+    result = labels(*slide(0.02, speed, begin, 700, angle))
     wanted = begin + CONSTANTS.slip_distance_px / speed
-    assert abs(found.onset - wanted) <= 2 + 0.2 * CONSTANTS.slip_distance_px / speed
-    assert (found.label[:LOAD_MS] == -1).all()
-    assert (found.label[LOAD_MS : found.onset] == 0).all()
-    assert found.label[found.onset] == 1
-    assert (found.label[found.onset + CONSTANTS.after_ms :] == -1).all()
-    assert found.confidence > 0.9
-    assert found.pairs == 0
+    assert abs(result.onset - wanted) <= 2 + 0.2 * CONSTANTS.slip_distance_px / speed
+    assert (result.label[:LOAD_MS] == -1).all()
+    assert (result.label[LOAD_MS : result.onset] == 0).all()
+    assert result.label[result.onset] == 1
+    assert (result.label[result.onset + CONSTANTS.after_ms :] == -1).all()
+    assert result.confidence > 0.9
+    assert result.flow_pairs == 0
 
 
 def test_a_turning_object_takes_dots_along_each_its_own_way() -> None:
@@ -101,27 +101,27 @@ def test_a_turning_object_takes_dots_along_each_its_own_way() -> None:
     centre = DOTS.mean(axis=0)
     across = (DOTS - centre)[:, ::-1] * [-1.0, 1.0] / np.hypot(*(DOTS - centre).T).clip(1.0)[:, None]
     turned = np.linalg.norm(dot_px, axis=-1)[..., None] * across
-    found = labels(turned, object_px)
-    assert abs(found.onset - 602.5) <= 3
-    assert (found.label[LOAD_MS : found.onset] == 0).all()
+    result = labels(turned, object_px)
+    assert abs(result.onset - 602.5) <= 3
+    assert (result.label[LOAD_MS : result.onset] == 0).all()
 
 
 @pytest.mark.parametrize("way", [0.5, 5.0, 50.0, 400.0])
-def test_travel_is_told_from_events_that_fade(way: float) -> None:
+def test_travel_is_told_from_events_that_fade(path_px: float) -> None:
     """Assert that events fading as the module says give back the way, to the step of the sum, short or long."""
-    object_px = np.linspace(0, way, 4001)
+    object_px = np.linspace(0, path_px, 4001)
     moved = RATE * CONSTANTS.fading_px * np.log1p(object_px / CONSTANTS.fading_px)
-    told = event_flow.travel(moved, np.full(4000, float(RATE)), CONSTANTS.fading_px)
-    np.testing.assert_allclose(told, object_px, rtol=0.01, atol=0.01)
+    reported = event_flow.travel(moved, np.full(4000, float(RATE)), CONSTANTS.fading_px)
+    np.testing.assert_allclose(reported, object_px, rtol=0.01, atol=0.01)
 
 
 @pytest.mark.parametrize("creep", [0.0, 0.02, 0.1])
 def test_creep_together_is_no_slip(creep: float) -> None:
     """Assert that an object which takes the gel along never slips, at any speed."""
-    found = labels(*slide(creep, 0.0, 520, 520))
-    assert found.onset == -1
-    assert set(found.label[LOAD_MS:]) == {0}
-    assert np.isnan(found.confidence)
+    result = labels(*slide(creep, 0.0, 520, 520))
+    assert result.onset == -1
+    assert set(result.label[LOAD_MS:]) == {0}
+    assert np.isnan(result.confidence)
 
 
 def test_one_dot_that_follows_is_no_slip() -> None:
@@ -181,10 +181,10 @@ def test_missing_dots_are_left_out() -> None:
 @pytest.mark.parametrize("slices", [0, 1, 2, 60])
 def test_nothing_happens(slices: int) -> None:
     """Assert that recordings without events, however short, have no slip and no onset."""
-    found = event_flow.label(lambda first, last: empty(), slices, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS)
-    assert found.onset == -1
-    assert found.label.tolist() == [0] * slices
-    assert np.isfinite(found.relative_flow_px).all()
+    result = event_flow.label(lambda first, last: empty(), slices, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS)
+    assert result.onset == -1
+    assert result.label.tolist() == [0] * slices
+    assert np.isfinite(result.relative_flow_px).all()
 
 
 @pytest.mark.parametrize(

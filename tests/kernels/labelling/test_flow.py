@@ -41,7 +41,7 @@ def test_picture_shows_the_balance_of_polarities() -> None:
     events = columns(
         np.array([541, 541, 542, 543, 543, 10]), np.array([0, 0, 1, 2, 2, 2]), np.array([1, 1, 0, 1, 0, 1])
     )
-    drawn = flow.picture(events, WINDOW)
+    drawn = flow.event_picture(events, WINDOW)
     assert drawn.shape == (480, 100)
     assert drawn[0, 1] == 255
     assert drawn[1, 2] == 1
@@ -54,14 +54,14 @@ def test_flow_of_a_shifted_picture(shift: tuple[float, float]) -> None:
     """Assert that a picture shifted by whole pixels has that flow, within 20 %."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform(560, 620, 300), rng.uniform(20, 460, 300)
-    now = flow.picture(columns(x, y), WINDOW)
-    later = flow.picture(columns(x + shift[0], y + shift[1]), WINDOW)
+    now = flow.event_picture(columns(x, y), WINDOW)
+    later = flow.event_picture(columns(x + shift[0], y + shift[1]), WINDOW)
     assert flow.region_flow(now, later) == pytest.approx(shift, abs=0.2 * np.hypot(*shift))
 
 
 def test_flow_of_nothing_is_zero() -> None:
     """Assert that a picture without events has no flow."""
-    grey = flow.picture(columns(np.empty(0), np.empty(0)), WINDOW)
+    grey = flow.event_picture(columns(np.empty(0), np.empty(0)), WINDOW)
     assert flow.region_flow(grey, grey).tolist() == [0, 0]
 
 
@@ -96,13 +96,13 @@ def test_slices_before_the_start_are_not_examined() -> None:
     assert labels.onset == -1
     assert (labels.label[:60] == -1).all()
     assert (labels.label[60:] == 0).all()
-    assert labels.pairs == 0
+    assert labels.flow_pairs == 0
 
 
 def test_pairs_without_events_are_left_out() -> None:
     """Assert that no flow is computed where the window has hardly any events."""
     labels = flow.label(lambda first, last: columns(np.array([600]), np.array([5])), 500, WINDOW, GEL, CONSTANTS)
-    assert labels.pairs == 0
+    assert labels.flow_pairs == 0
     assert np.isnan(labels.relative_flow_px).all()
 
 
@@ -118,7 +118,7 @@ def test_flow_of_a_smaller_picture() -> None:
     """Assert that flow is in px of the whole picture, however much smaller it was computed, within a third."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform(560, 620, 300), rng.uniform(20, 460, 300)
-    now, later = flow.picture(columns(x, y), WINDOW), flow.picture(columns(x, y + 4), WINDOW)
+    now, later = flow.event_picture(columns(x, y), WINDOW), flow.event_picture(columns(x, y + 4), WINDOW)
     assert flow.region_flow(now, later, shrink=2) == pytest.approx((0, 4), abs=4 / 3)
     assert flow.region_flow(now, later, shrink=8).tolist() == [0, 0]  # 12 px wide: no flow
 
@@ -127,7 +127,7 @@ def test_dis_is_another_flow() -> None:
     """Assert that dis gives the direction of a shift by 4 px, and another figure than farneback."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform(560, 620, 300), rng.uniform(20, 460, 300)
-    now, later = flow.picture(columns(x, y), WINDOW), flow.picture(columns(x, y + 4), WINDOW)
+    now, later = flow.event_picture(columns(x, y), WINDOW), flow.event_picture(columns(x, y + 4), WINDOW)
     across, along = flow.region_flow(now, later, "dis")
     assert along > 4 * abs(across)
     assert along != flow.region_flow(now, later)[1]
@@ -141,7 +141,7 @@ def test_event_count(threshold: int) -> None:
     per_slice = 60 * 12
     first = 100 - constants.look_ahead_ms + threshold // per_slice + 1
     assert labels.onset == (first if threshold < constants.look_ahead_ms * per_slice else -1)
-    assert labels.pairs == 0
+    assert labels.flow_pairs == 0
 
 
 def test_plain_computes_more_for_the_same_labels() -> None:
@@ -151,17 +151,17 @@ def test_plain_computes_more_for_the_same_labels() -> None:
     quick = flow.label(*given, short, 45)
     plain = flow.label(*given, replace(short, plain=True, coarse_ms=1), 45)
     assert quick.onset == plain.onset > 45
-    assert quick.pairs < plain.pairs
+    assert quick.flow_pairs < plain.flow_pairs
 
 
 @pytest.mark.parametrize(("window_px_ms", "gel_px_ms"), [(0.5, 0.0), (0.5, 0.45), (0.12, 0.0)])
 def test_smaller_pictures_do_not_change_the_labels(window_px_ms: float, gel_px_ms: float) -> None:
     """Assert that clear slip told from smaller pictures gives the labels of whole ones, for slip, creep and neither."""
     given = (moving(20, window_px_ms, gel_px_ms), 45, WINDOW, GEL)
-    told = flow.label(*given, CONSTANTS, 15)
+    reported = flow.label(*given, CONSTANTS, 15)
     whole = flow.label(*given, replace(CONSTANTS, clear_px=np.inf), 15)
-    assert told.onset == whole.onset
-    np.testing.assert_array_equal(told.label, whole.label)
+    assert reported.onset == whole.onset
+    np.testing.assert_array_equal(reported.label, whole.label)
 
 
 def test_a_window_without_texture_is_refused() -> None:
@@ -171,5 +171,5 @@ def test_a_window_without_texture_is_refused() -> None:
         x = np.arange(2000) % 500
         return columns(x, np.arange(2000) // 5)
 
-    with pytest.raises(ValueError, match="texture: expected 20 events in a picture of the window"):
+    with pytest.raises(ValueError, match="texture: expected 20 events in an image of the window"):
         flow.label(between, 50, WINDOW, GEL, CONSTANTS)

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture, View
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.slip import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture, View
 
 DOTS = {name: row for name, row in ARCHITECTURES.items() if isinstance(row, DotArchitecture)}
 SMALL = {name: row for name, row in ARCHITECTURES.items() if not name.endswith("-img")}
@@ -60,9 +60,9 @@ def by_the_paper(name: str, series: NDArray[np.float32], t: int) -> NDArray[np.f
 def test_inputs_are_the_papers(name: str) -> None:
     """Assert that each dot model sees what the paper's table of model configurations says, in its order."""
     series = dots(60)
-    found = inputs.at(ARCHITECTURES[name], series, np.array([59, 52]))
-    assert found.dtype == np.float32
-    for row, t in zip(found, (59, 52), strict=True):
+    result = inputs.at(ARCHITECTURES[name], series, np.array([59, 52]))
+    assert result.dtype == np.float32
+    for row, t in zip(result, (59, 52), strict=True):
         np.testing.assert_allclose(row, by_the_paper(name, series, t), rtol=1e-5, atol=1e-5)
 
 
@@ -71,8 +71,8 @@ def test_changes_by_hand() -> None:
     view = View("events", 2, 2, 2, change=True)
     series = np.zeros((4, 1, 4), np.float32)
     series[:, 0, 1] = [1, 2, 4, 10]
-    found = inputs.at(DotArchitecture("", (view,), 1, 1), series, np.array([3]))
-    assert found.tolist() == [[[10, 6, 10 - 7, 10 - 1.5]]]
+    result = inputs.at(DotArchitecture("", (view,), 1, 1), series, np.array([3]))
+    assert result.tolist() == [[[10, 6, 10 - 7, 10 - 1.5]]]
 
 
 def test_images_by_hand() -> None:
@@ -83,11 +83,11 @@ def test_images_by_hand() -> None:
         part = series.part(t, t + 1)
         full[t, part.pixel] = part.sign
     full = full.reshape(12, 480, 540)
-    found = inputs.at(ARCHITECTURES["hist10-img"], series, np.array([11, 9]))
-    np.testing.assert_array_equal(found, np.stack([full[11:1:-1], full[9::-1]]))
+    result = inputs.at(ARCHITECTURES["hist10-img"], series, np.array([11, 9]))
+    np.testing.assert_array_equal(result, np.stack([full[11:1:-1], full[9::-1]]))
     pooled = full.reshape(12, 80, 6, 90, 6).sum(axis=(2, 4))
-    found = inputs.at(ARCHITECTURES["hist10-img-6x6"], series, np.array([11, 9]))
-    np.testing.assert_array_equal(found, np.stack([pooled[11:1:-1], pooled[9::-1]]))
+    result = inputs.at(ARCHITECTURES["hist10-img-6x6"], series, np.array([11, 9]))
+    np.testing.assert_array_equal(result, np.stack([pooled[11:1:-1], pooled[9::-1]]))
 
 
 @pytest.mark.parametrize("row", SMALL.values(), ids=SMALL)
@@ -99,8 +99,8 @@ def test_inputs_do_not_depend_on_the_batch_nor_on_what_lies_around(row: Architec
     for end, expected in zip(ends, together, strict=True):
         alone = inputs.part(series, int(end) - row.history + 1, int(end) + 1)
         assert inputs.length(alone) == row.history
-        found = inputs.at(row, alone, np.array([row.history - 1]))
-        assert found.tobytes() == expected.tobytes()
+        result = inputs.at(row, alone, np.array([row.history - 1]))
+        assert result.tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize("row", SMALL.values(), ids=SMALL)
@@ -138,12 +138,12 @@ def test_directions_turn_with_the_grid(turns: int) -> None:
     row = ARCHITECTURES["disp-xy"]
     assert isinstance(row, DotArchitecture)
     series = dots(100)
-    found = inputs.rotate(row, inputs.at(row, series, np.array([99])), 7, 8, turns)
+    result = inputs.rotate(row, inputs.at(row, series, np.array([99])), 7, 8, turns)
     turned = series.copy()
     for _ in range(turns):
         turned[..., 2:] = np.stack([turned[..., 3], -turned[..., 2]], axis=-1)
     grid = features.rotate(turned.reshape(100, 7, 8, 4), turns).reshape(100, 56, 4)
-    np.testing.assert_allclose(found, inputs.at(row, grid, np.array([99])), atol=1e-6)
+    np.testing.assert_allclose(result, inputs.at(row, grid, np.array([99])), atol=1e-6)
 
 
 def test_right_turns_up() -> None:

@@ -7,8 +7,8 @@ import torch
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import networks
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture
 from evetac_cli.kernels.slip.networks import ImageNet, Network, SlipNet
-from evetac_cli.kernels.slip.slip import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture
 
 HIST10 = ARCHITECTURES["hist10"]
 assert isinstance(HIST10, DotArchitecture)
@@ -70,16 +70,16 @@ def test_images_shrink_to_one_pixel(name: str, sizes: list[tuple[int, int, int]]
     """Assert that each convolution and its pool leave the size worked out by hand: 4 px less, then divided."""
     network = networks.build(ARCHITECTURES[name])
     assert isinstance(network, ImageNet)
-    found = []
+    result = []
     for index, conv in enumerate(network.convs):
         across, down = network.architecture.pools[index]
         conv.register_forward_hook(
-            lambda _, __, out, pool=(down, across): found.append(
+            lambda _, __, out, pool=(down, across): result.append(
                 (out.shape[1], out.shape[2] // pool[0], out.shape[3] // pool[1])
             )
         )
     assert network(torch.zeros(1, *network.architecture.input_shape)).shape == (1,)
-    assert found == sizes
+    assert result == sizes
 
 
 def test_shapes_are_the_papers(network: SlipNet) -> None:
@@ -217,8 +217,8 @@ def test_onnx_agrees_with_torch(name: str, normalised: bool) -> None:
     expected = probability(network, inputs)
     assert np.ptp(expected) > 0.2
     for batch in (inputs[:1], inputs):
-        (found,) = graph.run(None, {"features": batch})
-        np.testing.assert_allclose(found, expected[: len(batch)], atol=1e-5, rtol=0)
+        (result,) = graph.run(None, {"features": batch})
+        np.testing.assert_allclose(result, expected[: len(batch)], atol=1e-5, rtol=0)
 
 
 def test_onnx_signature(network: SlipNet) -> None:
@@ -243,8 +243,8 @@ def test_other_grids() -> None:
     for rows, columns in ((7, 9), (2, 4)):
         network = SlipNet(HIST10, rows, columns)
         inputs = np.random.default_rng(3).normal(size=(4, rows * columns, 20)).astype(np.float32)
-        (found,) = session(networks.onnx_graph(network)).run(None, {"features": inputs})
-        np.testing.assert_allclose(found, probability(network, inputs), atol=1e-5, rtol=0)
+        (result,) = session(networks.onnx_graph(network)).run(None, {"features": inputs})
+        np.testing.assert_allclose(result, probability(network, inputs), atol=1e-5, rtol=0)
 
 
 def test_impossible_networks_are_refused() -> None:

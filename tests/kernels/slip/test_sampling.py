@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import features, inputs, sampling, slip
+from evetac_cli.kernels.slip import features, inputs, sampling
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, View
 from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.sampling import Batch, Samples
-from evetac_cli.kernels.slip.slip import ARCHITECTURES, DotArchitecture, View
 
 HIST10 = ARCHITECTURES["hist10"]
 
@@ -83,11 +84,11 @@ def test_inputs_are_those_of_the_trajectory() -> None:
     one = trajectory(90, 60)._replace(series=rng.random((90, 56, 4), np.float32))
     one.label[:40] = -1
     samples = sampling.gather([trajectory(50, 30), one], HIST10)
-    kept = 60 + 15 - (40 - 9)
-    assert inputs.length(samples.series) == 45 + kept
+    selected = 60 + 15 - (40 - 9)
+    assert inputs.length(samples.series) == 45 + selected
     expected = inputs.at(HIST10, one.series, np.arange(40, 75))
-    found = samples.inputs(np.concatenate([samples.busy[samples.busy >= 45], samples.slip[samples.slip >= 45]]))
-    np.testing.assert_array_equal(found, expected)
+    result = samples.inputs(np.concatenate([samples.busy[samples.busy >= 45], samples.slip[samples.slip >= 45]]))
+    np.testing.assert_array_equal(result, expected)
 
 
 def test_ahead_relabels_the_same_slices() -> None:
@@ -214,6 +215,6 @@ def test_each_sample_is_turned_as_drawn() -> None:
 
 def test_shifted_trajectories_are_checked() -> None:
     """Assert that a shift into the past is refused with the trajectory's place."""
-    with pytest.raises(ValueError, match="trajectory 0: ahead_ms: expected at least 0"):
+    with pytest.raises(ValueError, match="trajectory 0: horizon_ms: expected at least 0"):
         sampling.gather([trajectory(50, 30)], HIST10, horizon_ms=-1)
-    assert slip.shift(trajectory(50, 30).label, 5).sum() == 25
+    assert shift_labels(trajectory(50, 30).label, 5).sum() == 25

@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from evetac_cli.kernels.slip import features, sampling, training
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.networks import from_weights
 from evetac_cli.kernels.slip.sampling import Samples
-from evetac_cli.kernels.slip.slip import ARCHITECTURES
 from evetac_cli.kernels.slip.training import PRESETS, Training
 
 HIST10 = ARCHITECTURES["hist10"]
@@ -228,17 +228,17 @@ class Interruption(Exception):
 
 
 def run_and_stop(samples: Samples, preset: training.Preset, after: int, steps: int) -> training.TrainingState:
-    """Train, and stop when a run of `after` steps is kept."""
+    """Train, and stop when a run of `after` steps is saved."""
     states: list[training.TrainingState] = []
 
-    def keep(state: Any) -> None:
-        found = state()
-        if int(found["step"]) == after:
-            states.append({name: array.copy() for name, array in found.items()})
+    def save(state: Any) -> None:
+        arrays = state()
+        if int(arrays["step"]) == after:
+            states.append({name: array.copy() for name, array in arrays.items()})
             raise Interruption
 
     with pytest.raises(Interruption):
-        training.train(samples, preset, np.random.default_rng(20), max_steps=steps, on_keep=keep)
+        training.train(samples, preset, np.random.default_rng(20), max_steps=steps, on_save=save)
     return states[0]
 
 
@@ -247,9 +247,9 @@ def run_and_stop(samples: Samples, preset: training.Preset, after: int, steps: i
 def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, preset: training.Preset, after: int) -> None:
     """Assert that a run broken off and taken up again ends with the same checkpoints and curve, bit for bit."""
     whole = training.train(problem, preset, np.random.default_rng(20), max_steps=140)
-    kept = run_and_stop(problem, preset, after, 140)
-    assert all(array.dtype != object for array in kept.values())
-    resumed = training.train(problem, preset, np.random.default_rng(20), max_steps=140, kept=kept)
+    saved = run_and_stop(problem, preset, after, 140)
+    assert all(array.dtype != object for array in saved.values())
+    resumed = training.train(problem, preset, np.random.default_rng(20), max_steps=140, resume_from=saved)
     assert [one.step for one in resumed.checkpoints] == [one.step for one in whole.checkpoints]
     for one, other in zip(resumed.checkpoints, whole.checkpoints, strict=True):
         assert one.weights.keys() == other.weights.keys()
@@ -258,27 +258,27 @@ def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, preset:
     np.testing.assert_array_equal(resumed.curve_loss, whole.curve_loss)
 
 
-def test_a_kept_run_of_another_network_is_refused(problem: Samples) -> None:
-    """Assert that what was kept of one architecture or preset does not slip into another."""
-    kept = run_and_stop(problem, PAPER, 50, 60)
+def test_a_saved_run_of_another_network_is_refused(problem: Samples) -> None:
+    """Assert that what was saved of one architecture or preset does not slip into another."""
+    saved = run_and_stop(problem, PAPER, 50, 60)
     other = replace(problem, architecture=ARCHITECTURES["no-hist"])
     for samples, preset in ((other, PAPER), (problem, ADAMW)):
-        with pytest.raises(ValueError, match="expected a kept run of this network"):
-            training.train(samples, preset, np.random.default_rng(20), max_steps=60, kept=kept)
+        with pytest.raises(ValueError, match="expected a saved run of this network"):
+            training.train(samples, preset, np.random.default_rng(20), max_steps=60, resume_from=saved)
 
 
 def test_steady_keeps_the_running_mean(problem: Samples) -> None:
     """Assert that its checkpoints are the mean of the weights on the way, in which early weights are soon forgotten."""
     plain = replace(ADAMW, average=0.0)
     idle = replace(plain, learning_rate=0.0)
-    start, way, found = (
+    start, direction, results = (
         training.train(problem, preset, np.random.default_rng(1), max_steps=7) for preset in (idle, plain, ADAMW)
     )
     mean = start.checkpoints[0].weights["fc3.weight"].astype(np.float64)
     for step in range(1, 8):
         share = (1 + step) / (10 + step)
-        mean = share * mean + (1 - share) * way.checkpoints[step - 1].weights["fc3.weight"]
-        np.testing.assert_allclose(found.checkpoints[step - 1].weights["fc3.weight"], mean, atol=1e-6)
+        mean = share * mean + (1 - share) * direction.checkpoints[step - 1].weights["fc3.weight"]
+        np.testing.assert_allclose(results.checkpoints[step - 1].weights["fc3.weight"], mean, atol=1e-6)
 
 
 def test_steady_slows_down(problem: Samples) -> None:

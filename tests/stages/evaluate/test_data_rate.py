@@ -136,7 +136,7 @@ def test_slip_from_labels(tmp_path: Path) -> None:
     ((row,), _) = evaluated(path)
     assert row["share_slip"] == pytest.approx(100 * 5 * 1000 / RGB_BYTES_S)
     assert row["share_contact"] is None
-    assert row["not_answered"] == "contact: no truth, and only a simulation knows when it touches"
+    assert row["not_answered"] == "contact: no truth, and contact is known in simulations alone"
     with StageFile(tmp_path / "a.report.h5") as report:
         kinds = {report.header["history"][parent]["kind"] for parent in report.header["parents"]}
     assert kinds == {"recording", "labels"}
@@ -174,9 +174,9 @@ def test_what_is_refused(tmp_path: Path) -> None:
     before = set(tmp_path.iterdir())
     for file, values, match in (
         (path, {}, "belong to another recording"),
-        (empty, {}, "without a single slice"),
-        (other, {"rgb_frame": "540x480"}, "not a frame"),
-        (other, {"rgb_frame": "0x480x3"}, "not a frame"),
+        (empty, {}, "no slices"),
+        (other, {"rgb_frame": "540x480"}, "not the size of a frame"),
+        (other, {"rgb_frame": "0x480x3"}, "not the size of a frame"),
     ):
         with pytest.raises(InputError, match=match):
             evaluated(file, **values)

@@ -14,8 +14,7 @@ from evetac_cli.numerics import cost, grasp_cost, grasp_stability, stability
 from evetac_cli.numerics.grasp_trials import GraspResult, Says, Short, grasp, truthful
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
-from evetac_cli.stages.evaluate import grasp_picture
-from evetac_cli.stages.evaluate.grasp import setting_of, tables, without_gain
+from evetac_cli.stages.evaluate.grasp import describe_setting, tables, without_gain
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 PLANNED = {
@@ -59,9 +58,9 @@ def test_balance_counts_trials_that_lifted() -> None:
     """Assert success of both phases, of lifting, and of balance among those that lifted, as the paper counts."""
     trials = [trial(), trial(held=False), trial(lifted=False), trial()]
     ((whole,), (row,), _) = split(tables(trials)[0])
-    for found in (whole, row):
-        assert (found["trials"], found["success"], found["lifted"]) == (4, 0.5, 0.75)
-        assert found["balanced"] == pytest.approx(2 / 3)
+    for result in (whole, row):
+        assert (result["trials"], result["success"], result["lifted"]) == (4, 0.5, 0.75)
+        assert result["balanced"] == pytest.approx(2 / 3)
     nothing = [trial("none", lifted=False)] * 5
     assert split(tables(nothing)[0])[1][0]["balanced"] is None
 
@@ -75,7 +74,7 @@ def test_figures_are_over_what_was_held() -> None:
     ((whole,), _, _) = split(tables(trials)[0])
     assert whole["moved_mm_median"] == 2.0
     assert whole["moved_mm_mean"] == 5.0
-    assert whole["moved_below_10_mm"] == pytest.approx(2 / 3)
+    assert whole["moved_below_10_mm_share"] == pytest.approx(2 / 3)
     assert whole["opening_after_balance_ticks"] == -7.0
     assert whole["force_end_n"] == 1.0
 
@@ -102,16 +101,16 @@ def test_the_paper_s_figures_stand_beside_their_own() -> None:
     ]
     trials += [trial("paper, gain 2, drop-100g", 16), trial("paper, drop-20g", 16), trial("paper, second", 16)]
     whole, objects, _ = split(tables(trials)[0])
-    said = {
+    published = {
         (row["setting"], row["object"]): (row["paper_success"], row["paper_opening_after_balance_ticks"])
         for row in objects
     }
-    assert said["paper", 12] == (0.9, None)
-    assert said["paper", 14] == (0.6, None)
-    assert said["paper", 17] == (1.0, -7.6)
-    assert said["paper", 18] == (1.0, -13.4)
-    assert said["paper, gain 2", 20] == (1.0, None)
-    assert said["load-proportional", 18] == (None, None)
+    assert published["paper", 12] == (0.9, None)
+    assert published["paper", 14] == (0.6, None)
+    assert published["paper", 17] == (1.0, -7.6)
+    assert published["paper", 18] == (1.0, -13.4)
+    assert published["paper, gain 2", 20] == (1.0, None)
+    assert published["load-proportional", 18] == (None, None)
     over = {row["setting"]: (row["paper_success"], row["paper_reopened_share"]) for row in whole}
     assert over["paper"] == (0.93, 0.43)
     assert over["load-proportional"] == (None, None)
@@ -143,9 +142,9 @@ def test_the_paper_s_failures_make_its_93_percent() -> None:
 )
 def test_a_setting_says_what_is_unusual(changes: dict, setting: str) -> None:
     """Assert the name of each setting, and that a recording of before these flags is a usual one."""
-    assert setting_of({**PLANNED, **changes}) == setting
+    assert describe_setting({**PLANNED, **changes}) == setting
     older = {key: value for key, value in PLANNED.items() if key not in ("gain", "latency_ms", "control_hz")}
-    assert setting_of(older) == "paper"
+    assert describe_setting(older) == "paper"
     assert "gain" not in without_gain(setting)
 
 
@@ -160,8 +159,8 @@ def test_the_picture() -> None:
         [trial(lifted=False)],
     ):
         figure = Figure()
-        grasp_picture.draw(figure, tables(trials)[0])
-        assert len(figure.axes) == len(grasp_picture.PANELS)
+        evaluate_grasp._draw(figure, tables(trials)[0])
+        assert len(figure.axes) == len(evaluate_grasp.PANELS)
 
 
 # --- short grasps, cost and stability ---
@@ -222,9 +221,9 @@ def test_detectors_that_are_lied_to() -> None:
     for lost, twice, times in ((0.2, 0.0, 0.8), (0.0, 0.2, 1.2)):
         counts = Counts()
         uneven = grasp_stability.Uneven(counts, np.random.default_rng(0), lost, twice)
-        told = [uneven.step(None) for _ in range(5000)]
+        reported = [uneven.step(None) for _ in range(5000)]
         assert counts.slices == pytest.approx(5000 * times, rel=0.03)
-        assert np.isnan(told).mean() == pytest.approx(lost, abs=0.02)
+        assert np.isnan(reported).mean() == pytest.approx(lost, abs=0.02)
     for says in (True, False):
         sense = Says(Counts(), lambda says=says: says)
         assert [sense.step(None) for _ in range(3)] == [float(says)] * 3

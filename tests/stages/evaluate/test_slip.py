@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.slip.slip import Prediction
+from evetac_cli.kernels.slip.decision import is_slip
+from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.params import EvaluateSlip, Train
 from evetac_cli.stages import slip_detectors, train
 from evetac_cli.stages.evaluate import slip, slip_tables
@@ -117,9 +118,9 @@ def test_a_model_counts_once(world: dict[str, Any], tmp_path: Path) -> None:
 
 def test_what_is_missing_is_said(world: dict[str, Any], tmp_path: Path) -> None:
     """Assert that no model, no features, and a model that is not there are errors in words."""
-    with pytest.raises(InputError, match="which model"):
+    with pytest.raises(InputError, match="no model file"):
         slip.jobs(world["known"], EvaluateSlip(), tmp_path)
-    with pytest.raises(InputError, match="which trajectories"):
+    with pytest.raises(InputError, match="no features files"):
         slip.jobs(world["seeds"], EvaluateSlip(), tmp_path)
     with pytest.raises(InputError, match="wrong kind"):
         slip.jobs(world["known"][1:], EvaluateSlip(model=world["known"][0]), tmp_path)
@@ -170,11 +171,11 @@ def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -
     assert row["t_c_ms"] == ONSET
     model = Model.read(path)
     trajectory = slip_detectors.read_trajectory(world["known"][0], model.architecture)
-    detected = model.detector().over(trajectory.series) >= model.threshold
+    detected = is_slip(model.detector().over(trajectory.series), model.threshold)
     label = np.arange(SLICES) >= ONSET - 10
-    kept = slice(0, ONSET + 20)
+    selected = slice(0, ONSET + 20)
     sklearn = pytest.importorskip("sklearn.metrics")
-    assert row["f1"] == pytest.approx(sklearn.f1_score(label[kept], detected[kept]))
+    assert row["f1"] == pytest.approx(sklearn.f1_score(label[selected], detected[selected]))
 
 
 def test_truth_is_a_setting_of_its_own(world: dict[str, Any], tmp_path: Path) -> None:
@@ -203,7 +204,7 @@ def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:
     (row,) = table_of(known, "seeds")
     assert (row["paper_slip_correct"], row["paper_f1"]) == (0.87, 0.59)
     unseen, _ = evaluated([*world["unseen"], *world["fast-slow"]], tmp_path / "unseen")
-    (row,), (timing_bins,) = table_of(unseen, "seeds"), table_of(unseen, "never")
+    (row,), (timing_bins,) = table_of(unseen, "seeds"), table_of(unseen, "never_detected")
     assert (row["paper_slip_correct"], row["paper_f1"]) == (0.88, None)
     assert timing_bins["paper_10_to_0_ms_ahead"] == 0.57
     both, _ = evaluated([*world["known"], *world["unseen"], *world["seeds"]], tmp_path / "both")
@@ -213,20 +214,20 @@ def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("late_by", "name"),
     [
-        (-51, "earlier"),
+        (-51, "over_50_ms_ahead"),
         (-50, "50_to_31_ms_ahead"),
         (-30, "30_to_11_ms_ahead"),
         (-10, "10_to_0_ms_ahead"),
         (0, "10_to_0_ms_ahead"),
         (20, "1_to_20_ms_after"),
-        (21, "later"),
+        (21, "over_20_ms_after"),
     ],
 )
 def test_timing_bins_at_their_borders(late_by: int, name: str) -> None:
     """Assert that each first detection is counted in one place, and those without one are never."""
     shares = slip_tables._timing_bins([late_by, None])
     assert shares[name] == 0.5
-    assert shares["never"] == 0.5
+    assert shares["never_detected"] == 0.5
     assert sum(value for key, value in shares.items() if key != "t_m_minus_t_c_ms_median") == 1
     assert shares["t_m_minus_t_c_ms_median"] == late_by
 

@@ -87,7 +87,7 @@ def test_a_dot_off_by_20_px_is_lost(recording: Path, px: float, lost: int) -> No
     outcome = evaluate(*files)
     preset, first, second = outcome.rows
     assert (first["consistent"], first["dots_lost"]) == (lost == 0, lost)
-    assert first["end_px_worst"] == pytest.approx(px, abs=1e-3)
+    assert first["end_distance_px_worst"] == pytest.approx(px, abs=1e-3)
     assert second["dots_lost"] == 0
     assert preset["consistent_share"] == (1.0 if lost == 0 else 0.5)
     assert preset["dots_lost_mean"] == (lost or None)
@@ -114,7 +114,7 @@ def test_another_recording_is_refused(made: Made, recording: Path) -> None:
     with pytest.raises(InputError, match="no such recording"):
         evaluate(path, recordings=elsewhere)
     shutil.copy(made.recordings[1], elsewhere / recording.name)
-    with pytest.raises(InputError, match="not the recording"):
+    with pytest.raises(InputError, match="belong to another recording"):
         evaluate(path, recordings=elsewhere)
 
 

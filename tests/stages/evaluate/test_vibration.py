@@ -94,10 +94,13 @@ def test_a_tone_without_dots(tmp_path: Path) -> None:
     assert 0 < first["uncertainty_hz"] < 0.05
     assert first["correct"] and not second["correct"]
     assert second["frequency_hz"] == pytest.approx(281.0, abs=0.5)
-    told = [(row["method"], row["window_s"], row["windows"]) for row in windows]
-    assert told == [("default", 1.0, 2), ("default", 0.25, 8), ("paper", 1.0, 2), ("paper", 0.25, 8)]
+    reported = [(row["method"], row["window_s"], row["windows"]) for row in windows]
+    assert reported == [("default", 1.0, 2), ("default", 0.25, 8), ("paper", 1.0, 2), ("paper", 0.25, 8)]
     assert [row["share"] for row in windows[:3]] == [1.0, 1.0, 0.0]
-    assert windows[2]["at_double"] == 2 and windows[2]["at_half"] == windows[2]["elsewhere"] == 0
+    assert (
+        windows[2]["windows_at_double_tone"] == 2
+        and windows[2]["windows_at_half_tone"] == windows[2]["windows_at_other_frequency"] == 0
+    )
     assert outcome.summary["default_share_1_s"] == 1.0
     assert not outcome.simulated
 
@@ -115,7 +118,7 @@ def test_noise_is_no_vibration(tmp_path: Path) -> None:
     rows = evaluated(recording(tmp_path, 0.0), windows="1").rows
     assert rows[0]["method"] == "default"
     assert rows[0]["frequency_hz"] is None and rows[0]["correct"] is None
-    assert rows[2]["no_vibration"] == rows[2]["windows"] == 2
+    assert rows[2]["windows_without_vibration"] == rows[2]["windows"] == 2
     assert "share" not in rows[2]
 
 
@@ -127,7 +130,7 @@ def test_a_real_recording_of_noise(tmp_path: Path) -> None:
     record.run(job, params)
     rows = evaluated(job.output, windows="2,1,0.25").rows
     assert rows[0]["frequency_hz"] is None
-    assert all(row["no_vibration"] == row["windows"] for row in rows[2:] if row["method"] == "default")
+    assert all(row["windows_without_vibration"] == row["windows"] for row in rows[2:] if row["method"] == "default")
 
 
 def test_truth_tells_when_the_tone_sounds(tmp_path: Path) -> None:
@@ -138,7 +141,7 @@ def test_truth_tells_when_the_tone_sounds(tmp_path: Path) -> None:
     assert outcome.rows[0]["seconds"] == 2.0
     assert outcome.rows[0]["expected_hz"] == 120.0 and outcome.rows[0]["correct"]
     assert outcome.rows[2]["correct"] == outcome.rows[2]["windows"] == 2
-    assert evaluated(path, windows="1", true_hz=240.0).rows[2]["at_half"] == 2
+    assert evaluated(path, windows="1", true_hz=240.0).rows[2]["windows_at_half_tone"] == 2
 
 
 def test_beyond_the_band(tmp_path: Path) -> None:
@@ -146,10 +149,10 @@ def test_beyond_the_band(tmp_path: Path) -> None:
     path = recording(tmp_path, 1210.0)
     row = evaluated(path, windows="1").rows[0]
     assert row["frequency_hz"] is None
-    assert row["beyond_hz"] == pytest.approx(1210.0, abs=0.1)
+    assert row["line_above_band_hz"] == pytest.approx(1210.0, abs=0.1)
     row = evaluated(path, windows="1", rate=5000).rows[0]
     assert row["frequency_hz"] == pytest.approx(1210.0, abs=0.1)
-    assert row["beyond_hz"] is None
+    assert row["line_above_band_hz"] is None
 
 
 def test_short_windows_are_judged_by_what_they_resolve(tmp_path: Path) -> None:

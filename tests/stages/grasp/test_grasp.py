@@ -20,7 +20,7 @@ from evetac_cli.stages import grasp
 from evetac_cli.stages.grasp import setup
 from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.online_detector import known_dots
-from evetac_cli.stages.slip_detectors import horizon_ms_of, load_detector
+from evetac_cli.stages.slip_detectors import load_detector, read_horizon_ms
 from evetac_cli.store.files import StageFile
 
 SHORT = {"lift_s": 1.0, "balance_s": 0.1}
@@ -39,7 +39,7 @@ def test_the_package_has_a_detector() -> None:
     made = json.loads(MODEL.with_name("fast-slow-10ms.json").read_text())
     with StageFile(MODEL, "model") as model:
         assert load_detector(model).architecture.name == made["model"] == "fast-slow"
-        assert horizon_ms_of(model) == made["horizon_ms"] == 10
+        assert read_horizon_ms(model) == made["horizon_ms"] == 10
         assert float(model.read("threshold")) == made["threshold"]
         assert model.header["id"] == made["id"]
     assert made["simulated"]

@@ -9,10 +9,11 @@ from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
+from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.params import Featurize, Grasp, Record, Track
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, grasp, record, track
-from evetac_cli.stages.slip_detectors import load_detector, series_of
+from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 
@@ -61,8 +62,8 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
     featurize.run(job, features)
     with StageFile(MODEL, "model") as model, StageFile(job.output, "features") as file:
         detector, threshold = load_detector(model), float(model.read("threshold"))
-        probability = detector.over(series_of(file, detector.architecture))
-    slips = np.cumsum(probability >= threshold)
+        probability = detector.over(read_series(file, detector.architecture))
+    slips = np.cumsum(is_slip(probability, threshold))
     law = Control(PAPER)
     with open_recording(again) as now:
         np.testing.assert_array_equal(now.read("control/probability"), probability)

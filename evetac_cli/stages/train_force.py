@@ -1,8 +1,8 @@
 """train-force: shear force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
 
 Two models into one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's
-network, trained on all but the last, on which the best epoch is chosen. What they are fitted to is the reading of a
-force sensor: the true force of a simulated recording, with noise.
+network, trained on all but the last, on which the best epoch is chosen. The target is the reading of a force sensor:
+the true force of a simulated recording, with noise.
 """
 
 from pathlib import Path
@@ -15,21 +15,20 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import EvaluateForce, TrainForce, recipe_of
-from evetac_cli.stages.evaluate import with_truth
+from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.track_rgb import PRESET
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
-INPUTS = ("tracks", "recording")
 OUTPUT = "force-model"
 METHOD = 1
-SAMPLE_MS = 40  # samples lie at the frames of a sensor of 25 Hz, whatever the sensor
+SAMPLE_MS = 40  # samples lie at the frames of a 25 Hz sensor, also for tracks from events
 LAYERS = 3
 
 
 class Samples(NamedTuple):
-    """What a model learns or is judged on, from one trajectory."""
+    """Samples of one trajectory, to train a force model on or to evaluate it."""
 
     slice_: NDArray[np.int64]  # (samples,)
     moved_px: forces.Floats  # (samples, dots, 2)
@@ -37,7 +36,7 @@ class Samples(NamedTuple):
 
 
 class ForceModel(NamedTuple):
-    """What a force-model file holds."""
+    """The contents of a force-model file: both models, and the sensor that they are for."""
 
     sensor: str
     sensor_name: str
@@ -50,7 +49,7 @@ def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
     """One model from all tracks files together: `shear.force-model.h5` beside the first."""
     if len(files) < 2:
         raise InputError(
-            "nothing is left to hold out", expected="at least two tracks files, of a trajectory each", found="one"
+            "no file is left to hold out", expected="at least two tracks files, of a trajectory each", found="one"
         )
     output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"shear.{OUTPUT}.h5"
     return [Job(tuple(files), output)]
@@ -60,20 +59,20 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
     """Fit both models and store them as arrays."""
     headers, sensors, sensor_names, shapes = [], [], [], []
     for path in job.inputs:
-        with StageFile(path, "tracks") as tracks, with_truth(tracks):
+        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
             headers.append(tracks.header)
-            sensors.append(sensor_of(tracks.header))
+            sensors.append(sensor_sort(tracks.header))
             sensor_names.append(tracks.read("sensor/name"))
-            shapes.append(shape_of(tracks))
+            shapes.append(read_dot_shape(tracks))
     check_disjoint(headers[:-1], headers[-1:], "held out", job.inputs[-1:])
-    for what, found in (("sensors", sensors), ("dot grids", shapes)):
-        if len(set(found)) > 1:
-            odd = next(number for number, entry in enumerate(found) if entry != found[0])
+    for what, values in (("sensors", sensors), ("dot grids", shapes)):
+        if len(set(values)) > 1:
+            odd = next(number for number, entry in enumerate(values) if entry != values[0])
             raise InputError(
                 f"the files are of different {what}",
                 where=str(job.inputs[odd]),
-                expected=f"{found[0]} as in {job.inputs[0]}",
-                found=str(found[odd]),
+                expected=f"{values[0]} as in {job.inputs[0]}",
+                found=str(values[odd]),
             )
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params), seed=params.seed, parents=tuple(headers))
     simulated = recipe.simulated
@@ -87,12 +86,12 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
     moved_px = np.concatenate([one.moved_px for one in samples])
     force_n = np.concatenate([one.force_n for one in samples])
     held_out = samples[-1]
-    learned = len(force_n) - len(held_out.force_n)
+    training_samples = len(force_n) - len(held_out.force_n)
     try:
         regression = forces.fit_regression(moved_px, force_n)
         trained = force_training.train(
-            moved_px[:learned],
-            force_n[:learned],
+            moved_px[:training_samples],
+            force_n[:training_samples],
             held_out.moved_px,
             held_out.force_n,
             training,
@@ -126,38 +125,38 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
         sensor_name=arrays["sensor_name"],
         trajectories=len(job.inputs),
         samples=len(force_n),
-        epoch=trained.chosen + 1,
-        held_out_n_rms=float(trained.held_out_n[trained.chosen]),
+        best_epoch=trained.chosen + 1,
+        held_out_error_n_rms=float(trained.held_out_n[trained.chosen]),
     )
 
 
 def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.random.Generator) -> Samples:
     """Samples of a trajectory, with the force as a sensor with noise reads it; InputError where there are none."""
-    with StageFile(path, "tracks") as tracks, with_truth(tracks) as recording:
+    with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         try:
             chosen = forces.sample_slices(recording.read("truth/normal_force_n"), params.samples, SAMPLE_MS)
-            moved_px = forces.displacement(tracks.read("dot_xy_px")[chosen], rest_of(tracks))
+            moved_px = forces.displacement(tracks.read("dot_xy_px")[chosen], read_rest_px(tracks))
         except ValueError as error:
-            raise InputError(f"no force can be told: {error}", where=str(path)) from error
+            raise InputError(f"there are no forces to compare with: {error}", where=str(path)) from error
         force_n = recording.read("truth/shear_force_n")[chosen].astype(float)
     return Samples(chosen, moved_px, force_n + noise.normal(0.0, params.noise_n, force_n.shape))
 
 
-def rest_of(tracks: StageFile) -> forces.Floats:
+def read_rest_px(tracks: StageFile) -> forces.Floats:
     """Places of the dots at rest, (dots, 2) in px."""
     rest: forces.Floats = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
     return rest
 
 
-def shape_of(tracks: StageFile) -> tuple[int, int]:
+def read_dot_shape(tracks: StageFile) -> tuple[int, int]:
     """Rows and columns of the dot grid."""
     rows, columns, _ = tracks.contents()["sensor/dot_xy_px"][1]
     return rows, columns
 
 
-def sensor_of(tracks: Header) -> str:
-    """What the dots were tracked in: `events`, or `frames` of an RGB sensor."""
-    return "frames" if tracks["parameters"].get("preset") == PRESET else "events"
+def sensor_sort(header: Header) -> str:
+    """The sort of sensor that tracked the dots: `events`, or `frames` of an RGB sensor."""
+    return "frames" if header["parameters"].get("preset") == PRESET else "events"
 
 
 def read_model(path: Path) -> tuple[Header, ForceModel]:
@@ -177,8 +176,8 @@ def read_model(path: Path) -> tuple[Header, ForceModel]:
 
 
 def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
-    """Refuse tracks of another dot grid than the model's."""
-    shape = shape_of(tracks)
+    """InputError for tracks of another dot grid than the model's."""
+    shape = read_dot_shape(tracks)
     if shape != model.dot_shape:
         raise InputError(
             "the tracks have another dot grid than the force model",

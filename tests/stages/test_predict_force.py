@@ -10,9 +10,8 @@ from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info, validate
 from evetac_cli.jobs import Outcome
-from evetac_cli.stages import track_rgb
+from evetac_cli.stages import predict_force, track_rgb, train_force
 from evetac_cli.stages.evaluate import force as evaluate_force
-from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 
@@ -94,9 +93,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_frames_show_where_the_dots_are(made: Path) -> None:
     """Assert that dots tracked in frames are within 0.3 px of truth at each frame, and stay until the next."""
     with StageFile(made / "rgb" / "trial3.tracks.h5") as tracks, StageFile(made / "trial3.recording.h5") as recording:
-        found, true = tracks.read("dot_xy_px"), recording.read("truth/dot_xy_px")
-    assert np.abs(found[::40] - true[::40]).max() < 0.3
-    assert np.array_equal(found, np.repeat(found[::40], 40, axis=0))
+        result, true = tracks.read("dot_xy_px"), recording.read("truth/dot_xy_px")
+    assert np.abs(result[::40] - true[::40]).max() < 0.3
+    assert np.array_equal(result, np.repeat(result[::40], 40, axis=0))
     assert np.abs(true[::40] - true[0]).max() > 20
 
 
@@ -121,7 +120,7 @@ def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
     assert [outcome.rows[2][f"paper_{name}"] for name in ("mae_n_x", "sd_n_x", "mae_n_y", "sd_n_y")] == [
         0.53, 0.49, 0.44, 0.29,
     ]  # fmt: skip
-    assert outcome.summary["force_n_x_most"] <= 10.5
+    assert outcome.summary["true_force_max_x_n"] <= 10.5
 
 
 def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
@@ -139,7 +138,7 @@ def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
     assert rows[0]["mae_n_x"] != rows[1]["mae_n_x"]
     for name in ("mae_n_x", "mae_n_y", "sd_n_x", "sd_n_y", "gain"):
         assert network[name] == pytest.approx((rows[0][name] + rows[1][name]) / 2)
-    assert network["models_sd_n_x"] == pytest.approx(abs(rows[0]["mae_n_x"] - rows[1]["mae_n_x"]) / 2)
+    assert network["sd_over_models_n_x"] == pytest.approx(abs(rows[0]["mae_n_x"] - rows[1]["mae_n_x"]) / 2)
 
 
 def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
@@ -158,21 +157,21 @@ def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
     """Assert that force tells every slice what the model says of it, also of tracks without a recording."""
     chosen = params.PredictForce(model=made / "events.force-model.h5")
     output, _ = run(predict_force, [made / "trial3.tracks.h5"], chosen, tmp_path)
-    with StageFile(output) as told, StageFile(made / "trial3.recording.h5") as recording:
-        regression, network = told.read("regression_n"), told.read("network_n")
+    with StageFile(output) as reported, StageFile(made / "trial3.recording.h5") as recording:
+        regression, network = reported.read("regression_n"), reported.read("network_n")
         true = recording.read("truth/shear_force_n")
     assert np.abs(regression - true).max() < 0.05
     _, model = train_force.read_model(made / "events.force-model.h5")
     with StageFile(made / "trial3.tracks.h5") as tracks:
-        moved = tracks.read("dot_xy_px") - train_force.rest_of(tracks)
+        moved = tracks.read("dot_xy_px") - train_force.read_rest_px(tracks)
     assert np.allclose(network, train_force.forces.apply_network(model.network, moved), atol=1e-3)
     figures = info.run([output, made / "events.force-model.h5"]).rows
     assert figures[0]["slices"] == SLICES
     assert figures[1]["sensor"] == "events"
 
 
-def refused(stage: Any, files: list[Path], chosen: Any, said: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=said):
+def refused(stage: Any, files: list[Path], chosen: Any, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
         run(stage, files, chosen, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -181,7 +180,7 @@ def test_what_was_learned_is_not_judged(made: Path, tmp_path: Path) -> None:
     """Assert that a recording that was fitted on is refused, whichever sensor tracked it, and so is one held out."""
     chosen = params.EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
     for number in range(3):
-        refused(evaluate_force, [made / f"trial{number}.tracks.h5"], chosen, "trained on and judged on", tmp_path)
+        refused(evaluate_force, [made / f"trial{number}.tracks.h5"], chosen, "trained on and evaluated on", tmp_path)
     refused(train_force, [made / "trial0.tracks.h5", made / "trial0.tracks.h5"], FIT, "held out", tmp_path)
 
 
@@ -210,10 +209,10 @@ def test_what_cannot_be_answered(made: Path, tmp_path: Path) -> None:
     model = str(made / "events.force-model.h5")
     refused(train_force, [made / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
     refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(model=model), "too short", tmp_path)
-    refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(), "no force model", tmp_path)
-    refused(predict_force, [made / "trial3.tracks.h5"], params.PredictForce(), "no force model", tmp_path)
+    refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(), "no force-model file", tmp_path)
+    refused(predict_force, [made / "trial3.tracks.h5"], params.PredictForce(), "no force-model file", tmp_path)
     real = trial(tmp_path, 9, truth=False)
-    refused(evaluate_force, [real], params.EvaluateForce(model=model), "without truth", tmp_path)
+    refused(evaluate_force, [real], params.EvaluateForce(model=model), "has no truth", tmp_path)
     refused(track_rgb, [tmp_path / "trial9.recording.h5"], params.TrackRgb(), "only a simulation", tmp_path)
 
 

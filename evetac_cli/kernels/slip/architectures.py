@@ -1,0 +1,158 @@
+"""The table of slip detectors: the paper's model configurations, its image baselines, and our own.
+
+Why so: the table stands here and not beside the networks, because `grasp` and `evaluate` need a detector's history and
+inputs but must not import torch. This module needs numpy alone.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
+GEL_PX = (540, 480)  # width and height of an event image: the frame without the window strip
+
+
+class View(NamedTuple):
+    """How a network sees one channel of a dot: newest slices as they are, then means over consecutive blocks.
+
+    With `change`, all but the first value v are given as newest value - v: otherwise a displacement of many px would
+    hide that it grows by hundredths of a px.
+    """
+
+    channel: str  # one of CHANNELS
+    recent: int = 0  # newest slices, newest first
+    block: int = 1  # slices of a block
+    means: int = 0  # blocks, the newest first
+    change: bool = False
+
+    @property
+    def history(self) -> int:
+        """Slices that it reaches back, the newest one included."""
+        return max(self.recent, self.block * self.means)
+
+
+@dataclass(frozen=True)
+class DotArchitecture:
+    """A network that encodes each dot, then looks at their grid: a row of the paper's table, or one of our own."""
+
+    name: str
+    views: tuple[View, ...]  # in the order of the inputs
+    fc1: int  # widths of the two layers that encode a dot
+    fc2: int
+    every: int = 1  # slices from one prediction to the next; held in between
+
+    def __post_init__(self) -> None:
+        channels = [view.channel for view in self.views]
+        if not self.views or len(set(channels)) < len(channels) or not set(channels) <= set(CHANNELS):
+            raise ValueError(f"views: expected different channels of {', '.join(CHANNELS)}, found {channels}")
+        for view in self.views:
+            if min(view.recent, view.means) < 0 or view.block < 1 or view.recent + view.means < 1:
+                raise ValueError(f"view: expected at least one slice or block of at least one slice, found {view}")
+            if view.change and view.recent < 1:
+                raise ValueError(f"view: expected a newest slice to take the change from, found {view}")
+        across = [tuple(view[1:]) for view in self.views if view.channel in ("x", "y")]
+        if len(across) == 1 or (across and across[0] != across[1]):
+            raise ValueError(f"views: expected x and y seen alike, so that they can be rotated, found {self.views}")
+        if min(self.fc1, self.fc2, self.every) < 1:
+            raise ValueError(f"at least one unit a layer and one slice a prediction are needed, found {self}")
+
+    @property
+    def history(self) -> int:
+        """Slices that one prediction needs."""
+        return max(view.history for view in self.views)
+
+    @property
+    def inputs_per_dot(self) -> int:
+        """Length of the vector that describes one dot, l_i in the paper's table."""
+        return sum(view.recent + view.means for view in self.views)
+
+    def channel_columns(self, channel: str) -> slice:
+        """Columns of a channel among the inputs of a dot; an empty slice if the network does not see it."""
+        first = 0
+        for view in self.views:
+            if view.channel == channel:
+                return slice(first, first + view.recent + view.means)
+            first += view.recent + view.means
+        return slice(0, 0)
+
+    @property
+    def train_cut_ms(self) -> int:
+        """How much of a trajectory after its onset is trained on."""
+        return _train_cut_ms(self.history)
+
+
+@dataclass(frozen=True)
+class ImageArchitecture:
+    """The paper's baseline on event images of 540 x 480 px: four convolutions of 5 x 5 with max pooling, two layers.
+
+    `pool_px` sums the image over squares of so many px first, so that a CPU can train it; `pools` (width, height) are
+    those after each convolution, and must bring the image to a single pixel.
+    """
+
+    name: str
+    history: int
+    pools: tuple[tuple[int, int], ...]
+    pool_px: int = 1
+    every: int = 1
+
+    @property
+    def input_shape(self) -> tuple[int, int, int]:
+        """(history, height, width) of one input."""
+        return self.history, GEL_PX[1] // self.pool_px, GEL_PX[0] // self.pool_px
+
+    @property
+    def train_cut_ms(self) -> int:
+        """How much of a trajectory after its onset is trained on."""
+        return _train_cut_ms(self.history)
+
+
+Architecture = DotArchitecture | ImageArchitecture
+
+_PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))
+# why so: 90 x 80 px hold the first of the paper's pools; then only these leave 5 x 5 px for every convolution
+_POOLS_6X6 = ((3, 3), (2, 2), (1, 1), (4, 2))
+
+
+def _train_cut_ms(history: int) -> int:
+    """15 ms for a history of 10 or less, 20 ms to 20, 50 ms beyond (paper, Model Training & Data Selection)."""
+    if history <= 10:
+        return 15
+    return 20 if history <= 20 else 50
+
+
+def _distance_and_events(recent: int, block: int = 1, means: int = 0) -> tuple[View, View]:
+    return View("distance", recent, block, means), View("events", recent, block, means)
+
+
+ARCHITECTURES: dict[str, Architecture] = {
+    row.name: row
+    for row in (
+        # the paper's table of model configurations
+        DotArchitecture("no-hist", _distance_and_events(1), fc1=10, fc2=4),
+        DotArchitecture("hist10", _distance_and_events(10), fc1=12, fc2=4),
+        DotArchitecture("events-only", (View("events", 10),), fc1=8, fc2=4),
+        DotArchitecture("disp-only", (View("distance", 10),), fc1=8, fc2=4),
+        DotArchitecture("hist20", _distance_and_events(20), fc1=20, fc2=8),
+        DotArchitecture("down5", _distance_and_events(0, 5, 10), fc1=12, fc2=4, every=5),
+        DotArchitecture("fast-slow", _distance_and_events(10, 10, 5), fc1=15, fc2=8),
+        # and its baselines
+        ImageArchitecture("no-hist-img", 1, _PAPER_POOLS),
+        ImageArchitecture("hist10-img", 10, _PAPER_POOLS),
+        ImageArchitecture("no-hist-img-6x6", 1, _POOLS_6X6, pool_px=6),
+        ImageArchitecture("hist10-img-6x6", 10, _POOLS_6X6, pool_px=6),
+        # Ours, on the time scales of fast-slow. In incipient slip the border of the contact moves while its middle
+        # sticks: what matters is the direction in which a dot moves against its neighbours, by hundredths of a px a
+        # ms. The paper's models see the distance from rest alone, which has no direction and hides changes as small.
+        # So: direction, and changes.
+        # Twice the time (100 ms) was no better on unseen objects.
+        DotArchitecture(
+            "disp-xy",
+            (
+                View("x", 10, 10, 5, change=True),
+                View("y", 10, 10, 5, change=True),
+                View("events", 10, 10, 5),
+            ),
+            fc1=24,
+            fc2=8,
+        ),
+    )
+}

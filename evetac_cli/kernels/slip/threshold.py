@@ -1,0 +1,52 @@
+"""Which checkpoint of a training, and which threshold, make a detector: chosen on validation trajectories."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.slip.metrics import Prediction, score
+
+THRESHOLDS = np.arange(41) / 40  # 0 to 1 by 0.025; dividing keeps 0.5 and 1 exact
+LAST_CHECKPOINTS = 3  # the paper chooses among these
+
+
+class Choice(NamedTuple):
+    """The chosen checkpoint and threshold, and the best threshold and score of every checkpoint."""
+
+    checkpoint: int
+    threshold: float
+    score: float
+    thresholds: NDArray[np.float64]  # (checkpoints,)
+    scores: NDArray[np.float64]  # (checkpoints,)
+
+
+def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
+    """Choose checkpoint and threshold by the mean of slip-correct share and F1 (paper, Evaluation Procedure & Metrics).
+
+    `checkpoints` holds, for each checkpoint in the order of training, its predictions for the same validation
+    trajectories. The grid is 0 to 1 by 0.025; F1 is `f1` of `score`. Only the last three checkpoints can be chosen,
+    but each one's best threshold is reported. Ties within a checkpoint go to the lower threshold, which reacts
+    earlier; ties between checkpoints go to the later one, which has seen more. ValueError where no trajectory slips,
+    because timing is then undefined.
+    """
+    if not checkpoints:
+        raise ValueError("expected at least one checkpoint, found none")
+    thresholds = np.empty(len(checkpoints))
+    scores = np.empty(len(checkpoints))
+    for index, predictions in enumerate(checkpoints):
+        along_grid = np.array([_timing_and_f1(predictions, threshold) for threshold in THRESHOLDS])
+        best = int(np.argmax(along_grid))  # the first of equals, so the lowest threshold
+        thresholds[index] = THRESHOLDS[best]
+        scores[index] = along_grid[best]
+    last = scores[-LAST_CHECKPOINTS:]
+    chosen = len(scores) - 1 - int(np.argmax(last[::-1]))  # the last of equals
+    return Choice(chosen, float(thresholds[chosen]), float(scores[chosen]), thresholds, scores)
+
+
+def _timing_and_f1(predictions: Sequence[Prediction], threshold: float) -> float:
+    row = score(predictions, threshold)
+    if row["slip_correct"] is None or row["f1"] is None:
+        raise ValueError("expected at least one validation trajectory with an onset, found none")
+    return (row["slip_correct"] + row["f1"]) / 2

@@ -1,1 +1,0 @@
-"""Shear force: train a model on shear recordings, predict the force from any tracks."""

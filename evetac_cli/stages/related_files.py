@@ -1,0 +1,62 @@
+"""Files that belong together: those that a flag names, and those that were made from the same recording."""
+
+import glob
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from evetac_cli.errors import InputError
+from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.read import Recording, open_recording
+
+COMMANDS = {"labels": "label", "tracks": "track"}  # that make a file of a kind from a recording
+
+
+def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
+    """The files of a kind that a flag names, sorted: one file, a folder or a glob. InputError if it names none."""
+    pattern = str(given or "")
+    if pattern and Path(pattern).is_dir():
+        pattern = f"{pattern}/*.{kind}.h5"
+    files = [Path(name) for name in sorted(glob.glob(pattern))]
+    if not files:
+        raise InputError(
+            "no such file" if pattern else f"no {kind} file is named",
+            where=flag,
+            expected=f"a {kind} file, a folder of them, or a glob",
+            found=str(given or ""),
+        )
+    return files
+
+
+def check_made_from(file: StageFile, recording: StageFile) -> None:
+    """InputError unless a file was made from this very recording: the right name is not enough."""
+    if recording.header["id"] in file.header["parents"]:
+        return
+    command = COMMANDS.get(file.kind)
+    raise InputError(
+        f"the {file.kind} belong to another recording",
+        where=str(file.path),
+        expected=f"made from {recording.path} (id {recording.header['id'][:12]})",
+        found=f"made from id {', '.join(parent[:12] for parent in file.header['parents'])}",
+        hint=f"evetac {command} --force {recording.path}" if command else "",
+    )
+
+
+@contextmanager
+def recording_with_truth(file: StageFile) -> Iterator[Recording]:
+    """The simulated recording that a file was made from: beside it, or in the folder above, as for `track-rgb`.
+
+    InputError if it is missing, is another one or has no truth.
+    """
+    path = output_path(file.path, "recording", None)
+    above = path.parent.resolve().parent / path.name
+    path = above if above.exists() and not path.exists() else path
+    with open_recording(path) as recording:
+        check_made_from(file, recording)
+        if not recording.has("truth"):
+            raise InputError(
+                "the recording has no truth: only a simulation knows it",
+                where=str(path),
+                hint="evaluate files of simulated recordings",
+            )
+        yield recording

@@ -1,0 +1,87 @@
+"""The table of architectures: the paper's rows, and which rows cannot be."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture, View
+
+# the paper's table of model configurations: history, l_i, l_fc1, l_fc2
+PAPER_ROWS = {
+    "no-hist": (1, 2, 10, 4),
+    "hist10": (10, 20, 12, 4),
+    "events-only": (10, 10, 8, 4),
+    "disp-only": (10, 10, 8, 4),
+    "hist20": (20, 40, 20, 8),
+    "down5": (50, 20, 12, 4),
+    "fast-slow": (50, 30, 15, 8),
+}
+
+
+def test_module_needs_no_torch() -> None:
+    """Assert that grasp can learn a model's history without torch."""
+    code = "import sys, evetac_cli.kernels.slip.architectures; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("name", PAPER_ROWS)
+def test_dot_models_are_the_papers(name: str) -> None:
+    """Assert that each dot model of the paper is one row of the table, with the paper's history and widths."""
+    row = ARCHITECTURES[name]
+    assert isinstance(row, DotArchitecture)
+    assert (row.history, row.inputs_per_dot, row.fc1, row.fc2) == PAPER_ROWS[name]
+    assert row.every == (5 if name == "down5" else 1)
+
+
+@pytest.mark.parametrize(("name", "history"), [("no-hist-img", 1), ("hist10-img", 10)])
+def test_image_models_are_the_papers(name: str, history: int) -> None:
+    """Assert that the baselines see 540 x 480 px with the paper's pools, and their small forms 90 x 80."""
+    row, small = ARCHITECTURES[name], ARCHITECTURES[name + "-6x6"]
+    assert isinstance(row, ImageArchitecture)
+    assert isinstance(small, ImageArchitecture)
+    assert row.input_shape == (history, 480, 540)
+    assert row.pools == ((3, 3), (3, 3), (4, 4), (9, 7))
+    assert small.input_shape == (history, 80, 90)
+
+
+@pytest.mark.parametrize("row", ARCHITECTURES.values(), ids=ARCHITECTURES)
+def test_train_cut_follows_history(row: Architecture) -> None:
+    """Assert that longer histories train on more of the slip, with the paper's three values."""
+    assert row.train_cut_ms == {1: 15, 10: 15, 20: 20, 50: 50}[row.history]
+
+
+def test_columns_of_a_channel() -> None:
+    """Assert that the inputs of a dot are its views one after the other."""
+    row = DotArchitecture("", (View("events", 3), View("x", 1, 5, 2), View("y", 1, 5, 2)), 1, 1)
+    assert [row.channel_columns(channel) for channel in ("events", "x", "y")] == [slice(0, 3), slice(3, 6), slice(6, 9)]
+    assert row.channel_columns("distance") == slice(0, 0)
+    assert (row.history, row.inputs_per_dot) == (10, 9)
+
+
+HIST10 = DotArchitecture("hist10", (View("distance", 10), View("events", 10)), 12, 4)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"views": ()},
+        {"views": (View("events", 1), View("events", 2))},
+        {"views": (View("colour", 1),)},
+        {"views": (View("events", -1, 1, 3),)},
+        {"views": (View("events", 0),)},
+        {"views": (View("events", 1, 0, 1),)},
+        {"views": (View("events", 0, 2, 2, change=True),)},
+        {"views": (View("x", 1),)},
+        {"views": (View("x", 1), View("y", 2))},
+        {"fc1": 0},
+        {"every": 0},
+    ],
+)
+def test_impossible_architectures_are_refused(change: dict[str, Any]) -> None:
+    """Assert that a row that cannot be built, or whose inputs cannot be rotated, is refused when it is written."""
+    assert replace(HIST10) == HIST10
+    with pytest.raises(ValueError, match="found"):
+        replace(HIST10, **change)

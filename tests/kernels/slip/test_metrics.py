@@ -1,0 +1,177 @@
+"""Slip timing, counted outcomes and F1, against numbers counted by hand and scikit-learn."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import f1_score, precision_score, recall_score
+
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.kernels.slip.labels import shift_labels
+from evetac_cli.kernels.slip.metrics import Prediction
+
+
+def prediction(slices: int, onset: int, first: int, object: str = "", probability: float = 1.0) -> Prediction:
+    """Slip from `onset` on, and detections of one probability from `first` on (-1: none)."""
+    label = np.zeros(slices, np.int8)
+    says = np.zeros(slices, np.float32)
+    if onset >= 0:
+        label[onset:] = 1
+    if first >= 0:
+        says[first:] = probability
+    return Prediction(says, label, onset, object)
+
+
+def test_shifted_labels_are_scored_against_the_unshifted_onset() -> None:
+    """Assert that a detection 10 ms ahead is right for labels shifted by 10 ms, and is timed from the onset itself."""
+    label = (np.arange(200) >= 100).astype(np.int8)
+    says = (np.arange(200) >= 90).astype(np.float32)
+    row = metrics.score([Prediction(says, shift_labels(label, 10), 100)], 0.5)
+    assert (row["f1"], row["slip_correct"], row["true_positives"]) == (1, 1, 30)
+    late = metrics.score([Prediction(says, label, 100)], 0.5)
+    assert late["f1"] == pytest.approx(2 * 20 / (2 * 20 + 10))
+
+
+def test_onset_is_the_first_detection() -> None:
+    """Assert that onset is the first True, -1 where there is none, also in an empty recording."""
+    assert metrics.onset(np.array([False, False, True, False, True])) == 2
+    assert metrics.onset(np.array([True])) == 0
+    assert metrics.onset(np.zeros(9, bool)) == -1
+    assert metrics.onset(np.zeros(0, bool)) == -1
+
+
+def test_onset_wants_decisions() -> None:
+    """Assert that probabilities are not taken for detections."""
+    with pytest.raises(ValueError, match="bool"):
+        metrics.onset(np.array([0.2, 0.9]))
+
+
+@pytest.mark.parametrize(
+    ("shift", "verdict"),
+    [(-1000, "early"), (-51, "early"), (-50, "correct"), (0, "correct"), (20, "correct"), (21, "late"), (900, "late")],
+)
+def test_timing_window_includes_both_ends(shift: int, verdict: str) -> None:
+    """Assert that -50 and +20 ms are correct and one slice beyond either is not."""
+    assert metrics.timing(2000 + shift, 2000) == verdict
+
+
+def test_no_detection_is_late() -> None:
+    """Assert that a missed slip is late, even right after the start where -1 would lie within the window."""
+    assert metrics.timing(-1, 2000) == "late"
+    assert metrics.timing(-1, 10) == "late"
+
+
+def test_timing_needs_an_onset() -> None:
+    """Assert that timing against no onset is refused."""
+    with pytest.raises(ValueError, match="-1, found|found -1"):
+        metrics.timing(5, -1)
+
+
+def test_counts_end_twenty_slices_after_the_onset() -> None:
+    """Assert that the cut keeps the slices [0, onset + 20)."""
+    label = np.r_[np.zeros(100, np.int8), np.ones(50, np.int8)]
+    detected = np.zeros(150, bool)
+    detected[119] = True
+    assert metrics.counts(label, detected, 100) == (1, 0, 19)
+    detected[120:] = True
+    assert metrics.counts(label, detected, 100) == (1, 0, 19)
+    assert metrics.counts(label, detected, -1) == (31, 0, 19)
+
+
+def test_unexamined_slices_never_count() -> None:
+    """Assert that a label of -1 is neither right nor wrong, whatever was detected."""
+    label = np.array([-1, 0, 0, 1, 1, -1], np.int8)
+    for detected in (True, False):
+        verdict = np.array([detected, True, False, True, False, detected])
+        assert metrics.counts(label, verdict, 3) == (1, 1, 1)
+
+
+@given(st.data())
+def test_f1_is_scikit_learns(data: st.DataObject) -> None:
+    """Assert that F1, precision and recall agree with scikit-learn over the examined slices before the cut."""
+    size = data.draw(st.integers(1, 80))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    label = rng.choice(np.array([-1, 0, 1], np.int8), size)
+    detected = rng.random(size) < data.draw(st.floats(0, 1))
+    onset = data.draw(st.integers(-1, size - 1))
+    counts = metrics.counts(label, detected, onset)
+    selected = (label >= 0) & (np.arange(size) < (size if onset < 0 else onset + 20))
+    if not selected.any():
+        assert counts == (0, 0, 0)
+        assert counts.f1 == 0
+        return
+    truth, says = label[selected], detected[selected].astype(np.int8)
+    for ours, theirs in ((counts.f1, f1_score), (counts.precision, precision_score), (counts.recall, recall_score)):
+        assert ours == pytest.approx(theirs(truth, says, zero_division=0), abs=1e-12)
+
+
+def test_f1_is_the_harmonic_mean() -> None:
+    """Assert that precision 1 and recall 1/4 give 0.4, where their geometric mean would be 0.5."""
+    label = np.array([1, 1, 1, 1, 0], np.int8)
+    assert metrics.counts(label, np.array([True, False, False, False, False]), 0).f1 == pytest.approx(0.4)
+
+
+def test_impossible_labels_are_refused() -> None:
+    """Assert that labels beyond -1..1, onsets beyond the recording and mismatched lengths are refused."""
+    label = np.zeros(5, np.int8)
+    with pytest.raises(ValueError, match="labels"):
+        metrics.counts(np.full(5, 2, np.int8), np.zeros(5, bool), -1)
+    with pytest.raises(ValueError, match="onset"):
+        metrics.counts(label, np.zeros(5, bool), 5)
+    with pytest.raises(ValueError, match="detections"):
+        metrics.counts(label, np.zeros(4, bool), 0)
+
+
+def test_slices_before_the_history_is_full_are_no_samples() -> None:
+    """Assert that NaN probabilities are no detection and no miss, though the slice is labelled."""
+    label = np.ones(6, np.int8)
+    says = np.array([np.nan, np.nan, 1, 0, 1, 1], np.float32)
+    assert Prediction(says, label, 0).counts(0.5) == (3, 0, 1)
+    assert metrics.onset(Prediction(says, label, 0).detected(0.0)) == 2
+
+
+@pytest.mark.parametrize(
+    "says", [[0.1, np.nan, 0.2], [0.1, 1.1, 0.2], [0.1, -0.1, 0.2], [0.1, 0.2, np.inf], [0.1, 0.2]]
+)
+def test_impossible_probabilities_are_refused(says: list[float]) -> None:
+    """Assert that a prediction holds probabilities, NaN at its start only."""
+    with pytest.raises(ValueError, match="probabilities"):
+        Prediction(np.array(says), np.zeros(3, np.int8), -1)
+
+
+def test_score_of_hand_made_trajectories() -> None:
+    """Assert that shares, F1 by object and pooled F1 are those counted by hand."""
+    row = metrics.score(
+        [
+            prediction(200, 100, 100, "a"),  # correct, 20 of 20 slices
+            prediction(200, 100, 110, "a"),  # correct, 10 of 20
+            prediction(200, 100, -1, "b"),  # late, 0 of 20
+            prediction(200, 100, 40, "b"),  # early, 20 of 20 and 60 false
+            prediction(200, -1, 199, "b"),  # no slip: one false alarm
+        ],
+        0.5,
+    )
+    a = 2 * 30 / (2 * 30 + 10)
+    b = 2 * 20 / (2 * 20 + 61 + 20)
+    assert (row["slips"], row["trajectories"], row["objects"], row["alarms_without_slip"]) == (4, 5, 2, 1)
+    assert (row["slip_early"], row["slip_correct"], row["slip_late"]) == (0.25, 0.5, 0.25)
+    assert (row["true_positives"], row["false_positives"], row["false_negatives"]) == (50, 61, 30)
+    assert row["f1"] == pytest.approx((a + b) / 2)
+    assert row["f1_pooled"] == pytest.approx(2 * 50 / (2 * 50 + 61 + 30))
+    assert row["precision"] == pytest.approx(50 / 111)
+    assert row["recall"] == pytest.approx(50 / 80)
+
+
+def test_score_without_slip_has_no_shares() -> None:
+    """Assert that where nothing slips the shares are absent rather than a number, and F1 is 0."""
+    row = metrics.score([prediction(50, -1, 20)], 0.5)
+    assert row["slip_correct"] is None
+    assert (row["f1"], row["alarms_without_slip"]) == (0, 1)
+
+
+def test_score_refuses_nothing_and_nonsense() -> None:
+    """Assert that no trajectories and thresholds beyond 0..1 are refused."""
+    with pytest.raises(ValueError, match="at least one trajectory"):
+        metrics.score([], 0.5)
+    with pytest.raises(ValueError, match="threshold"):
+        metrics.score([prediction(50, 20, 20)], float("nan"))
