@@ -21,7 +21,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.numerics.grasp_trials import GraspResult, Short, grasp, truthful
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report
-from evetac_cli.stages.grasp.loop import Sense
+from evetac_cli.stages.grasp.loop import SlipDetector
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.store.files import StageFile
 
@@ -85,7 +85,7 @@ def grasp_cost(seed: int, extent: Extent, models: list[Path]) -> Iterator[dict[s
             yield {"setting": f"{controller}, {setting.name}", **_row(held)}
 
 
-def _as_it_is(sense: Sense, devices: Rig) -> Sense:
+def _as_it_is(sense: SlipDetector, devices: Rig) -> SlipDetector:
     return sense
 
 

@@ -22,7 +22,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.numerics.grasp_trials import CONTROLLERS, GraspResult, Says, Short, grasp
 from evetac_cli.numerics.stability_rows import Row, Rows
 from evetac_cli.sim.gripper import Drive
-from evetac_cli.stages.grasp.loop import Sense
+from evetac_cli.stages.grasp.loop import SlipDetector
 
 Plan = dict[str, Any]
 ROWS = Rows(("force_most_n", "current_most_ma", "swing_ticks", "moved_mm"))
@@ -37,7 +37,7 @@ USUAL_OBJECT = 11
 class Uneven:
     """Slices that are lost or come twice on their way to the detector, at random."""
 
-    sense: Sense
+    sense: SlipDetector
     rng: np.random.Generator
     lost: float = 0.0  # share
     twice: float = 0.0
@@ -52,9 +52,9 @@ class Uneven:
         return self.sense.step(events)
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         """What came through."""
-        return self.sense.felt
+        return self.sense.signal
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Case:
 
     name: str
     change: Callable[[Plan], None] = lambda plan: None
-    through: Callable[[Sense, Rig, np.random.Generator], Sense] = lambda sense, devices, rng: sense
+    through: Callable[[SlipDetector, Rig, np.random.Generator], SlipDetector] = lambda sense, devices, rng: sense
     timing: tuple[tuple[str, Any], ...] = ()  # fields of Short
     paper_only: bool = False
 

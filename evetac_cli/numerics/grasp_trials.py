@@ -19,7 +19,7 @@ from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.params import Grasp
 from evetac_cli.sim import grasp_outcome, scene
-from evetac_cli.stages.grasp.loop import SLICES_S, Sense, Timing, TrialBuffer, run_grasp
+from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.setup import open_detector
 from evetac_cli.store.files import StageFile
 
@@ -32,7 +32,7 @@ CONTROLLERS = ("paper", "paper-reset", "load-proportional")
 class Timed:
     """A detector whose slices are timed."""
 
-    sense: Sense
+    sense: SlipDetector
     took_us: list[float] = field(default_factory=list)
 
     def step(self, events: Events) -> float:
@@ -43,16 +43,16 @@ class Timed:
         return probability
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         """What the detector tells."""
-        return self.sense.felt
+        return self.sense.signal
 
 
 @dataclass
 class Says:
     """In a detector's place: something else says whether there is slip; the drag is the detector's."""
 
-    sense: Sense
+    sense: SlipDetector
     slips: Callable[[], bool]
     count: int = 0
 
@@ -64,12 +64,12 @@ class Says:
         return float(slips)
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         """The count of what was said."""
-        return self.sense.felt._replace(slips=self.count)
+        return self.sense.signal._replace(slips=self.count)
 
 
-def truthful(sense: Sense, devices: Rig) -> Sense:
+def truthful(sense: SlipDetector, devices: Rig) -> SlipDetector:
     """Slip as the simulation knows it."""
     truth = devices.truth
     assert truth is not None
@@ -133,7 +133,7 @@ def grasp(
     seed: int,
     model: Path | None = None,
     change: Callable[[dict[str, Any]], None] = lambda plan: None,
-    through: Callable[[Sense, Rig], Sense] = lambda sense, devices: sense,
+    through: Callable[[SlipDetector, Rig], SlipDetector] = lambda sense, devices: sense,
 ) -> GraspResult:
     """Make one short grasp.
 

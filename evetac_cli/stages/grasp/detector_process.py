@@ -26,7 +26,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
-from evetac_cli.stages.grasp.loop import Sense
+from evetac_cli.stages.grasp.loop import SlipDetector
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
@@ -79,7 +79,7 @@ class DetectorEnded(NamedTuple):
     error: Exception | None
 
 
-def open_detector(settings: DetectorSettings) -> Sense | None:
+def open_detector(settings: DetectorSettings) -> SlipDetector | None:
     """The detector, and one run through it on noise with another of its kind, so that everything is compiled."""
     if settings.model is None:
         return None
@@ -91,7 +91,7 @@ def open_detector(settings: DetectorSettings) -> Sense | None:
     rng = np.random.default_rng(0)
     for k in range(WARM_UP_SLICES):
         first.step(noise(rng, k))
-        _ = first.felt
+        _ = first.signal
     return detector
 
 
@@ -152,7 +152,7 @@ def run_detector(
 
 
 def detect(
-    camera: RunningCamera, detector: Sense | None, status: SharedStatus, outbox: MessageWriter, most: int
+    camera: RunningCamera, detector: SlipDetector | None, status: SharedStatus, outbox: MessageWriter, most: int
 ) -> None:
     """Evaluate and hand over slice after slice, until there are `most`, or an order to stop.
 
@@ -172,7 +172,7 @@ def detect(
             raise DeviceError("the camera's stream ended", expected=f"{most} slices", found=f"{slices}")
         slices += 1
         probability = float("nan") if detector is None else detector.step(events)
-        signal = SlipSignal() if detector is None else detector.felt
+        signal = SlipSignal() if detector is None else detector.signal
         now_us = clock.now_s() * 1e6
         if events.size:
             events_us = now_us

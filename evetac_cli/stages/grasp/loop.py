@@ -21,14 +21,14 @@ from evetac_cli.store import schema
 SLICES_S = 1_000_000 // SLICE_US
 
 
-class Sense(Protocol):
+class SlipDetector(Protocol):
     """A detector of slip: an `OnlineSlipDetector`, or what a measurement puts in its place."""
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice."""
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         """What the controller gets to know after the last slice."""
 
 
@@ -122,7 +122,7 @@ def control_row(
 
 def run_grasp(
     devices: Rig,
-    detector: Sense | None,
+    detector: SlipDetector | None,
     control: Control,
     timing: Timing,
     append: Callable[[Events, dict[str, Any]], None],
@@ -141,7 +141,7 @@ def run_grasp(
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
         rows["control/probability"] = float("nan") if detector is None else detector.step(events)
         if detector is not None and (timing.latency_ms or slices % every_ms == 0):
-            signals.append(detector.felt)
+            signals.append(detector.signal)
         if slices % every_ms == 0:
             signal = signals[0] if signals else SlipSignal()
             phase = timing.phase(slices)

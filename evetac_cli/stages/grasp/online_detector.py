@@ -91,7 +91,7 @@ class OnlineSlipDetector:
         return self.probability
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         """The signal to the controller after the last slice, with the mean displacement of all dots in px."""
         displacement = self.tracking.dot_xy_px - self.tracking.rest_xy_px
         x_px, y_px = (displacement if self.missing is None else displacement[~self.missing]).mean(axis=0).tolist()

@@ -209,7 +209,7 @@ class Counts:
     """A detector that counts the slices it is given."""
 
     def __init__(self) -> None:
-        self.slices, self.felt = 0, SlipSignal(mean_displacement_x_px=1.5)
+        self.slices, self.signal = 0, SlipSignal(mean_displacement_x_px=1.5)
 
     def step(self, events) -> float:
         self.slices += 1
@@ -227,7 +227,7 @@ def test_detectors_that_are_lied_to() -> None:
     for says in (True, False):
         sense = Says(Counts(), lambda says=says: says)
         assert [sense.step(None) for _ in range(3)] == [float(says)] * 3
-        assert sense.felt == SlipSignal(3 * says, mean_displacement_x_px=1.5)
+        assert sense.signal == SlipSignal(3 * says, mean_displacement_x_px=1.5)
 
 
 def test_every_case_is_another() -> None:
@@ -289,7 +289,7 @@ def test_the_truth_as_a_detector() -> None:
 
     sense = truthful(Counts(), Devices())
     assert [sense.step(None) for _ in range(8)] == [0, 1, 1, 0, 0, 0, 1, 0]
-    assert sense.felt == SlipSignal(3, mean_displacement_x_px=1.5)
+    assert sense.signal == SlipSignal(3, mean_displacement_x_px=1.5)
 
 
 def test_stability_is_a_report(tmp_path, monkeypatch) -> None:

@@ -103,7 +103,7 @@ def test_steps_follow_the_status(age_us: float) -> None:
 
 
 def test_watch() -> None:
-    """Assert that silence of detector and camera are told apart, and that time counts only while one was awake."""
+    """Assert that silence of detector and camera are distinguished, and that time counts only while it runs."""
     watch = Watch(60)
     status = DetectorStatus(SlipSignal(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
     assert watch.fault(status, 1.059e6)[0] == ""
@@ -117,7 +117,7 @@ def test_watch() -> None:
 
 
 class Hand:
-    """A gripper whose finger is where it was told to be, and which takes its time; fails at a step."""
+    """A gripper whose finger is where it was commanded to be, and which takes its time; fails at a step."""
 
     def __init__(self, clock: Clock) -> None:
         self.counted: dict[str, int] = {"answers_lost": 0}

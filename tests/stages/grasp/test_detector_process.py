@@ -53,7 +53,7 @@ class Detector:
         return 0.25 * (self.steps % 3)
 
     @property
-    def felt(self) -> SlipSignal:
+    def signal(self) -> SlipSignal:
         return SlipSignal(self.slips, 0.25 * (self.steps % 3), 1.0, -2.0)
 
 

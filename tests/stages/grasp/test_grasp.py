@@ -1,4 +1,4 @@
-"""grasp: which detector and controller, their timing, a closed gel, and what is kept of the outcome."""
+"""grasp: which detector and controller, their timing, a closed gel, and the outcome."""
 
 import json
 from dataclasses import replace
@@ -87,9 +87,9 @@ def test_the_outcome_is_in_the_file(tmp_path: Path) -> None:
     """Assert that the row's figures are those of the file, which is whole, and that contact alone lifts nothing."""
     path, row = made(tmp_path, controller="none", lift_s=1.5)
     with StageFile(path, "recording") as recording:
-        kept = json.loads(recording.read("control/outcome"))
+        stored = json.loads(recording.read("control/outcome"))
         assert recording.header["parameters"]["law"] == {"beyond": 0}
-    assert kept == {name: row[name] for name in kept}
+    assert stored == {name: row[name] for name in stored}
     assert not row["lifted"]
     assert row["force_end_n"] == pytest.approx(row["force_touch_n"], rel=0.05)
     assert [each["faults"] for each in validate.run([path]).rows] == [None]
@@ -107,7 +107,7 @@ def test_a_fixed_grip_closes_by_its_ticks(tmp_path: Path) -> None:
 
 
 def test_by_load_grips_as_the_object_pulls(tmp_path: Path) -> None:
-    """Assert that ours lifts off with a grip that holds, and that what it heard of the drag is in the file."""
+    """Assert that ours lifts off with a grip that holds, and that the displacement that it reacts to is in the file."""
     path, row = made(tmp_path, controller="load-proportional", lift_s=1.2, balance_s=0.0)
     with StageFile(path, "recording") as recording:
         mean_displacement_px, gap_mm = (
@@ -136,7 +136,7 @@ def test_known_dots() -> None:
 
 
 def test_a_closed_gel_is_felt_by_the_network_for_a_cut_one(tmp_path: Path) -> None:
-    """Assert that 63 dots are tracked and felt: the file has them all, and a probability for every slice."""
+    """Assert that 63 dots are tracked and evaluated: the file has them all, and a probability for every slice."""
     path, row = made(tmp_path, gel="closed")
     with StageFile(path, "recording") as recording:
         assert recording.read("sensor/dot_xy_px").shape == (7, 9, 2)
@@ -165,7 +165,7 @@ class Silence:
 
 
 class Still:
-    """A gripper whose fingers do not move, with a log of when it was told what."""
+    """A gripper whose fingers do not move, with a log of its commands."""
 
     def __init__(self, camera: Silence) -> None:
         self.camera, self.counted, self.goals = camera, {}, []
@@ -182,25 +182,25 @@ class Still:
 
 
 class SlipsAt:
-    """A detector that feels slip in one slice."""
+    """A detector that detects slip in one slice."""
 
     def __init__(self, at: int) -> None:
-        self.at, self.slices, self.felt = at, 0, SlipSignal()
+        self.at, self.slices, self.signal = at, 0, SlipSignal()
 
     def step(self, events) -> float:
         self.slices += 1
-        self.felt = SlipSignal(int(self.slices >= self.at), 1.0)
+        self.signal = SlipSignal(int(self.slices >= self.at), 1.0)
         return float(self.slices == self.at)
 
 
 def held(timing: Timing, slips_at: int) -> list[tuple[int, int]]:
     camera = Silence(timing.end_ms)
     still = Still(camera)
-    kept = TrialBuffer()
+    buffer = TrialBuffer()
     control = Control(make_law("paper"), timing.control_hz)
-    slices = run_grasp(Rig(camera, still, camera), SlipsAt(slips_at), control, timing, kept.append, lambda _: None)
-    assert slices == timing.end_ms == len(kept.events)
-    assert len(kept.rows["control/t_us"]) == len(still.goals)
+    slices = run_grasp(Rig(camera, still, camera), SlipsAt(slips_at), control, timing, buffer.append, lambda _: None)
+    assert slices == timing.end_ms == len(buffer.events)
+    assert len(buffer.rows["control/t_us"]) == len(still.goals)
     return still.goals
 
 
@@ -212,7 +212,7 @@ def test_the_controller_steps_at_its_rate(hz: int) -> None:
 
 
 @pytest.mark.parametrize("latency_ms", [0, 1, 2, 7, 50])
-def test_the_controller_hears_so_much_later(latency_ms: int) -> None:
+def test_the_controller_reacts_after_the_latency(latency_ms: int) -> None:
     """Assert that slip in a slice changes the goal in the first step of control after the latency."""
     timing = Timing(10, 190, 0, 500.0, latency_ms)
     goals = held(timing, 51)

@@ -202,7 +202,7 @@ def some(writer: RecordingWriter, ended: str, error: Exception | None = None, st
     return recorded
 
 
-def test_motion_is_told_when_all_is_ready(
+def test_motion_is_announced_when_all_is_ready(
     armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Assert that "moves now" is said once both processes are ready and the file is begun, and next is motion."""
@@ -214,7 +214,7 @@ def test_motion_is_told_when_all_is_ready(
 
 
 def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
-    """Assert that misses, latency, losses and urgency are in file and row, and that both processes are ended."""
+    """Assert that misses, latency, losses and scheduling are in file and row, and that both processes are ended."""
     recorder_is(lambda processes, world, writer, *more: some(writer, "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
     assert GraspProcesses.closed
@@ -228,8 +228,10 @@ def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, DeviceTrial], recorde
         assert file.header["parameters"]["setup"]["camera"] == {"serial": "T1"}
 
 
-def test_a_failure_is_told_and_kept(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
-    """Assert that what failed is raised, with what is kept, and that the file says it and how long torque stayed on."""
+def test_a_failure_says_what_was_saved(
+    armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]
+) -> None:
+    """Assert that a failure is raised with what was saved, and that the file says it and how long torque stayed on."""
     failed = DeviceError("the camera is silent; torque is off")
     recorder_is(lambda processes, world, writer, *more: some(writer, "the camera is silent", failed))
     with pytest.raises(DeviceError, match="silent(.|\n)*kept: .*1 slices in"):
@@ -319,10 +321,10 @@ def test_a_virtual_grasp(tmp_path: Path) -> None:
 
 
 def children_of(process: int) -> list[int]:
-    found = []
+    children: list[str] = []
     for task in os.listdir(f"/proc/{process}/task"):
-        found += Path(f"/proc/{process}/task/{task}/children").read_text().split()
-    spawned = [int(child) for child in found if "multiprocessing-fork" in Path(f"/proc/{child}/cmdline").read_text()]
+        children += Path(f"/proc/{process}/task/{task}/children").read_text().split()
+    spawned = [int(child) for child in children if "multiprocessing-fork" in Path(f"/proc/{child}/cmdline").read_text()]
     return sorted(spawned)  # world, detector, controller: as they were started
 
 

@@ -38,7 +38,7 @@ def replay(path: Path, out: Path, **flags: float | str) -> Path:
 
 
 def test_decisions_are_those_of_the_grasp(grasped: Path, tmp_path: Path) -> None:
-    """Assert that a grasp that is replayed is felt and decided again just as it was, and moves nothing."""
+    """Assert that a grasp that is replayed is evaluated and decided again just as it was, and moves nothing."""
     again = replay(grasped, tmp_path / "again.recording.h5")
     assert validate.run([again]).summary["invalid"] == 0
     with open_recording(grasped) as was, open_recording(again) as now:
@@ -89,7 +89,7 @@ def test_another_law_and_another_recording(grasped: Path, short_scene: Path, tmp
 
 
 def test_a_recording_without_dots(tmp_path: Path) -> None:
-    """Assert that a recording of nobody knows what is refused in words."""
+    """Assert that a recording of an unknown sensor is refused in words."""
     source = tmp_path / "events.txt"
     source.write_text("0 1 1 1\n1000 2 2 0\n")
     params = Record(source=source, frame_size="640x480")

@@ -34,7 +34,7 @@ from tests.conftest import Made
 
 
 class Camera:
-    """A camera that makes ten events in every slice, and fails or ends when told."""
+    """A camera that makes ten events in every slice, and fails or ends after a number of slices."""
 
     def __init__(self, slices: int = 10**9, fails_at: int = 10**9) -> None:
         self.sensor: Mapping[str, Any] = {
@@ -67,7 +67,7 @@ class Camera:
 
 
 class Hand:
-    """A gripper that stands still, and fails when told."""
+    """A gripper that stands still, and fails after a number of commands."""
 
     def __init__(self, fails_at: int = 10**9) -> None:
         self.counted = {"answers_lost": 2}
@@ -186,7 +186,7 @@ def test_device_that_fails_at_once_leaves_nothing(rig_is: Callable[..., Rig], tm
 def test_gripper_is_let_go_of_before_the_file_is_joined(
     rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Assert that torque does not wait for the disk, and that a gripper that will not let go is told afterwards."""
+    """Assert that torque does not wait for the disk, and that a gripper that will not let go is an error afterwards."""
     hand = Hand()
     join = segments.join
 

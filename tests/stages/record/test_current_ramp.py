@@ -83,7 +83,7 @@ def test_nothing_between_the_fingers() -> None:
 
 
 class LoggingGripper:
-    """A gripper that answers as told and keeps what it was commanded."""
+    """A gripper that answers after a time, and remembers its commands."""
 
     def __init__(self, read_s: float = 0.0, fails_at: int = 10**9) -> None:
         self.counted: dict[str, int] = {}
@@ -139,14 +139,14 @@ def test_every_command_has_its_row() -> None:
 
 
 def test_late_commands_are_counted() -> None:
-    """Assert that a gripper that takes three cycles is commanded less often, and each moment left out is a miss."""
+    """Assert that a gripper that takes three cycles is commanded less often, and each command left out is a miss."""
     loop, rows = run_loop(LoggingGripper(read_s=3 * COMMAND_MS * 1e-3), 20)
     assert loop.misses >= 19
     assert min(loop.cycle_us) >= 3000 * COMMAND_MS
 
 
 def test_failure_is_kept_for_the_recorder() -> None:
-    """Assert that an error ends the loop, is there to be told, and the rows until then too."""
+    """Assert that an error ends the loop, can be read from it, and the rows until then too."""
     gripper = LoggingGripper(fails_at=7)
     loop, rows = run_loop(gripper, 60)
     assert isinstance(loop.error, DeviceError)

@@ -29,7 +29,7 @@ def test_picture_is_where_the_events_are() -> None:
 
 
 def test_nothing_is_written(made: Made, tmp_path: Path) -> None:
-    """Assert that looking at a camera or a simulation tells its rate and leaves no file."""
+    """Assert that a live view of a camera or a simulation reports its rate and leaves no file."""
     for camera in ("sim", f"replay:{made.recordings[0]}"):
         scene = {"scene": str(made.scene)} if camera == "sim" else {}
         params = Record(camera=camera, live=True, seconds=0.2, **scene)
