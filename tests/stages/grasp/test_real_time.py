@@ -228,9 +228,7 @@ def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, DeviceTrial], recorde
         assert file.header["parameters"]["setup"]["camera"] == {"serial": "T1"}
 
 
-def test_a_failure_says_what_was_saved(
-    armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]
-) -> None:
+def test_a_failure_says_what_was_saved(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that a failure is raised with what was saved, and that the file says it and how long torque stayed on."""
     failed = DeviceError("the camera is silent; torque is off")
     recorder_is(lambda processes, world, writer, *more: some(writer, "the camera is silent", failed))
