@@ -112,7 +112,7 @@ def test_live_features_are_those_of_the_files(made: Made, model_path: Path, cuts
 
 
 def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
-    """Assert that a grasp's probabilities and decisions are those of track, featurize and the model on its recording."""
+    """Assert that a grasp's probabilities and decisions are those of track, featurize and model on its recording."""
     folder = made.folder / "replayed"
     (job,) = track.jobs([made.grasp], Track(), folder)
     track.run(job, Track())

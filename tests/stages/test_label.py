@@ -81,7 +81,7 @@ def test_truth_is_what_the_simulation_knows(made: Made, tmp_path: Path) -> None:
     assert row["onset_ms"] == onset
 
 
-def test_truth_is_told_in_later_reports(made: Made, tmp_path: Path) -> None:
+def test_reports_name_labels_from_truth(made: Made, tmp_path: Path) -> None:
     """Assert that a report on labels from truth says so in its summary and carries it in its history."""
     beside = tmp_path / made.recordings[0].name
     beside.write_bytes(made.recordings[0].read_bytes())

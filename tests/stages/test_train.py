@@ -256,7 +256,8 @@ def test_folds_leave_objects_out(tmp_path: Path) -> None:
         splits.Fold([0, 1], [2]),
         splits.Fold([0, 1, 2], []),
     ]
-    assert [fold.judged for fold in splits.make_folds(headers, 3, 2)] == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
+    left_out = [fold.evaluated_on for fold in splits.make_folds(headers, 3, 2)]
+    assert left_out == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
     for wrong in (1, 4):
         with pytest.raises(InputError, match=r"(?s)leave out.*2 to 3, or 0.*9, 10, 11"):
             splits.make_folds(headers, 3, wrong)

@@ -130,7 +130,7 @@ def test_no_such_slices(flags: dict[str, int], tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_name_tells_the_range(tmp_path: Path) -> None:
+def test_the_name_holds_the_range(tmp_path: Path) -> None:
     """Assert that pieces lie beside the whole under names of their own, and never take its place."""
     whole = rich_recording(tmp_path / "a.recording.h5")
     assert piece(whole, tmp_path, from_ms=2).name == "a-2-endms.recording.h5"

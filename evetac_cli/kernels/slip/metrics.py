@@ -54,7 +54,7 @@ def onset(detected: NDArray[np.bool_]) -> int:
 
 
 def timing(t_model: int, t_label: int) -> Timing:
-    """Timing of a first detection against the labels' onset, both slice indices (paper, Evaluation Procedure & Metrics).
+    """Timing of a first detection against the labels' onset, two slices (paper, Evaluation Procedure & Metrics).
 
     Correct is -50 ms <= t_model - t_label <= +20 ms, both included. No detection (t_model -1) is late.
     """

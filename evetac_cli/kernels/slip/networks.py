@@ -69,7 +69,7 @@ class SlipNet(nn.Module):
         self.fc5 = nn.Linear(FC4, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Classify features (batch, dots row-major, inputs_per_dot): logits (batch,), whose sigmoid is the probability."""
+        """Logits (batch,), whose sigmoid is the probability, of features (batch, dots row-major, inputs_per_dot)."""
         code = (features - self.input_offset) * self.input_scale
         code = torch.relu(self.fc1(code))
         code = torch.relu(self.fc2(code))
@@ -107,7 +107,7 @@ class ImageNet(nn.Module):
         self.fc2 = nn.Linear(IMAGE_FC, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Classify images (batch, history, height, width), newest first: logits (batch,)."""
+        """Logits (batch,) of images (batch, history, height, width), the newest first."""
         wide = self.architecture.history
         images = (images - self.input_offset.view(wide, 1, 1)) * self.input_scale.view(wide, 1, 1)
         # why so: a step of training takes 0.7 to 0.8 of the time on a CPU

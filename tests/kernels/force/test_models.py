@@ -119,7 +119,7 @@ def test_errors() -> None:
 
 
 @pytest.mark.parametrize(
-    ("moved_px", "force_n", "said"),
+    ("moved_px", "force_n", "message"),
     [
         (moved(5), np.zeros((4, 2)), "expected shapes"),
         (moved(2), np.zeros((2, 2)), "n >= 3"),

@@ -64,7 +64,7 @@ def labels(dot_px: np.ndarray, object_px: Sequence[float], start: int = LOAD_MS,
     return event_flow.label(between, len(object_px) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS, start)
 
 
-@pytest.mark.parametrize("way", [(4.0, 0.0), (0.0, -7.0), (-5.0, 3.0)])
+@pytest.mark.parametrize("path_px", [(4.0, 0.0), (0.0, -7.0), (-5.0, 3.0)])
 def test_dots_are_followed_both_ways(path_px: tuple[float, float]) -> None:
     """Assert that dots that go and come back are followed to 5 % and twice the noise of counting, at both ends."""
     out = np.linspace(0, 1, 101)[:, None] * np.array(path_px)
@@ -106,9 +106,9 @@ def test_a_turning_object_takes_dots_along_each_its_own_way() -> None:
     assert (result.label[LOAD_MS : result.onset] == 0).all()
 
 
-@pytest.mark.parametrize("way", [0.5, 5.0, 50.0, 400.0])
-def test_travel_is_told_from_events_that_fade(path_px: float) -> None:
-    """Assert that events fading as the module says give back the way, to the step of the sum, short or long."""
+@pytest.mark.parametrize("path_px", [0.5, 5.0, 50.0, 400.0])
+def test_travel_follows_from_events_that_fade(path_px: float) -> None:
+    """Assert that events fading as the module says give back the distance, to the step of the sum, short or long."""
     object_px = np.linspace(0, path_px, 4001)
     moved = RATE * CONSTANTS.fading_px * np.log1p(object_px / CONSTANTS.fading_px)
     reported = event_flow.travel(moved, np.full(4000, float(RATE)), CONSTANTS.fading_px)

@@ -133,7 +133,7 @@ def test_a_real_recording_of_noise(tmp_path: Path) -> None:
     assert all(row["windows_without_vibration"] == row["windows"] for row in rows[2:] if row["method"] == "default")
 
 
-def test_truth_tells_when_the_tone_sounds(tmp_path: Path) -> None:
+def test_slices_are_those_in_which_the_tone_sounds(tmp_path: Path) -> None:
     """Assert that windows lie where the tone sounds, and that it is what is expected, unless one is given."""
     path = recording(tmp_path, 120.0, seconds=2.6, silent_s=0.6, truth=True)
     outcome = evaluated(path, windows="1")
