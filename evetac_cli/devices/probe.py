@@ -115,7 +115,7 @@ class Host:
         """How long the adapter of a port holds back an answer; None if it has no such timer."""
         return latency_timer_ms(str(port), self.sysfs / "bus" / "usb-serial" / "devices")
 
-    def users_of(self, path: Path) -> list[str]:
+    def programs_using(self, path: Path) -> list[str]:
         """Programs of this user that have a file open, as `name (pid)`; those of others cannot be seen."""
         wanted = path.resolve()
         users = []

@@ -188,7 +188,7 @@ def _opened(machine: Host, camera: FoundCamera, number: int, found: str) -> tupl
     if number == errno.EACCES:
         return "permission", False, f"none, for you ({found})", "a udev rule", INSTALL_RULES
     if number == errno.EBUSY:
-        users = machine.users_of(node)
+        users = machine.programs_using(node)
         by = f"used by {', '.join(users)}" if users else "used by another program"
         fix = (
             f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
@@ -234,7 +234,7 @@ def _port(machine: Host, path: Path, named: bool) -> tuple[list[Row], int]:
         rows.append(
             _row(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands a second", fix)
         )
-    users = machine.users_of(path)
+    users = machine.programs_using(path)
     if users:
         fix = f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
         return [*rows, _row(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0

@@ -38,7 +38,7 @@ class FakeMini:
     """As dv.io.camera.DVXplorerM: hands out prepared batches, then None."""
 
     def __init__(self, *serial: str) -> None:
-        self.told: dict[str, Any] = {"serial": serial}
+        self.calls: dict[str, Any] = {"serial": serial}
         self.batches: deque[Batch] = deque()
         self.running = True
         FakeMini.latest = self
@@ -48,7 +48,7 @@ class FakeMini:
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("set"):
             raise AttributeError(name)
-        return lambda value: self.told.__setitem__(name, value)
+        return lambda value: self.calls.__setitem__(name, value)
 
     def getCameraName(self) -> str:  # the library's name
         return "DVXplorerM_FAKE"
@@ -83,7 +83,7 @@ def test_settings_are_told() -> None:
     settings = DvxplorerSettings(3, 4, "lossy-2000", 500, global_hold=False)
     with closing(DvCamera("ABC", settings, library())) as camera:
         assert camera.sensor["sensor/name"] == "dv:DVXplorerM_FAKE"
-    assert FakeMini.latest.told == {
+    assert FakeMini.latest.calls == {
         "serial": ("ABC",),
         "setReadoutFPS": "lossy-2000",
         "setContrastThresholdOn": 3,
@@ -162,11 +162,11 @@ def test_the_library_itself() -> None:
     """Assert that the maker's library has every name we use, and that without a camera there is a DeviceError."""
     real = pytest.importorskip("dv_processing")
     mini = real.io.camera.DVXplorerM
-    told = [name for name in FakeMini("x").told if name.startswith("set")]
+    calls = [name for name in FakeMini("x").calls if name.startswith("set")]
     with closing(DvCamera(library=library())):
-        told = [name for name in FakeMini.latest.told if name.startswith("set")]
-    assert len(told) == 6
-    for name in (*told, "getCameraName", "getNextEventBatch", "isRunning"):
+        calls = [name for name in FakeMini.latest.calls if name.startswith("set")]
+    assert len(calls) == 6
+    for name in (*calls, "getCameraName", "getNextEventBatch", "isRunning"):
         assert hasattr(mini, name)
     assert vars(RATES).keys() == real.io.camera.DVXplorer.ReadoutFPS.__members__.keys()
     if not real.io.camera.discover():

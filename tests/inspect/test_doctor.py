@@ -314,7 +314,7 @@ def test_what_is_no_serial_port(machine: Made, tmp_path: Path, monkeypatch: pyte
     """Assert that it is called that, and neither asked nor are those who have it open (nobody is to be ended)."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("text")
-    monkeypatch.setattr(Made, "users_of", lambda *_: pytest.fail("asked who uses it"))
+    monkeypatch.setattr(Made, "programs_using", lambda *_: pytest.fail("asked who uses it"))
     monkeypatch.setattr(Made, "scan", lambda *_: pytest.fail("talked to it"))
     (row,) = wrong(doctor.run(Doctor(gripper=name), machine)).values()
     assert row["found"] == "not a serial port"

@@ -75,14 +75,14 @@ def test_it_stands_still_at_the_limit_and_goes_on_from_there(clock: SharedTime, 
 
 def test_it_never_goes_back(clock: SharedTime, host: Host) -> None:
     """Assert that an earlier limit, a late one and any number of the same leave it monotonic."""
-    said = [clock.now_s()]
+    times_s = [clock.now_s()]
     for limit in (999.0, 1000.05, 1000.02, 1000.02, math.inf, 1000.01, 1000.3, 1000.3, 1002.0):
         clock.limit(limit)
-        said.append(clock.now_s())
+        times_s.append(clock.now_s())
         host.s += 0.04
-        said.append(clock.now_s())
-    assert said == sorted(said)
-    assert (np.diff(said)[1::2] > 0).all()
+        times_s.append(clock.now_s())
+    assert times_s == sorted(times_s)
+    assert (np.diff(times_s)[1::2] > 0).all()
 
 
 def test_patience_ends(clock: SharedTime, host: Host) -> None:

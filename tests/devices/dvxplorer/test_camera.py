@@ -29,7 +29,7 @@ def few(seconds: float, events_per_s: float = 20_000) -> NDArray[np.uint32]:
     return random_event_words(events_per_s, seconds, np.random.default_rng(0))
 
 
-def all_of(words: NDArray[np.uint32]) -> Events:
+def decoded(words: NDArray[np.uint32]) -> Events:
     """Events of a stream, t = 0 at its first TIMESTAMP."""
     decoder = event_words.start()
     events = concatenate([event_words.step(decoder, words.tobytes()), event_words.flush(decoder)])
@@ -102,7 +102,7 @@ for _name in (
 def test_no_event_is_lost(firmware: int, slices: int) -> None:
     """Assert that every event of a second comes at a million a second, in 1000 slices; and so with firmware 9."""
     words = random_event_words(1e6, (slices + 10) / 1000, np.random.default_rng(0))
-    expected = all_of(words)
+    expected = decoded(words)
     device = VirtualDvxplorer(PreparedWords(words), firmware=firmware)
     with closing(DvxplorerCamera(backend=device)) as camera:
         events = read(camera, slices)
@@ -171,7 +171,7 @@ def test_close_ends_a_read() -> None:
     assert not waiting.is_alive()
 
 
-def said(device: VirtualDvxplorer) -> list[tuple[int, ...]]:
+def writes(device: VirtualDvxplorer) -> list[tuple[int, ...]]:
     """The requests a camera obeyed: (request, value) or, of a parameter, (module, parameter, value)."""
     return [
         (value, index, int.from_bytes(data, "big")) if request == protocol.CONFIG else (request, value)
@@ -192,7 +192,7 @@ def test_measured_order_of_firmware_10() -> None:
         *((1, 24, 0), (1, 23, 0), (1, 25, 0), (1, 23, 0)),
         (1, 3, 1),
     ]
-    assert said(device) == start + stop
+    assert writes(device) == start + stop
     assert {len(data) for request, *_, data in device.log if request == protocol.CONFIG} == {8}
 
 
@@ -200,18 +200,18 @@ def test_measured_order_of_firmware_9() -> None:
     """Assert that sensor registers are written before the clock is reset and the stream mode set, with 4 bytes each."""
     device = VirtualDvxplorer(Nothing(), firmware=9)
     DvxplorerCamera(backend=device).close()
-    told = said(device)
-    assert told[-8:] == [
+    sent = writes(device)
+    assert sent[-8:] == [
         *((5, 0x3238, 1), (5, 0x3238, 0), (5, 0x3000, 2)),
         *((5, 0x3000, 0), (1, 3, 0), (3, 2, 0), (3, 3, 0), (3, 4, 0)),
     ]
     bias = [(5, 0x18, 4), (5, 0xC, 0x14), (5, 0xB, 6), (5, 0x12, 0x7D), (5, 0x1C, 0), (5, 0x1E, 8)]
-    assert told[5:11] == bias
-    assert (5, 0x3255, 0x0D) in told  # global hold set, the other bits as they were
-    assert (5, 0x3067, 0x80) in told
-    assert (5, 0x3200, 0x06) in told
+    assert sent[5:11] == bias
+    assert (5, 0x3255, 0x0D) in sent  # global hold set, the other bits as they were
+    assert (5, 0x3067, 0x80) in sent
+    assert (5, 0x3200, 0x06) in sent
     assert {len(data) for *_, data in device.log} == {4}
-    last = {register: value for module, register, value in told if module == 5}
+    last = {register: value for module, register, value in sent if module == 5}
     assert [last[register] for register in (0x325C, 0x325D, 0x325E, 0x3240, 0x3241, 0x3242)] == [0, 0xAF, 0xC8, 0, 0, 7]
     assert [last[register] for register in (0x3261, 0x3262, 0x3251, 0x3201)] == [0, 15, 10, 1]
 
@@ -231,9 +231,9 @@ def test_thresholds(on: int, off: int, expected: dict[int, int]) -> None:
     for firmware in (10, 9):
         device = VirtualDvxplorer(Nothing(), firmware=firmware)
         DvxplorerCamera(settings=settings, backend=device).close()
-        told = said(device)
+        sent = writes(device)
         wanted = [(1, 14, on), (1, 15, off)] if firmware == 10 else [(5, *each) for each in expected.items()]
-        assert set(wanted) <= set(told)
+        assert set(wanted) <= set(sent)
 
 
 def test_settings_out_of_range() -> None:
@@ -271,7 +271,7 @@ def test_stale_words_are_not_ours() -> None:
         with closing(DvxplorerCamera(backend=device)) as camera:
             events = read(camera, 100)
             assert lost(camera) == {}
-        assert same(events, all_of(words).part(0, events.size))
+        assert same(events, decoded(words).part(0, events.size))
 
 
 def left_running(device: VirtualDvxplorer) -> None:
@@ -296,7 +296,7 @@ def left_running(device: VirtualDvxplorer) -> None:
     ids=["no permission", "busy", "not there", "wrong model"],
 )
 def test_cameras_that_cannot_be_opened(device: VirtualDvxplorer, words: list[str]) -> None:
-    """Assert a DeviceError that says where, what was found and what to do; and nothing is told to the camera."""
+    """Assert a DeviceError that says where, what was found and what to do; and nothing is sent to the camera."""
     bus = VirtualBus() if "none on the bus" in words else device
     with pytest.raises(DeviceError) as error:
         DvxplorerCamera(backend=bus)
@@ -306,7 +306,7 @@ def test_cameras_that_cannot_be_opened(device: VirtualDvxplorer, words: list[str
 
 
 def test_no_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a machine without libusb is told which package brings it."""
+    """Assert that without libusb the error names the package that brings it."""
     monkeypatch.setattr("libusb_package.get_libusb1_backend", lambda: None)
     with pytest.raises(DeviceError, match="pip install libusb-package"):
         DvxplorerCamera()
@@ -329,24 +329,24 @@ def test_cameras_are_told_apart_by_serial() -> None:
     ):
         for camera, words in zip((first, second), streams, strict=True):
             events = read(camera, 200)
-            assert same(events, all_of(words).part(0, events.size))
+            assert same(events, decoded(words).part(0, events.size))
         # the second was started before the first
         assert first.host_us(0) > second.host_us(0)
 
 
 def test_looking_changes_nothing() -> None:
-    """Assert that a find_cameras tells serial, model, firmware and link without a request to the camera."""
+    """Assert that find_cameras reads serial, model, firmware and link without a request to the camera."""
     device = VirtualDvxplorer(Nothing(), firmware=9, faults=("usb2", "busy"))
-    (found,) = find_cameras(device)
-    assert (found.serial, found.board, found.firmware, found.speed) == ("DXM00042", 4, 9, 3)
+    (camera,) = find_cameras(device)
+    assert (camera.serial, camera.board, camera.firmware, camera.speed) == ("DXM00042", 4, 9, 3)
     assert device.log == []
-    (found,) = find_cameras(VirtualDvxplorer(Nothing(), faults=("no-permission",)))
-    assert found.serial is None
+    (camera,) = find_cameras(VirtualDvxplorer(Nothing(), faults=("no-permission",)))
+    assert camera.serial is None
 
 
 @pytest.mark.parametrize(("fault", "firmware", "word"), [("usb2", 10, "USB 2"), ("log@0", 11, "firmware 11")])
 def test_notes(fault: str, firmware: int, word: str) -> None:
-    """Assert that what does not keep a camera from running is said."""
+    """Assert that what does not keep a camera from running is in its notes."""
     with closing(DvxplorerCamera(backend=VirtualDvxplorer(Nothing(), firmware=firmware, faults=(fault,)))) as camera:
         assert any(word in note for note in camera.notes)
 
@@ -395,7 +395,7 @@ def test_a_stall_is_cleared() -> None:
     with closing(DvxplorerCamera(backend=VirtualDvxplorer(PreparedWords(words), faults=("stall@0.1",)))) as camera:
         events = read(camera, 300)
         assert lost(camera) == {"usb_errors": 1}
-    assert same(events, all_of(words).part(0, events.size))
+    assert same(events, decoded(words).part(0, events.size))
     with closing(DvxplorerCamera(backend=VirtualDvxplorer(Nothing(), faults=("stall-for-good@0.02",)))) as camera:
         with pytest.raises(DeviceError, match="Pipe error"):
             read(camera, 1000)
@@ -422,7 +422,7 @@ def test_a_bad_transfer_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
         missing = lost(camera)
     assert missing.pop("usb_errors") == 1
     assert missing.keys() <= {"events_in_dropped_frames", "missing_words"}
-    expected = all_of(words)
+    expected = decoded(words)
     rows = set(zip(*(column.tolist() for column in expected), strict=True))
     assert rows >= set(zip(*(column.tolist() for column in events), strict=True))
     assert events.size < 300 * 200
@@ -441,7 +441,7 @@ FAULTS = {
 def test_damage_is_counted_and_ends(fault: str) -> None:
     """Assert that no fault stops the slices, that it costs only its own time, and that what can be known is counted."""
     words = few(0.4, 200_000)
-    expected = all_of(words)
+    expected = decoded(words)
     device = VirtualDvxplorer(PreparedWords(words), faults=(fault,))
     with closing(DvxplorerCamera(backend=device)) as camera:
         parts = [camera.read() for _ in range(350)]
@@ -465,7 +465,7 @@ def test_damage_is_counted_and_ends(fault: str) -> None:
 def test_reader_too_slow() -> None:
     """Assert that a full queue drops the oldest, that its events are counted, and that the rest is whole."""
     words = few(0.3, 500_000)
-    expected = all_of(words)
+    expected = decoded(words)
     device = VirtualDvxplorer(PreparedWords(words))
     with closing(DvxplorerCamera(backend=device, queue_bytes=100_000)) as camera:
         time.sleep(0.35)

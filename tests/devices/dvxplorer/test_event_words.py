@@ -285,8 +285,8 @@ def test_damage_costs_its_frame(name: str) -> None:
     """Assert what is dropped and counted after each kind of damage, and that the next millisecond is whole again."""
     damaged, reason, events_lost, same_ms = DAMAGE[name]
     events, missing = decoded([*GOOD, *damaged, *SAME_MS, *NEXT_MS])
-    kept = [] if name == "unknown word between frames" else [KEPT]
-    assert events == [*kept, *([KEPT_SAME_MS] if same_ms else []), KEPT_NEXT_MS]
+    chosen = [] if name == "unknown word between frames" else [KEPT]
+    assert events == [*chosen, *([KEPT_SAME_MS] if same_ms else []), KEPT_NEXT_MS]
     assert missing.pop(reason) == 1
     assert missing.pop("events_in_dropped_frames", 0) == events_lost + (0 if same_ms else 1)
     assert missing == {}
@@ -411,8 +411,8 @@ def test_torn_transfer(seed: int, torn: int, size: int) -> None:
     back = back._replace(t=back.t - 1000)
     before = 1000 * (at_ms - 2)
     after = 1000 * (ends_ms + 2)
-    for kept in (lambda t: t < before, lambda t: t >= after):
-        assert equal(*(Events(*(each[kept(e.t)] for each in e)) for e in (back, events)))
+    for chosen in (lambda t: t < before, lambda t: t >= after):
+        assert equal(*(Events(*(each[chosen(e.t)] for each in e)) for e in (back, events)))
     assert back.size + decoder.counted["events_in_dropped_frames"] <= events.size + 16
 
 

@@ -177,15 +177,15 @@ def test_the_makers_driver_sees_what_we_see(tmp_path: Path) -> None:
     events = event_words.step(decoder, random_event_words(100_000, 0.3, np.random.default_rng(0)).tobytes())
     words = event_words.encode(events, first_ms=2**22 - 100)  # so that the milliseconds wrap on the way
     device = VirtualDvxplorer(PreparedWords(words))
-    seen, said = run(MAKERS, device, tmp_path, 1.0)
-    assert said == "DVXplorerM_DXM00042"
+    seen, printed = run(MAKERS, device, tmp_path, 1.0)
+    assert printed == "DVXplorerM_DXM00042"
     assert events.size - 100 <= seen.size <= events.size  # it keeps back the last interval
     assert in_order(seen) == in_order(events.part(0, seen.size))
-    told = [
+    writes = [
         (value, index, int.from_bytes(data, "big")) for request, value, index, data in device.log if request == 0xBF
     ]
     ours = [(each.module, each.parameter, each.value) for each in configure(Generation.PARAMETERS, AS_THE_MAKER)]
-    assert [each for each in told if each[0] == DVS] == [*ours, (DVS, RUN, 1), (DVS, RUN, 0)]
+    assert [each for each in writes if each[0] == DVS] == [*ours, (DVS, RUN, 1), (DVS, RUN, 0)]
 
 
 @pytest.mark.parametrize(("firmware", "faults", "lost"), [(9, (), {}), (10, ("stall@0.1",), {"usb_errors": 1})])
@@ -193,8 +193,8 @@ def test_our_driver_over_libusb(firmware: int, faults: tuple[str, ...], lost: di
     """Assert that the driver finds, starts and reads a camera through the real libusb; a stall costs no event."""
     words = random_event_words(100_000, 0.6, np.random.default_rng(0))
     device = VirtualDvxplorer(PreparedWords(words), firmware=firmware, faults=faults)
-    seen, said = run(OURS, device, tmp_path, 0.5)
-    assert said == str(lost)
+    seen, printed = run(OURS, device, tmp_path, 0.5)
+    assert printed == str(lost)
     decoder = event_words.start()
     events = event_words.step(decoder, words.tobytes())
     assert seen.size == 50_000
@@ -208,7 +208,7 @@ def test_unplugged_over_libusb(tmp_path: Path) -> None:
     device = VirtualDvxplorer(
         PreparedWords(random_event_words(20_000, 0.5, np.random.default_rng(0))), faults=("unplug@0.2",)
     )
-    seen, said = run(OURS, device, tmp_path, 0.4)
+    seen, printed = run(OURS, device, tmp_path, 0.4)
     assert seen.size > 0
-    assert "no longer on the bus" in said
-    assert "errno 19" in said
+    assert "no longer on the bus" in printed
+    assert "errno 19" in printed

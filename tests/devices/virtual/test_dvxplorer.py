@@ -22,16 +22,16 @@ WRITE, READ = 0x40, 0xC0
 SIZE = {9: 4, 10: 8}
 
 
-def words_of(seconds: float, events_per_s: float = 20_000) -> NDArray[np.uint32]:
+def prepared(seconds: float, events_per_s: float = 20_000) -> NDArray[np.uint32]:
     return random_event_words(events_per_s, seconds, np.random.default_rng(0))
 
 
 def plugged(device: VirtualDvxplorer) -> Any:
     """The camera as pyusb sees it."""
-    found = usb.core.find(idVendor=0x152A, idProduct=0x8419, backend=device)
-    found.set_configuration()
-    usb.util.claim_interface(found, 0)
-    return found
+    device_handle = usb.core.find(idVendor=0x152A, idProduct=0x8419, backend=device)
+    device_handle.set_configuration()
+    usb.util.claim_interface(device_handle, 0)
+    return device_handle
 
 
 def write(device: Any, module: int, parameter: int, value: int, size: int = 8) -> int:
@@ -69,7 +69,7 @@ def same(one: Events, other: Events) -> bool:
 @pytest.mark.parametrize("firmware", SIZE)
 def test_descriptors(firmware: int) -> None:
     """Assert what lsusb would show of a Mini: id, model and firmware, strings, and its two endpoints."""
-    device = plugged(VirtualDvxplorer(PreparedWords(words_of(0.1)), firmware=firmware, serial="ABC"))
+    device = plugged(VirtualDvxplorer(PreparedWords(prepared(0.1)), firmware=firmware, serial="ABC"))
     assert device.bcdDevice == 0x0400 | firmware
     assert (device.serial_number, device.product) == ("ABC", "DVXplorer Mini")
     interface = device.get_active_configuration()[(0, 0)]
@@ -80,7 +80,7 @@ def test_descriptors(firmware: int) -> None:
 @pytest.mark.parametrize(("firmware", "wrong"), [(10, 4), (9, 8), (10, 7), (9, 3)])
 def test_wrong_length_stalls(firmware: int, wrong: int) -> None:
     """Assert a STALL for values of the other generation's length, both ways, and the right ones obeyed."""
-    device = plugged(VirtualDvxplorer(PreparedWords(words_of(0.1)), firmware=firmware))
+    device = plugged(VirtualDvxplorer(PreparedWords(prepared(0.1)), firmware=firmware))
     size = SIZE[firmware]
     assert (read(device, 1, 0, size), read(device, 1, 1, size)) == (640, 480)
     assert write(device, 3, 5, 11, size) == size
@@ -109,7 +109,7 @@ def test_wrong_length_stalls(firmware: int, wrong: int) -> None:
 )
 def test_requests(firmware: int, request_: tuple[Any, ...], refused: bool) -> None:
     """Assert which requests each generation knows, and that those obeyed are logged."""
-    camera = VirtualDvxplorer(PreparedWords(words_of(0.1)), firmware=firmware)
+    camera = VirtualDvxplorer(PreparedWords(prepared(0.1)), firmware=firmware)
     device = plugged(camera)
     if refused:
         with pytest.raises(usb.core.USBError) as error:
@@ -123,14 +123,14 @@ def test_requests(firmware: int, request_: tuple[Any, ...], refused: bool) -> No
 
 def test_system_information_of_firmware_9() -> None:
     """Assert the logic version 18 and patch 2 that the maker's older driver asks for."""
-    device = plugged(VirtualDvxplorer(PreparedWords(words_of(0.1)), firmware=9))
+    device = plugged(VirtualDvxplorer(PreparedWords(prepared(0.1)), firmware=9))
     assert [read(device, 6, parameter, 4) for parameter in (0, 1, 7)] == [18, 20, 2]
 
 
 @pytest.mark.parametrize("firmware", SIZE)
 def test_the_stream_runs_only_while_told_to(firmware: int) -> None:
     """Assert that nothing comes before RUN nor after its end, and everything between, padded with zeros only."""
-    words = words_of(0.1)
+    words = prepared(0.1)
     device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False), firmware=firmware))
     assert list(transfers(device, timeout_ms=1)) == []
     run(device, firmware)
@@ -148,7 +148,7 @@ def test_the_stream_runs_only_while_told_to(firmware: int) -> None:
 @settings(max_examples=20, deadline=None)
 def test_no_word_is_lost_whatever_the_reads(sizes: list[int]) -> None:
     """Assert that reads of any size give all words, in order."""
-    words = words_of(0.02)
+    words = prepared(0.02)
     device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False)))
     write(device, 1, 12, 1)
     run(device)
@@ -167,7 +167,7 @@ def test_flush_time() -> None:
     """Assert that a shorter flush time makes more and shorter transfers of the same words."""
     counts = []
     for flush_us in (1000, 20_000):
-        device = plugged(VirtualDvxplorer(PreparedWords(words_of(0.2))))
+        device = plugged(VirtualDvxplorer(PreparedWords(prepared(0.2))))
         write(device, 1, 12, flush_us)
         run(device)
         counts.append(len(list(transfers(device, timeout_ms=50))))
@@ -177,7 +177,7 @@ def test_flush_time() -> None:
 
 def test_overflow_loses_the_oldest() -> None:
     """Assert that words nobody fetched are counted, and that the latest are still there."""
-    words = words_of(0.1, 500_000)
+    words = prepared(0.1, 500_000)
     camera = VirtualDvxplorer(PreparedWords(words), fifo_bytes=4000)
     device = plugged(camera)
     run(device)
@@ -201,9 +201,9 @@ ALTERED = {
 
 @pytest.mark.parametrize("name", ALTERED)
 def test_crop_flip_and_flatten(name: str) -> None:
-    """Assert that a camera told to alter what it sees sends just that, in words that obey the rules."""
-    parameters, kept = ALTERED[name]
-    words = words_of(0.05, 200_000)
+    """Assert that a camera that crops, flips or flattens sends just those events, in words that obey the rules."""
+    parameters, select = ALTERED[name]
+    words = prepared(0.05, 200_000)
     device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False)))
     for parameter, value in parameters.items():
         write(device, 1, parameter, value)
@@ -212,7 +212,7 @@ def test_crop_flip_and_flatten(name: str) -> None:
     assert missing == {}
     seen, _ = decoded(words.tobytes())
     seen = seen.part(0, int(np.searchsorted(seen.t, seen.t[-1])))  # the camera waits for the end of the last frame
-    chosen = kept(seen)
+    chosen = select(seen)
     x = 639 - seen.x if 24 in parameters else seen.x
     y = 479 - seen.y if 25 in parameters else seen.y
     p = np.ones_like(seen.p) if 4 in parameters else seen.p
@@ -223,7 +223,7 @@ def test_crop_flip_and_flatten(name: str) -> None:
 
 def test_unplugged() -> None:
     """Assert that nothing answers, that the bus is empty, and that a waiting read ends."""
-    camera = VirtualDvxplorer(PreparedWords(words_of(0.01)), faults=("unplug@0.05",))
+    camera = VirtualDvxplorer(PreparedWords(prepared(0.01)), faults=("unplug@0.05",))
     device = plugged(camera)
     run(device)
     with pytest.raises(usb.core.USBError) as error:
@@ -237,7 +237,7 @@ def test_unplugged() -> None:
 
 def test_stall_ends_by_clearing() -> None:
     """Assert that a halted endpoint refuses until it is cleared, once."""
-    words = words_of(0.1)
+    words = prepared(0.1)
     device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False), faults=("stall@0",)))
     run(device)
     for _ in range(2):
@@ -251,7 +251,7 @@ def test_stall_ends_by_clearing() -> None:
 
 def test_odd_transfers_cut_words_but_lose_none() -> None:
     """Assert odd lengths, and the same bytes in all."""
-    words = words_of(0.1)
+    words = prepared(0.1)
     device = plugged(VirtualDvxplorer(PreparedWords(words), faults=("odd@0:0.2",)))
     run(device)
     parts = list(transfers(device))
@@ -261,7 +261,7 @@ def test_odd_transfers_cut_words_but_lose_none() -> None:
 
 def test_log_packet_and_silence() -> None:
     """Assert the document's log packet on the debug endpoint, once, and a stream with a hole."""
-    words = words_of(0.2)
+    words = prepared(0.2)
     device = plugged(VirtualDvxplorer(PreparedWords(words), faults=("log@0", "silence@0.05:0.05")))
     run(device)
     packet = bytes(device.read(0x81, 64, 10))
@@ -289,7 +289,7 @@ def test_due_times() -> None:
 
 def test_paced_words_come_in_time() -> None:
     """Assert that no word comes before its time, that a stop stops time, and that silence ends a wait."""
-    words = words_of(0.3)
+    words = prepared(0.3)
     due = due_us(words)
     source = PreparedWords(words)
     assert source.take(100, 0.01) == b""

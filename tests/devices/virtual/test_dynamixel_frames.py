@@ -103,10 +103,10 @@ def test_fast_status() -> None:
     """Assert the known bytes of the one answer of two devices, in both directions."""
     known = bytes.fromhex("ff ff fd 00 fe 0d 00 55 00 01 07 00 5d af 00 02 08 00 a7 ea")
     assert fast_status([(0, 1, le("H", 7)), (0, 2, le("H", 8))]) == known
-    (found,) = FrameReader().push(known)
-    assert (found.id, found.instruction, found.sound) == (BROADCAST_ID, Instruction.STATUS, True)
-    assert found.parameters[:4] == bytes([0, 1]) + le("H", 7)
-    assert found.parameters[6:] == bytes([0, 2]) + le("H", 8)
+    (frames,) = FrameReader().push(known)
+    assert (frames.id, frames.instruction, frames.sound) == (BROADCAST_ID, Instruction.STATUS, True)
+    assert frames.parameters[:4] == bytes([0, 1]) + le("H", 7)
+    assert frames.parameters[6:] == bytes([0, 2]) + le("H", 8)
 
 
 def test_crc() -> None:
@@ -141,11 +141,11 @@ def test_frames_survive_any_cut(sent: list[tuple[int, Instruction, bytes]], data
     stream = b"".join(frame(*one) for one in sent)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
     reader = FrameReader()
-    found = []
+    frames = []
     for start, stop in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-        found += reader.push(stream[start:stop])
-    assert [(one.id, one.instruction, one.parameters) for one in found] == sent
-    assert all(one.sound for one in found)
+        frames += reader.push(stream[start:stop])
+    assert [(one.id, one.instruction, one.parameters) for one in frames] == sent
+    assert all(one.sound for one in frames)
     assert not reader.partial
 
 
@@ -165,8 +165,8 @@ def test_a_damaged_frame_does_not_take_the_next_one_along() -> None:
     assert [one.sound for one in FrameReader().push(bytes(bad) + good)] == [False, True]
     long = bytearray(frame(1, Instruction.PING))
     long[5] += len(good)  # LEN was damaged and now reaches into the next frame
-    found = FrameReader().push(bytes(long) + good + good)
-    assert [one.instruction for one in found if one.sound] == [Instruction.READ, Instruction.READ]
+    frames = FrameReader().push(bytes(long) + good + good)
+    assert [one.instruction for one in frames if one.sound] == [Instruction.READ, Instruction.READ]
 
 
 def test_an_absurd_length_is_damage() -> None:
@@ -189,5 +189,5 @@ def test_the_sdk_sends_without_stuffing() -> None:
     """Assert that a frame whose parameters hold a header in the open is read by its length."""
     body = bytes([Instruction.WRITE]) + le("H", 634) + b"\xff\xff\xfd\x00"
     before = b"\xff\xff\xfd\x00\x01" + le("H", len(body) + 2) + body
-    (found,) = FrameReader().push(before + le("H", crc16(before)))
-    assert (found.sound, found.parameters[2:]) == (True, b"\xff\xff\xfd\x00")
+    (frames,) = FrameReader().push(before + le("H", crc16(before)))
+    assert (frames.sound, frames.parameters[2:]) == (True, b"\xff\xff\xfd\x00")

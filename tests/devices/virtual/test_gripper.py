@@ -44,8 +44,8 @@ def test_sdk_pings(gripper: VirtualGripper, port: Port) -> None:
     """Assert that the library finds the servo by its id and by a broadcast."""
     packets = sdk.PacketHandler(2.0)
     assert packets.ping(port, 1) == (35074, sdk.COMM_SUCCESS, 0)
-    found, result = packets.broadcastPing(port)
-    assert (found, result) == ({1: [35074, 14]}, sdk.COMM_SUCCESS)
+    answers, result = packets.broadcastPing(port)
+    assert (answers, result) == ({1: [35074, 14]}, sdk.COMM_SUCCESS)
 
 
 def test_sdk_reads_and_writes(gripper: VirtualGripper, port: Port) -> None:

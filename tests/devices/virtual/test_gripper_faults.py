@@ -1,4 +1,4 @@
-"""The gripper driver when something breaks: an error in words or a counted loss, and torque off at every way out."""
+"""The gripper driver when something breaks: an error in words or a counted loss, and torque off whatever ends it."""
 
 import os
 import signal
@@ -127,7 +127,7 @@ def test_a_dead_gripper_is_a_timeout() -> None:
         assert gripper.read_register("Torque Enable") == 0  # it heard, but could not say so
 
 
-# Every way out
+# Whatever ends the program
 
 
 PROGRAM = """
@@ -149,12 +149,12 @@ while True:
 
 
 @pytest.mark.parametrize(
-    ("way", "code"),
+    ("ending", "code"),
     [("end", 0), ("error", 1), (signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
 )
-def test_torque_is_off_when_the_program_has_ended(fresh: VirtualGripper, way: Any, code: int) -> None:
+def test_torque_is_off_when_the_program_has_ended(fresh: VirtualGripper, ending: Any, code: int) -> None:
     """Assert that a program that never closes the gripper leaves no torque, however it ends."""
-    assert run_program(fresh, way) == code
+    assert run_program(fresh, ending) == code
     assert is_off(fresh)
     assert fresh.read_register("Bus Watchdog") == 0
 
@@ -169,19 +169,19 @@ def test_watchdog_stops_the_gripper_of_a_killed_program(fresh: VirtualGripper) -
     assert (fresh.read_register("Bus Watchdog"), fresh.read_register("Present Current")) == (-1, 0)
 
 
-def run_program(gripper: VirtualGripper, way: Any) -> int:
+def run_program(gripper: VirtualGripper, ending: Any) -> int:
     """Exit code of PROGRAM, ended by itself (a word) or by a signal once it commands the gripper."""
-    command = [sys.executable, "-c", PROGRAM, gripper.port, way if isinstance(way, str) else "go"]
+    command = [sys.executable, "-c", PROGRAM, gripper.port, ending if isinstance(ending, str) else "go"]
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, start_new_session=True
     ) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == b"ready\n"
-        if not isinstance(way, str):
+        if not isinstance(ending, str):
             assert gripper.read_register("Goal Current") == 30
             time.sleep(0.05)
-            program.send_signal(way)
+            program.send_signal(ending)
         program.communicate(timeout=30)
         return program.returncode
 
@@ -217,14 +217,14 @@ def test_ctrl_c_in_a_transaction_leaves_the_port_usable(fresh: VirtualGripper, m
 def test_close_waits_for_another_threads_command(fresh: VirtualGripper) -> None:
     """Assert that closing while another thread commands leaves torque off, and tells the other that it is closed."""
     driver = RhP12Rn(fresh.port, settings=SLOW)
-    told: list[str] = []
+    errors: list[str] = []
 
     def command() -> None:
         try:
             while True:
                 cycles(driver, 1)
         except DeviceError as error:
-            told.append(str(error))
+            errors.append(str(error))
 
     other = threading.Thread(target=command)
     other.start()
@@ -232,8 +232,8 @@ def test_close_waits_for_another_threads_command(fresh: VirtualGripper) -> None:
     driver.close()
     other.join(timeout=30)
     assert is_off(fresh)
-    assert len(told) == 1
-    assert "is closed" in told[0]
+    assert len(errors) == 1
+    assert "is closed" in errors[0]
 
 
 def test_nothing_is_reset_to_factory_values(gripper: VirtualGripper) -> None:

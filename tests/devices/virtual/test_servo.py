@@ -23,7 +23,7 @@ REGISTERS = table.REGISTERS
 
 
 class Still:
-    """A plant that stands where it is put and remembers what it was told."""
+    """A plant that stands where it is put and remembers its goals."""
 
     def __init__(self) -> None:
         self.motion = Motion(0.0, 300, 0.0)

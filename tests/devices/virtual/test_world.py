@@ -27,7 +27,7 @@ LONGEST_S = 20.0
 SHORT_MS = 3000
 
 
-def plan_of(made: Made) -> dict[str, object]:
+def short_plan(made: Made) -> dict[str, object]:
     """One trial of the short slip scene."""
     return scene.for_trial(scene.plan(str(made.scene), "8", "evetac", ("ramp",))[0], (5, 8, 0))
 
@@ -39,7 +39,7 @@ def seeds() -> np.random.SeedSequence:
 @pytest.fixture
 def world(made: Made) -> Iterator[VirtualWorld]:
     """A world that stands still."""
-    world = VirtualWorld(plan_of(made), seeds())
+    world = VirtualWorld(short_plan(made), seeds())
     yield world
     world.close()
 
@@ -69,7 +69,7 @@ def by_slice(events: Events) -> list[tuple[int, int, int, int]]:
 
 def test_camera_sends_what_the_simulation_sees(world: VirtualWorld, made: Made) -> None:
     """Assert that slice for slice the words hold the events of the same trial in lockstep, none lost, none moved."""
-    simulated = rig(plan_of(made), seeds())
+    simulated = rig(short_plan(made), seeds())
     expected = [simulated.camera.read() for _ in range(SLICES)]
     joined = Events(*(np.concatenate(column) for column in zip(*expected, strict=True)))
     sent = watch(world, SLICES)
@@ -93,9 +93,9 @@ def test_time_stands_still_until_it_runs(world: VirtualWorld) -> None:
 
 
 def test_looking_comes_to_an_end(made: Made, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    """Assert that who looks for words until there are none is not kept by those that a late world still makes."""
+    """Assert that who looks for words until there are none gets to an end though a late world still makes some."""
     monkeypatch.setattr(VirtualWorld, "patient", False)
-    world = VirtualWorld(plan_of(made), seeds())
+    world = VirtualWorld(short_plan(made), seeds())
     request.addfinalizer(world.close)
     world.run(True)
     time.sleep(0.3)
@@ -170,14 +170,14 @@ def test_scenes_that_cannot_be_built(made: Made) -> None:
     """Assert that what the world's process refuses is raised here in its own words."""
     with pytest.raises(DeviceError, match="needs a scene with a gripper"):
         VirtualWorld(scene.for_trial(scene.plan("press", "8", "evetac", ("press",))[0], (0, 8, 0)), seeds())
-    broken = plan_of(made) | {"sensor_row": {}}
+    broken = short_plan(made) | {"sensor_row": {}}
     with pytest.raises((DeviceError, SceneError)):
         VirtualWorld(broken, seeds())
 
 
 def test_close_ends_the_process(made: Made) -> None:
     """Assert that close ends the process and removes the shared memory, running or not, and a second does nothing."""
-    world = VirtualWorld(plan_of(made), seeds())
+    world = VirtualWorld(short_plan(made), seeds())
     world.run(True)
     world.close()
     world.close()
@@ -186,8 +186,8 @@ def test_close_ends_the_process(made: Made) -> None:
 
 
 def test_death_of_the_world_is_an_error(made: Made) -> None:
-    """Assert that a world that died is told, not waited for."""
-    world = VirtualWorld(plan_of(made), seeds())
+    """Assert that a world that died is an error, and not waited for."""
+    world = VirtualWorld(short_plan(made), seeds())
     world._process.kill()
     world._process.join()
     with pytest.raises(DeviceError, match="died"):
