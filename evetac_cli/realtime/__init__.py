@@ -1,1 +1,1 @@
-"""Processes that run at 1000 and 500 Hz: message pipes, shared status, scheduling."""
+"""What processes that run at 1000 and 500 Hz share: message pipes, numbers in shared memory, time, priority."""
