@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 Progress = Callable[[int, int], None]  # (done, total)
 
@@ -16,6 +16,7 @@ def silent(done: int, total: int) -> None:
 class Job:
     """One output to make from its inputs; a stage that has to know more of it adds fields in a class of its own."""
 
+    exclusive: ClassVar[bool] = False  # uses devices, of which there is one each: never beside another job
     inputs: tuple[Path, ...]
     output: Path
 

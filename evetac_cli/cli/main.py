@@ -277,8 +277,7 @@ def _run(
     quiet, force = running["quiet"] or getattr(chosen, "live", False), running["force"]  # --live has its own lines
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]
-    on_devices = getattr(chosen, "camera", "sim") != "sim"  # of which there is one each
-    at_once = 1 if on_devices else min(running["number_of_jobs"], len(waiting))
+    at_once = 1 if any(job.exclusive for job in jobs) else min(running["number_of_jobs"], len(waiting))
     if at_once > 1:
         with console.progress_bar(command.name, "files", quiet=quiet) as progress:
             workers.run_parallel(command.module, waiting, chosen, force, at_once, progress, results)

@@ -62,6 +62,7 @@ class DeviceTrial(Trial):
     series: the files of all trials, by trial; taken: those of them that were taken before the first trial.
     """
 
+    exclusive = True
     cameras: tuple[NamedCamera, ...]
     gripper: NamedGripper
     files: tuple[Path, ...]

@@ -8,7 +8,6 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
-from evetac_cli.formats.imports import read_events
 from evetac_cli.jobs import Job, Outcome, outcome
 from evetac_cli.params import Record
 from evetac_cli.stages.trials import OUTPUT
@@ -25,7 +24,9 @@ class ImportJob(Job):
 
 
 def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
-    """Read and check a foreign event file, and write its recording."""
+    """Import an event file of another program as a recording."""
+    from evetac_cli.formats.imports import read_events  # with the libraries of its format
+
     imported = read_events(job.inputs[0], frame_px=_frame(params.frame_size), sort=params.sort, stream=params.stream)
     events = imported.events
     arrays: dict[str, Any] = {
