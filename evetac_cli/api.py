@@ -180,8 +180,10 @@ class Simulation:
         self.dot_xy_px: NDArray[np.float64] = np.asarray(sensor["sensor/dot_xy_px"])  # at rest, (rows, columns, 2)
         width, height = sensor["sensor/frame_px"]
         self.frame_px = int(width), int(height)
-        window = sensor.get("sensor/window_px")
-        self.window_px: tuple[int, int, int, int] | None = None if window is None else tuple(map(int, window))
+        self.window_px: tuple[int, int, int, int] | None = None  # of a cut gel: x0, y0, x1, y1, ends excluded
+        if "sensor/window_px" in sensor:
+            x0, y0, x1, y1 = (int(edge) for edge in sensor["sensor/window_px"])
+            self.window_px = x0, y0, x1, y1
         self.truth: dict[str, Any] = {}  # of the last slice: what only the simulation knows; and gripper/... rows
 
     def __iter__(self) -> Iterator[Events]:

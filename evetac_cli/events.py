@@ -15,7 +15,18 @@ FRAME_PX = (640, 480)  # width, height of the DVXplorer Mini
 
 
 class Events(NamedTuple):
-    """Columns of events: t in us (int64), x and y in px (uint16), p 0 or 1 (uint8)."""
+    """Columns of events: t in us (int64), x and y in px (uint16), p 0 or 1 (uint8).
+
+    >>> import numpy as np
+    >>> events = evetac.Events(
+    ...     t=np.array([100, 2500]),
+    ...     x=np.array([3, 4], np.uint16),
+    ...     y=np.array([5, 6], np.uint16),
+    ...     p=np.array([1, 0], np.uint8),
+    ... )
+    >>> events.size, events.part(1, 2).t.tolist()
+    (2, [2500])
+    """
 
     t: NDArray[np.int64]
     x: NDArray[np.uint16]
@@ -50,7 +61,15 @@ def slice_starts(t_us: NDArray[np.int64], slices: int) -> NDArray[np.int64]:
 
 
 class Slicer:
-    """Cuts a stream that arrives in packets, however they are cut, into slices; empty slices included."""
+    """Cuts a stream that arrives in packets, however they are cut, into slices of 1 ms; empty slices included.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     packets = [recording.events(first, first + 700) for first in (0, 700, 1400)]
+    >>> slicer = evetac.Slicer()
+    >>> slices = [events for packet in packets for events in slicer.push(packet)]
+    >>> all((events.t // 1000 == number).all() for number, events in enumerate(slices))
+    True
+    """
 
     def __init__(self) -> None:
         self._next = 0  # index of the slice that is open

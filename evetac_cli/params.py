@@ -455,8 +455,8 @@ class Grasp(Trials):
     controller: str = parameter(
         "paper",
         "Law of the grip; paper: the paper's, whose balance sets its reference at the first slip; paper-reset: at every"
-        " slip; load-proportional: ours, in proportion to the load; none: contact alone, without the detector; fixed:N: closed"
-        " N ticks beyond light contact.",
+        " slip; load-proportional: ours, in proportion to the load; none: contact alone, without the detector; fixed:N:"
+        " closed N ticks beyond light contact.",
     )
     gain: float = parameter(
         1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0

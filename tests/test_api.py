@@ -1,4 +1,4 @@
-"""`import evetac_cli`: every name has an example that runs, nothing is loaded or changed by the import, types are known."""
+"""`import evetac_cli`: every name has an example that runs, the import loads and changes nothing, types are known."""
 
 import doctest
 import inspect
@@ -112,7 +112,7 @@ with evetac.open_recording("a.recording.h5") as recording:
 
 @pytest.mark.slow
 def test_a_users_script_type_checks_against_the_wheel(tmp_path: Path) -> None:
-    """Assert that mypy --strict is content with a script, given nothing but the installed wheel (slow: it builds one)."""
+    """Assert that mypy --strict is content with a script beside the installed wheel (slow: it builds one)."""
     site = tmp_path / "site"
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
     subprocess.run([*pip, "--target", str(site), str(PACKAGE.parent)], check=True, timeout=600)

@@ -12,7 +12,7 @@ from evetac_cli.resources import PACKAGE
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-# Who may import whom, from the top down; each package may import itself too. CONTRIBUTING's table is made from this one.
+# Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
 GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources"})
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli"},

@@ -1,15 +1,4 @@
-"""Read recordings and features from Python, without the command line.
-
-from evetac_cli.store.read import open_recording, SlipWindows
-
-with open_recording("a.recording.h5") as recording:
-    for events in recording:                  # one Events per millisecond, numpy views
-        print(events.size, events.x, events.y)
-    burst = recording.between(1200, 1250)     # slices [1200, 1250) as one Events
-
-data = SlipWindows(["a.features.h5", "b.features.h5"], history=10)
-loader = torch.utils.data.DataLoader(data, batch_size=72, shuffle=True)
-"""
+"""Recordings slice by slice, and windows of features with their labels for training."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,7 +16,13 @@ LARGEST_PX = 65535  # what an event's uint16 can say
 
 
 class Recording(StageFile):
-    """A recording as a sequence of slices: len() in ms, [k] and iteration give Events, read block by block."""
+    """A recording as a sequence of slices: len() in ms, [k] and iteration give Events, read block by block.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     burst = recording.between(120, 170)          # the slices [120, 170) in one
+    >>> bool(burst.t[-1] < 170_000)
+    True
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "recording")
@@ -120,7 +115,14 @@ class Recording(StageFile):
 
 
 def open_recording(path: str | Path) -> Recording:
-    """Open a recording for reading by slices; InputError if it is anything else."""
+    """Open a recording for reading by slices; InputError if it is anything else.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     counts = [events.size for events in recording]      # one Events a millisecond
+    ...     shear_n = recording.read("truth/shear_force_n")     # any dataset by its path
+    >>> len(counts) == len(shear_n)
+    True
+    """
     return Recording(Path(path))
 
 
@@ -130,6 +132,13 @@ class SlipWindows:
     Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32); a window holds for every dot its distances
     from rest in px, then its event counts, of the last `history` slices, the newest first. Slices without a full
     history, without an examined label, or `after_onset` slices and more after the onset are left out.
+
+    >>> import torch
+    >>> windows = evetac.SlipWindows(["a.features.h5"], history=10)
+    >>> loader = torch.utils.data.DataLoader(windows, batch_size=16, shuffle=True)
+    >>> batch, label = next(iter(loader))
+    >>> batch.shape, label.shape
+    (torch.Size([16, 56, 20]), torch.Size([16]))
     """
 
     def __init__(self, paths: Sequence[str | Path], history: int = 10, after_onset: int = 15) -> None:
