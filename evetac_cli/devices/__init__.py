@@ -77,7 +77,7 @@ class Gripper(Protocol):
 
 
 class Clock(Protocol):
-    """Device time."""
+    """The time of a device, from the start of its recording."""
 
     def now_us(self) -> int:
         """Microseconds since the start of the recording."""

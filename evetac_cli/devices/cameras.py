@@ -41,7 +41,7 @@ class CameraSettings:
     flush_us: int | None = None
 
     def given(self) -> dict[str, Any]:
-        """Those that are set."""
+        """The settings that are not left to the driver, by name."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
@@ -76,7 +76,7 @@ class NamedCamera:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Recordings that it reads."""
+        """Recordings that it reads, as inputs of a job."""
         return ()
 
     @property
@@ -125,7 +125,7 @@ class Simulated(NamedCamera):
 
     @property
     def simulates_scene(self) -> bool:
-        """True, always."""
+        """A scene is all that it can show."""
         return True
 
 
@@ -185,7 +185,7 @@ class Dvxplorer(NamedCamera):
 
     @property
     def file_stem(self) -> str:
-        """Kind and serial number."""
+        """The kind, and the serial number if it was named."""
         return f"{self.name}-{_stem(self.serial)}" if self.serial else self.name
 
     def open(
@@ -227,7 +227,7 @@ class Replay(NamedCamera):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The recording."""
+        """The recording that is replayed."""
         return (self.path,)
 
     @property
@@ -236,7 +236,7 @@ class Replay(NamedCamera):
         return f"{self.name}-{_stem(self.path)}"
 
     def frame_px(self) -> tuple[int, int]:
-        """That of the recording."""
+        """The frame of the recording."""
         with open_recording(self.path) as recording:
             return recording.frame_px
 
@@ -246,7 +246,7 @@ class Replay(NamedCamera):
             return recording.sensor_datasets()
 
     def parents(self) -> tuple[Header, ...]:
-        """That of the recording."""
+        """The header of the recording."""
         with open_recording(self.path) as recording:
             return (recording.header,)
 

@@ -78,7 +78,7 @@ class NamedGripper:
 
 @dataclass(frozen=True)
 class NoGripper(NamedGripper):
-    """`none`."""
+    """`none`: a camera alone."""
 
     name = "none"
     is_moved = False

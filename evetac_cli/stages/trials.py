@@ -37,7 +37,7 @@ class Trial(Job):
 
     @property
     def outputs(self) -> tuple[Path, ...]:
-        """All files of the trial."""
+        """All files that the trial makes."""
         return (self.output,)
 
     def seeds(self) -> np.random.SeedSequence:

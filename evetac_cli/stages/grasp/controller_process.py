@@ -94,7 +94,7 @@ class Pace:
         self.missed = 0
 
     def shift(self, later_us: float) -> None:
-        """Move all further deadlines."""
+        """Move all further deadlines by this time, which may be negative."""
         self._began_s += later_us * 1e-6
 
     def wait(self) -> float:

@@ -63,7 +63,7 @@ class Timing:
         return self.touch_ms + self.lift_ms + self.balance_ms
 
     def phase(self, slice_: int) -> Phase:
-        """The phase of a slice."""
+        """The phase of the grasp in which a slice lies."""
         if slice_ < self.touch_ms:
             return Phase.CONTACT
         return Phase.LIFT if slice_ < self.touch_ms + self.lift_ms else Phase.BALANCE

@@ -125,7 +125,7 @@ class GraspProcesses:
 
 
 def exit_words(process: Any) -> str:
-    """How a process ended."""
+    """How a process ended, in words; ALIVE if it has not within a second."""
     process.join(1.0)
     code = process.exitcode
     return ALIVE if code is None else f"signal {-code}" if code < 0 else f"exit code {code}"

@@ -48,13 +48,13 @@ class RecordedGripper:
         return GripperReading(float(self._current_ma[at]), int(self._ticks[at]))
 
     def write_current(self, current_ma: int) -> None:
-        """Move nothing."""
+        """Without effect: the finger is where it was recorded."""
 
     def write_position(self, goal_ticks: int) -> None:
-        """Move nothing."""
+        """Without effect: the finger is where it was recorded."""
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Without effect: the recording belongs to whoever opened it."""
 
 
 def check(trial: ReplayTrial, params: Grasp, *, force: bool) -> None:

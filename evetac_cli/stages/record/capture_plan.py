@@ -97,5 +97,5 @@ def _handling(trial: DeviceTrial, params: Record) -> str:
 
 
 def settings(params: Record) -> CameraSettings:
-    """What is set on the camera."""
+    """Thresholds and readout rate of the camera, as the flags say."""
     return CameraSettings(params.threshold_on, params.threshold_off, params.readout_rate)

@@ -26,7 +26,7 @@ OPENED_TICKS = 30  # an object is lost once the fingers are so far apart again: 
 
 
 class Phase(IntEnum):
-    """What the gripper is doing."""
+    """The three phases of a recording with a gripper, in their order."""
 
     CLOSING = 0
     HOLDING = 1
