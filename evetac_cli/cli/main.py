@@ -44,7 +44,7 @@ PIPELINE = (
     Command(
         "calibrate", params.Calibrate, "stages.calibrate", "Press recordings; none with --import.", files_needed=False
     ),
-    Command("label", params.Label, "stages.label", "Recordings.", "pairs"),
+    Command("label", params.Label, "stages.label", "Recordings."),
     Command("track", params.Track, "stages.track", "Recordings."),
     Command("featurize", params.Featurize, "stages.featurize", "Recordings (tracks and labels lie beside them)."),
     Command("train", params.Train, "stages.train", "Labelled features, one file a trajectory.", "steps"),

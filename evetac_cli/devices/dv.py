@@ -116,7 +116,7 @@ def _library(where: str) -> Any:
         import dv_processing
     except ImportError as error:
         raise DeviceError(
-            "dv-processing is not installed", where=where, found=str(error), hint="pip install 'evetac[camera]'"
+            "dv-processing is not installed", where=where, found=str(error), hint="pip install '.[camera]'"
         ) from error
     return dv_processing
 

@@ -79,7 +79,7 @@ def open_rig(
         driver,
         running,
         holding_ma=world.holding_ma if world else 0.0,
-        sampled=world.drawn if world else "",
+        sampled=world.sampled if world else "",
         sensor=world.sensor if world else {},
         setup={"camera": camera_setup, "gripper": gripper_setup},
         simulated=camera.is_simulated,

@@ -104,13 +104,13 @@ def show(result: Outcome) -> None:
     print(f"{counts['wrong']} wrong" if counts["wrong"] else "all that was found is fine")
 
 
-def _row(device: str, check: str, ok: bool | None, found: str, expected: str = "", fix: str = "") -> Row:
+def _row(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:
     """The row of a check. ok: None where it is neither right nor wrong; fix: also a change that one may want."""
     return {
         "device": device,
         "check": check,
         "ok": ok,
-        "found": found,
+        "found": result,
         "expected": expected or None,
         "fix": fix or None,
     }
@@ -123,7 +123,7 @@ def _software(machine: Host) -> Iterator[Row]:
     for extra, packages in EXTRAS.items():
         lacking = [name for name in packages if not machine.has_package(name)]
         state = f"without {', '.join(lacking)}" if lacking else "installed"
-        fix = f'pip install "evetac[{extra}]"' if lacking else ""
+        fix = f"pip install '.[{extra}]'" if lacking else ""
         yield _row("software", f"extra {extra}", None if lacking else True, state, "", fix)
     installed = machine.distributions(OPENCV)
     yield _row(

@@ -285,9 +285,9 @@ ENDINGS += [
 ]
 
 
-@pytest.mark.parametrize(("error", "code", "told"), ENDINGS, ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize(("error", "code", "expected"), ENDINGS, ids=lambda value: type(value).__name__)
 def test_json_says_how_it_ended(
-    label_is: Any, files: list[str], error: BaseException, code: int, told: dict[str, str]
+    label_is: Any, files: list[str], error: BaseException, code: int, expected: dict[str, str]
 ) -> None:
     """Assert that whatever ends a command, --json is one object with the error, the exit status and what was made."""
     label_is(lambda job, chosen: made(job, chosen) if job.output.name.startswith("a") else raising(error)(job, chosen))
@@ -295,7 +295,7 @@ def test_json_says_how_it_ended(
     assert result.exit_code == code
     assert result.stdout.count("\n") == 1
     shown = json.loads(result.stdout)
-    assert shown["error"] == {**told, "exit_status": code}
+    assert shown["error"] == {**expected, "exit_status": code}
     assert [row["output"] for row in shown["rows"]] == ["a.labels.h5"]
     assert (shown["command"], shown["simulated"], shown["summary"]) == ("label", True, {"made": 1, "up_to_date": 0})
 

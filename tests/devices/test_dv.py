@@ -154,7 +154,7 @@ def test_camera_that_cannot_be_opened(error: Exception) -> None:
 def test_library_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a missing extra is said, with the command that installs it."""
     monkeypatch.setitem(sys.modules, "dv_processing", None)
-    with pytest.raises(DeviceError, match=r"pip install 'evetac\[camera\]'"):
+    with pytest.raises(DeviceError, match=r"pip install '\.\[camera\]'"):
         DvCamera()
 
 

@@ -176,7 +176,7 @@ def test_software_and_disk(machine: Made, monkeypatch: pytest.MonkeyPatch) -> No
     assert list(faulty) == ["libusb", "opencv", "free space"]
     assert "pip uninstall opencv-python opencv-contrib-python-headless" in faulty["opencv"]["fix"]
     extra = rows_of_device(result, "software")["extra convert"]
-    assert (extra["ok"], extra["fix"]) == (None, 'pip install "evetac[convert]"')
+    assert (extra["ok"], extra["fix"]) == (None, "pip install '.[convert]'")
 
 
 def test_extras_are_those_that_can_be_installed() -> None:

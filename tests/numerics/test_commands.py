@@ -231,7 +231,7 @@ def test_without_matplotlib(pictures, monkeypatch, tmp_path):
     """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     output, outcome = make(cost, params.EvaluateCost())
-    assert "evetac[plot]" in outcome.summary["plot"]
+    assert "'.[plot]'" in outcome.summary["plot"]
     assert [path.name for path in tmp_path.iterdir()] == [output.name]
 
 

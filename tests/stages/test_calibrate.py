@@ -56,7 +56,7 @@ def pressed(tmp_path_factory: pytest.TempPathFactory, truth: Grid) -> Path:
     (folder / "press.toml").write_text(as_toml(scene))
     chosen = params.Record(scene=str(folder / "press.toml"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gel_camera, "dot_grid", lambda individual, cut: truth)
+        patch.setattr(gel_camera, "dot_grid", lambda sensor_row, cut: truth)
         (job,) = record.jobs([], chosen, folder / "press.recording.h5")
         record.run(job, chosen)
     return job.output

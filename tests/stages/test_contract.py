@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from evetac_cli import params
+from evetac_cli.cli.config import COMMANDS
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.stages import featurize, grasp, label, predict_force, record, track, track_rgb, train, train_force, trim
@@ -252,7 +253,7 @@ def test_another_recipe_is_refused(stage: Stage, folder: Path, tmp_path: Path) -
 
 def test_every_stage_takes_part() -> None:
     """Assert that no command that makes a stage file is missing here."""
-    assert {stage.name for stage in STAGES} == set(params.COMMANDS) - {
+    assert {stage.name for stage in STAGES} == set(COMMANDS) - {
         "calibrate",
         "evaluate cost",
         "evaluate stability",

@@ -108,7 +108,7 @@ class VirtualWorld:
             raise DeviceError(f"the virtual world could not be built: {reply}")
         self.sensor: Mapping[str, Any] = reply["sensor"]
         self.holding_ma: float = reply["holding_ma"]
-        self.drawn: str = reply["drawn"]
+        self.sampled: str = reply["sampled"]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_process": None, "truths": None}
@@ -273,7 +273,7 @@ class _RunningWorld:
         return {
             "sensor": dict(self._rig.camera.sensor),
             "holding_ma": self._rig.holding_ma,
-            "drawn": self._rig.sampled,
+            "sampled": self._rig.sampled,
         }
 
     def run(self, on: bool) -> None:

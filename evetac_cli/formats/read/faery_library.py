@@ -10,7 +10,7 @@ def load_faery(what: str, where: str) -> Any:
     try:
         import faery
     except ImportError as error:
-        hint = 'pip install "evetac[convert]"'
+        hint = "pip install '.[convert]'"
         raise InputError(f"{what} faery", where=where, found=str(error), hint=hint) from None
     return faery
 

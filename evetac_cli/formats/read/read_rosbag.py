@@ -209,7 +209,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
     except ImportError as error:
-        hint = 'pip install "evetac[convert]"'
+        hint = "pip install '.[convert]'"
         raise InputError("ROS bags need rosbags", where=where, found=str(error), hint=hint) from None
     kind: Any = Reader2
     if path.is_file():  # rosbags goes by the name of a file, we by its content

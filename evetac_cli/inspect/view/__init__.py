@@ -54,7 +54,7 @@ def _check_libraries(names: Iterable[str]) -> None:
     """EvetacError, before any work is done, where a library that draws is missing."""
     for name in names:
         if find_spec(name) is None:
-            raise EvetacError(f"{name}, which draws the page, is not installed", hint="pip install 'evetac[plot]'")
+            raise EvetacError(f"{name}, which draws the page, is not installed", hint="pip install '.[plot]'")
 
 
 def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:

@@ -129,10 +129,13 @@ def _one_recording(named: list[StageFile]) -> str:
 def _check_model(trial: Trial) -> None:
     if trial.model is None or trial.features is None:
         return
-    expected, found = (file.read("dot_shape").tolist() for file in (trial.features, trial.model))
-    if expected != found:
+    of_features, of_model = (file.read("dot_shape").tolist() for file in (trial.features, trial.model))
+    if of_features != of_model:
         raise InputError(
-            "the model is for another dot grid", where=str(trial.model.path), expected=str(expected), found=str(found)
+            "the model is for another dot grid",
+            where=str(trial.model.path),
+            expected=str(of_features),
+            found=str(of_model),
         )
 
 

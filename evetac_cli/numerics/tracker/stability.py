@@ -103,9 +103,9 @@ def _moving_rims(before: NDArray[np.float64], after: NDArray[np.float64], rng: n
     dot = np.repeat(np.arange(len(before)), rng.poisson(np.minimum(EVENTS_PER_PX * length, 2_000.0)))
     side = rng.choice([-1.0, 1.0], len(dot))
     sine = rng.uniform(-1.0, 1.0, len(dot))  # density as |cos| about the direction of motion
-    ahead = shift[dot] / np.maximum(length[dot], 1e-12)[:, None]
-    across = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    normal = (side * np.sqrt(1.0 - sine**2))[:, None] * ahead + sine[:, None] * across
+    front = shift[dot] / np.maximum(length[dot], 1e-12)[:, None]
+    across = np.stack([-front[:, 1], front[:, 0]], axis=1)
+    normal = (side * np.sqrt(1.0 - sine**2))[:, None] * front + sine[:, None] * across
     radius_px = DOT_RADIUS_PX + 0.7 * rng.standard_normal(len(dot))
     place = before[dot] + rng.random(len(dot))[:, None] * shift[dot] + radius_px[:, None] * normal
     pixel = np.round(place)

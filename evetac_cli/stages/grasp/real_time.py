@@ -254,7 +254,7 @@ def _finish(
     late = dict(datasets)
     grasp_outcome = None
     if world is not None and (truth := recorded.truth_arrays()):
-        late |= {**truth, "truth/sampled_parameters": world.drawn}
+        late |= {**truth, "truth/sampled_parameters": world.sampled}
         grasp_outcome = recorded.outcome(recipe.parameters["sensor_row"]["mm_per_px"])
     if grasp_outcome is not None:
         late["control/outcome"] = json.dumps(grasp_outcome)

@@ -78,7 +78,7 @@ def test_camera_sends_what_the_simulation_sees(world: VirtualWorld, made: Made) 
     assert (np.diff(sent.t) >= 0).all()
     assert world.counted["slices_dropped"] == 0
     assert world.holding_ma == simulated.holding_ma
-    assert world.drawn == simulated.sampled
+    assert world.sampled == simulated.sampled
     np.testing.assert_array_equal(world.sensor["sensor/dot_xy_px"], simulated.camera.sensor["sensor/dot_xy_px"])
 
 

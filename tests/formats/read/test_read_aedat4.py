@@ -184,7 +184,7 @@ def test_streams_are_chosen_by_name(tmp_path: Path) -> None:
 def test_aedat4_needs_the_convert_extra(aedat4: tuple[Path, Events], monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a library that is missing is named with the command that installs it."""
     monkeypatch.setitem(sys.modules, "faery", None)
-    assert 'pip install "evetac[convert]"' in refusal(aedat4[0])
+    assert "pip install '.[convert]'" in refusal(aedat4[0])
 
 
 @pytest.mark.parametrize(

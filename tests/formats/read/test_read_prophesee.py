@@ -193,4 +193,4 @@ def test_prophesee_needs_the_convert_extra(tmp_path: Path, monkeypatch: pytest.M
     """Assert that a missing library is named with the command that installs it."""
     path = raw(tmp_path / "a.raw", evt3([0, 7]))
     monkeypatch.setitem(__import__("sys").modules, "faery", None)
-    assert 'pip install "evetac[convert]"' in refusal(path)
+    assert "pip install '.[convert]'" in refusal(path)

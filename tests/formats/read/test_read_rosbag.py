@@ -446,7 +446,7 @@ def test_bags_need_the_convert_extra(write: Write, monkeypatch: pytest.MonkeyPat
     types = Types("ros1")
     path = write("ros1", types, {"/e": [types.array([(START_S * 10**6, 1, 2, 1)])]})
     monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag1", None)
-    assert 'pip install "evetac[convert]"' in refusal(path)
+    assert "pip install '.[convert]'" in refusal(path)
 
 
 def test_checksums_are_those_of_the_definitions() -> None:

@@ -59,7 +59,7 @@ def test_most_events_are_not_from_dots(object_name: str, sensor: str, gel: str) 
 def test_drawn_and_dry() -> None:
     """Assert that the truth says what was sampled, both objects come up, and the parts name the contact edges."""
     made = plan("edge", "8", "evetac", ("rub",))[0]
-    samples = [json.loads(str(rig(made, np.random.SeedSequence(seed)).drawn)) for seed in range(8)]
+    samples = [json.loads(str(rig(made, np.random.SeedSequence(seed)).sampled)) for seed in range(8)]
     assert {one["object_name"] for one in samples} == {"finger", "handle"}
     assert all(0.55 <= one["edge_log_contrast"] <= 0.8 and 1.5 <= one["edge_blur_px"] <= 3 for one in samples)
     built = {row["part"]: row["built"] for row in parts(made)}

@@ -100,7 +100,7 @@ def test_disc_is_the_dilation_of_a_disc() -> None:
 @given(seed=st.integers(0, 1000))
 def test_drift_is_smooth_and_stays_in_range(seed: int) -> None:
     """Assert that a drift keeps to its range, reaches its values, lasts, and has no steps."""
-    drift = Drift.draw(0.25, 0.45, (1.0, 3.0), 20.0, np.random.default_rng(seed))
+    drift = Drift.sample(0.25, 0.45, (1.0, 3.0), 20.0, np.random.default_rng(seed))
     time_s = np.linspace(-1.0, 25.0, 26001)
     value = drift.at(time_s)
     assert value.min() >= 0.25 and value.max() <= 0.45

@@ -331,15 +331,15 @@ def test_drawn_current_is_the_trials(rig_is: Callable[..., Rig], tmp_path: Path)
         trials(3, 19.0, resume=True, holding_ma=19.0)
 
 
-@pytest.mark.parametrize("there", ["dvxplorer-s0-000.recording.h5", "dvxplorer-s0-001.recording.part/000000.h5"])
-def test_series_is_not_begun_in_part(there: str, rig_is: Callable[..., Rig], tmp_path: Path) -> None:
-    """Assert that where outputs of a series are there, or wait for repair, no other trial of it is recorded."""
-    (tmp_path / there).parent.mkdir(exist_ok=True)
-    (tmp_path / there).touch()
+@pytest.mark.parametrize("taken", ["dvxplorer-s0-000.recording.h5", "dvxplorer-s0-001.recording.part/000000.h5"])
+def test_series_is_not_begun_in_part(taken: str, rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that where outputs of a series exist, or wait for repair, no other trial of it is recorded."""
+    (tmp_path / taken).parent.mkdir(exist_ok=True)
+    (tmp_path / taken).touch()
     rig = rig_is(Camera())
     params = Record(camera="dvxplorer", expected_event_rate=1e4, seconds=0.05, count=3)
     job = record.jobs([], params, tmp_path)[2]
-    with pytest.raises(InputError, match=f"-002.*others of the series(.|\n)*{there[:16]}(.|\n)*--resume"):
+    with pytest.raises(InputError, match=f"-002.*others of the series(.|\n)*{taken[:16]}(.|\n)*--resume"):
         record.run(job, params)
     assert rig.camera.k == 0
     assert not job.output.exists()

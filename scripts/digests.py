@@ -1,0 +1,175 @@
+"""Whether a change of structure changed a number: digests of all arrays that a set of commands makes.
+
+    python scripts/digests.py NOW.json                              # 211 files, some 8 minutes on two cores
+    python scripts/digests.py NOW.json --against scripts/digests.json
+
+Two trials of every scene, every sensor, tracker preset, label method and training preset, the demo, force, RGB, the ideal
+readout, all grip laws. The numba cache is an empty folder, because numba stamps only the file that defines a kernel and
+would go on with an edited callee of another file. A file's digest is over dtype, shape and bytes of its numeric
+arrays by name; texts hold names, and are left out. With --against, each file that is missing, new or different is
+printed, and the exit status is 1. Digests hold for one type of machine.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+Commands = list[str]  # of one case, run one after the other in a folder of its name
+
+RECORDED = ("slip", "shear", "press", "edge", "data-rate")
+GRASPED = ("lift", "sideways", "drop-20g", "drop-100g")
+LAWS = ("load-proportional", "paper-reset", "none", "fixed:8")
+SENSORS = ("second", "bare-dvxplorer", "soft-gel", "stiff-gel", "randomized:7")
+TRAINED = (
+    ("paper", "hist10"),
+    ("paper", "fast-slow"),
+    ("adamw", "disp-xy"),
+    ("adamw", "no-hist-img-6x6"),
+    ("adamw", "hist10"),
+    ("adam", "hist10"),
+)
+
+
+def cases() -> Iterator[tuple[str, Commands]]:
+    """Name of a case and its commands."""
+    for scene in RECORDED:
+        yield scene, [f"record --scene {scene} --count 2 --out ."]
+    for scene in ("vibration", "vibration-randomized"):
+        yield scene, [f"record --scene {scene} --tone 200 --count 2 --out ."]
+    for scene in GRASPED:
+        yield scene, [f"grasp --scene {scene} --object 16 --count 2 --out ."]
+    for law in LAWS:
+        yield law.replace(":", "-"), [f"grasp --object 11 --controller {law} --balance-s 5 --out ."]
+    for sensor in SENSORS:
+        yield f"sensor-{sensor.replace(':', '-')}", [f"record --sensor {sensor} --out ."]
+    yield "sensor-randomized", ["record --sensor randomized --seed 3 --count 2 --out ."]
+    yield (
+        "closed",
+        ["record --gel closed --out .", "grasp --gel closed --object 17 --sensor second --balance-s 3 --out ."],
+    )
+    yield "ideal", ["record --readout ideal --out .", "record --scene edge --readout ideal --out edge"]
+    yield "stages", list(_stages())
+    yield (
+        "force",
+        [
+            "record --scene shear --seed 2 --out a.recording.h5",
+            "record --scene shear --seed 3 --out b.recording.h5",
+            "track a.recording.h5 b.recording.h5 --preset stable",
+            "track-rgb a.recording.h5 b.recording.h5 --out rgb",
+            "train-force a.tracks.h5 b.tracks.h5 --epochs 20 --out m.force-model.h5",
+            "predict-force a.tracks.h5 --model m.force-model.h5 --out a.forces.h5",
+        ],
+    )
+
+
+def _stages() -> Iterator[str]:
+    yield "record --object 3 --seed 5 --out a.recording.h5"
+    for preset in ("stable", "paper", "official", "unregularised"):
+        yield f"track a.recording.h5 --preset {preset} --out {preset}.tracks.h5"
+    for method in ("event-flow", "farneback", "dis", "event-count", "truth"):
+        yield f"label a.recording.h5 --method {method} --out {method}.labels.h5"
+    yield "record --object 3 --seed 6 --out b.recording.h5"
+    yield "track a.recording.h5 b.recording.h5"
+    yield "label a.recording.h5 b.recording.h5"
+    yield "featurize a.recording.h5 b.recording.h5 --images"
+    yield "trim a.recording.h5 --from-ms 100 --to-ms 400 --out piece.recording.h5"
+    for preset, model in TRAINED:
+        made = f"{preset}-{model}.model.h5"
+        yield (
+            f"train a.features.h5 --model {model} --preset {preset} --max-steps 60 --validate b.features.h5 --out {made}"
+        )
+    yield "evaluate vibration a.recording.h5 --windows 1 --out vib.report.h5"
+    yield "evaluate labels a.labels.h5 --out lab.report.h5"
+    yield "evaluate tracking a.tracks.h5 --out trk.report.h5"
+
+
+def digest(path: Path) -> str:
+    """SHA-256 over the numeric datasets of a file, by name."""
+    arrays: dict[str, bytes] = {}
+
+    def add(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf":
+            values = np.ascontiguousarray(item[()])
+            arrays[name] = f"{values.dtype} {values.shape} ".encode() + values.tobytes()
+
+    with h5py.File(path) as file:
+        file.visititems(add)
+    whole = hashlib.sha256()
+    for name in sorted(arrays):
+        whole.update(f"{name} {hashlib.sha256(arrays[name]).hexdigest()}\n".encode())
+    return whole.hexdigest()[:20]
+
+
+def make(folder: Path, only: list[str]) -> None:
+    """Run the cases, two at a time; SystemExit with the words of a command that fails."""
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": tempfile.mkdtemp(prefix="evetac-numba-"),
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+    }
+
+    def call(arguments: list[str], into: Path) -> None:
+        into.mkdir(parents=True, exist_ok=True)
+        done = subprocess.run(arguments, cwd=into, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SystemExit(f"{into.name}: {' '.join(arguments)}\n{done.stdout}{done.stderr}")
+
+    def run(name: str, commands: Commands) -> None:
+        for command in commands:
+            call([sys.executable, "-m", "evetac_cli", *command.split(), "--quiet"], folder / name)
+        print(name, file=sys.stderr)
+
+    def demo() -> None:
+        reproduce = [sys.executable, str(ROOT / "scripts" / "reproduce.py"), "--only", "demo"]
+        results = ["--out", str(folder), "--results", str(folder / "results")]
+        call([*reproduce, *results, "--jobs", "1"], folder)
+        print("demo", file=sys.stderr)
+
+    chosen = [case for case in cases() if not only or case[0] in only]
+    if chosen:
+        run(*chosen.pop(0))  # compiles most of it once
+    with ThreadPoolExecutor(2) as pool:
+        waiting = [pool.submit(demo)] if not only or "demo" in only else []
+        waiting += [pool.submit(run, *case) for case in chosen]
+        for each in waiting:
+            each.result()
+
+
+def main() -> int:
+    """Make the files, write their digests, and compare them if asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, help="JSON file: path of a file -> its digest")
+    parser.add_argument("--against", type=Path, help="kept digests to compare with")
+    parser.add_argument("--only", nargs="+", default=[], help="cases to run, default: all")
+    parser.add_argument("--folder", type=Path, help="where the files go; default: a new temporary folder")
+    chosen = parser.parse_args()
+    folder = (chosen.folder or Path(tempfile.mkdtemp(prefix="evetac-digests-"))).absolute()
+    make(folder, chosen.only)
+    now = {str(path.relative_to(folder)): digest(path) for path in sorted(folder.rglob("*.h5"))}
+    chosen.out.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
+    if chosen.against is None:
+        print(f"{len(now)} files")
+        return 0
+    kept = json.loads(chosen.against.read_text(encoding="utf-8"))
+    if chosen.only:
+        kept = {path: value for path, value in kept.items() if path.split("/")[0] in chosen.only}
+    wrong = [path for path in sorted(kept.keys() | now.keys()) if kept.get(path) != now.get(path)]
+    for path in wrong:
+        print(f"{path}: {'different' if path in kept and path in now else 'new' if path in now else 'missing'}")
+    print(f"{len(kept)} kept, {len(kept.keys() & now.keys()) - len(set(wrong) & kept.keys() & now.keys())} equal")
+    return bool(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
