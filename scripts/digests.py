@@ -3,8 +3,8 @@
     python scripts/digests.py NOW.json                              # 211 files, some 8 minutes on two cores
     python scripts/digests.py NOW.json --against scripts/digests.json
 
-Two trials of every scene, every sensor, tracker preset, label method and training preset, the demo, force, RGB, the ideal
-readout, all grip laws. The numba cache is an empty folder, because numba stamps only the file that defines a kernel and
+Two trials of every scene, every sensor, tracker preset, label method and training preset, the demo, force, RGB, the
+ideal readout, all grip laws. The numba cache is an empty folder, because numba stamps only the file that defines a kernel and
 would go on with an edited callee of another file. A file's digest is over dtype, shape and bytes of its numeric
 arrays by name; texts hold names, and are left out. With --against, each file that is missing, new or different is
 printed, and the exit status is 1. Digests hold for one type of machine.
@@ -85,10 +85,8 @@ def _stages() -> Iterator[str]:
     yield "featurize a.recording.h5 b.recording.h5 --images"
     yield "trim a.recording.h5 --from-ms 100 --to-ms 400 --out piece.recording.h5"
     for preset, model in TRAINED:
-        made = f"{preset}-{model}.model.h5"
-        yield (
-            f"train a.features.h5 --model {model} --preset {preset} --max-steps 60 --validate b.features.h5 --out {made}"
-        )
+        how = f"--model {model} --preset {preset} --max-steps 60 --validate b.features.h5"
+        yield f"train a.features.h5 {how} --out {preset}-{model}.model.h5"
     yield "evaluate vibration a.recording.h5 --windows 1 --out vib.report.h5"
     yield "evaluate labels a.labels.h5 --out lab.report.h5"
     yield "evaluate tracking a.tracks.h5 --out trk.report.h5"
