@@ -4,10 +4,10 @@
     python scripts/digests.py NOW.json --against scripts/digests.json
 
 Two trials of every scene, every sensor, tracker preset, label method and training preset, the demo, force, RGB, the
-ideal readout, all grip laws. The numba cache is an empty folder, because numba stamps only the file that defines a kernel and
-would go on with an edited callee of another file. A file's digest is over dtype, shape and bytes of its numeric
-arrays by name; texts hold names, and are left out. With --against, each file that is missing, new or different is
-printed, and the exit status is 1. Digests hold for one type of machine.
+ideal readout, all grip laws. The numba cache is an empty folder, because numba stamps only the file that defines a
+kernel and would go on with an edited callee of another file. A file's digest is over dtype, shape and bytes of its
+numeric arrays by name; texts hold names, and are left out. With --against, each file that is missing, new or different
+is printed, and the exit status is 1. Digests hold for one type of machine.
 """
 
 import argparse
