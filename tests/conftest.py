@@ -15,7 +15,8 @@ from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.word_sources import PreparedWords
 from evetac_cli.devices.virtual.world import VirtualWorld
 from evetac_cli.resources import SCENES
-from evetac_cli.stages import featurize, grasp, label, record, track, train, train_force
+from evetac_cli.stages import featurize, grasp, label, record, track, train
+from evetac_cli.stages.force import train_force
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

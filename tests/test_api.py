@@ -15,8 +15,8 @@ import pytest
 import evetac_cli as evetac
 from evetac_cli import api, params
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages import predict_force
 from evetac_cli.stages.evaluate import labels
+from evetac_cli.stages.force import predict_force
 from evetac_cli.stages.record import jobs, run
 from tests.conftest import Made
 

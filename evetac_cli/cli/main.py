@@ -52,11 +52,11 @@ PIPELINE = (
     Command(
         "train-force",
         params.TrainForce,
-        "stages.train_force",
+        "stages.force.train_force",
         "Tracks of shear recordings; the last file is held out.",
         "epochs",
     ),
-    Command("predict-force", params.PredictForce, "stages.predict_force", "Tracks."),
+    Command("predict-force", params.PredictForce, "stages.force.predict_force", "Tracks."),
     Command("grasp", params.Grasp, "stages.grasp", ""),
 )
 EVALUATE = (

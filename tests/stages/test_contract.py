@@ -18,7 +18,7 @@ from evetac_cli import params
 from evetac_cli.cli.config import COMMANDS
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.stages import featurize, grasp, label, predict_force, record, track, track_rgb, train, train_force, trim
+from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, train, trim
 from evetac_cli.stages.evaluate import data_rate as evaluate_data_rate
 from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
@@ -26,6 +26,7 @@ from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.stages.evaluate import slip as evaluate_slip
 from evetac_cli.stages.evaluate import tracking as evaluate_tracking
 from evetac_cli.stages.evaluate import vibration as evaluate_vibration
+from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 from tests.conftest import Made

@@ -22,9 +22,9 @@ from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import EvaluateForce, recipe_of
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job
+from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
 from evetac_cli.stages.related_files import named_files, recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
-from evetac_cli.stages.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 

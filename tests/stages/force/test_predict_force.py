@@ -10,8 +10,9 @@ from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info, validate
 from evetac_cli.jobs import Outcome
-from evetac_cli.stages import predict_force, track_rgb, train_force
+from evetac_cli.stages import track_rgb
 from evetac_cli.stages.evaluate import force as evaluate_force
+from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 

@@ -9,7 +9,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import PredictForce, recipe_of
 from evetac_cli.stages import per_file
-from evetac_cli.stages.train_force import check_grid, read_model, read_rest_px
+from evetac_cli.stages.force.train_force import check_grid, read_model, read_rest_px
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 
