@@ -133,6 +133,7 @@ class GelState:
     stuck: Flags
     _mean_m_s: Floats
     _layer: Layer
+    _layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
     _info: Floats
 
     def copy(self) -> "GelState":
@@ -225,6 +226,7 @@ def start(
         stuck=np.zeros(grid, dtype=np.bool_),
         _mean_m_s=np.zeros((*grid, 2)),
         _layer=layer,
+        _layer_constants=tuple(layer),
         _info=np.zeros(12),
     )
 
@@ -279,7 +281,7 @@ def step(
     load = (nodal, force, prescribed_twist is not None, wanted)
     law = (float(friction.static), float(friction.kinetic), float(friction.stribeck_speed_m_s))
     settings = (float(dt_s), float(theta), float(tolerance), max_sweeps)
-    fault = step_nodes(arrays, load, law, settings, state._layer, state._info)
+    fault = step_nodes(arrays, load, law, settings, state._layer_constants, state._info)
     if fault:
         raise ValueError(_FAULTS[fault])
     info = state._info.tolist()

@@ -40,6 +40,7 @@ NodeArrays = tuple[Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats
 Load = tuple[Floats, Floats, bool, Floats]
 FrictionLaw = tuple[float, float, float]  # static, kinetic, and the slip speed between them in m/s
 StepSettings = tuple[float, float, float, int]  # dt, theta, tolerance, max_sweeps
+LayerConstants = tuple[float, ...]  # a Layer
 
 
 @njit(cache=True)
@@ -64,7 +65,12 @@ def spring(field: Floats, shear: float, coupling_x: float, coupling_y: float, an
 
 @njit(cache=True)
 def step_nodes(
-    arrays: NodeArrays, load: Load, friction: FrictionLaw, settings: StepSettings, layer: Layer, info: Floats
+    arrays: NodeArrays,
+    load: Load,
+    friction: FrictionLaw,
+    settings: StepSettings,
+    constants: LayerConstants,
+    info: Floats,
 ) -> int:
     """One time step in place; returns 0, or the number of what is wrong, before anything is changed.
 
@@ -73,6 +79,10 @@ def step_nodes(
     displacement, velocity, maxwell, mean, slip_speed, stuck, pose, twist, inertia, nodes = arrays
     nodal, force, prescribed, wanted = load
     mu_static, mu_kinetic, stribeck_speed = friction
+    node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
+    layer = Layer(
+        node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
+    )
     dt, theta, tolerance, max_sweeps = settings
     rows, columns = nodal.shape
     for axis in range(3):

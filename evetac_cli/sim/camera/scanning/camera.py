@@ -18,15 +18,17 @@ A refractory pixel is blind: its reference follows what it is shown, until its t
 Left out: bandwidth, dilation of dots. Dots beyond the cut are the caller's to leave out.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim.camera import camera_input, leak, optics
-from evetac_cli.sim.camera.camera_input import check_range, check_whole
-from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
+from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_whole
+from evetac_cli.sim.camera.contact_edges import ContactEdges, LineMotion, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
@@ -34,11 +36,11 @@ from evetac_cli.sim.camera.scanning.lines import scan_lines
 from evetac_cli.sim.camera.scanning.pixels import (
     CandidatePixels,
     CandidateRuns,
-    GelPixels,
     ScanTimes,
-    WindowPixels,
     all_pixels,
     all_runs,
+    gel_pixels,
+    window_pixels,
 )
 from evetac_cli.sim.camera.scanning.window import scan_window
 
@@ -123,6 +125,29 @@ class CameraState:
     contact_edges: ContactEdges | None = None
     slices: int = 0
     dropped: int = 0
+    # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code is handed them:
+    gel: tuple[Any, ...] = field(init=False, repr=False)
+    window: tuple[Any, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Group the arrays once."""
+        self.gel = (
+            self.seen_dot_xy_px,
+            tuple(self.profile),
+            self.reference,
+            self.threshold,
+            self.release_us,
+            tuple(self.candidates),
+        )
+        self.window = (
+            *self.window_px[:2],
+            self.seen_object,
+            self.texture,
+            self.window_reference,
+            self.window_threshold,
+            self.window_release_us,
+            tuple(self.candidate_runs),
+        )
 
 
 def start(
@@ -227,35 +252,77 @@ def step(
 
     t0_us = int(t0_us)
     model = state.model
-    gel = GelPixels(
-        state.seen_dot_xy_px, state.profile, state.reference, state.threshold, state.release_us, state.candidates
-    )
-    window = WindowPixels(
-        *state.window_px[:2],
-        state.seen_object,
-        state.texture,
-        state.window_reference,
-        state.window_threshold,
-        state.window_release_us,
-        state.candidate_runs,
-    )
-    times = ScanTimes(state.readout_us, float(t0_us), float(model.refractory_us))
+    gel, window = state.gel, state.window
+    times = (state.readout_us, float(t0_us), float(model.refractory_us))
     line_events = 0
     if lines is not None:
-        made, line_events = scan_lines(lines, path, gel, motion, window, times, state.keys)
+        made, line_events = _scan_with_lines(lines, path, gel, tuple(motion), window, times, state.keys)
     else:
-        made = scan_dots(path, gel, times, 0, model.scans_per_ms, state.keys, 0)
-        if state.window_reference.size:
-            made = scan_window(motion, window, times, 0, model.scans_per_ms, state.keys, made)
+        made = _scan(path, gel, tuple(motion), window, times, state.keys)
     if state.contact_edges is not None:
         state.contact_edges.events = line_events
     if model.leak_hz > 0.0:
         first_row = state.slices % leak.LEAK_SLICES
         drift = np.float32(leak.drift(model.leak_hz))
-        made = leak.leak_in_scans(first_row, drift, gel, window, times, state.keys, made)
+        made = _leak(first_row, drift, gel, window, times, state.keys, made)
     state.slices += 1
     hot = (state.hot_pixel, state.hot_cumulative_hz)
     made = add_noise(model.noise_rate_hz, *hot, model.frame_px, rng, state.keys, made)
     stored = min(made, len(state.keys))
     state.dropped += made - stored
     return Events(*sorted_columns(state.keys[:stored], t0_us))
+
+
+# Why so: Python hands over plain tuples, which are named here. As named tuples a slice of a grasp took 4 to 6 us more,
+# of 43: numba looks up the type of a named tuple anew at every call.
+
+
+@njit(cache=True)
+def _scan(
+    path: NDArray[np.float64],
+    gel: tuple[Any, ...],
+    motion: tuple[Any, ...],
+    window: tuple[Any, ...],
+    times: tuple[Any, ...],
+    keys: NDArray[np.int64],
+) -> int:
+    """Scan dots and window; returns the number of events."""
+    scans = ScanTimes(times[0], times[1], times[2])
+    made = scan_dots(path, gel_pixels(gel), scans, 0, len(scans.readout_us), keys, 0)
+    pixels = window_pixels(window)
+    if pixels.reference.size:
+        object_motion = ObjectMotion(motion[0], motion[1], motion[2])
+        made = scan_window(object_motion, pixels, scans, 0, len(scans.readout_us), keys, made)
+    return int(made)
+
+
+@njit(cache=True)
+def _scan_with_lines(
+    lines: LineMotion,
+    path: NDArray[np.float64],
+    gel: tuple[Any, ...],
+    motion: tuple[Any, ...],
+    window: tuple[Any, ...],
+    times: tuple[Any, ...],
+    keys: NDArray[np.int64],
+) -> tuple[int, int]:
+    """Scan dots and window with lines that move; returns the number of events, and of those that lines alone made."""
+    scans = ScanTimes(times[0], times[1], times[2])
+    object_motion = ObjectMotion(motion[0], motion[1], motion[2])
+    made, line_events = scan_lines(lines, path, gel_pixels(gel), object_motion, window_pixels(window), scans, keys)
+    return int(made), int(line_events)
+
+
+@njit(cache=True)
+def _leak(
+    first_row: int,
+    drift: np.float32,
+    gel: tuple[Any, ...],
+    window: tuple[Any, ...],
+    times: tuple[Any, ...],
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Let leak lower the references of the rows whose turn it is; returns the number of events so far."""
+    scans = ScanTimes(times[0], times[1], times[2])
+    return int(leak.leak_in_scans(first_row, drift, gel_pixels(gel), window_pixels(window), scans, keys, made))

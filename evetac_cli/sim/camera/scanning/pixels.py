@@ -1,11 +1,12 @@
 """The arrays of the scanning camera, in the groups in which its compiled loops take them.
 
-Groups end at the functions that Python calls; what these call takes the arrays one by one (why so: see dots).
+Groups end at the functions that `_scan` calls; what these call takes the arrays one by one (why so: see dots).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.camera import optics
@@ -88,6 +89,46 @@ class ScanTimes(NamedTuple):
     readout_us: NDArray[np.int64]
     t0_us: float
     refractory_us: float
+
+
+@njit(cache=True)
+def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
+    """The gel's arrays with their names, from a plain tuple of them in the order of GelPixels, plain inside as well."""
+    profile, candidates = gel[1], gel[5]
+    return GelPixels(
+        gel[0],
+        optics.DotProfile(profile[0], profile[1], profile[2], profile[3]),
+        gel[2],
+        gel[3],
+        gel[4],
+        CandidatePixels(
+            candidates[0],
+            candidates[1],
+            candidates[2],
+            candidates[3],
+            candidates[4],
+            candidates[5],
+            candidates[6],
+            candidates[7],
+            candidates[8],
+        ),
+    )
+
+
+@njit(cache=True)
+def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
+    """The window's arrays with their names, from a plain tuple in the order of WindowPixels, plain inside as well."""
+    runs = window[7]
+    return WindowPixels(
+        window[0],
+        window[1],
+        window[2],
+        window[3],
+        window[4],
+        window[5],
+        window[6],
+        CandidateRuns(runs[0], runs[1], runs[2], runs[3], runs[4], runs[5]),
+    )
 
 
 def all_pixels(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> CandidatePixels:
