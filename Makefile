@@ -52,7 +52,7 @@ tracking: $(READY)  ## presets of the tracker on edges, slip and shear
 labels: $(READY)  ## slip labels against truth, all twenty objects
 	@$(REPRODUCE) --only $@
 
-vibration: $(READY)  ## which tone the gel feels
+vibration: $(READY)  ## at which frequency the gel vibrates
 	@$(REPRODUCE) --only $@
 
 data-rate: $(READY)  ## bytes a second against an RGB sensor

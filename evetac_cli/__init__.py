@@ -3,7 +3,7 @@
     import evetac_cli as evetac
 
     with evetac.open_recording("a.recording.h5") as recording:
-        detector = evetac.SlipDetector(recording.dot_xy_px, recording.window_px)
+        detector = evetac.SlipDetector(recording)
         for events in recording:            # one millisecond at a time: t, x, y, p as numpy arrays
             probability = detector.step(events)
 
@@ -17,18 +17,22 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from evetac_cli.api import (
         DotTracker,
+        Gel,
+        Simulation,
         SlipDetector,
+        architectures,
         objects,
         open_features,
+        open_force_model,
         open_forces,
         open_labels,
         open_model,
         open_report,
         open_tracks,
-        presets,
         scenes,
         sensors,
         simulate,
+        tracker_presets,
     )
     from evetac_cli.errors import EvetacError, InputError
     from evetac_cli.events import Events, Slicer
@@ -38,23 +42,27 @@ __all__ = [
     "DotTracker",
     "Events",
     "EvetacError",
+    "Gel",
     "InputError",
     "Recording",
+    "Simulation",
     "Slicer",
     "SlipDetector",
     "SlipWindows",
+    "architectures",
     "objects",
     "open_features",
+    "open_force_model",
     "open_forces",
     "open_labels",
     "open_model",
     "open_recording",
     "open_report",
     "open_tracks",
-    "presets",
     "scenes",
     "sensors",
     "simulate",
+    "tracker_presets",
 ]
 
 _MODULES = {

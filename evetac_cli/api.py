@@ -5,7 +5,7 @@ The examples read files that the commands made: `a.recording.h5`, `a.labels.h5` 
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,18 @@ def open_model(path: str | Path) -> StageFile:
     return StageFile(Path(path), "model")
 
 
+def open_force_model(path: str | Path) -> StageFile:
+    """Open a force model: `regression/slope_n_px`, `regression/offset_n`, the network's weights and scales.
+
+    InputError if it is anything else.
+
+    >>> with evetac.open_force_model("dots.force-model.h5") as model:
+    ...     model.read("regression/offset_n").shape
+    (2,)
+    """
+    return StageFile(Path(path), "force-model")
+
+
 def open_report(path: str | Path) -> StageFile:
     """Open a report of `evaluate`: `rows` and `summary` are JSON texts, as `--json` prints them.
 
@@ -99,23 +111,51 @@ def open_report(path: str | Path) -> StageFile:
     return StageFile(Path(path), "report")
 
 
+class Gel(NamedTuple):
+    """What is known of a gel before it is touched; a recording and a simulation have these attributes too.
+
+    dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot. dot_radius_px: radius of the
+    printed dots. window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     gel = evetac.Gel(recording.dot_xy_px, recording.dot_radius_px, recording.window_px)
+    >>> gel.dot_xy_px.shape
+    (7, 8, 2)
+    """
+
+    dot_xy_px: NDArray[np.float64] | None
+    dot_radius_px: float | None
+    window_px: tuple[int, int, int, int] | None = None
+
+
+class _HasGel(Protocol):
+    """A Gel, a Recording or a Simulation."""
+
+    @property
+    def dot_xy_px(self) -> NDArray[np.float64] | None: ...
+    @property
+    def dot_radius_px(self) -> float | None: ...
+    @property
+    def window_px(self) -> tuple[int, int, int, int] | None: ...
+
+
 class DotTracker:
     """Follows the dots of a gel: a slice of events in, dot centres out, as the command `track` does.
 
-    dot_xy_px: centres at rest, (rows, columns, 2) or (n, 2) in px; NaN for a missing dot. preset: see
-    `evetac.presets()`. dot_radius_px: radius of the printed dots. ValueError for dots that cannot be tracked.
+    gel: a recording, a simulation or a `Gel`. preset: of `evetac.tracker_presets()`. InputError where the gel's dots or
+    the preset are unknown; ValueError for dots that cannot be tracked.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
-    ...     tracker = evetac.DotTracker(recording.dot_xy_px)
+    ...     tracker = evetac.DotTracker(recording)
     ...     for events in recording:
     ...         dot_xy_px = tracker.step(events)
     >>> dot_xy_px.shape
     (56, 2)
     """
 
-    def __init__(self, dot_xy_px: NDArray[np.float64], preset: str = "stable", dot_radius_px: float = 15.0) -> None:
-        constants = _tracker_constants(preset, dot_radius_px)
-        self._state = tracker.start(np.asarray(dot_xy_px, np.float64).reshape(-1, 2), constants)
+    def __init__(self, gel: _HasGel, preset: str = "stable") -> None:
+        dot_xy_px, constants = _dots(gel, preset)
+        self._state = tracker.start(dot_xy_px.reshape(-1, 2), constants)
 
     def step(self, events: Events) -> NDArray[np.float64]:
         """Dot centres after one more slice, (n, 2) in px: a view that the next step changes."""
@@ -131,30 +171,23 @@ class DotTracker:
 class SlipDetector:
     """Slip probability from events, slice by slice: the tracker and the network that `grasp` runs.
 
-    dot_xy_px: centres at rest, (rows, columns, 2) in px. window_px: x0, y0, x1, y1 of a cut gel's window, None for a
-    closed gel. model: a model file; the package's own by default. dot_radius_px: radius of the printed dots. InputError
-    if the model is for another dot grid.
+    gel: a recording, a simulation or a `Gel`. model: a model file; the package's own by default. InputError where the
+    gel's dots are unknown, or the model is for another dot grid.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
-    ...     detector = evetac.SlipDetector(recording.dot_xy_px, recording.window_px)
-    ...     probability = [detector.step(events) for events in recording]
-    >>> 0.0 <= probability[-1] <= 1.0
-    True
-    >>> detector.slip == (probability[-1] >= detector.threshold)
-    True
+    ...     detector = evetac.SlipDetector(recording)
+    ...     slip = []
+    ...     for events in recording:
+    ...         probability = detector.step(events)
+    ...         slip.append(detector.slip)
+    >>> 0.0 <= probability <= 1.0, slip[0]
+    (True, False)
     """
 
-    def __init__(
-        self,
-        dot_xy_px: NDArray[np.float64],
-        window_px: tuple[int, int, int, int] | None = None,
-        model: str | Path | None = None,
-        tracker_preset: str = "stable",
-        dot_radius_px: float = 15.0,
-    ) -> None:
-        constants = _tracker_constants(tracker_preset, dot_radius_px)
+    def __init__(self, gel: _HasGel, model: str | Path | None = None, tracker_preset: str = "stable") -> None:
+        dot_xy_px, constants = _dots(gel, tracker_preset)
         with StageFile(Path(model) if model is not None else resources.MODEL, "model") as file:
-            self._detector = OnlineSlipDetector.start(file, np.asarray(dot_xy_px, np.float64), window_px, constants)
+            self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants)
 
     @property
     def threshold(self) -> float:
@@ -172,7 +205,14 @@ class SlipDetector:
 
 
 class Simulation:
-    """A simulated trial: iterate over its slices; see `simulate`. Everything it gives is simulated."""
+    """A simulated trial: iterate over its slices. Everything it gives is simulated.
+
+    `truth` holds what only the simulation knows of the last slice, and every 2 ms a row of `gripper/...`.
+
+    >>> trial = evetac.simulate("press", seed=1)
+    >>> isinstance(trial, evetac.Simulation), trial.frame_px
+    (True, (640, 480))
+    """
 
     def __init__(self, trial: SimulatedTrial) -> None:
         self._devices, self._slices = simulated.play(trial)
@@ -180,11 +220,12 @@ class Simulation:
         self.dot_xy_px: NDArray[np.float64] = np.asarray(sensor["sensor/dot_xy_px"])  # at rest, (rows, columns, 2)
         width, height = sensor["sensor/frame_px"]
         self.frame_px = int(width), int(height)
+        self.dot_radius_px = float(sensor["sensor/dot_radius_px"])
         self.window_px: tuple[int, int, int, int] | None = None  # of a cut gel: x0, y0, x1, y1, ends excluded
         if "sensor/window_px" in sensor:
             x0, y0, x1, y1 = (int(edge) for edge in sensor["sensor/window_px"])
             self.window_px = x0, y0, x1, y1
-        self.truth: dict[str, Any] = {}  # of the last slice: what only the simulation knows; and gripper/... rows
+        self.truth: dict[str, Any] = {}
 
     def __iter__(self) -> Iterator[Events]:
         for events, rows in self._slices:
@@ -203,8 +244,8 @@ def simulate(
 ) -> Simulation:
     """Simulate one trial of a scene and iterate over its slices; the same events as `record` with these flags.
 
-    scene_name: of `evetac.scenes()`, or a TOML file. gel: cut or closed, default: the scene's. readout: dvxplorer
-    (scanned) or ideal. InputError for what there is not.
+    scene_name: of `evetac.scenes()` but those of kind lift, or a TOML file. gel: cut or closed, default: the scene's.
+    readout: dvxplorer (scanned) or ideal. InputError for an unknown name.
 
     >>> trial = evetac.simulate("slip", object_number=8, seed=3)
     >>> for milliseconds, events in enumerate(trial):
@@ -237,7 +278,7 @@ def sensors() -> list[str]:
 
 
 def scenes() -> list[str]:
-    """Names of the scenes that come with the package.
+    """Names of the scenes that come with the package; those of kind lift are for the command `grasp`.
 
     >>> "slip" in evetac.scenes()
     True
@@ -245,16 +286,33 @@ def scenes() -> list[str]:
     return sorted(path.stem for path in resources.SCENES.glob("*.toml"))
 
 
-def presets() -> dict[str, list[str]]:
-    """Names of the presets of the tracker and of the architectures of slip detectors.
+def tracker_presets() -> list[str]:
+    """Names of the presets of the dot tracker.
 
-    >>> sorted(evetac.presets())
-    ['slip detector', 'tracker']
+    >>> "stable" in evetac.tracker_presets()
+    True
     """
-    return {"tracker": list(tracker.PRESETS), "slip detector": list(ARCHITECTURES)}
+    return list(tracker.PRESETS)
 
 
-def _tracker_constants(preset: str, dot_radius_px: float) -> tracker.TrackerConstants:
+def architectures() -> list[str]:
+    """Names of the architectures of slip detectors, as in the paper's table and ours.
+
+    >>> "fast-slow" in evetac.architectures()
+    True
+    """
+    return list(ARCHITECTURES)
+
+
+def _dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], tracker.TrackerConstants]:
+    """The dots of a gel at rest and the tracker's constants for them; InputError where they are unknown."""
     if preset not in tracker.PRESETS:
         raise InputError("unknown preset of the tracker", expected=", ".join(tracker.PRESETS), found=preset)
-    return tracker.PRESETS[preset].for_dots(dot_radius_px)
+    if gel.dot_xy_px is None or gel.dot_radius_px is None:
+        raise InputError(
+            "where the dots of this gel are is unknown",
+            where=str(getattr(gel, "path", "gel")),
+            expected="dot_xy_px and dot_radius_px",
+            hint="evetac calibrate finds them; evetac record --calibration stores them with a recording",
+        )
+    return np.asarray(gel.dot_xy_px, np.float64), tracker.PRESETS[preset].for_dots(gel.dot_radius_px)

@@ -56,7 +56,9 @@ class Trials:
 class Record(Trials):
     """Record events: simulate a scene, record from devices, or import a foreign event file."""
 
-    scene: str = parameter("slip", "Scene: slip, data-rate, shear, press, edge, vibration, or a TOML file.")
+    scene: str = parameter(
+        "slip", "Scene: slip, data-rate, shear, press, edge, vibration, vibration-randomized, or a TOML file."
+    )
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(
         None, "Tones to play, of 1 to 2500, as in `200,300`; default: the scene's.", unit="Hz", flag="--tone"
@@ -121,7 +123,7 @@ class Record(Trials):
     )
     threshold_on: int | None = parameter(
         None,
-        "Devices: contrast threshold of brighter, 0 sensitive, 17 dull; default: the driver's.",
+        "Devices: contrast threshold of brighter, 0 most sensitive, 17 least; default: the driver's.",
         low=0,
         high=17,
         recipe=False,
@@ -274,7 +276,7 @@ class Train:
     preset: str = parameter(
         "paper",
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
-        " on normalised features, samples made stronger and weaker, and the mean of the weights on the way.",
+        " on normalised features, samples made stronger and weaker, and the average of the weights over training.",
         choices=("paper", "adam", "adamw"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
@@ -294,8 +296,8 @@ class Train:
     )
     folds: int = parameter(
         0,
-        "Choose checkpoint and threshold on objects never seen instead: by so many networks more, each trained without"
-        " a share of the objects, and on these. For detectors that will meet other objects.",
+        "Choose checkpoint and threshold on objects that a network has not seen: this many more networks are trained,"
+        " each without one share of the objects, and judged on that share. For detectors that will meet new objects.",
         low=0,
         high=100,
     )
@@ -320,7 +322,7 @@ class TrainForce:
 
 @dataclass(frozen=True)
 class PredictForce:
-    """Tell the shear force from tracked dots, slice by slice, by a force model."""
+    """Predict the shear force from tracked dots, slice by slice, with a force model."""
 
     model: Path | None = parameter(None, "Force model, made by train-force.", recipe=False)
 
@@ -347,7 +349,7 @@ class EvaluateDataRate:
 
 @dataclass(frozen=True)
 class EvaluateVibration:
-    """Tell the frequency at which the gel vibrates, and how often windows of some lengths have it right."""
+    """Estimate the frequency at which the gel vibrates, and how often windows of several lengths get it right."""
 
     preset: str = parameter(
         "default",
@@ -382,7 +384,7 @@ class EvaluateLabels:
 
 @dataclass(frozen=True)
 class EvaluateTracking:
-    """Tell whether dots end where they began, and how far from truth they were (simulated recordings)."""
+    """Measure whether dots end where they began, and how far from the truth they were (simulated recordings)."""
 
     recordings: Path | None = parameter(
         None, "Folder of the recordings, if they do not lie beside the tracks.", recipe=False
@@ -391,7 +393,7 @@ class EvaluateTracking:
 
 @dataclass(frozen=True)
 class EvaluateGrasp:
-    """Tell the outcome of grasps: lifted, balanced, moved (simulated recordings)."""
+    """Report the outcome of grasps: lifted, balanced, moved (simulated recordings)."""
 
 
 @dataclass(frozen=True)
@@ -426,12 +428,12 @@ class EvaluateStability:
         flag="PART",
     )
     seed: int = parameter(0, "Seed of the cases that are drawn.", low=0, high=2**31 - 1)
-    full: bool = parameter(False, "Every theta, longer runs and many more drawn cases; takes a few minutes.")
+    full: bool = parameter(False, "More settings, longer runs and many more random cases; takes a few minutes.")
 
 
 @dataclass(frozen=True)
 class EvaluateForce:
-    """Compare the shear force that force models tell from dots with the true one (simulated recordings)."""
+    """Compare the shear force that force models predict from dots with the true one (simulated recordings)."""
 
     model: str = parameter(
         "", "Force model, folder or glob of several: each judges the tracks of its own sensor.", recipe=False
@@ -445,7 +447,7 @@ class EvaluateForce:
 
 @dataclass(frozen=True)
 class Grasp(Trials):
-    """Grasp by feel: detect slip at 1000 Hz, control the gripper at 500 Hz."""
+    """Lift an object with slip feedback: detect slip at 1000 Hz, control the gripper at 500 Hz."""
 
     scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
     objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")

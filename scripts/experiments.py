@@ -77,7 +77,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.DATA_RATE,),
     ),
     Experiment(
-        "vibration", "which tone the gel feels", "data/vibration", 1.0,
+        "vibration", "at which frequency the gel vibrates", "data/vibration", 1.0,
         full={"seed": 0, "tones": (), "randomized": 20}, small={"tones": ("200",), "randomized": 1},
         steps=steps.vibration_steps, evaluations=steps.vibration_evaluations,
         tables=(tables.VIBRATION, tables.VIBRATION_RANDOMIZED),

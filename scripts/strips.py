@@ -75,8 +75,8 @@ def strip(path: Path, out: Path) -> Path:
         rate.set_xlim(0, seconds[-1])
         rate.tick_params(labelbottom=False)
         what = recording.header["parameters"]["scene"]
-        object_params = recording.header["parameters"]["object"]
-        name = what["name"] + (f", object {object_params}" if object_params else "")
+        object_number = recording.header["parameters"]["object"]
+        name = what["name"] + (f", object {object_number}" if object_number else "")
         figure.suptitle(f"{name} (simulated): {what['summary']}", fontsize=11, color=INK, x=0.01, ha="left")
         out.mkdir(parents=True, exist_ok=True)
         target = out / f"{what['name']}.png"

@@ -4,6 +4,7 @@ import doctest
 import inspect
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -32,6 +33,7 @@ def files(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for kind in ("labels", "tracks", "features"):
         shutil.copy(made.beside(recording, kind), folder / f"a.{kind}.h5")
     shutil.copy(made.model, folder / "slip.model.h5")
+    shutil.copy(made.force_model, folder / "dots.force-model.h5")
     force = params.PredictForce(model=made.force_model)
     (job,) = predict_force.jobs([folder / "a.tracks.h5"], force, None)
     predict_force.run(job, force)
@@ -59,7 +61,7 @@ def test_every_name_has_an_example_that_runs(name: str, files: Path, monkeypatch
 def test_every_public_function_is_offered() -> None:
     """Assert that nothing public stands in api.py that `import evetac_cli` does not give."""
     own = {name for name, item in vars(api).items() if inspect.getmodule(item) is api and not name.startswith("_")}
-    assert own - {"Simulation"} <= set(evetac.__all__)
+    assert own <= set(evetac.__all__)
     assert set(evetac.__all__) <= set(dir(evetac))
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = evetac.nothing
@@ -80,6 +82,14 @@ def test_simulate_gives_the_events_of_record(short_scene: Path, tmp_path: Path) 
             np.testing.assert_array_equal(np.asarray(trial.truth["truth/shear_force_n"], np.float32), shear_n[slices])
             slices += 1
     assert slices == len(shear_n) > 500
+
+
+def test_a_gel_without_dots_is_refused() -> None:
+    """Assert that unknown dots and presets are refused in words, and that dots as large as they are count."""
+    with pytest.raises(evetac.InputError, match=r"dots of this gel(.|\n)*calibrate"):
+        evetac.DotTracker(evetac.Gel(None, None))
+    with pytest.raises(evetac.InputError, match="unknown preset"):
+        evetac.DotTracker(evetac.Gel(np.zeros((7, 8, 2)), 15.0), "best")
 
 
 IMPORT = """
@@ -105,7 +115,7 @@ SCRIPT = """
 import evetac_cli as evetac
 
 with evetac.open_recording("a.recording.h5") as recording:
-    detector = evetac.SlipDetector(recording.dot_xy_px, recording.window_px)
+    detector = evetac.SlipDetector(recording)
     slip: list[float] = [detector.step(events) for events in recording]
 """
 
@@ -129,6 +139,19 @@ def test_a_users_script_type_checks_against_the_wheel(tmp_path: Path) -> None:
         timeout=600,
     )
     assert done.returncode == 0, done.stdout
+
+
+def test_readmes_example_runs(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that README's Python, given the files it names, runs as it is written."""
+    text = (PACKAGE.parent / "README.md").read_text()
+    section = text[text.index("## From Python") :].split("\n## ")[0]
+    code = "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
+    assert "import evetac_cli as evetac" in code
+    for name in re.findall(r'"([^"]+\.h5)"', code):
+        (files / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(files / f"a.{name.split('.')[-2]}.h5", files / name)
+    monkeypatch.chdir(files)
+    exec(compile(code, "README.md", "exec"), {})
 
 
 def test_a_report_is_json(files: Path) -> None:

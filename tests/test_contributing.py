@@ -15,7 +15,7 @@ from tests.test_imports import GROUND, MAY_IMPORT
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "CONTRIBUTING.md"
 MARKS = re.compile(r"(<!-- imports -->\n).*?(<!-- end of imports -->)", re.DOTALL)
-STOPS = re.findall(r"^\d+\. \[([\w.]+)\]\(([^)]+)\)", PAGE.read_text(), re.MULTILINE)
+STOPS = re.findall(r"^\d+\. \[([\w./]+)\]\(([^)]+)\)", PAGE.read_text(), re.MULTILINE)
 
 
 def imports_table() -> str:

@@ -65,20 +65,20 @@ def udev_rules() -> str:
     )
 
 
-def run(params: Doctor, machine: Host | None = None) -> Outcome:
+def run(params: Doctor, host: Host | None = None) -> Outcome:
     """A row for every check of the installation, the disk, and every camera and gripper."""
-    machine = machine or Host()
-    rows = [*_software(machine), _disk(machine, Path.cwd())]
-    cameras = machine.cameras() if machine.has_libusb() else []
+    host = host or Host()
+    rows = [*_software(host), _disk(host, Path.cwd())]
+    cameras = host.cameras() if host.has_libusb() else []
     for camera in cameras:
-        rows += _camera(machine, camera)
+        rows += _camera(host, camera)
     kind = (params.gripper or "").partition(":")[0]
     if kind in NO_PORTS:
         reason = f"not: a {kind} gripper needs no doctor" if kind != "none" else "not: no gripper is named"
         rows.append(_row(f"gripper {kind}", "examined", None, reason, "", "name a port: --gripper /dev/ttyUSB0"))
     grippers = 0
-    for path, named in _ports(machine, params):
-        port_rows, count = _port(machine, path, named)
+    for path, named in _ports(host, params):
+        port_rows, count = _port(host, path, named)
         rows += port_rows
         grippers += count
     wrong = sum(row["ok"] is False for row in rows)
@@ -116,16 +116,16 @@ def _row(device: str, check: str, ok: bool | None, result: str, expected: str = 
     }
 
 
-def _software(machine: Host) -> Iterator[Row]:
-    loads = machine.has_libusb()
+def _software(host: Host) -> Iterator[Row]:
+    loads = host.has_libusb()
     fix = "" if loads else "pip install --force-reinstall libusb-package"
     yield _row("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
     for extra, packages in EXTRAS.items():
-        lacking = [name for name in packages if not machine.has_package(name)]
+        lacking = [name for name in packages if not host.has_package(name)]
         state = f"without {', '.join(lacking)}" if lacking else "installed"
         fix = f"pip install '.[{extra}]'" if lacking else ""
         yield _row("software", f"extra {extra}", None if lacking else True, state, "", fix)
-    installed = machine.distributions(OPENCV)
+    installed = host.distributions(OPENCV)
     yield _row(
         "software",
         "opencv",
@@ -138,8 +138,8 @@ def _software(machine: Host) -> Iterator[Row]:
     )
 
 
-def _disk(machine: Host, folder: Path) -> Row:
-    free = machine.free_bytes(folder)
+def _disk(host: Host, folder: Path) -> Row:
+    free = host.free_bytes(folder)
     enough = free >= FREE_BYTES
     minutes = free / 3.5e6 / 60
     room = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events a second"
@@ -148,7 +148,7 @@ def _disk(machine: Host, folder: Path) -> Row:
     )
 
 
-def _camera(machine: Host, camera: FoundCamera) -> Iterator[Row]:
+def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
     name = f"camera {camera.serial or 'at ' + camera.where}"
     mini = camera.board == protocol.MINI_BOARD
     fix = "" if mini else "record it with DV, and import: evetac record --from FILE.aedat4"
@@ -168,23 +168,23 @@ def _camera(machine: Host, camera: FoundCamera) -> Iterator[Row]:
         fast = camera.speed >= SUPER_SPEED
         fix = "" if fast else "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
         yield _row(name, "link", fast, SPEEDS.get(camera.speed, f"speed {camera.speed}"), "USB 3", fix)
-    answer = machine.ask_camera(camera)
-    yield _row(name, *_opened(machine, camera, answer.errno, answer.message))
+    answer = host.ask_camera(camera)
+    yield _row(name, *_opened(host, camera, answer.errno, answer.message))
     if answer.frame_px is not None and mini:
         right = answer.frame_px == FRAME_PX
         fix = "" if right else "this sensor is not that of a DVXplorer Mini: is it the right camera?"
         yield _row(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
 
 
-def _opened(machine: Host, camera: FoundCamera, number: int, message: str) -> tuple[str, bool, str, str, str]:
+def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple[str, bool, str, str, str]:
     """The check of opening a camera and reading its sensor's size: check, ok, found, expected, fix."""
     if number == 0:
         return "access", True, "opens and answers", "", ""
-    node = machine.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
+    node = host.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
     if number == errno.EACCES:
         return "permission", False, f"none, for you ({message})", "a udev rule", INSTALL_RULES
     if number == errno.EBUSY:
-        users = machine.programs_using(node)
+        users = host.programs_using(node)
         by = f"used by {', '.join(users)}" if users else "used by another program"
         fix = (
             f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
@@ -205,18 +205,18 @@ def _opened(machine: Host, camera: FoundCamera, number: int, message: str) -> tu
     return "access", False, message, "", "unplug it and plug it in again, without a hub"
 
 
-def _ports(machine: Host, params: Doctor) -> Iterator[tuple[Path, bool]]:
+def _ports(host: Host, params: Doctor) -> Iterator[tuple[Path, bool]]:
     """Ports to examine, and whether the user named them."""
     given = params.gripper or ""
     named = Path(given.partition("@")[0]) if given and given.partition(":")[0] not in NO_PORTS else None
-    for port in machine.serial_ports():
+    for port in host.serial_ports():
         if port.vendor == FTDI and (named is None or port.path.resolve() != named.resolve()):
             yield port.path, False
     if named is not None:
         yield named, True
 
 
-def _port(machine: Host, path: Path, named: bool) -> tuple[list[Row], int]:
+def _port(host: Host, path: Path, named: bool) -> tuple[list[Row], int]:
     """Rows of one port and of the grippers on it, and the number of these."""
     name = f"port {path}"
     if not path.exists():
@@ -228,7 +228,7 @@ def _port(machine: Host, path: Path, named: bool) -> tuple[list[Row], int]:
     if not os.access(path, os.R_OK | os.W_OK):
         fix = f"sudo usermod -aG dialout $USER, and log in again; or {INSTALL_RULES}"
         return [_row(name, "permission", False, "none, for you", "", fix)], 0
-    latency_ms = machine.latency_ms(path)
+    latency_ms = host.latency_ms(path)
     if latency_ms is not None:
         fine = latency_ms <= LATENCY_MS
         timer = f"/sys/bus/usb-serial/devices/{path.name}/latency_timer"
@@ -236,22 +236,22 @@ def _port(machine: Host, path: Path, named: bool) -> tuple[list[Row], int]:
         rows.append(
             _row(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands a second", fix)
         )
-    users = machine.programs_using(path)
+    users = host.programs_using(path)
     if users:
         fix = f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
         return [*rows, _row(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
     try:
-        grippers = machine.scan(path)
+        grippers = host.scan(path)
     except DeviceError as error:
         return [*rows, _row(name, "opens", False, " ".join(str(error).split()), "", f"sudo fuser {path}")], 0
     if not grippers:
-        rates = f"{machine.rates[0]} to {machine.rates[-1]} baud"
+        rates = f"{host.rates[0]} to {host.rates[-1]} baud"
         fix = "switch on its 24 V, check the cable between adapter and gripper"
         # an adapter that the user did not name may well serve another device
         return [*rows, _row(name, "gripper", False if named else None, "none answers", f"an answer at {rates}", fix)], 0
     for gripper in grippers:
         try:
-            rows += _gripper(machine, path, gripper)
+            rows += _gripper(host, path, gripper)
         except DeviceError as error:
             fault = " ".join(str(error).split())
             rows.append(_row(f"gripper {gripper.id} at {path}", "answers", False, fault, "", "check cable and 24 V"))
@@ -272,7 +272,7 @@ def _is_serial(path: Path) -> bool:
         os.close(port)
 
 
-def _gripper(machine: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
+def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     name = f"gripper {gripper.id} at {path}"
     right = gripper.model == MODEL_NUMBER
     older = " (RH-P12-RN without A: another control table)" if gripper.model == OLD_MODEL_NUMBER else ""
@@ -286,7 +286,7 @@ def _gripper(machine: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     yield _row(name, "baud", fast, str(gripper.baud), expected, unusual if fast else slow_fix)
     if not right:
         return
-    registers = machine.registers(path, gripper)
+    registers = host.registers(path, gripper)
     delay_us = registers["Return Delay Time"] * RETURN_DELAY_US
     fix = "" if delay_us == 0 else f"evetac record --gripper {path}@{gripper.baud} sets it when it opens the gripper"
     yield _row(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)

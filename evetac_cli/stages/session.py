@@ -1,4 +1,4 @@
-"""A trial with devices from plan to closing words: what `record` and `grasp` in real time have in common.
+"""A trial with devices, from checks to the final message: what `record` and `grasp` in real time share.
 
 Before a device is touched: whether the outputs may be written and fit on the disk, and what a dry run shows. While it
 runs: Ctrl-C ends it between slices. Afterwards: the file is joined, and an error or Ctrl-C goes on with what was saved.
@@ -37,7 +37,7 @@ def refuse_taken(trial: DeviceTrial, *, again: str, hint: str, force: bool, resu
         refuse_leftover(output)
     if trial.taken and not (force or resume):
         raise InputError(
-            "is not begun, because others of the series are there",
+            "this trial was not started, because others of the series exist already",
             where=str(trial.output),
             found=", ".join(map(str, trial.taken)),
             hint=hint,

@@ -79,6 +79,11 @@ class Recording(StageFile):
         """Dot centres at rest (rows, columns, 2), or None where no calibration is stored."""
         return self.read("sensor/dot_xy_px") if self.has("sensor/dot_xy_px") else None
 
+    @property
+    def dot_radius_px(self) -> float | None:
+        """Radius of the printed dots, or None where no calibration is stored."""
+        return float(self.read("sensor/dot_radius_px")) if self.has("sensor/dot_radius_px") else None
+
     def sensor_datasets(self) -> dict[str, Any]:
         """What belongs to the sensor, `sensor/...` by name: dot grid, window, frame size, to be copied along."""
         return {name: self.read(name) for name in self.contents() if name.startswith("sensor/")}

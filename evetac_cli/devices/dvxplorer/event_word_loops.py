@@ -104,11 +104,11 @@ def _timestamp(ref: int, host_ms: int, registers: NDArray[np.int64], counts: NDA
         registers[FIRST_MS] = ref
         registers[LAST_US] = -1
     else:
-        horizon_ms = (ref - registers[REF]) & REF_MASK
+        step_ms = (ref - registers[REF]) & REF_MASK
         if host_ms < 0:
-            refused = horizon_ms > REF_MASK // 2
+            refused = step_ms > REF_MASK // 2
         else:
-            refused = horizon_ms > JUMP_MS and registers[MS] + horizon_ms > host_ms + HOST_SLACK_MS
+            refused = step_ms > JUMP_MS and registers[MS] + step_ms > host_ms + HOST_SLACK_MS
         if refused:
             counts[_REFUSED] += 1
             registers[REFUSALS] += 1
@@ -116,14 +116,15 @@ def _timestamp(ref: int, host_ms: int, registers: NDArray[np.int64], counts: NDA
                 registers[WHERE] = LOST
                 return
             counts[_RESTARTS] += 1
-            horizon_ms = max(1, host_ms - registers[MS])
-        if horizon_ms > 0:  # else it is repeated, and its frames go on
-            registers[MS] += horizon_ms
+            step_ms = max(1, host_ms - registers[MS])
+        if step_ms > 0:  # else it is repeated, and its frames go on
+            registers[MS] += step_ms
             registers[LAST_US] = -1
     registers[REF] = ref
     registers[REFUSALS] = 0
 
 
+# Why nine arguments: the four columns stay apart, as a tuple of them costs 0.25 us more in each packet.
 @njit(cache=True)
 def decode(
     words: NDArray[np.uint32],

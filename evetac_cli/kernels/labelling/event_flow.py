@@ -332,15 +332,15 @@ def _search(
     paused_ms = 0
     onset = -1
     for slice_ in range(slices):
-        horizon_ms = min(slice_ + look_ahead_ms, slices)
+        end_slice = min(slice_ + look_ahead_ms, slices)
         begin = max(slice_ + 1 - follow_ms, 0)
-        span = horizon_ms - slice_
+        span = end_slice - slice_
         follow_span = slice_ + 1 - begin
-        object_px_ms = (object_px[horizon_ms] - object_px[slice_]) / span
+        object_px_ms = (object_px[end_slice] - object_px[slice_]) / span
         recent_px_ms = (object_px[slice_ + 1] - object_px[begin]) / follow_span
         closest = np.inf
         for dot in range(dots):
-            dot_px_ms = (away_px[horizon_ms, dot] - away_px[slice_, dot]) / span
+            dot_px_ms = (away_px[end_slice, dot] - away_px[slice_, dot]) / span
             relative_px[slice_] = min(relative_px[slice_], (object_px_ms - dot_px_ms) * span)
             behind = recent_px_ms - (away_px[slice_ + 1, dot] - away_px[begin, dot]) / follow_span
             if dot_px_ms < -back_px_ms:

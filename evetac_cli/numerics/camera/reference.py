@@ -65,6 +65,7 @@ def _empty_columns(size: int) -> tuple[NDArray[np.float64], NDArray[np.int64], N
     return np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
 
 
+# Why so many arguments: called once for a whole solution, from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _crossings(
     path: NDArray[np.float64],

@@ -51,6 +51,7 @@ def simulate_explicit(trial: Trial, dt_s: float) -> Motion:
     return follow(trial, dt_s, advance, sample)
 
 
+# Why so many arguments: called once for a whole solution, from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _explicit_steps(
     displacement: Floats,

@@ -46,7 +46,7 @@ def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
     gripper = named_grippers.parse(params.gripper if params.gripper is not None else cameras[0].own_gripper)
     if any(camera.is_stepped != gripper.is_stepped for camera in cameras):
         raise InputError(
-            "a simulated device has no peer outside its simulation",
+            "a simulated camera and a real gripper (or the other way round) cannot be combined",
             where="--camera, --gripper",
             expected="both sim, or neither",
             found=f"{params.camera}, {gripper}",

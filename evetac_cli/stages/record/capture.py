@@ -42,7 +42,7 @@ from evetac_cli.store.segments import RecordingWriter
 
 METHOD = 1  # of recordings from devices
 SWITCH_S = 5e-4  # the interpreter's threads take turns so often: a command waits no longer for the camera's thread
-OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "drawn_holding_ma")  # of each trial
+OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "sampled_holding_ma")  # of each trial
 
 
 class SliceThread:
@@ -178,16 +178,16 @@ def _begin(trial: DeviceTrial, params: Record, rig: Rig, place: int, trajectory:
         sensor |= read_calibration(params.calibration, (int(width), int(height))).arrays()
     hold, asked_ma = _hold(trial, params, rig), asked_holding_ma(trial, params)
     # A current that every trial draws for itself belongs to the trial, not to how the series is set up.
-    drawn = {} if hold is None or asked_ma is not None else {"drawn_holding_ma": hold.holding_ma}
+    drawn = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
     recipe = session.make_recipe(
         METHOD,
         {**(trial.plan or {}), **trajectory, "trial": trial.number},
         rig.setup,
         sensor,
         {
-            "handling": None if hold is None else {**asdict(hold), "holding_ma": asked_ma},
+            "current_ramp": None if hold is None else {**asdict(hold), "holding_ma": asked_ma},
             **drawn,
-            "handling_seed": trial.seed,
+            "current_ramp_seed": trial.seed,
         },
         parents=rig.parents,
         simulated=rig.simulated,

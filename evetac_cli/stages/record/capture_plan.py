@@ -42,10 +42,10 @@ def asked_holding_ma(trial: DeviceTrial, params: Record) -> float | None:
     return params.holding_ma if params.holding_ma is not None or trial.plan is not None else HOLDING_MA
 
 
-def make_hold(trial: DeviceTrial, params: Record, drawn_ma: float) -> Hold:
-    """How the object is handled; drawn_ma: what a scene draws. InputError for a current that cannot fall."""
+def make_hold(trial: DeviceTrial, params: Record, sampled_ma: float) -> Hold:
+    """How the object is handled; sampled_ma: what a scene draws. InputError for a current that cannot fall."""
     asked_ma = asked_holding_ma(trial, params)
-    holding_ma = drawn_ma if asked_ma is None else asked_ma
+    holding_ma = sampled_ma if asked_ma is None else asked_ma
     if params.lowest_ma >= holding_ma:
         raise InputError(
             "the current would not fall",
@@ -67,7 +67,7 @@ def dry_run(trials: Sequence[DeviceTrial], params: Record, *, force: bool = Fals
     rate = f"{params.expected_event_rate:,.0f} events/s for {_seconds(params):g} s"
     parts = [
         *(("camera", str(camera), given or "the driver's settings") for camera in first.cameras),
-        ("gripper", str(first.gripper), _handling(first, params) if first.gripper.is_moved else "not moved"),
+        ("gripper", str(first.gripper), _ramp_words(first, params) if first.gripper.is_moved else "not moved"),
         ("end", _end(first, params), f"room for {room_mb:,.0f} MB is asked for, {rate}"),
     ]
     return session.plan_shown(trials, parts, simulated=any(camera.shows_simulation() for camera in first.cameras))
@@ -86,7 +86,7 @@ def _end(trial: DeviceTrial, params: Record) -> str:
     return "until " + ", or ".join([*ends, "Ctrl-C"])
 
 
-def _handling(trial: DeviceTrial, params: Record) -> str:
+def _ramp_words(trial: DeviceTrial, params: Record) -> str:
     """What the gripper does, in words."""
     asked_ma = asked_holding_ma(trial, params)
     holding = f"{asked_ma} mA" if asked_ma is not None else "the current of its scene"

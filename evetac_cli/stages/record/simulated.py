@@ -64,7 +64,7 @@ def play(trial: SimulatedTrial) -> tuple[Rig, Iterator[tuple[Events, dict[str, A
     seeds = trial.seeds()
     ramp = np.random.default_rng(seeds.spawn(1)[0])
     devices = rig(trial.plan, seeds)
-    return devices, _slices(devices, Handling.read(trial.plan["scene"]), ramp)
+    return devices, _slices(devices, GripperSchedule.read(trial.plan["scene"]), ramp)
 
 
 def _longest_s(time: Mapping[str, float]) -> float:
@@ -73,7 +73,7 @@ def _longest_s(time: Mapping[str, float]) -> float:
 
 
 @dataclass(frozen=True)
-class Handling:
+class GripperSchedule:
     """When the gripper does what, in slices: closes to touch, grips with the holding current, lowers it."""
 
     close_ms: int
@@ -81,7 +81,7 @@ class Handling:
     ramp_ms: int
 
     @classmethod
-    def read(cls, scene: Mapping[str, Any]) -> "Handling":
+    def read(cls, scene: Mapping[str, Any]) -> "GripperSchedule":
         """As the scene says; in a ramp scene the object is held from the start."""
         if scene["kind"] == "ramp":
             time = scene["time"]
@@ -89,26 +89,28 @@ class Handling:
         return cls(*(round(1000 * scene.get("gripper", {}).get(name, 0.0)) for name in ("close_s", "grip_s", "ramp_s")))
 
 
-def _slices(devices: Rig, handling: Handling, rng: np.random.Generator) -> Iterator[tuple[Events, dict[str, Any]]]:
+def _slices(
+    devices: Rig, schedule: GripperSchedule, rng: np.random.Generator
+) -> Iterator[tuple[Events, dict[str, Any]]]:
     """Read every slice, and command the gripper, if there is one, every 2 ms, until the scene has ended."""
     target_ma = devices.holding_ma
     number = 0
     while (events := devices.camera.read()) is not None:
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
         if devices.gripper is not None and number % COMMAND_MS == 0:
-            if number > handling.ramp_ms:
+            if number > schedule.ramp_ms:
                 target_ma += rng.uniform(*RAMP_MA)
             now_us = devices.clock.now_us()
-            rows |= _command(devices.gripper, now_us, target_ma, number, handling)
+            rows |= _command(devices.gripper, now_us, target_ma, number, schedule)
         yield events, rows
         number += 1
 
 
-def _command(gripper: Gripper, now_us: int, target_ma: float, now_ms: int, handling: Handling) -> dict[str, Any]:
+def _command(gripper: Gripper, now_us: int, target_ma: float, now_ms: int, schedule: GripperSchedule) -> dict[str, Any]:
     """One command to the gripper, and its row: position mode until it grips, current mode from then on."""
     reading = gripper.read()
-    if now_ms < handling.grip_ms:
-        gripper.write_position(reading.position_ticks + (CLOSING_TICKS if now_ms >= handling.close_ms else 0))
+    if now_ms < schedule.grip_ms:
+        gripper.write_position(reading.position_ticks + (CLOSING_TICKS if now_ms >= schedule.close_ms else 0))
         return gripper_row(now_us, reading)
     gripper.write_current(round(target_ma))
     return gripper_row(now_us, reading, target_ma=target_ma, written_ma=round(target_ma))

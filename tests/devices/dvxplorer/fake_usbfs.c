@@ -1,4 +1,4 @@
-/* A USB device that is a program: lets a driver with its own libusb talk to tests/test_devices_libusb.py.
+/* A USB device that is a program: lets a driver with its own libusb talk to tests/devices/dvxplorer/test_libusb.py.
 
    Preloaded (LD_PRELOAD) into the driver's process it stands in for what libusb asks of Linux: libudev and the folder
    of devices in /sys name one device, whose files come from the folder FAKE_USBFS_ROOT, and requests to its node in /dev

@@ -33,9 +33,9 @@ def column(x: int, us: int, begins: bool = False) -> int:
 
 
 def group(
-    first: int, bits: int, darker: bool = False, horizon_ms: int = 0, bits2: int = 0, darker2: bool = False
+    first: int, bits: int, darker: bool = False, row_offset: int = 0, bits2: int = 0, darker2: bool = False
 ) -> int:
-    return 1 << 31 | horizon_ms << 26 | first << 18 | darker2 << 17 | darker << 16 | bits2 << 8 | bits
+    return 1 << 31 | row_offset << 26 | first << 18 | darker2 << 17 | darker << 16 | bits2 << 8 | bits
 
 
 def decoded(words: Iterable[int], host_ms: int | None = None) -> tuple[list[tuple[int, ...]], dict[str, int]]:
@@ -266,13 +266,13 @@ DAMAGE = {
     "time outside": ([column(9, 1000, True), group(0, 7)], "outside_frame", 3, True),
     "group outside": ([column(9, 300, True), group(0, 7), group(60, 1)], "outside_frame", 3, True),
     "second group outside": (
-        [column(9, 300, True), group(0, 7), group(40, 1, horizon_ms=20, bits2=1)],
+        [column(9, 300, True), group(0, 7), group(40, 1, row_offset=20, bits2=1)],
         *("outside_frame", 3, True),
     ),
     "rows twice": ([column(9, 300, True), group(4, 7), group(4, 1)], "repeated_rows", 3, False),
-    "rows twice in a word": ([column(9, 300, True), group(4, 7, horizon_ms=0, bits2=1)], "repeated_rows", 0, False),
+    "rows twice in a word": ([column(9, 300, True), group(4, 7, row_offset=0, bits2=1)], "repeated_rows", 0, False),
     "rows again as second": (
-        [column(9, 300, True), group(9, 7), group(4, 1, horizon_ms=5, bits2=1)],
+        [column(9, 300, True), group(9, 7), group(4, 1, row_offset=5, bits2=1)],
         "repeated_rows",
         3,
         False,

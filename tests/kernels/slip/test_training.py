@@ -267,7 +267,7 @@ def test_a_saved_run_of_another_network_is_refused(problem: Samples) -> None:
             training.train(samples, preset, np.random.default_rng(20), max_steps=60, resume_from=saved)
 
 
-def test_steady_keeps_the_running_mean(problem: Samples) -> None:
+def test_adamw_keeps_the_running_mean(problem: Samples) -> None:
     """Assert that its checkpoints are the mean of the weights on the way, in which early weights are soon forgotten."""
     plain = replace(ADAMW, average=0.0)
     idle = replace(plain, learning_rate=0.0)
@@ -281,7 +281,7 @@ def test_steady_keeps_the_running_mean(problem: Samples) -> None:
         np.testing.assert_allclose(results.checkpoints[step - 1].weights["fc3.weight"], mean, atol=1e-6)
 
 
-def test_steady_slows_down(problem: Samples) -> None:
+def test_adamw_slows_down(problem: Samples) -> None:
     """Assert that the learning rate is 0.002 in the first step, half of it in the middle and nearly 0 in the last."""
     flat = replace(ADAMW, average=0.0, cosine=False, weight_decay=0.0)
     falling = replace(flat, cosine=True)

@@ -67,17 +67,18 @@ def play(step: Any, state: Any, motion: Motion, slices: int) -> Events:
     rng = np.random.default_rng(1)
     parts = []
     for k in range(slices):
-        (dots, object_params, begin), (dots_end, thing_end, end) = motion(k), motion(k + 1)
-        given = (state, dots, dots_end, object_params, thing_end, 1.0, 1000 * k, rng, None, begin, end)
+        (dots, object_xy_px, begin), (dots_end, object_end_xy_px, end) = motion(k), motion(k + 1)
+        given = (state, dots, dots_end, object_xy_px, object_end_xy_px, 1.0, 1000 * k, rng, None, begin, end)
         parts.append(step(*given))
     return concatenate(parts)
 
 
 def between(motion: Motion, k: int, part: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
     """What a camera is told within a slice: all moves evenly."""
-    (dots, object_params, begin), (dots_end, thing_end, end) = motion(k), motion(k + 1)
+    (dots, object_xy_px, begin), (dots_end, object_end_xy_px, end) = motion(k), motion(k + 1)
     mixed = [
-        a + part * (b - a) for a, b in zip((dots, object_params, *begin), (dots_end, thing_end, *end), strict=True)
+        a + part * (b - a)
+        for a, b in zip((dots, object_xy_px, *begin), (dots_end, object_end_xy_px, *end), strict=True)
     ]
     return mixed[0], mixed[1], Place(*mixed[2:])
 
@@ -103,12 +104,12 @@ def lines_level(where: Place) -> NDArray[np.float64]:
 
 def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[np.float64]:
     """Dots or texture, and lines, of the whole frame."""
-    dots, object_params, where = between(motion, k, part)
+    dots, object_xy_px, where = between(motion, k, part)
     level = optics.gel_level(FRAME, dots, state.profile).astype(float)
     if state.window_level.size:
         x0, y0, x1, y1 = STRIP
         strip = np.empty((y1 - y0, x1 - x0), np.float32)
-        optics.sample_texture(TEXTURE, x0, y0, object_params[0], object_params[1], 1.0, strip)
+        optics.sample_texture(TEXTURE, x0, y0, object_xy_px[0], object_xy_px[1], 1.0, strip)
         level[y0:y1, x0:x1] = strip
     return level + lines_level(where)
 
@@ -261,8 +262,8 @@ def test_cut_edge_shows_on_both_sides(step: Any) -> None:
     rng = np.random.default_rng(1)
     in_gel = in_window = 0
     for k in range(25):
-        (dots, object_params, begin), end = swing(k), swing(k + 1)[2]
-        result = step(used, dots, dots, object_params, object_params, 1.0, 1000 * k, rng, None, begin, end)
+        (dots, object_xy_px, begin), end = swing(k), swing(k + 1)[2]
+        result = step(used, dots, dots, object_xy_px, object_xy_px, 1.0, 1000 * k, rng, None, begin, end)
         in_window += int((result.x >= STRIP[0]).sum())
         in_gel += int((result.x < STRIP[0]).sum())
         assert state.contact_edges is not None

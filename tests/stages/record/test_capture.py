@@ -284,7 +284,7 @@ def test_series_goes_on(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [({"serial": "T2"}, "serial"), ({"seed": 5}, "handling_seed"), ({"hold_s": 3.0}, "hold_s")],
+    [({"serial": "T2"}, "serial"), ({"seed": 5}, "current_ramp_seed"), ({"hold_s": 3.0}, "hold_s")],
 )
 def test_changed_setup_is_refused(
     change: dict[str, Any], said: str, rig_is: Callable[..., Rig], tmp_path: Path
@@ -325,8 +325,8 @@ def test_drawn_current_is_the_trials(rig_is: Callable[..., Rig], tmp_path: Path)
     trials(1, 10.0)
     paths = trials(2, 19.0, resume=True)
     headers = [capture._header(path)["parameters"] for path in paths]
-    assert [header["drawn_holding_ma"] for header in headers] == [10.0, 19.0]
-    assert [header["handling"]["holding_ma"] for header in headers] == [None, None]
+    assert [header["sampled_holding_ma"] for header in headers] == [10.0, 19.0]
+    assert [header["current_ramp"]["holding_ma"] for header in headers] == [None, None]
     with pytest.raises(InputError, match="another set-up(.|\n)*holding_ma"):
         trials(3, 19.0, resume=True, holding_ma=19.0)
 
