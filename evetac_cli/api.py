@@ -114,7 +114,7 @@ def open_report(path: str | Path) -> StageFile:
 class Gel(NamedTuple):
     """What is known of a gel before it is touched; a recording and a simulation have these attributes too.
 
-    dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot. dot_radius_px: radius of the
+    dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot. dot_radius_px: of the
     printed dots. window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
