@@ -42,7 +42,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
 
         return real_time.jobs(camera, gripper, params, out)
     trials = simulated_trials(("lift",), params, out)
-    make_timing(params, trials[0].plan["scene"])  # refuses a rate that cannot be kept
+    make_timing(params)  # refuses a rate that cannot be kept
     return trials
 
 

@@ -28,12 +28,10 @@ from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.realtime.processes import set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
-from evetac_cli.sim import scene
 from evetac_cli.stages import session
 from evetac_cli.stages.grasp import replay, setup
 from evetac_cli.stages.grasp.controller_process import ControllerSettings
 from evetac_cli.stages.grasp.detector_process import DetectorSettings
-from evetac_cli.stages.grasp.loop import Timing
 from evetac_cli.stages.grasp.online_detector import dots_for
 from evetac_cli.stages.grasp.recorder import GraspProcesses, RecordedGrasp, record
 from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, device_trials
@@ -57,7 +55,7 @@ def jobs(
     camera: NamedCamera, gripper: NamedGripper, params: Grasp, out: Path | None
 ) -> Sequence[DeviceTrial | ReplayTrial]:
     """One recording for every trial; InputError for what cannot be done, or must not without --arm."""
-    timing = make_timing(params)
+    timing = setup.make_timing(params)
     if timing.latency_ms and not gripper.is_stepped:
         raise InputError("latency is added in simulation alone", where="--latency-ms", found=str(timing.latency_ms))
     if timing.every_ms > 1000 / SLOWEST_HZ:
@@ -93,12 +91,6 @@ def jobs(
     return trials
 
 
-def make_timing(params: Grasp) -> Timing:
-    """When phases end, by the scene that is named."""
-    planned = scene.plan(params.scene, params.objects, params.sensor, ("lift",), params.gel, params.readout)
-    return setup.make_timing(params, planned[0]["scene"])
-
-
 def gripper_settings(params: Grasp, gripper: NamedGripper) -> RhP12RnSettings:
     """How the gripper is set up: an answer is waited for so long that two tries fit into the watchdog's time."""
     asked = RhP12RnSettings(
@@ -114,7 +106,7 @@ def check(trial: DeviceTrial, params: Grasp, *, force: bool) -> None:
     """InputError for whatever can be known to be wrong with a grasp before a device is touched."""
     again, hint = "a grasp in real time", "--force replaces it, -o NAME writes elsewhere"
     session.refuse_taken(trial, again=again, hint=hint, force=force)
-    session.check_room(trial, EVENTS_S, make_timing(params).end_ms * 1e-3, "a shorter --balance-s")
+    session.check_room(trial, EVENTS_S, setup.make_timing(params).end_ms * 1e-3, "a shorter --balance-s")
     model_path = setup.model_path_for(params)
     setup.model_headers(model_path)
     if trial.plan is not None and params.calibration is None:
@@ -143,7 +135,7 @@ def dry_run(trials: Sequence[DeviceTrial | ReplayTrial], params: Grasp, *, force
     parts = [
         ("camera", str(camera), detector),
         ("gripper", gripper, f"{params.control_hz:g} Hz, {params.controller}, {current}"),
-        ("end", f"after {make_timing(params).end_ms * 1e-3:g} s", FALLS),
+        ("end", f"after {setup.make_timing(params).end_ms * 1e-3:g} s", FALLS),
         ("watchdog", f"{params.watchdog_ms} ms", "of silence, and torque is off"),
     ]
     return session.plan_shown(trials, parts, simulated=camera.shows_simulation())
@@ -153,7 +145,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
     """Grasp once, in real time, and record everything."""
     check(trial, params, force=force)
     (camera,), gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
-    timing = make_timing(params)
+    timing = setup.make_timing(params)
     if gripper.is_hardware:
         session.wait_for_object(trial)
     with ExitStack() as opened:

@@ -6,7 +6,6 @@ slice is evaluated and every step made, however long they take, so that the same
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
-from evetac_cli.sim import scene
 from evetac_cli.stages.grasp import setup
 from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.online_detector import dots_for
@@ -60,7 +58,7 @@ class RecordedGripper:
 def check(trial: ReplayTrial, params: Grasp, *, force: bool) -> None:
     """InputError for what a run would refuse; only files are read."""
     with open_recording(trial.inputs[0]) as recording:
-        timing = make_timing(params, recording.header["parameters"])
+        timing = setup.make_timing(params, recording.header["parameters"])
         control = Control(setup.make_law(params), params.control_hz)
         if not up_to_date(trial.output, _recipe(trial, params, recording, timing, control), force=force):
             _refuse_unknown_dots(params, recording)
@@ -90,7 +88,7 @@ def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -
     """Detect slip and decide on a recording, and write events and decisions."""
     model_path, control = setup.model_path_for(params), Control(setup.make_law(params), params.control_hz)
     with open_recording(trial.inputs[0]) as recording:
-        timing = make_timing(params, recording.header["parameters"])
+        timing = setup.make_timing(params, recording.header["parameters"])
         recipe = _recipe(trial, params, recording, timing, control)
         if up_to_date(trial.output, recipe, force=force):
             return outcome(trial, made=False, simulated=recipe.simulated)
@@ -122,14 +120,3 @@ def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -
         steps=len(steps["control/slip"]),
         steps_with_slip=int(steps["control/slip"].sum()),
     )
-
-
-def make_timing(params: Grasp, recorded: Mapping[str, Any]) -> Timing:
-    """When phases ended in a recording that is a grasp itself, else when they would by the flags."""
-    if {"scene", "lift_s", "balance_s"} <= set(recorded):
-        touch_s, lift_s, balance_s = recorded["scene"]["time"]["touch_s"], recorded["lift_s"], recorded["balance_s"]
-    else:
-        planned = scene.plan(params.scene, params.objects, params.sensor, ("lift",), params.gel, params.readout)
-        touch_s, lift_s, balance_s = planned[0]["scene"]["time"]["touch_s"], params.lift_s, params.balance_s
-    touch_ms, lift_ms, balance_ms = (round(1000 * seconds) for seconds in (touch_s, lift_s, balance_s))
-    return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)

@@ -11,6 +11,7 @@ from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params import Grasp
+from evetac_cli.sim import scene
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.trials import Trial
@@ -34,11 +35,18 @@ def model_path_for(params: Grasp) -> Path | None:
     return params.model if params.model is not None else resources.MODEL
 
 
-def make_timing(params: Grasp, scene: dict[str, Any]) -> Timing:
-    """When the phases of a scene end, and how the controller is timed."""
-    touch_ms, lift_ms, balance_ms = (
-        round(SLICES_S * seconds) for seconds in (scene["time"]["touch_s"], params.lift_s, params.balance_s)
-    )
+def make_timing(params: Grasp, recorded: Mapping[str, Any] | None = None) -> Timing:
+    """When the phases end, and how the controller is timed.
+
+    recorded: parameters of a recording; if it is a grasp, its phases are taken, else those of the scene and the
+    durations that the flags name.
+    """
+    if recorded is not None and {"scene", "lift_s", "balance_s"} <= set(recorded):
+        seconds = recorded["scene"]["time"]["touch_s"], recorded["lift_s"], recorded["balance_s"]
+    else:
+        planned = scene.plan(params.scene, params.objects, params.sensor, ("lift",), params.gel, params.readout)
+        seconds = planned[0]["scene"]["time"]["touch_s"], params.lift_s, params.balance_s
+    touch_ms, lift_ms, balance_ms = (round(SLICES_S * each) for each in seconds)
     return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)
 
 

@@ -44,7 +44,7 @@ def run(trial: SimulatedTrial, params: Grasp, *, force: bool, progress: Progress
     from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
 
     devices = rig(parameters, trial.seeds(), lift_s=params.lift_s, balance_s=params.balance_s)
-    timing = make_timing(params, parameters["scene"])
+    timing = make_timing(params)
     buffer = TrialBuffer()
     try:
         detector = None
