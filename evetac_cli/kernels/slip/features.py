@@ -23,6 +23,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX
 
 DOT_CAPACITY = 256  # dots that a state has room for
@@ -53,12 +54,7 @@ class FeatureState:
     __slots__ = ("history", "record", "rest_xy_px", "ring")
 
     def __init__(self, record: NDArray[np.void]) -> None:
-        if record.dtype != STATE or record.shape != (1,) or not record.flags.writeable:
-            raise ValueError(
-                f"record: expected a writable array of one STATE, {STATE.itemsize} bytes, found"
-                f" {'a writable' if record.flags.writeable else 'a read-only'} one, {record.shape} of"
-                f" {record.dtype.itemsize} bytes"
-            )
+        check_record(record, STATE)
         self.record = record
         n, self.history = int(record["dots"][0]), int(record["history"][0])
         shape = 2 * self.history, n, len(CHANNELS)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration import grid
+from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.tracking import buckets, descent, fit, hot_pixels, lost_dots
 
 CAPACITY = 256  # dots that a state has room for
@@ -189,12 +190,7 @@ class TrackerState:
     __slots__ = ("dot_xy_px", "events_per_dot", "lost", "neighbours", "record", "rest_xy_px")
 
     def __init__(self, record: NDArray[np.void]) -> None:
-        if record.dtype != STATE or record.shape != (1,) or not record.flags.writeable:
-            raise ValueError(
-                f"record: expected a writable array of one STATE, {STATE.itemsize} bytes, found"
-                f" {'a writable' if record.flags.writeable else 'a read-only'} one, {record.shape} of"
-                f" {record.dtype.itemsize} bytes"
-            )
+        check_record(record, STATE)
         self.record = record
         n = int(record["dots"][0])
         self.dot_xy_px: NDArray[np.float64] = record["centre_xy_px"][0, :n]  # (n, 2) now; NaN for a missing dot
