@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from evetac_cli import params
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
@@ -17,6 +18,9 @@ from evetac_cli.devices.virtual.world import VirtualWorld
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import featurize, grasp, label, record, track, train
 from evetac_cli.stages.force import train_force
+
+settings.register_profile("patient", deadline=None)  # no test depends on how fast the machine is
+settings.load_profile("patient")
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
