@@ -260,6 +260,7 @@ def _parts(hot: NDArray[np.bool_], dots: Floats, window: Region, gel: Region) ->
     return part
 
 
+# Why so many arguments: called once for a whole recording, from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _follow(
     t: NDArray[np.int64],
@@ -304,6 +305,7 @@ def _follow(
         dot_px[slice_ + 1] = centre - rest
 
 
+# Why so many arguments: called once for a whole recording, from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _search(
     object_px: Floats,
