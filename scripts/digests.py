@@ -100,7 +100,8 @@ def digest(path: Path) -> str:
     arrays: dict[str, bytes] = {}
 
     def add(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not name.endswith("onnx"):
+        numbers = isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not item.is_scale
+        if numbers and not name.endswith("onnx"):
             values = np.ascontiguousarray(item[()])
             arrays[name] = f"{values.dtype} {values.shape} ".encode() + values.tobytes()
 

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.store import schema
+from evetac_cli.store import netcdf, schema
 from evetac_cli.store.disk import existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, recompute_id
 
@@ -86,11 +86,11 @@ class StageFile:
         return int(self._h5[path].shape[0])
 
     def contents(self) -> dict[str, tuple[str, tuple[int, ...]]]:
-        """Path -> (dtype, shape) of every dataset."""
+        """Path -> (dtype, shape) of every dataset; dimensions are none, as they hold no values."""
         stored: dict[str, tuple[str, tuple[int, ...]]] = {}
 
         def visit(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset):
+            if isinstance(item, h5py.Dataset) and not netcdf.is_dimension(self.kind, str(name), item):
                 stored[str(name)] = (schema.describe_stored(item), item.shape or ())
 
         self._h5.visititems(visit)
@@ -276,8 +276,12 @@ def write_stage(path: Path, recipe: Recipe, arrays: Mapping[str, Any]) -> Header
 
 
 def put_header(h5: h5py.File, header: Header) -> None:
-    """Write the header as JSON into the attribute `header` of the root."""
+    """Write the header, as JSON in the attribute `header` of the root, and what other programs read (netcdf.py).
+
+    Comes last: dimensions are those of the datasets that are there.
+    """
     h5.attrs["header"] = json.dumps(header, sort_keys=True, allow_nan=False)
+    netcdf.describe_file(h5, header)
 
 
 def put(h5: h5py.File, name: str, value: Any) -> None:

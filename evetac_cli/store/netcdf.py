@@ -1,0 +1,157 @@
+"""What xarray, netCDF, MATLAB and HDFView read in our files: units, long names, named dimensions, a readable header.
+
+Everything comes from the schema of the kind and from the header, and is written when a file is complete. Arrays and
+recipe ids know nothing of it, and evetac itself reads only the JSON header.
+
+Why so: a dimension is what netCDF-4 calls one, a dataset that is attached to others as an HDF5 dimension scale. Ours
+hold no values, since the place along each is the plain index, so that a length takes no room on disk. Each lies in the
+deepest group that holds all datasets that may have it, where netCDF looks for it. Units are written as in our names:
+`us`, `ms`. xarray makes durations of `microseconds` and the like, but leaves these symbols alone, and times stay the
+numbers that they are. There is no `Conventions`: CF wants units that UDUNITS knows, which has no `px` and no `ticks`.
+Units and long names are texts of fixed length: they lie with their dataset and take half the time of variable ones.
+"""
+
+import functools
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import h5py
+
+from evetac_cli.store import schema
+from evetac_cli.store.provenance import Header
+from evetac_cli.store.schema import Dataset
+
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."  # netCDF's word for a scale without values
+LARGEST_INT = 2**63 - 1  # what an attribute holds as a number
+MOST_ANCESTORS = 20  # lines of `history`; a model may have hundreds of parents
+# Dimensions that a schema gives as a number say what lies along them: by the dataset, else by the number.
+FIXED = {
+    "frame_px": ("width_height",),
+    "window_px": ("x0_y0_x1_y1",),
+    "dot_shape": ("rows_columns",),
+    "lost_slices": ("gaps", "first_end"),
+    "slope_n_px": ("displacement_xy", "xy"),  # netCDF wants no dimension twice in one dataset
+}
+BY_SIZE = {2: "xy", 3: "median_p99_most"}
+EDGES = {"slices+1": "slice_edges"}
+ANY_SHAPE = re.compile("size_[0-9]+(_[0-9]+)?")  # dimensions of datasets whose shape the schema leaves open
+
+
+def describe_file(h5: h5py.File, header: Header) -> None:
+    """Write everything of this module into a file that holds all its datasets."""
+    table = schema.load(header["kind"])
+    for name, value in header_in_words(header).items():
+        h5.attrs[name] = value
+    datasets: dict[str, Any] = {}
+    h5.visititems(lambda name, item: datasets.update({name: item}) if isinstance(item, h5py.Dataset) else None)
+    for name, dataset in datasets.items():
+        row = table.find(name)
+        if row is None:
+            continue
+        describe_dataset(dataset, row)
+        for axis, dimension in enumerate(_dimensions(header["kind"], row, dataset.shape)):
+            scale = h5.get(dimension)
+            if scale is None:
+                scale = _new_scale(h5, dimension, dataset.shape[axis])
+            dataset.dims[axis].attach_scale(scale)
+
+
+def describe_dataset(dataset: Any, row: Dataset) -> None:
+    """Write `units`, which is `1` for what has none, and `long_name`."""
+    for name, text in (("units", row.unit or "1"), ("long_name", row.meaning)):
+        content = text.encode()
+        dataset.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", len(content)))
+
+
+def is_dimension(kind: str, path: str, dataset: Any) -> bool:
+    """Whether a dataset of a file of this kind is one of its dimensions: without values, in the place of one."""
+    group, _, name = path.rpartition("/")
+    in_place = path in dimension_paths(kind).values() or (_open_shapes(kind, group) and ANY_SHAPE.fullmatch(name))
+    if not in_place:
+        return False
+    if not h5py.h5ds.is_scale(dataset.id) or dataset.id.get_storage_size():
+        return False
+    return bool(h5py.h5ds.get_scale_name(dataset.id).startswith(NO_VARIABLE.encode()))
+
+
+@functools.cache
+def dimension_paths(kind: str) -> dict[str, str]:
+    """Name of each dimension of a kind -> its path: in the deepest group that holds all datasets that may have it."""
+    homes: dict[str, list[str]] = {}
+    for row in schema.load(kind).datasets:
+        groups = row.path.split("/")[:-1]
+        for name in _names(row):
+            shared = homes.setdefault(name, groups)
+            same = [a == b for a, b in zip(shared, groups, strict=False)]
+            homes[name] = shared[: (*same, False).index(False)]
+    return {name: "/".join([*groups, name]) for name, groups in homes.items()}
+
+
+def header_in_words(header: Header) -> dict[str, str | int]:
+    """The header as attributes of the root: plain values, and title, source and history as CF calls them."""
+    table = schema.load(header["kind"])
+    seed = header["seed"]
+    words: dict[str, str | int] = {
+        "title": f"Simulated: {table.meaning}" if header["simulated"] else table.meaning,
+        "kind": header["kind"],
+        "schema_version": header["version"],
+        "method": header["method"],
+        "recipe_id": header["id"],
+        "simulated": "yes" if header["simulated"] else "no",
+        "source": "simulated data" if header["simulated"] else "data from devices or other programs",
+        "history": "\n".join(_history(header)),
+    }
+    if seed is not None:
+        words["seed"] = seed if abs(seed) <= LARGEST_INT else str(seed)
+    return words
+
+
+def _history(header: Header) -> Iterator[str]:
+    """A line for every ancestor, the oldest first, and one for the file itself."""
+    ancestors = list(header["history"].items())
+    for id_, ancestor in ancestors[-MOST_ANCESTORS:]:
+        yield f"{ancestor['kind']} {id_[:12]}, method {ancestor['method']}"
+    if len(ancestors) > MOST_ANCESTORS:
+        yield f"and {len(ancestors) - MOST_ANCESTORS} more before these: see the attribute header"
+    made = header.get("made", {})
+    yield (
+        f"{made.get('at', '')} evetac {made.get('evetac', '')}: "
+        f"{header['kind']} {header['id'][:12]}, method {header['method']}"
+    )
+
+
+def _names(row: Dataset) -> list[str]:
+    """Names of the dimensions of a dataset; none where the schema leaves its shape open."""
+    if row.dims is None:
+        return []
+    fixed = FIXED.get(row.path.rpartition("/")[2])
+    if fixed is not None:
+        return list(fixed)
+    return [
+        BY_SIZE.get(dim, f"size_{dim}") if isinstance(dim, int) else EDGES.get(dim, dim.replace("+", "_plus_"))
+        for dim in row.dims
+    ]
+
+
+def _dimensions(kind: str, row: Dataset, shape: tuple[int, ...]) -> list[str]:
+    """Paths of the dimensions of a stored dataset."""
+    if row.dims is not None:
+        return [dimension_paths(kind)[name] for name in _names(row)]
+    group = row.path.rpartition("/")[0]
+    before = [shape[:axis].count(size) for axis, size in enumerate(shape)]
+    return [
+        f"{group}/size_{size}" + (f"_{count + 1}" if count else "") for size, count in zip(shape, before, strict=True)
+    ]
+
+
+def _open_shapes(kind: str, group: str) -> bool:
+    """Whether a group holds datasets whose shape the schema leaves open."""
+    return any(row.dims is None and row.path.rpartition("/")[0] == group for row in schema.load(kind).datasets)
+
+
+def _new_scale(h5: h5py.File, path: str, length: int) -> Any:
+    """A dimension: a dataset into which nothing is written, so that it takes no room."""
+    scale = h5.create_dataset(path, shape=(length,), dtype=">f4", track_times=False)
+    scale.make_scale(f"{NO_VARIABLE}{length:10d}")
+    return scale
