@@ -26,6 +26,7 @@ from evetac_cli.events import Events
 from evetac_cli.store import schema
 from evetac_cli.store.disk import new_file
 from evetac_cli.store.files import create, put, put_header, replacing
+from evetac_cli.store.netcdf import describe_dataset
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
 
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
@@ -155,6 +156,7 @@ class RecordingWriter:
     @staticmethod
     def _write(path: Path, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> None:
         temporary = path.with_suffix(".tmp")
+        table = schema.load("recording")
         try:
             with new_file(temporary) as h5:
                 h5.attrs.update(about)
@@ -163,6 +165,9 @@ class RecordingWriter:
                         put(h5, name, value)
                     else:
                         h5.create_dataset(name, data=value, track_times=False).attrs[CRC] = checksum(value)
+                    described = table.find(name)
+                    if described is not None:
+                        describe_dataset(h5[name], described)
             temporary.replace(path)
         except OSError as error:
             with suppress(OSError):
