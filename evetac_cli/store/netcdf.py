@@ -8,7 +8,7 @@ hold no values, since the place along each is the plain index, so that a length 
 deepest group that holds all datasets that may have it, where netCDF looks for it. Units are written as in our names:
 `us`, `ms`. xarray makes durations of `microseconds` and the like, but leaves these symbols alone, and times stay the
 numbers that they are. There is no `Conventions`: CF wants units that UDUNITS knows, which has no `px` and no `ticks`.
-Units and long names are texts of fixed length: they lie with their dataset and take half the time of variable ones.
+Texts have a variable length, because h5py gives those of a fixed one as bytes.
 """
 
 import functools
@@ -59,9 +59,8 @@ def describe_file(h5: h5py.File, header: Header) -> None:
 
 def describe_dataset(dataset: Any, row: Dataset) -> None:
     """Write `units`, which is `1` for what has none, and `long_name`."""
-    for name, text in (("units", row.unit or "1"), ("long_name", row.meaning)):
-        content = text.encode()
-        dataset.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", len(content)))
+    dataset.attrs["units"] = row.unit or "1"
+    dataset.attrs["long_name"] = row.meaning
 
 
 def is_dimension(kind: str, path: str, dataset: Any) -> bool:
@@ -110,10 +109,10 @@ def header_in_words(header: Header) -> dict[str, str | int]:
 def _history(header: Header) -> Iterator[str]:
     """A line for every ancestor, the oldest first, and one for the file itself."""
     ancestors = list(header["history"].items())
+    if len(ancestors) > MOST_ANCESTORS:
+        yield f"{len(ancestors) - MOST_ANCESTORS} more files, named in the attribute header"
     for id_, ancestor in ancestors[-MOST_ANCESTORS:]:
         yield f"{ancestor['kind']} {id_[:12]}, method {ancestor['method']}"
-    if len(ancestors) > MOST_ANCESTORS:
-        yield f"and {len(ancestors) - MOST_ANCESTORS} more before these: see the attribute header"
     made = header.get("made", {})
     yield (
         f"{made.get('at', '')} evetac {made.get('evetac', '')}: "
