@@ -57,8 +57,10 @@ def describe_file(h5: h5py.File, header: Header) -> None:
             dataset.dims[axis].attach_scale(scale)
 
 
-def describe_dataset(dataset: Any, row: Dataset) -> None:
-    """Write `units`, which is `1` for what has none, and `long_name`."""
+def describe_dataset(dataset: Any, row: Dataset | None) -> None:
+    """Write `units`, which is `1` for what has none, and `long_name`, if a schema describes the dataset."""
+    if row is None:
+        return
     dataset.attrs["units"] = row.unit or "1"
     dataset.attrs["long_name"] = row.meaning
 

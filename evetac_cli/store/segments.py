@@ -165,9 +165,7 @@ class RecordingWriter:
                         put(h5, name, value)
                     else:
                         h5.create_dataset(name, data=value, track_times=False).attrs[CRC] = checksum(value)
-                    described = table.find(name)
-                    if described is not None:
-                        describe_dataset(h5[name], described)
+                    describe_dataset(h5[name], table.find(name))
             temporary.replace(path)
         except OSError as error:
             with suppress(OSError):

@@ -164,7 +164,7 @@ def test_dv_processing_reads_ours(source: Path) -> None:
 
 
 def test_dsec_is_as_in_the_data_set(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert names, types and the rule of ms_to_idx: event ms_to_idx[k] is the first at k ms or later."""
+    """Assert names, types, units and the rule of ms_to_idx: event ms_to_idx[k] is the first at k ms or later."""
     target = target_path(source, "dsec", None)
     export(source, "dsec", target)
     with h5py.File(target) as file:
@@ -173,6 +173,9 @@ def test_dsec_is_as_in_the_data_set(source: Path, monkeypatch: pytest.MonkeyPatc
         assert types == {"t": np.uint32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
         assert {file["events/t"].compression, file["ms_to_idx"].dtype} == {"gzip", np.dtype(np.uint64)}
         assert int(file["t_offset"][()]) == 5_000_000
+        named = ("events/t", "events/x", "events/p", "ms_to_idx", "t_offset")
+        assert [file[name].attrs["units"] for name in named] == ["us", "px", "1", "1", "us"]
+        assert all(file[name].attrs["long_name"] for name in named)
         t, index = file["events/t"][:].astype(np.int64), file["ms_to_idx"][:].astype(np.int64)
     assert np.array_equal(t, drawn(5000).t)
     for ms in range(len(index)):

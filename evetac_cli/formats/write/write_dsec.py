@@ -2,7 +2,8 @@
 
 t counts microseconds from t_offset on, and ms_to_idx[k] is the first event at k ms or later. The arrays
 are compressed with gzip, which every HDF5 tool reads, and not with DSEC's Blosc, which needs a plugin. t has 32 bits as
-in DSEC, which is 71 minutes; a longer recording gets 64.
+in DSEC, which is 71 minutes; a longer recording gets 64. Units and long names are attributes, which disturb no reader.
+Dimension scales, as our own files have them, are left out: they would be datasets that DSEC does not have.
 """
 
 from pathlib import Path
@@ -12,8 +13,10 @@ import numpy as np
 from evetac_cli.formats.note import NAME
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
+from evetac_cli.store import schema
 from evetac_cli.store.disk import new_file
 from evetac_cli.store.files import create, put
+from evetac_cli.store.netcdf import describe_dataset
 from evetac_cli.store.read import Recording
 
 TYPES = {"x": np.uint16, "y": np.uint16, "p": np.uint8}
@@ -39,3 +42,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
             first += events.size
         put(h5, "ms_to_idx", recording.starts.astype(np.uint64))
         put(h5, "t_offset", np.int64(t_offset_us(recording)))
+        table = schema.load("recording")  # which lays its events out as DSEC does
+        for name in (*columns, "ms_to_idx", "t_offset"):
+            dataset = f"events/{name}" if name in columns else name
+            describe_dataset(h5[dataset], table.find(dataset))
