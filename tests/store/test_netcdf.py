@@ -63,9 +63,9 @@ def labels() -> dict[str, Any]:
 
 def datasets(h5: h5py.File) -> dict[str, Any]:
     """Every dataset by its path, dimensions left out."""
-    found: dict[str, Any] = {}
-    h5.visititems(lambda name, item: found.update({name: item}) if isinstance(item, h5py.Dataset) else None)
-    return {name: item for name, item in found.items() if not item.is_scale}
+    listed: dict[str, Any] = {}
+    h5.visititems(lambda name, item: listed.update({name: item}) if isinstance(item, h5py.Dataset) else None)
+    return {name: item for name, item in listed.items() if not item.is_scale}
 
 
 def in_xarray(path: Path) -> dict[str, xarray.DataArray]:
