@@ -66,14 +66,18 @@ def describe_dataset(dataset: Any, row: Dataset | None) -> None:
 
 
 def is_dimension(kind: str, path: str, dataset: Any) -> bool:
-    """Whether a dataset of a file of this kind is one of its dimensions: without values, in the place of one."""
+    """Whether a dataset of a file of this kind is one of its dimensions: without values, in the place of one.
+
+    HDF5's own functions for scales are not asked: they write past their buffers where attributes are damaged.
+    """
     group, _, name = path.rpartition("/")
-    in_place = path in dimension_paths(kind).values() or (_open_shapes(kind, group) and ANY_SHAPE.fullmatch(name))
-    if not in_place:
+    in_place = path in dimension_paths(kind).values() or (group in _open_groups(kind) and ANY_SHAPE.fullmatch(name))
+    if not in_place or dataset.ndim != 1 or dataset.id.get_storage_size():
         return False
-    if not h5py.h5ds.is_scale(dataset.id) or dataset.id.get_storage_size():
-        return False
-    return bool(h5py.h5ds.get_scale_name(dataset.id).startswith(NO_VARIABLE.encode()))
+    marks = [dataset.attrs.get(mark) for mark in ("CLASS", "NAME")]
+    return all(isinstance(mark, bytes) for mark in marks) and (
+        marks[0] == b"DIMENSION_SCALE" and marks[1].startswith(NO_VARIABLE.encode())
+    )
 
 
 @functools.cache
@@ -146,9 +150,10 @@ def _dimensions(kind: str, row: Dataset, shape: tuple[int, ...]) -> list[str]:
     ]
 
 
-def _open_shapes(kind: str, group: str) -> bool:
-    """Whether a group holds datasets whose shape the schema leaves open."""
-    return any(row.dims is None and row.path.rpartition("/")[0] == group for row in schema.load(kind).datasets)
+@functools.cache
+def _open_groups(kind: str) -> frozenset[str]:
+    """Groups that hold datasets whose shape the schema leaves open."""
+    return frozenset(row.path.rpartition("/")[0] for row in schema.load(kind).datasets if row.dims is None)
 
 
 def _new_scale(h5: h5py.File, path: str, length: int) -> Any:
