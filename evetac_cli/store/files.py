@@ -39,12 +39,13 @@ class StageFile:
             if recompute_id(self.header) != self.header["id"]:
                 raise SchemaError("its header was edited: the recipe id does not fit it", where=str(self.path))
             with _damage_in_words(self.path, "its contents"):
-                stored = self.contents()
+                stored, lengths = self._listed()
             lines = schema.problems(schema.load(self.kind), stored)
             major, minor = (int(part) for part in self.header["version"].split("."))
             known_minor = int(schema.load(self.kind).version.split(".")[1])
             if major == schema.MAJOR and minor > known_minor:  # a newer minor version only adds
                 lines = [line for line in lines if "is not in the schema" not in line]
+            lines = lines or netcdf.dimension_problems(self.kind, stored, lengths)
             schema.refuse(self.kind, lines, str(self.path))
         except BaseException:
             self._h5.close()
@@ -87,14 +88,22 @@ class StageFile:
 
     def contents(self) -> dict[str, tuple[str, tuple[int, ...]]]:
         """Path -> (dtype, shape) of every dataset; dimensions are none, as they hold no values."""
+        return self._listed()[0]
+
+    def _listed(self) -> tuple[dict[str, tuple[str, tuple[int, ...]]], dict[str, int]]:
+        """What `contents` gives, and the length of every dimension by its path."""
         stored: dict[str, tuple[str, tuple[int, ...]]] = {}
+        lengths: dict[str, int] = {}
 
         def visit(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset) and not netcdf.is_dimension(self.kind, str(name), item):
-                stored[str(name)] = (schema.describe_stored(item), item.shape or ())
+            if isinstance(item, h5py.Dataset):
+                if netcdf.is_dimension(self.kind, name, item):
+                    lengths[name] = item.shape[0]
+                else:
+                    stored[name] = (schema.describe_stored(item), item.shape or ())
 
         self._h5.visititems(visit)
-        return stored
+        return stored, lengths
 
 
 @contextmanager

@@ -13,7 +13,7 @@ Texts have a variable length, because h5py gives those of a fixed one as bytes.
 
 import functools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import h5py
@@ -78,6 +78,23 @@ def is_dimension(kind: str, path: str, dataset: Any) -> bool:
     return all(isinstance(mark, bytes) for mark in marks) and (
         marks[0] == b"DIMENSION_SCALE" and marks[1].startswith(NO_VARIABLE.encode())
     )
+
+
+def dimension_problems(
+    kind: str, stored: Mapping[str, tuple[str, tuple[int, ...]]], lengths: Mapping[str, int]
+) -> list[str]:
+    """A line for each dimension, path -> length, that is not as long as a dataset, path -> (dtype, shape), that has it.
+
+    Files without dimensions are fine. The shapes have been checked: see schema.problems.
+    """
+    lines: dict[str, str] = {}
+    for path, (_, shape) in stored.items():
+        row = schema.load(kind).find(path)
+        for dimension, size in zip(_dimensions(kind, row, shape) if row else (), shape, strict=False):
+            length = lengths.get(dimension, size)
+            if length != size:
+                lines.setdefault(dimension, f"{dimension}: expected length {size} (as in {path}), found {length}")
+    return list(lines.values())
 
 
 @functools.cache

@@ -302,6 +302,18 @@ def test_damaged_dimensions_are_refused(labels_file: Path, change: Callable[[h5p
         StageFile(labels_file)
 
 
+@pytest.mark.parametrize("length", [0, 89, 2**60])
+def test_dimensions_are_as_long_as_their_datasets(labels_file: Path, length: int) -> None:
+    """Assert that a dimension of another length is refused, and one that is missing is not."""
+    with h5py.File(labels_file, "r+") as h5:
+        del h5["slices"]
+    StageFile(labels_file).close()
+    with h5py.File(labels_file, "r+") as h5:
+        h5.create_dataset("slices", (length,), ">f4").make_scale(netcdf.NO_VARIABLE)
+    with pytest.raises(SchemaError, match=f"slices: expected length 90 .as in label., found {length}"):
+        StageFile(labels_file)
+
+
 def test_segments_say_what_they_hold(tmp_path: Path) -> None:
     """Assert that what is rescued of a recording with plain tools has its units, and the joined file everything."""
     static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "unknown", "t_offset": np.int64(0)}
