@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import SchemaError
 from evetac_cli.events import Events
+from evetac_cli.resources import MODEL
 from evetac_cli.store import netcdf, provenance, schema
 from evetac_cli.store.files import StageFile, put, put_header, replacing, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -156,10 +157,10 @@ def test_xarray_reads_empty_files(tmp_path: Path, length: int) -> None:
 
 
 def test_files_of_every_stage(made: Made) -> None:
-    """Assert that xarray reads what the stages write as evetac does, and finds it labelled and simulated."""
+    """Assert that xarray reads what stages write, and the package's model, as evetac does, labelled and simulated."""
     features = made.beside(made.recordings[0], "features")
     others = [made.beside(made.recordings[0], kind) for kind in ("labels", "tracks")]
-    for path in (made.recordings[0], features, *others, made.model, made.force_model, made.grasp):
+    for path in (made.recordings[0], features, *others, made.model, made.force_model, made.grasp, MODEL):
         read = in_xarray(path)
         with StageFile(path) as file:
             assert read.keys() == file.contents().keys()
