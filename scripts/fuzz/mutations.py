@@ -1,0 +1,351 @@
+"""Damage done to a file: to its bytes, to its text, or to what an HDF5 file holds while it stays a valid HDF5 file.
+
+`mutate(path, family, rng)` changes the file in place, by one to three operations, and names them.
+"""
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+Rng = np.random.Generator
+BYTES = (
+    b"\x00",
+    b"\xff",
+    b"\x7f",
+    b"\x80",
+    b"\xff\xff\xff\xff",
+    b"\xff\xff\xff\x7f",
+    b"\x00\x00\x00\x80",
+    b"\n",
+    b"\x1b[2J",
+)
+WORDS = (
+    "nan", "inf", "-inf", "-1", "0", "1e308", "-1e308", "1e-308", "9" * 40, "9" * 400, "true", "null", '""', "[]", "{}",
+    "[[[[[[]]]]]]", '"\\u001b[31m"', "[" * 3000, "a.b.c.d", "'", '"', "=", "2024-01-01", "0x7fffffffffffffff",
+)  # fmt: skip
+NUMBERS = (
+    0,
+    1,
+    -1,
+    7,
+    255,
+    256,
+    65535,
+    2**31 - 1,
+    -(2**31),
+    2**53,
+    2**63 - 1,
+    -(2**63),
+    1e308,
+    np.nan,
+    np.inf,
+    -np.inf,
+)
+HEADER_VALUES: tuple[Any, ...] = (
+    None, True, -1, 2**80, 1e308, "", "recording", "\x1b[31mred", [], {}, [[]], {"a": {"b": {"c": 1}}}, "x" * 10_000,
+)  # fmt: skip
+
+
+def mutate(path: Path, family: str, rng: Rng) -> list[str]:
+    """Damage a file, or one of the files of a folder, in one to three ways; what was done."""
+    return [FAMILIES[family](path, rng) for _ in range(int(rng.integers(1, 4)))]
+
+
+# Bytes
+
+
+def damage_bytes(path: Path, rng: Rng) -> str:
+    """Flip, replace, insert, remove, repeat or cut bytes."""
+    data = bytearray(path.read_bytes())
+    operation = str(rng.choice(["flip", "replace", "insert", "remove", "repeat", "cut", "swap", "zero"]))
+    # Headers are short and decide most: half of all damage is done in the first kilobyte.
+    at = int(rng.integers(0, max(1, min(len(data), 1024) if rng.random() < 0.5 else len(data))))
+    size = int(rng.integers(1, 1 + min(4096, max(1, len(data) - at))))
+    if operation == "flip" and data:
+        for position in rng.integers(0, len(data), 1 + size % 16):
+            data[position] ^= 1 << int(rng.integers(8))
+        data[min(at, len(data) - 1)] ^= 1 << int(rng.integers(8))
+    elif operation == "replace":
+        value = BYTES[rng.integers(len(BYTES))]
+        data[at : at + len(value)] = value
+    elif operation == "insert":
+        data[at:at] = rng.bytes(size % 64)
+    elif operation == "remove":
+        del data[at : at + size]
+    elif operation == "repeat":
+        data[at:at] = data[at : at + size] * int(rng.integers(1, 8))
+    elif operation == "cut":
+        del data[at:]
+    elif operation == "swap":
+        data[at : at + 8] = data[at : at + 8][::-1]
+    else:
+        data[at : at + size] = bytes(len(data[at : at + size]))
+    path.write_bytes(data)
+    return f"{operation} {size if operation in ('remove', 'repeat', 'zero') else ''} at byte {at}"
+
+
+# Text
+
+
+def damage_text(path: Path, rng: Rng) -> str:
+    """Replace a value, repeat, remove or swap lines, or damage bytes."""
+    text = path.read_bytes().decode("latin1")
+    lines = text.split("\n")
+    operation = str(rng.choice(["value"] * 3 + ["repeat line", "remove line", "swap lines", "bytes", "wrap"]))
+    if operation == "bytes" or not text:
+        return damage_bytes(path, rng)
+    line = int(rng.integers(len(lines)))
+    if operation == "value":
+        word = WORDS[rng.integers(len(WORDS))]
+        starts = [k for k in range(len(text)) if text[k].isdigit() and (k == 0 or not text[k - 1].isalnum())]
+        start = starts[rng.integers(len(starts))] if starts else 0
+        stop = start
+        while stop < len(text) and (text[stop].isalnum() or text[stop] in ".-+"):
+            stop += 1
+        text = text[:start] + word + text[stop:]
+        path.write_bytes(text.encode("latin1"))
+        return f"{word[:20]!r} at character {start}"
+    if operation == "repeat line":
+        lines[line:line] = [lines[line]] * int(rng.integers(1, 2000))
+    elif operation == "remove line":
+        del lines[line]
+    elif operation == "swap lines":
+        other = int(rng.integers(len(lines)))
+        lines[line], lines[other] = lines[other], lines[line]
+    else:
+        lines[line] = WORDS[rng.integers(len(WORDS))] + lines[line]
+    path.write_bytes("\n".join(lines).encode("latin1"))
+    return f"{operation} {line}"
+
+
+# HDF5 that stays HDF5
+
+
+def damage_hdf5(path: Path, rng: Rng) -> str:
+    """Change values, shapes, types, names, links, attributes or the header of an HDF5 file; sometimes its bytes."""
+    if rng.random() < 0.15:
+        return damage_bytes(path, rng)
+    operation = HDF5_OPERATIONS[rng.integers(len(HDF5_OPERATIONS))]
+    try:
+        with h5py.File(path, "r+") as file:
+            names: list[str] = []
+            file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+            name = str(rng.choice(names)) if names else "none"
+            return f"{operation.__name__.strip('_')} {name}: {operation(file, name, rng)}"
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        # An earlier operation left a file, or a dataset, to which this one cannot be done.
+        return f"{operation.__name__.strip('_')}: not possible ({type(error).__name__})"
+
+
+def _value(file: h5py.File, name: str, rng: Rng) -> str:
+    """One number, some, or all become senseless."""
+    data = file[name][()]
+    number = NUMBERS[rng.integers(len(NUMBERS))]
+    if isinstance(data, bytes):
+        text = str(rng.choice(["", "\x1b]0;title\x07", "no such name", "x" * 5000, "[red]", "../../etc/passwd"]))
+        file[name][()] = text
+        return repr(text[:20])
+    array = np.atleast_1d(data)
+    if not array.size:
+        return "empty"
+    with np.errstate(all="ignore"):
+        value = np.array(number).astype(array.dtype) if np.isfinite(number) or array.dtype.kind == "f" else number % 2
+    how = rng.integers(3)
+    flat = array.reshape(-1)
+    if how == 0:
+        flat[rng.integers(flat.size)] = value
+    elif how == 1:
+        first, last = sorted(rng.integers(0, flat.size + 1, 2))
+        flat[first:last] = value
+    else:
+        flat[:] = value
+    file[name][...] = flat.reshape(np.shape(data))
+    return f"{value} ({('one', 'a run', 'all')[how]})"
+
+
+def _order(file: h5py.File, name: str, rng: Rng) -> str:
+    """Reverse or shuffle the rows."""
+    data = file[name][()]
+    if np.ndim(data) == 0:
+        return "scalar"
+    if rng.random() < 0.5:
+        file[name][...] = data[::-1]
+        return "reversed"
+    file[name][...] = rng.permutation(data)
+    return "shuffled"
+
+
+def _shape(file: h5py.File, name: str, rng: Rng) -> str:
+    """Fewer rows, more rows, another number of axes."""
+    data = np.asarray(file[name][()])
+    choices = [data[:0], data[: len(data) // 2], data[:-1], np.concatenate([data, data])] if data.ndim else []
+    choices += [data.reshape(-1), data[None], data.reshape(-1)[:1].reshape(())] if data.size else [np.zeros(3)]
+    return _replace(file, name, choices[rng.integers(len(choices))])
+
+
+def _type(file: h5py.File, name: str, rng: Rng) -> str:
+    """Another dtype, compound and text included."""
+    data = np.asarray(file[name][()])
+    if data.dtype.kind == "O":
+        return _replace(file, name, np.zeros(2))
+    kind = str(rng.choice(["f8", "f2", "i1", "u8", "S4", "c16", "bool", "compound", "enum", "empty"]))
+    if kind == "compound":
+        return _replace(file, name, np.zeros(data.shape, [("a", "i4"), ("b", "f8")]))
+    if kind == "enum":
+        del file[name]
+        file.create_dataset(name, data.shape, h5py.enum_dtype({"a": 1, "b": 2}))
+        return "enum"
+    if kind == "empty":
+        del file[name]
+        file[name] = h5py.Empty("f8")
+        return "null dataspace"
+    with np.errstate(all="ignore"):
+        return _replace(file, name, data.astype(kind))
+
+
+def _announce(file: h5py.File, name: str, rng: Rng) -> str:
+    """Announce rows that were never written, up to 2^33 of them."""
+    rows = 2 ** int(rng.integers(10, 34))
+    old = file[name]
+    tail, dtype = old.shape[1:], old.dtype
+    del file[name]
+    chunks = (int(rng.choice([1, 1024, 65536, 2**22])), *tail) if rng.random() < 0.7 else None
+    file.create_dataset(name, (rows, *tail), dtype, chunks=chunks, compression="gzip" if chunks else None)
+    return f"{rows} rows"
+
+
+def _remove(file: h5py.File, name: str, rng: Rng) -> str:
+    """Remove a dataset, or its whole group."""
+    target = name.split("/")[0] if rng.random() < 0.3 else name
+    del file[target]
+    return target
+
+
+def _add(file: h5py.File, name: str, rng: Rng) -> str:
+    """Add a stranger: a dataset, a group, a name of control characters."""
+    stranger = str(rng.choice(["stranger", "events/stranger", "sensor/extra", "\x1b[31mred", "a" * 300, "ünïcode/x"]))
+    file[stranger] = np.arange(3)
+    return repr(stranger[:20])
+
+
+def _link(file: h5py.File, name: str, rng: Rng) -> str:
+    """Put a link, or storage elsewhere, in a dataset's place."""
+    kind = str(rng.choice(["external", "soft", "cycle", "dangling", "virtual", "storage", "hard"]))
+    shape, dtype = file[name].shape, file[name].dtype
+    if kind == "hard":
+        others = [other for other in ("events/x", "events/y", "header", name) if other in file]
+        file["again"] = file[others[0]]
+        return kind
+    del file[name]
+    if kind == "external":
+        file[name] = h5py.ExternalLink("/etc/passwd", "/")
+    elif kind == "soft":
+        file[name] = h5py.SoftLink("/")
+    elif kind == "cycle":
+        file[name] = h5py.SoftLink(f"/{name}")
+    elif kind == "dangling":
+        file[name] = h5py.SoftLink("/nowhere")
+    elif kind == "virtual":
+        layout = h5py.VirtualLayout(shape or (1,), dtype)
+        layout[:] = h5py.VirtualSource("/etc/passwd", "x", shape or (1,), dtype)
+        file.create_virtual_dataset(name, layout)
+    else:
+        file.create_dataset(name, shape or (1,), dtype, external=[("/etc/passwd", 0, 100)])
+    return kind
+
+
+def _attribute(file: h5py.File, name: str, rng: Rng) -> str:
+    """Change or add an attribute of a dataset or of the file."""
+    target: Any = file if rng.random() < 0.5 else file[name]
+    known = [key for key in target.attrs if key != "header"]
+    key = str(rng.choice([*known, "units", "long_name", "crc32", "first_slice", "_FillValue", "scale_factor"]))
+    values: list[Any] = [0, -1, 2**62, np.nan, "", "\x1b[31m", "x" * 20_000, np.zeros(1000), h5py.Empty("f8")]
+    with suppress(KeyError):
+        del target.attrs[key]
+    choice = int(rng.integers(len(values)))
+    target.attrs[key] = values[choice]
+    return f"{key} = value {choice}"
+
+
+def _header(file: h5py.File, name: str, rng: Rng) -> str:
+    """Change one value of the header's JSON, somewhere in it, or the whole text."""
+    if "header" not in file.attrs:
+        return "no header"
+    if rng.random() < 0.2:
+        texts = ["", "{", "null", "[]", "3", '{"kind": 3}', "[" * 50_000, '{"a":' * 20_000, "9" * 100_000, "\x00"]
+        choice = int(rng.integers(len(texts)))
+        file.attrs["header"] = texts[choice]
+        return f"text {choice}"
+    header = json.loads(file.attrs["header"])
+    place: Any = header
+    path = []
+    while isinstance(place, (dict, list)) and place:
+        keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+        key = keys[rng.integers(len(keys))]
+        path.append(str(key)[:12])
+        if not isinstance(place[key], (dict, list)) or not place[key] or rng.random() < 0.3:
+            if rng.random() < 0.2 and isinstance(place, dict):
+                del place[key]
+            else:
+                place[key] = HEADER_VALUES[rng.integers(len(HEADER_VALUES))]
+            break
+        place = place[key]
+    text = json.dumps(header)
+    if rng.random() < 0.7:  # a forger would make the recipe id fit
+        with suppress(Exception):
+            from evetac_cli.store.provenance import recompute_id
+
+            header["id"] = recompute_id(header)
+            text = json.dumps(header)
+    file.attrs["header"] = text
+    return ".".join(path)
+
+
+def _replace(file: h5py.File, name: str, data: Any) -> str:
+    array = np.asarray(data)
+    del file[name]
+    file[name] = array
+    return f"{array.dtype} {array.shape}"
+
+
+HDF5_OPERATIONS: tuple[Callable[[h5py.File, str, Rng], str], ...] = (
+    _value, _value, _value, _value, _value, _order, _shape, _type, _announce, _remove, _add, _link, _attribute,
+    _header, _header,
+)  # fmt: skip
+
+
+def damage_segments(path: Path, rng: Rng) -> str:
+    """Damage the folder of a recording that broke off: one of its files, or which files there are."""
+    files = sorted(file for file in path.iterdir() if file.suffix == ".h5" and file.is_file())
+    operation = str(rng.choice(["hdf5", "hdf5", "hdf5", "bytes", "remove", "empty", "rename", "number", "copy"]))
+    if not files:
+        return "nothing left"
+    file = files[rng.integers(len(files))]
+    if operation == "hdf5":
+        return f"{file.name}: {damage_hdf5(file, rng)}"
+    if operation == "bytes":
+        return f"{file.name}: {damage_bytes(file, rng)}"
+    if operation == "remove":
+        file.unlink()
+    elif operation == "empty":
+        file.write_bytes(b"")
+    elif operation == "rename":
+        file.rename(path / files[rng.integers(len(files))].name)
+    elif operation == "number":
+        (path / str(rng.choice(["99999999999.h5", "000099.h5", "0.h5", "1e9.h5", "-1.h5", "joined"]))).touch()
+    else:
+        (path / f"{int(rng.integers(100)):06d}.h5").write_bytes(file.read_bytes())
+    return f"{operation} {file.name}"
+
+
+FAMILIES: dict[str, Callable[[Path, Rng], str]] = {
+    "bytes": damage_bytes,
+    "text": damage_text,
+    "hdf5": damage_hdf5,
+    "segments": damage_segments,
+}

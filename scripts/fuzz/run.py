@@ -1,0 +1,254 @@
+"""Mutated files in front of every command that reads them: no traceback, no crash, no hang, nothing half-written.
+
+    python scripts/fuzz/run.py OUT.jsonl --count 20000 --seed 17   # started again, it goes on
+    python scripts/fuzz/run.py OUT.jsonl --only 4711 --seed 17 --keep DIR   # one case again, its files kept in DIR
+
+A case is one damaged file and up to three of the commands that read its kind. Each command runs in a process of its
+own, forked from one that has loaded all modules, so that a case takes a fraction of a second. What must never happen:
+
+    traceback   an exception that is not told in words, or `internal error`
+    crash       a signal, or an exit code that is not in the table (0, 1, 2, 3, 130)
+    hang        longer than 20 s
+    memory      more than 1 GB resident
+    output      an output that `validate` refuses
+    left        a file left after exit code 2
+    json        --json printed what is no JSON object
+    escape      a control character on stdout or stderr
+"""
+
+import argparse
+import json
+import os
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")  # threads do not survive the fork
+
+import corpus  # noqa: E402
+import mutations  # noqa: E402
+import numpy as np  # noqa: E402
+import wire  # noqa: E402
+
+from evetac_cli.cli import main as command_line  # noqa: E402
+
+HANG_S = 20.0
+MEMORY_MB = 1024
+ADDRESS_SPACE = 16 << 30  # so that a runaway ends before the machine does
+CODES = (0, 1, 2, 3, 130)
+COMMANDS_OF_A_CASE = 3
+WARM = ("recording", "features", "tracks", "DSEC", "grasp recording")  # kinds whose commands load all that is slow
+SHOWN = 400  # characters of what a command said, kept with a problem
+
+
+def call(arguments: list[str], folder: Path, said: Path) -> dict[str, Any]:
+    """Run one command in a child process; exit code, seconds, MB; what it said lies beside `said`."""
+    started = time.monotonic()
+    child = os.fork()
+    if child == 0:
+        _child(arguments, folder, said)
+    status, usage = None, None
+    while status is None:
+        pid, code, used = os.wait4(child, os.WNOHANG)
+        if pid:
+            status, usage = code, used
+        elif time.monotonic() > started + HANG_S:
+            os.killpg(child, signal.SIGKILL)
+            _, _, usage = os.wait4(child, 0)
+            return {"exit": "hang", "seconds": HANG_S, "memory_mb": usage.ru_maxrss >> 10}
+        else:
+            time.sleep(0.002)
+    exit_ = os.waitstatus_to_exitcode(status)
+    return {"exit": exit_, "seconds": round(time.monotonic() - started, 3), "memory_mb": usage.ru_maxrss >> 10}
+
+
+def _child(arguments: list[str], folder: Path, said: Path) -> None:
+    code = 70
+    try:
+        os.setpgid(0, 0)
+        os.chdir(folder)
+        resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
+        for number, name in ((1, "stdout"), (2, "stderr")):
+            file = os.open(said.with_suffix(f".{name}"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(file, number)
+        sys.stdin = open(os.devnull)  # noqa: SIM115 - until the child ends
+        sys.argv = ["evetac", *arguments]
+        try:
+            if arguments[0] == "wire":
+                wire.CALLS[arguments[1]](Path(arguments[2]))
+            else:
+                command_line.main()
+            code = 0
+        except SystemExit as ended:
+            code = ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 1
+        except BaseException:
+            traceback.print_exc()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
+def problems(result: dict[str, Any], said: Path, folder: Path, before: set[str], as_json: bool) -> list[str]:
+    """What must not have happened in a command, each as `name: details`."""
+    out, err = (said.with_suffix(f".{name}").read_bytes() for name in ("stdout", "stderr"))
+    words = (out + err).decode(errors="replace")
+    lines = []
+    if "Traceback (most recent call last)" in words or "internal error" in words:
+        last = [line for line in words.splitlines() if line.strip()][-1:]
+        places = [line.strip() for line in words.splitlines() if line.strip().startswith('File "') and "evetac" in line]
+        lines.append(f"traceback: {' '.join(last)[:SHOWN]} {' '.join(places[-1:])}")
+    if result["exit"] == "hang":
+        lines.append("hang")
+    elif result["exit"] not in CODES:
+        lines.append(f"crash: exit {result['exit']}: {words[-SHOWN:]}")
+    if result["memory_mb"] > MEMORY_MB:
+        lines.append(f"memory: {result['memory_mb']} MB")
+    if as_json and result["exit"] in CODES:
+        try:
+            json.loads(out)
+        except ValueError:
+            lines.append(f"json: {out[:SHOWN]!r}")
+    if any(ord(letter) < 32 and letter not in "\n\t\r" for letter in words):
+        lines.append(f"escape: {words[:SHOWN]!r}")
+    if result["exit"] == 2 and (left := sorted(_files(folder) - before)):
+        lines.append(f"left: {', '.join(left)[:SHOWN]}")
+    return lines
+
+
+def _files(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+
+
+def case(number: int, seed: int, files: Path, folder: Path) -> dict[str, Any]:
+    """Make one damaged file and run its commands; what was done, and what must not have happened."""
+    rng = np.random.default_rng([seed, number])
+    kind = corpus.KINDS[number % len(corpus.KINDS)]
+    damaged = corpus.copy(kind, files, folder)
+    done = mutations.mutate(damaged, kind.mutation, rng)
+    chosen = rng.permutation(len(kind.commands))[:COMMANDS_OF_A_CASE]
+    row: dict[str, Any] = {"case": number, "seed": seed, "kind": kind.name, "damage": done, "runs": [], "problems": []}
+    for place in sorted(chosen):
+        command = kind.commands[place]
+        outputs = folder / "out"
+        shutil.rmtree(outputs, ignore_errors=True)
+        outputs.mkdir()
+        as_json = bool(rng.random() < 0.5) and not command.startswith("wire")
+        words = command.format(f=damaged, o=outputs, d=folder).split() + (["--json"] if as_json else [])
+        said = folder.parent / "said"
+        before = _files(folder)
+        result = call(words, folder, said)
+        wrong = problems(result, said, folder, before, as_json)
+        if result["exit"] == 0:
+            for made in sorted(outputs.rglob("*.h5")):
+                if "." in made.stem and not made.is_symlink():  # a stage file: NAME.KIND.h5
+                    checked = call(["validate", str(made)], folder, said)
+                    if checked["exit"] != 0:
+                        text = said.with_suffix(".stdout").read_text(errors="replace")
+                        text += said.with_suffix(".stderr").read_text(errors="replace")
+                        wrong.append(f"output: {made.name}: {' '.join(text.split())[-SHOWN:]}")
+        row["runs"].append({"command": command, **result})
+        row["problems"] += [f"{command}: {line}" for line in wrong]
+        for path in _files(folder) - before:
+            if not path.startswith("out/"):
+                (folder / path).unlink(missing_ok=True)
+    return row
+
+
+def warm_up(files: Path) -> None:
+    """Load all modules and compiled kernels in this process, so that its children need not."""
+    with tempfile.TemporaryDirectory() as folder:
+        output, saved = os.open(os.devnull, os.O_WRONLY), [os.dup(1), os.dup(2)]
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        try:
+            for kind in corpus.KINDS:
+                if kind.name in WARM:
+                    for command in kind.commands:
+                        if not command.startswith("record --camera"):
+                            _in_this_process(command.format(f=files / kind.file, o=folder, d=folder).split(), files)
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            for number, kept in enumerate(saved, start=1):
+                os.dup2(kept, number)
+
+
+def _in_this_process(arguments: list[str], folder: Path) -> None:
+    place = os.getcwd()
+    os.chdir(folder)
+    sys.argv = ["evetac", *arguments]
+    try:
+        command_line.main()
+    except SystemExit:
+        pass
+    finally:
+        os.chdir(place)
+
+
+def known(path: Path, seed: int) -> set[int]:
+    """Cases that an earlier part has done."""
+    if not path.exists():
+        return set()
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    return {row["case"] for row in rows if row["seed"] == seed}
+
+
+def summary(path: Path) -> int:
+    """Print how all cases ended; the number of cases with a problem."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    exits = Counter(run["exit"] for row in rows for run in row["runs"])
+    kinds = Counter(problem.split(": ", 2)[1] for row in rows for problem in row["problems"])
+    runs = [run for row in rows for run in row["runs"]]
+    print(f"{len(rows):,} damaged files, {len(runs):,} commands; seeds {sorted({row['seed'] for row in rows})}")
+    print("exit codes: " + ", ".join(f"{code}: {count:,}" for code, count in sorted(exits.items(), key=str)))
+    print(
+        f"longest {max(run['seconds'] for run in runs):.1f} s, most memory {max(run['memory_mb'] for run in runs)} MB"
+    )
+    print("problems: " + (", ".join(f"{name} {count}" for name, count in kinds.most_common()) or "none"))
+    for problem, count in Counter(p for row in rows for p in row["problems"]).most_common(60):
+        first = next(row["case"] for row in rows if problem in row["problems"])
+        print(f"  {count} x, first in case {first}: {problem[:300]}")
+    return sum(bool(row["problems"]) for row in rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, help="JSON lines, one a case; cases that are in it are not run again")
+    parser.add_argument("--count", type=int, default=1000, help="cases in all [1000]")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case [0]")
+    parser.add_argument("--seed", type=int, default=17)
+    parser.add_argument("--only", type=int, help="run this case alone, and print it")
+    parser.add_argument("--keep", type=Path, help="with --only: an empty folder in which its files stay")
+    parser.add_argument("--corpus", type=Path, default=Path(tempfile.gettempdir()) / "evetac-fuzz-corpus")
+    chosen = parser.parse_args()
+    corpus.make(chosen.corpus)
+    warm_up(chosen.corpus)
+    if chosen.only is not None:
+        folder = chosen.keep or Path(tempfile.mkdtemp(prefix="evetac-fuzz-"))
+        (folder / "case").mkdir(parents=True)
+        print(json.dumps(case(chosen.only, chosen.seed, chosen.corpus, folder / "case"), indent=1))
+        return
+    finished = known(chosen.out, chosen.seed)
+    with chosen.out.open("a") as out:
+        for number in range(chosen.first, chosen.first + chosen.count):
+            if number in finished:
+                continue
+            with tempfile.TemporaryDirectory(prefix="evetac-fuzz-") as folder:
+                files = Path(folder) / "case"
+                files.mkdir()
+                out.write(json.dumps(case(number, chosen.seed, chosen.corpus, files)) + "\n")
+                out.flush()
+    raise SystemExit(1 if summary(chosen.out) else 0)
+
+
+if __name__ == "__main__":
+    main()
