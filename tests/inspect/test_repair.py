@@ -6,8 +6,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -194,3 +196,82 @@ def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path
         assert all((one == other).all() for one, other in zip(whole, part, strict=True))
     with StageFile(output) as file, StageFile(made.recordings[0]) as parent:
         assert file.header["parents"] == [parent.header["id"]]
+
+
+def test_m5_a_segment_with_a_huge_number_ends_in_words(tmp_path: Path) -> None:
+    """Assert that a file whose name is a number that no recording reaches is one line, not a wait without end."""
+    folder = broken_off(tmp_path, [2, 3])
+    (folder / "99999999999.h5").touch()
+    run = [sys.executable, "-m", "evetac_cli", "repair", str(folder), "--json"]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
+    (row,) = json.loads(done.stdout)["rows"]
+    assert (done.returncode, row["status"], row["slices_kept"], row["slices_lost"]) == (0, "repaired", 5, 0)
+    assert "99999999999" in row["unreadable"]
+    assert len(row["unreadable"]) < 500
+
+
+def empty_dataset(h5: h5py.File) -> None:
+    del h5["events_per_slice"]
+    h5["events_per_slice"] = h5py.Empty("int64")
+
+
+def group_for_a_dataset(h5: h5py.File) -> None:
+    del h5["events/t"]
+    h5.create_group("events/t")
+
+
+def scalar_for_a_column(h5: h5py.File) -> None:
+    del h5["events/x"]
+    h5["events/x"] = np.uint16(3)
+
+
+def more_than_the_memory(h5: h5py.File) -> None:
+    del h5["events/t"]
+    h5.create_dataset("events/t", (2**50,), np.int64, chunks=(4096,))
+
+
+def counts_without_end(h5: h5py.File) -> None:
+    h5["events_per_slice"][0] = 2**62
+    h5["events_per_slice"].attrs["crc32"] = segments.checksum(h5["events_per_slice"][()])
+
+
+def far_in_the_future(h5: h5py.File) -> None:
+    """A segment without an event, so that no time contradicts its place."""
+    h5.attrs["first_slice"] = 2**40
+    h5["events_per_slice"][...] = 0
+    h5["events_per_slice"].attrs["crc32"] = segments.checksum(h5["events_per_slice"][()])
+    for name in "txyp":
+        dtype = h5[f"events/{name}"].dtype
+        del h5[f"events/{name}"]
+        h5[f"events/{name}"] = np.empty(0, dtype)
+
+
+SEGMENTS = [
+    empty_dataset,
+    group_for_a_dataset,
+    scalar_for_a_column,
+    more_than_the_memory,
+    counts_without_end,
+    far_in_the_future,
+]
+
+
+@pytest.mark.parametrize("change", SEGMENTS, ids=lambda change: change.__name__)
+def test_m4_a_senseless_segment_is_left_out_in_words(tmp_path: Path, change: Callable[[h5py.File], None]) -> None:
+    """Assert that a segment that no recorder wrote is named with what is wrong, and the others are kept."""
+    folder = broken_off(tmp_path, [2, 3, 4])
+    with h5py.File(folder / "000002.h5", "r+") as h5:
+        change(h5)
+    (row,) = repair.run([folder]).rows
+    assert (row["status"], row["slices_kept"], row["segments_unreadable"]) == ("repaired", 5, 1)
+    assert "000002: " in str(row["unreadable"])
+
+
+def test_m4_a_start_without_a_frame_ends_in_words(tmp_path: Path) -> None:
+    """Assert that a folder that does not say how large the frame is is reported, and kept."""
+    folder = broken_off(tmp_path, [2])
+    with h5py.File(folder / "static.h5", "r+") as h5:
+        del h5["sensor/frame_px"]
+    (row,) = repair.run([folder]).rows
+    assert "frame_px" in str(row["fault"])
+    assert folder.is_dir()
