@@ -285,11 +285,11 @@ class CheckedHdf5:
         raise InputError(message, where=self.where, found=found)
 
 
-def row_blocks(dataset: h5py.Dataset, most_bytes: int = 16 << 20) -> Iterator[Any]:
+def row_blocks(dataset: h5py.Dataset, most_bytes: int = 4 << 20) -> Iterator[Any]:
     """The rows of a dataset, in blocks of about so many bytes, so that its length costs no memory."""
     row_bytes = max(1, math.prod(dataset.shape[1:]) * dataset.dtype.itemsize)
     step = max(1, most_bytes // row_bytes)
-    for start in range(0, len(dataset), step):
+    for start in range(0, max(1, len(dataset)), step):  # one empty block, where there are no rows
         yield dataset[start : start + step]
 
 

@@ -136,7 +136,7 @@ def test_kill_while_joining(tmp_path: Path) -> None:
 def test_nothing_to_repair(tmp_path: Path) -> None:
     """Assert that a folder without a segment, and what is no folder, are refused in words; an empty search is none."""
     writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False, recipe=RECIPE)
-    writer.leave()
+    writer._lock.close()  # as if it had been killed
     assert "no slice of it can be read" in str(repair.run([writer.folder]).rows[0]["fault"])
     with pytest.raises(InputError, match="no such file"):
         repair.run([tmp_path / "nothing"])
