@@ -24,7 +24,9 @@ from evetac_cli.store.attribute_text import text_bytes
 
 # Deflate makes at most 1,032 bytes of one (zlib's technical notes), and no part of a file is stored twice.
 MOST_EXPANSION = 1100
-MOST_CHUNK_BYTES = 128 << 20  # a chunk is decompressed whole; our own hold 1 MiB
+# A chunk is unpacked whole, and a damaged one may unpack to MOST_EXPANSION times its size before HDF5 notices.
+OUR_CHUNK_BYTES = 1 << 20
+MOST_CHUNK_BYTES = 128 << 20
 MOST_READ_BYTES = 4 << 30  # of one dataset at a time; what is longer is read in blocks
 MOST_TEXT_BYTES = 32 << 20  # of one text: a header that tells of 10,000 ancestors has half of it
 MOST_OBJECTS = 10_000  # datasets and groups; our own files have some dozens
@@ -127,7 +129,7 @@ class CheckedHdf5:
                 self._check_filters(name, recipe, filters)
                 here = self._check_kind(name, item, any_kind=only is not None)
                 announced += here
-                stored += self._check_stored(name, item, recipe)
+                stored += self._check_stored(name, item, recipe, OUR_CHUNK_BYTES if only is None else MOST_CHUNK_BYTES)
                 if announced > MOST_EXPANSION * self.size or stored > self.size:
                     self._refuse(f"{name} announces more than the file can hold", f"{announced} bytes")
                 found[name] = h5py.Dataset(item)
@@ -222,24 +224,24 @@ class CheckedHdf5:
         # A row without columns takes no byte, but is a row to go through: it counts as if it had one.
         return int(math.prod(max(1, size) for size in shape) * kind.get_size())
 
-    def _check_stored(self, name: str, item: Any, recipe: Any) -> int:
+    def _check_stored(self, name: str, item: Any, recipe: Any, most_chunk_bytes: int) -> int:
         """Bytes that are stored; InputError unless every announced row was written, within this file."""
         if item.get_space().get_simple_extent_type() == h5s.NULL or math.prod(item.shape) == 0:
             return 0
         wanted = math.prod(item.shape) * item.get_type().get_size()
         if recipe.get_layout() == h5d.CHUNKED:
-            return self._check_chunks(name, item, recipe)
+            return self._check_chunks(name, item, recipe, most_chunk_bytes)
         stored = int(item.get_storage_size())
         contiguous = recipe.get_layout() == h5d.CONTIGUOUS
         if stored < wanted or (contiguous and (item.get_offset() or self.size) + wanted > self.size):
             self._refuse_incomplete(name, item.shape)
         return stored
 
-    def _check_chunks(self, name: str, item: Any, recipe: Any) -> int:
+    def _check_chunks(self, name: str, item: Any, recipe: Any, most_bytes: int) -> int:
         chunk = recipe.get_chunk()
         whole = math.prod(chunk) * item.get_type().get_size()
-        if whole > MOST_CHUNK_BYTES:
-            self._refuse(f"the chunks of {name} are too large", f"{whole} bytes, more than {MOST_CHUNK_BYTES}")
+        if whole > most_bytes:
+            self._refuse(f"the chunks of {name} are too large", f"{whole} bytes, more than {most_bytes}")
         if item.get_num_chunks() < math.prod(-(-rows // size) for rows, size in zip(item.shape, chunk, strict=True)):
             self._refuse_incomplete(name, item.shape)
         applied = [recipe.get_filter(i)[0] for i in range(recipe.get_nfilters())]

@@ -87,7 +87,13 @@ class StageFile:
             rows = len(range(*slice(start, stop).indices(len(dataset))))
             size = rows * math.prod(dataset.shape[1:]) * dataset.dtype.itemsize
             if size > MOST_READ_BYTES:
-                raise ValueError(f"{size / 1e9:.1f} GB at once, more than {MOST_READ_BYTES / 1e9:.1f} GB")
+                raise InputError(
+                    f"{path} is too long to be read at once",
+                    where=str(self.path),
+                    expected=f"at most {MOST_READ_BYTES / 1e9:.1f} GB",
+                    found=f"{size / 1e9:.1f} GB",
+                    hint="cut the recording with `evetac trim`",
+                )
             array = dataset[start:stop]
             return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 

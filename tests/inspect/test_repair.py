@@ -275,3 +275,98 @@ def test_m4_a_start_without_a_frame_ends_in_words(tmp_path: Path) -> None:
     (row,) = repair.run([folder]).rows
     assert "frame_px" in str(row["fault"])
     assert folder.is_dir()
+
+
+def a_link(path: Path) -> None:
+    path.rename(path.with_name("moved"))
+    path.symlink_to(path.with_name("moved"))
+
+
+def a_link_to_a_device(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("/dev/zero")
+
+
+def a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+ODD_FILES = [a_link, a_link_to_a_device, a_pipe, a_folder]
+
+
+@pytest.mark.parametrize("odd", ODD_FILES, ids=lambda odd: odd.__name__)
+@pytest.mark.parametrize("name", ["000001.h5", "static.h5", "lock"])
+def test_odd_files_in_a_leftover_end_in_words(tmp_path: Path, odd: Callable[[Path], None], name: str) -> None:
+    """Assert that what is no file of a recorder is not followed, waited for or read, whichever file it stands for."""
+    folder = broken_off(tmp_path, [2, 3])
+    odd(folder / name)
+    (row,) = repair.run([folder]).rows
+    if name == "000001.h5":
+        assert (row["slices_kept"], row["segments_unreadable"]) == (2, 1)
+        assert "000001: " in str(row["unreadable"])
+    else:
+        assert row["status"] == "not repaired"
+        assert folder.is_dir()
+
+
+@pytest.mark.parametrize("odd", ODD_FILES, ids=lambda odd: odd.__name__)
+def test_odd_locks_do_not_hold_a_recording_up(tmp_path: Path, odd: Callable[[Path], None]) -> None:
+    """Assert that a recording does not begin where its lock leads elsewhere, and does not wait for a pipe."""
+    folder = tmp_path / "a.recording.part"
+    folder.mkdir()
+    (folder / "lock").touch()
+    odd(folder / "lock")
+    with pytest.raises(InputError, match="cannot be made"):
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+
+
+def test_odd_names_in_a_leftover_are_named(tmp_path: Path) -> None:
+    """Assert that names that only look like those of segments are no segments, and missing ones are one line."""
+    folder = broken_off(tmp_path, [2, 3])
+    for name in ("7.h5", "0000000.h5", "12abc.h5", "\u0663\u0663.h5", "000009.h5", "1" * 200 + ".h5"):
+        (folder / name).touch()
+    (row,) = repair.run([folder]).rows
+    assert (row["status"], row["slices_kept"]) == ("repaired", 5)
+    assert "000002 to 000008 are missing" in str(row["unreadable"])
+    assert str(row["unreadable"]).count("is not the name of a segment") == 4
+
+
+def test_a_link_to_a_leftover_is_not_repaired(tmp_path: Path) -> None:
+    """Assert that a link in place of the folder is named as one, and nothing behind it is removed."""
+    folder = broken_off(tmp_path, [2])
+    (tmp_path / "b.recording.part").symlink_to(folder)
+    (row,) = repair.run([tmp_path / "b.recording.part"]).rows
+    assert "this is a link" in str(row["fault"])
+    assert (folder / "000000.h5").exists()
+
+
+RECIPES = [
+    "[" * 100_000,
+    "{}",
+    "[1]",
+    '{"kind": "recording", "method": 1, "parameters": {}, "parents": [1]}',
+    '{"kind": "recording", "method": 1, "parameters": {}, "parents": [{}]}',
+    '{"kind": "recording", "method": 1, "parameters": ' + '{"a":' * 200 + "1" + "}" * 200 + ', "parents": []}',
+    '{"kind": "labels", "method": 1, "parameters": {}, "parents": []}',
+    '{"kind": ["recording"], "method": 1, "parameters": {}, "parents": []}',
+    '{"kind": "recording", "method": 1, "parameters": {}, "parents": [], "seed": 1' + "0" * 5000 + "}",
+    '{"kind": "recording", "method": NaN, "parameters": {}, "parents": []}',
+]
+
+
+@pytest.mark.parametrize("recipe", RECIPES, ids=lambda text: text[:60])
+def test_m4_a_senseless_recipe_ends_in_words(tmp_path: Path, recipe: str) -> None:
+    """Assert that a folder whose recipe was edited is reported, and kept."""
+    folder = broken_off(tmp_path, [2])
+    with h5py.File(folder / "static.h5", "r+") as h5:
+        h5.attrs["recipe"] = recipe
+    (row,) = repair.run([folder]).rows
+    assert "cannot be read" in str(row["fault"])
+    assert len(str(row["fault"])) < 1000
+    assert folder.is_dir()
