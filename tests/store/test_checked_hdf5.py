@@ -93,3 +93,39 @@ def test_m6_announced_text_is_refused_before_it_is_read(tmp_path: Path) -> None:
     run = [sys.executable, "-c", TEXT, str(path)]
     done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
     assert (done.stdout, done.stderr) == ("True True\n", "")
+
+
+HEAP = """
+import sys
+from pathlib import Path
+from evetac_cli.errors import InputError
+from evetac_cli.store.files import StageFile
+for path in sys.argv[1:]:
+    try:
+        with StageFile(Path(path)) as file:
+            print({name: file.read(name) for name in file.contents()})
+    except InputError as error:
+        assert "cannot be read" in str(error), error
+"""
+
+
+def test_damage_among_texts_never_holds_the_reader_up(tmp_path: Path) -> None:
+    """Assert that wrong sizes in the heap where HDF5 keeps texts, over which it runs in circles, end in words."""
+    path = tmp_path / "a.report.h5"
+    write_stage(path, Recipe("report", 1, {}), {"command": "evaluate slip", "rows": "[]", "summary": "{}"})
+    whole = path.read_bytes()
+    heap = whole.find(b"GCOL")
+    damaged = []
+    at = heap + 16
+    while index := int.from_bytes(whole[at : at + 2], "little"):
+        size = int.from_bytes(whole[at + 8 : at + 16], "little")
+        for wrong in (size + 26, 2**63, 0):
+            content = bytearray(whole)
+            content[at + 8 : at + 16] = wrong.to_bytes(8, "little")
+            damaged.append(tmp_path / f"{index}.{wrong}.report.h5")
+            damaged[-1].write_bytes(bytes(content))
+        at += 16 + -(-size // 8) * 8
+    assert len(damaged) == 12  # three texts and the header
+    run = [sys.executable, "-c", HEAP, *map(str, damaged)]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=30, check=False, cwd=PACKAGE.parent)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
