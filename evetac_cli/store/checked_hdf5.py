@@ -20,7 +20,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.attribute_text import text_bytes
+from evetac_cli.store.hdf5_text import TextTooLong, attribute_text, dataset_text
 
 # Deflate makes at most 1,032 bytes of one (zlib's technical notes), and no part of a file is stored twice.
 MOST_EXPANSION = 1100
@@ -90,10 +90,30 @@ class CheckedHdf5:
             kind = attribute.get_type()
             if kind.get_class() != h5t.STRING or attribute.shape != () or not kind.is_variable_str():
                 return None
-            length = text_bytes(self.path, h5o.get_info(self.h5["/"].id).addr, name)
-            self._refuse_long_text(f"its {name}", length)
-            text = self.h5.attrs[name]
-            return text if isinstance(text, str) else None
+            address = h5o.get_info(self.h5["/"].id).addr
+            return self._text(f"its {name}", lambda most: attribute_text(self.path, address, name, most))
+
+    def text(self, name: str, dataset: h5py.Dataset) -> str:
+        """The one text that a dataset holds; `name` is what an error calls it."""
+        with damage_in_words(self.path, name):
+            if h5py.check_string_dtype(dataset.dtype).length is not None:
+                return str(dataset.asstr()[()])
+            address = dataset.id.get_offset()
+            return self._text(name, lambda most: dataset_text(self.path, address, most))
+
+    def _text(self, name: str, read: Callable[[int], str]) -> str:
+        """Read a text, which cannot be longer than the file that holds it."""
+        most = min(MOST_TEXT_BYTES, self.size)
+        try:
+            return read(most)
+        except TextTooLong as error:
+            raise InputError(
+                f"{name} announces a text longer than it can be",
+                where=self.where,
+                expected=f"at most {most} bytes",
+                found=str(error),
+                hint="the file is damaged; make it again",
+            ) from None
 
     def number_attribute(self, name: str, of: str = "/") -> int | None:
         """A whole number among the attributes of an object; None if there is no such number."""
@@ -218,9 +238,7 @@ class CheckedHdf5:
             if text and kind.is_variable_str():
                 if shape != () or item.get_offset() is None:
                     self._refuse(f"{name} is of a kind that is not read", "a list of texts")
-                with open(self.path, "rb") as file:
-                    length = int.from_bytes(os.pread(file.fileno(), 4, item.get_offset()), "little")
-                self._refuse_long_text(name, length)
+                self.text(name, h5py.Dataset(item))
         # A row without columns takes no byte, but is a row to go through: it counts as if it had one.
         return int(math.prod(max(1, size) for size in shape) * kind.get_size())
 
@@ -262,17 +280,6 @@ class CheckedHdf5:
         if wrong:
             self._refuse(f"{name} is damaged", wrong)
         return stored
-
-    def _refuse_long_text(self, name: str, length: int) -> None:
-        most = min(MOST_TEXT_BYTES, self.size)
-        if length > most:
-            raise InputError(
-                f"{name} announces a text longer than it can be",
-                where=self.where,
-                expected=f"at most {most} bytes",
-                found=f"{length} bytes",
-                hint="the file is damaged; make it again",
-            )
 
     def _refuse_incomplete(self, name: str, shape: tuple[int, ...]) -> None:
         raise InputError(

@@ -81,7 +81,7 @@ class StageFile:
             raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
         with damage_in_words(self.path, path):
             if schema.describe_stored(dataset) == "utf8":
-                return dataset.asstr()[()]
+                return self._file.text(path, dataset)
             if dataset.shape == ():
                 return dataset[()]
             rows = len(range(*slice(start, stop).indices(len(dataset))))

@@ -231,7 +231,8 @@ def join(
     with replacing(path) as h5:
         with CheckedHdf5(folder / STATIC) as static:
             for name, dataset in static.datasets().items():
-                value = dataset.asstr()[()] if schema.describe_stored(dataset) == "utf8" else dataset[()]
+                is_text = schema.describe_stored(dataset) == "utf8"
+                value = static.text(name, dataset) if is_text else dataset[()]
                 _put_whole(h5, name, value, digest, written)
         for name, value in late.items():
             _put_whole(h5, name, value, digest, written)
