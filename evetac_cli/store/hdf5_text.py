@@ -38,12 +38,12 @@ def dataset_text(path: Path, address: int, most_bytes: int) -> str:
     """The text of a scalar dataset whose bytes lie at `address`."""
     with open(path, "rb") as file:
         _require_eight_bytes(file.fileno())
-        return _text(file.fileno(), os.pread(file.fileno(), REFERENCE_BYTES, address), most_bytes)
+        return _text(file.fileno(), _bytes(file.fileno(), REFERENCE_BYTES, address), most_bytes)
 
 
 def _require_eight_bytes(file: int) -> None:
     """Addresses and lengths of 8 bytes, as every HDF5 library writes them unless asked not to."""
-    start = os.pread(file, 16, 0)
+    start = _bytes(file, 16, 0)
     sizes = start[13:15] if start[8:9] in (b"\0", b"\1") else start[9:11]
     if start[:4] != b"\x89HDF" or sizes != b"\x08\x08":
         raise ValueError("its addresses are not of 8 bytes, or do not count from its start")
@@ -56,17 +56,17 @@ def _text(file: int, reference: bytes, most_bytes: int) -> str:
         raise TextTooLong(f"{length} bytes")
     if length == 0:
         return ""
-    head = os.pread(file, 16, heap)
+    head = _bytes(file, 16, heap)
     if head[:4] != b"GCOL":
         raise ValueError("its text is not where it says")
     at, end = heap + 16, heap + _number(head[8:16])
     for _ in range(MOST_HEAP_OBJECTS):
-        entry = os.pread(file, 16, at)
+        entry = _bytes(file, 16, at)
         index, size = _number(entry[:2]), _number(entry[8:16])
         if len(entry) < 16 or index == 0 or at + 16 + size > end:
             break
         if index == number:
-            content = os.pread(file, length, at + 16)
+            content = _bytes(file, length, at + 16)
             if size != length or len(content) != length:
                 break
             return content.decode()
@@ -76,7 +76,7 @@ def _text(file: int, reference: bytes, most_bytes: int) -> str:
 
 def _messages(file: int, address: int) -> Iterator[tuple[int, int, bytes]]:
     """Type, flags and bytes of each message of an object header."""
-    start = os.pread(file, 64, address)
+    start = _bytes(file, 64, address)
     second = start[:4] == b"OHDR"
     if second:
         at = 6 + 16 * bool(start[5] & 0x20) + 4 * bool(start[5] & 0x10)
@@ -91,7 +91,7 @@ def _messages(file: int, address: int) -> Iterator[tuple[int, int, bytes]]:
         total += size + 16  # continuations that lead in a circle come to an end too
         if total > MOST_HEADER_BYTES:
             raise ValueError("its object header is too long")
-        block, at = os.pread(file, size, where), 0
+        block, at = _bytes(file, size, where), 0
         while at + head <= len(block):
             kind = block[at] if second else _number(block[at : at + 2])
             length = _number(block[at + 1 : at + 3] if second else block[at + 2 : at + 4])
@@ -113,6 +113,13 @@ def _value(data: bytes, name: bytes) -> bytes | None:
         return None
     padded = [-(-size // 8) * 8 for size in sizes] if version == b"\1" else sizes
     return data[at + sum(padded) : at + sum(padded) + REFERENCE_BYTES]
+
+
+def _bytes(file: int, count: int, at: int) -> bytes:
+    """So many bytes of a file, fewer at its end; ValueError for a place that no file has."""
+    if not (0 <= count <= 2**31 and at < 2**62):
+        raise ValueError("it leads to a place that no file has")
+    return os.pread(file, count, at)
 
 
 def _number(content: bytes) -> int:

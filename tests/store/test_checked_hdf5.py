@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.resources import PACKAGE
+from evetac_cli.store.checked_hdf5 import CheckedHdf5
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 from tests.store.test_files import RECIPE, SLICES, labels
@@ -129,3 +131,42 @@ def test_damage_among_texts_never_holds_the_reader_up(tmp_path: Path) -> None:
     run = [sys.executable, "-c", HEAP, *map(str, damaged)]
     done = subprocess.run(run, capture_output=True, text=True, timeout=30, check=False, cwd=PACKAGE.parent)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("reference", [b"\x01\0\0\0" + b"\xff" * 12, b"\x0d\0\0\0" + bytes(12), bytes(16)])
+def test_texts_that_lie_nowhere_end_in_words(tmp_path: Path, reference: bytes) -> None:
+    """Assert that a text whose place no file has, or where something else lies, is named; one of no bytes is empty."""
+    path = tmp_path / "a.report.h5"
+    write_stage(path, Recipe("report", 1, {}), {"command": "evaluate slip", "rows": "[]", "summary": "{}"})
+    with h5py.File(path) as h5:
+        where = h5["command"].id.get_offset()
+    content = bytearray(path.read_bytes())
+    content[where : where + 16] = reference
+    path.write_bytes(bytes(content))
+    if any(reference):
+        with pytest.raises(InputError, match="command cannot be read"):
+            StageFile(path)
+    else:
+        with StageFile(path) as file:
+            assert file.read("command") == ""
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest", ("earliest", "v114"), "v110"])
+def test_texts_are_those_that_hdf5_reads(tmp_path: Path, libver: Any) -> None:
+    """Assert that texts of any length and script come back, whichever version of the layout they are stored in."""
+    texts = {"header": "x", "note": "Größe 触覚 \U0001f91a " * 3000, "empty": "", "long": "{}" * 100_000}
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver=libver) as h5:
+        for number in range(0 if libver in ("latest", "v110") else 30):  # which keep more than 8 elsewhere
+            h5.attrs[f"other {number}"] = "text"
+        for name, text in texts.items():
+            h5.attrs[name] = text
+            h5[name] = text
+        h5["fixed"] = np.bytes_(b"of fixed length")
+    with CheckedHdf5(path) as file:
+        datasets = file.datasets()
+        for name, text in texts.items():
+            assert file.text_attribute(name) == text
+            assert file.text(name, datasets[name]) == text
+        assert file.text("fixed", datasets["fixed"]) == "of fixed length"
+        assert file.text_attribute("missing") is None
