@@ -134,7 +134,7 @@ class CheckedHdf5:
         Nothing may lead elsewhere, in any part of the file. Names of dimensions, which hold no numbers, are left out.
         With `only`, a path may be missing, or be a group.
         """
-        found: dict[str, h5py.Dataset] = {}
+        checked: dict[str, h5py.Dataset] = {}
         announced = stored = 0
         with damage_in_words(self.path, "its contents"):
             for name, item in self._objects():
@@ -152,8 +152,8 @@ class CheckedHdf5:
                 stored += self._check_stored(name, item, recipe, OUR_CHUNK_BYTES if only is None else MOST_CHUNK_BYTES)
                 if announced > MOST_EXPANSION * self.size or stored > self.size:
                     self._refuse(f"{name} announces more than the file can hold", f"{announced} bytes")
-                found[name] = h5py.Dataset(item)
-        return dict(sorted(found.items()))
+                checked[name] = h5py.Dataset(item)
+        return dict(sorted(checked.items()))
 
     def _objects(self) -> Iterator[tuple[str, Any]]:
         """Path and id of every object; InputError where a name leads anywhere but to an object of its own."""
@@ -228,12 +228,12 @@ class CheckedHdf5:
         if not any_kind:
             text = kind.get_class() == h5t.STRING
             if not text and kind.get_class() not in (h5t.INTEGER, h5t.FLOAT):
-                found = h5py.Dataset(item).dtype
+                held = h5py.Dataset(item).dtype
                 raise InputError(
                     f"{name} is of a kind that is not read",
                     where=self.where,
                     expected="plain numbers, or one text",
-                    found=str(found)[:200],
+                    found=str(held)[:200],
                 )
             if text and kind.is_variable_str():
                 if shape != () or item.get_offset() is None:
@@ -269,14 +269,14 @@ class CheckedHdf5:
         most = whole + whole // 64 + 1024  # what cannot be packed grows a little
         stored, wrong = 0, ""
 
-        def look(place: Any) -> None:
+        def check_place(place: Any) -> None:
             nonlocal stored, wrong
             stored += place.size
             packed = packing & ~place.filter_mask
             if place.byte_offset + place.size > self.size or place.size > most or (not packed and place.size < whole):
                 wrong = f"a chunk of {place.size} bytes at byte {place.byte_offset}"
 
-        item.chunk_iter(look)
+        item.chunk_iter(check_place)
         if wrong:
             self._refuse(f"{name} is damaged", wrong)
         return stored
@@ -290,8 +290,8 @@ class CheckedHdf5:
             hint="the program that wrote the file may have been stopped",
         )
 
-    def _refuse(self, message: str, found: str) -> None:
-        raise InputError(message, where=self.where, found=found)
+    def _refuse(self, message: str, what: str) -> None:
+        raise InputError(message, where=self.where, found=what)
 
 
 def row_blocks(dataset: h5py.Dataset, most_bytes: int = 4 << 20) -> Iterator[Any]:

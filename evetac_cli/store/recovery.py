@@ -205,10 +205,10 @@ def _check_bytes(file: CheckedHdf5, name: str, dataset: h5py.Dataset) -> None:
     stored = file.number_attribute(CRC, name)
     if stored is None or schema.describe_stored(dataset) == "utf8":
         return
-    found = 0
+    now = 0
     for rows in row_blocks(dataset) if dataset.shape else [dataset[()]]:
-        found = zlib.crc32(np.ascontiguousarray(rows).tobytes(), found)
-    if found != stored:
+        now = zlib.crc32(np.ascontiguousarray(rows).tobytes(), now)
+    if now != stored:
         raise ValueError(f"{name} was damaged")
 
 

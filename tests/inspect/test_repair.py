@@ -346,7 +346,7 @@ def test_a_link_to_a_leftover_is_not_repaired(tmp_path: Path) -> None:
     assert (folder / "000000.h5").exists()
 
 
-RECIPES = [
+SENSELESS_RECIPES = [
     "[" * 100_000,
     "{}",
     "[1]",
@@ -360,7 +360,7 @@ RECIPES = [
 ]
 
 
-@pytest.mark.parametrize("recipe", RECIPES, ids=lambda text: text[:60])
+@pytest.mark.parametrize("recipe", SENSELESS_RECIPES, ids=lambda text: text[:60])
 def test_m4_a_senseless_recipe_ends_in_words(tmp_path: Path, recipe: str) -> None:
     """Assert that a folder whose recipe was edited is reported, and kept."""
     folder = broken_off(tmp_path, [2])

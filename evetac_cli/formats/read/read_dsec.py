@@ -81,13 +81,13 @@ def _check_column(file: CheckedHdf5, datasets: dict[str, Any], name: str) -> Non
     """One of the four columns is a plain list of whole numbers."""
     column = datasets.get(name)
     if column is None:
-        found, hint = _what_there_is(file, name)
-        raise InputError("holds no columns of events", where=file.where, expected=LAYOUT, found=found, hint=hint)
+        held, hint = _what_there_is(file, name)
+        raise InputError("holds no columns of events", where=file.where, expected=LAYOUT, found=held, hint=hint)
     kinds = "iub" if name == "events/p" else "iu"
     if column.dtype.kind not in kinds or len(column.shape or ()) != 1:
         expected = "a list of integers" + (" in microseconds" if name == "events/t" else "")
-        found = f"{column.dtype} of shape {column.shape}"
-        raise InputError(f"{name} is not a column", where=file.where, expected=expected, found=found)
+        held = f"{column.dtype} of shape {column.shape}"
+        raise InputError(f"{name} is not a column", where=file.where, expected=expected, found=held)
 
 
 def _what_there_is(file: CheckedHdf5, name: str) -> tuple[str, str]:
