@@ -657,3 +657,13 @@ def test_output_path() -> None:
     assert output_path(source, "tracks", Path("out")) == Path("out/a.tracks.h5")
     assert output_path(source, "tracks", Path("out/x.h5")) == Path("out/x.h5")
     assert output_path(source, "tracks", Path("v1.5")) == Path("v1.5/a.tracks.h5")
+
+
+def test_more_than_fits_is_not_read_at_once(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a dataset that is too long to be read whole says so, and is read in blocks."""
+    monkeypatch.setattr(files, "MOST_READ_BYTES", 4 * SLICES - 1)
+    with StageFile(made) as file:
+        with pytest.raises(InputError, match="relative_flow_px is too long to be read at once"):
+            file.read("relative_flow_px")
+        blocks = [file.read("relative_flow_px", start, start + 1000) for start in range(0, SLICES, 1000)]
+    np.testing.assert_array_equal(np.concatenate(blocks), labels()["relative_flow_px"])
