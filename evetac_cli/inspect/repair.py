@@ -1,6 +1,7 @@
 """repair: make a valid recording of the segments that an interrupted recording left behind."""
 
 import shutil
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome
+from evetac_cli.store.checked_hdf5 import DAMAGE
 from evetac_cli.store.recovery import SUFFIX, Leftover, check_folder, held, read_leftover, recording_path, was_joined
 from evetac_cli.store.segments import join
 
@@ -23,8 +25,9 @@ def run(folders: list[Path]) -> Outcome:
     for folder in _leftovers(folders):
         try:
             row, from_simulation = _repair(folder)
-        except InputError as error:
-            row, from_simulation = _row(folder, "not repaired", fault=" ".join(str(error).split())), False
+        except (InputError, *DAMAGE) as error:  # a disk that fails while it is joined, say
+            fault = " ".join(str(error).split()) or type(error).__name__
+            row, from_simulation = _row(folder, "not repaired", fault=fault), False
         rows.append(row)
         simulated |= from_simulation
     return Outcome(rows, simulated, {"folders": len(rows), "invalid": sum(row["fault"] is not None for row in rows)})
@@ -69,14 +72,16 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
         late: dict[str, Any] = {"capture/ended": ENDED}
         if left.lost:
             late["capture/lost_slices"] = np.array(left.lost, np.int64)
-        join(folder, output, left.recipe, late, from_device=True, parts=left.parts)
+        join(folder, output, left.recipe, late, left.parts, from_device=True)
         try:
             _check(output)
         except InputError:
             output.unlink()
             raise
         shutil.rmtree(folder)
-        for unfinished in output.parent.glob(f".{output.name}.*.tmp"):  # of a recorder that was killed while it joined
+        for unfinished in output.parent.glob(
+            f".{escape(output.name)}.*.tmp"
+        ):  # of a recorder that was killed while it joined
             unfinished.unlink()
     return _row(folder, "repaired", left), left.recipe.simulated
 

@@ -144,6 +144,8 @@ def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any])
 
 def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
     """An error for the user, or Ctrl-C, that says too what is left for `evetac repair`; any other as it is."""
+    if not writer.folder.exists():
+        return error
     left = f"{writer.folder}, for `evetac repair`"
     if isinstance(error, EvetacError):
         error.kept = left

@@ -8,17 +8,19 @@ its end. So it writes through a file object that never fails: that keeps the fir
 closed. For the same reason Ctrl-C waits until then; it would otherwise come up inside that object.
 """
 
+import errno
 import io
 import os
 import platform
 import shutil
 import signal
+import stat
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 
@@ -113,6 +115,18 @@ def _lives(process: str) -> bool:
     except (ValueError, OverflowError, PermissionError):  # no number: not ours to remove; or somebody else's process
         return True
     return True
+
+
+def open_lock(path: Path) -> BinaryIO:
+    """The lock file of a folder, made where there is none; OSError if it is a link, a pipe or anything but a file.
+
+    A link could lead to any file of the user's, and opening a pipe waits for its other end.
+    """
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise OSError(errno.EINVAL, "its lock is not a regular file")
+    return os.fdopen(file, "wb")
 
 
 @contextmanager

@@ -6,6 +6,7 @@ rename wins, and with the same recipe both wrote the same arrays.
 """
 
 import json
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -19,7 +20,9 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import netcdf, schema
+from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.disk import existing_folder, new_file, taking_the_place_of
+from evetac_cli.store.limited_json import read_json
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, recompute_id
 
 CHUNK_ROWS = 65536
@@ -32,23 +35,26 @@ class StageFile:
     def __init__(self, path: Path, kind: str | tuple[str, ...] | None = None) -> None:
         """Open and check; InputError if it is missing, not ours, of another kind, or of an earlier or newer version."""
         self.path = Path(path)
-        self._h5 = _open(self.path)
+        self._file = CheckedHdf5(self.path, "an evetac stage file", FOREIGN)
         try:
-            self.header = _read_header(self.path, self._h5)
+            self.header = _read_header(self._file)
             _check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
             if recompute_id(self.header) != self.header["id"]:
                 raise SchemaError("its header was edited: the recipe id does not fit it", where=str(self.path))
-            with _damage_in_words(self.path, "its contents"):
-                stored, lengths = self._listed()
-            lines = schema.problems(schema.load(self.kind), stored)
+            self._datasets = self._file.datasets()
+            with damage_in_words(self.path, "its contents"):
+                stored = self.contents()
+                lines = schema.problems(schema.load(self.kind), stored)
+                dimensions = self._file.dimensions
+                lines += [f"{path} is not in the schema" for path in netcdf.strays(self.kind, dimensions)]
             major, minor = (int(part) for part in self.header["version"].split("."))
             known_minor = int(schema.load(self.kind).version.split(".")[1])
             if major == schema.MAJOR and minor > known_minor:  # a newer minor version only adds
                 lines = [line for line in lines if "is not in the schema" not in line]
-            lines = lines or netcdf.dimension_problems(self.kind, stored, lengths)
+            lines = lines or netcdf.dimension_problems(self.kind, stored, dimensions)
             schema.refuse(self.kind, lines, str(self.path))
         except BaseException:
-            self._h5.close()
+            self._file.close()
             raise
 
     def __enter__(self) -> Self:
@@ -61,7 +67,7 @@ class StageFile:
 
     def close(self) -> None:
         """Close the file; arrays already read stay valid."""
-        self._h5.close()
+        self._file.close()
 
     @property
     def kind(self) -> str:
@@ -69,74 +75,42 @@ class StageFile:
         return str(self.header["kind"])
 
     def has(self, path: str) -> bool:
-        """Whether the file holds a dataset or a group of this path."""
-        return path in self._h5
+        """Whether the file holds a dataset, or datasets in a group, of this path."""
+        return path in self._datasets or any(name.startswith(f"{path}/") for name in self._datasets)
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
         """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar."""
-        with _damage_in_words(self.path, path):
-            dataset = self._h5.get(path)
-            if not isinstance(dataset, h5py.Dataset):
-                raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
+        dataset = self._datasets.get(path)
+        if dataset is None:
+            raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
+        with damage_in_words(self.path, path):
             if schema.describe_stored(dataset) == "utf8":
-                return dataset.asstr()[()]
-            return dataset[()] if dataset.shape == () else dataset[start:stop]
+                return self._file.text(path, dataset)
+            if dataset.shape == ():
+                return dataset[()]
+            rows = len(range(*slice(start, stop).indices(len(dataset))))
+            size = rows * math.prod(dataset.shape[1:]) * dataset.dtype.itemsize
+            if size > MOST_READ_BYTES:
+                raise InputError(
+                    f"{path} is too long to be read at once",
+                    where=str(self.path),
+                    expected=f"at most {MOST_READ_BYTES / 1e9:.1f} GB",
+                    found=f"{size / 1e9:.1f} GB",
+                    hint="cut the recording with `evetac trim`",
+                )
+            array = dataset[start:stop]
+            return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
     def length(self, path: str) -> int:
         """Number of rows of a dataset, without reading it."""
-        return int(self._h5[path].shape[0])
+        return int(self._datasets[path].shape[0])
 
     def contents(self) -> dict[str, tuple[str, tuple[int, ...]]]:
         """Path -> (dtype, shape) of every dataset; dimensions are none, as they hold no values."""
-        return self._listed()[0]
-
-    def _listed(self) -> tuple[dict[str, tuple[str, tuple[int, ...]]], dict[str, int]]:
-        """What `contents` gives, and the length of every dimension by its path."""
-        stored: dict[str, tuple[str, tuple[int, ...]]] = {}
-        lengths: dict[str, int] = {}
-
-        def visit(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset):
-                if netcdf.is_dimension(self.kind, name, item):
-                    lengths[name] = item.shape[0]
-                else:
-                    stored[name] = (schema.describe_stored(item), item.shape or ())
-
-        self._h5.visititems(visit)
-        return stored, lengths
+        return {name: (schema.describe_stored(item), item.shape or ()) for name, item in self._datasets.items()}
 
 
-@contextmanager
-def _damage_in_words(path: Path, what: str) -> Iterator[None]:
-    """Damaged bytes in a file make h5py raise nearly anything; say which file and what could not be read."""
-    try:
-        yield
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
-        raise InputError(
-            f"{what} cannot be read: {error}", where=str(path), hint="the file is damaged; make it again"
-        ) from None
-
-
-def _open(path: Path) -> h5py.File:
-    if os.path.isdir(path):
-        raise InputError("this is a folder", where=str(path), expected="an evetac stage file")
-    if not os.path.exists(path):  # unlike Path.exists, False for a name that is too long
-        raise InputError("no such file", where=str(path))
-    if not os.path.isfile(path):  # opening a pipe would wait for a writer
-        raise InputError("this is not a regular file", where=str(path), expected="an evetac stage file")
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        if error.errno:
-            raise InputError(f"cannot be opened: {os.strerror(error.errno)}", where=str(path)) from None
-        reason = "it is truncated" if "truncated" in str(error) else "it is not an HDF5 file"
-        raise InputError(
-            f"cannot be opened: {reason}",
-            where=str(path),
-            expected="an evetac stage file",
-            hint="event files of other programs are read with `evetac record --from FILE`",
-        ) from None
-
+FOREIGN = "event files of other programs are read with `evetac record --from FILE`"
 
 # What every header says, and as what.
 HEADER: dict[str, tuple[type, ...]] = {
@@ -153,19 +127,14 @@ HEADER: dict[str, tuple[type, ...]] = {
 }
 
 
-def _read_header(path: Path, h5: h5py.File) -> Header:
-    with _damage_in_words(path, "its header"):
-        text = h5.attrs.get("header")
-    if not isinstance(text, str):
-        raise InputError(
-            "this HDF5 file was not made by evetac: it has no header",
-            where=str(path),
-            hint="event files of other programs are read with `evetac record --from FILE`",
-        )
+def _read_header(file: CheckedHdf5) -> Header:
+    path, text = file.path, file.text_attribute("header")
+    if text is None:
+        raise InputError("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
     try:
-        header = dict(json.loads(text))
+        header = dict(read_json(text))
         canonical(header)
-    except (ValueError, TypeError, RecursionError):
+    except (ValueError, TypeError):
         raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
     number = header.get("version")
     version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", number) if isinstance(number, str) else None

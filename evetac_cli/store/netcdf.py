@@ -13,7 +13,7 @@ Texts have a variable length, because h5py gives those of a fixed one as bytes.
 
 import functools
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import h5py
@@ -65,19 +65,15 @@ def describe_dataset(dataset: Any, row: Dataset | None) -> None:
     dataset.attrs["long_name"] = row.meaning
 
 
-def is_dimension(kind: str, path: str, dataset: Any) -> bool:
-    """Whether a dataset of a file of this kind is one of its dimensions: without values, in the place of one.
+def strays(kind: str, dimensions: Iterable[str]) -> list[str]:
+    """Paths of dimensions that a file of this kind does not have."""
+    known = set(dimension_paths(kind).values())
+    return [path for path in dimensions if path not in known and not _of_open_shape(kind, path)]
 
-    HDF5's own functions for scales are not asked: they write past their buffers where attributes are damaged.
-    """
+
+def _of_open_shape(kind: str, path: str) -> bool:
     group, _, name = path.rpartition("/")
-    in_place = path in dimension_paths(kind).values() or (group in _open_groups(kind) and ANY_SHAPE.fullmatch(name))
-    if not in_place or dataset.ndim != 1 or dataset.id.get_storage_size():
-        return False
-    marks = [dataset.attrs.get(mark) for mark in ("CLASS", "NAME")]
-    return all(isinstance(mark, bytes) for mark in marks) and (
-        marks[0] == b"DIMENSION_SCALE" and marks[1].startswith(NO_VARIABLE.encode())
-    )
+    return group in _open_groups(kind) and ANY_SHAPE.fullmatch(name) is not None
 
 
 def dimension_problems(

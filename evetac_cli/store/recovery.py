@@ -6,33 +6,32 @@ simulation ends before its first gap, because a truth has no empty value, and su
 """
 
 import fcntl
-import json
+import re
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.store import schema
+from evetac_cli.store.checked_hdf5 import DAMAGE, CheckedHdf5, row_blocks
+from evetac_cli.store.disk import open_lock
+from evetac_cli.store.limited_json import read_json
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.segments import (
-    COUNTS,
-    CRC,
-    FIRST_SLICE,
-    JOINED,
-    RECIPE,
-    SEGMENTS,
-    STATIC,
-    checksum,
-    dataset_paths,
-)
+from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, RECIPE, STATIC
 
 SUFFIX = ".part"
+SEGMENT = "([0-9]{6,})[.](h5|tmp)"  # .tmp: closed, perhaps, but not yet renamed
+# `record` takes a day at most. Every slice costs a row, so a damaged number must not make billions of empty ones.
+LONGEST_SLICES = 25 * 3600 * 1000
+LARGEST_PX = 65535  # what an event's uint16 can say
+PLAIN = "the segments beside it are plain HDF5 files: events/t, x, y, p, events_per_slice"
 LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that holds some"
 
 
@@ -56,6 +55,8 @@ def check_folder(path: Path) -> None:
         raise InputError("no such file", where=str(path), expected=LEFTOVER)
     if not path.is_dir():
         raise InputError("not what a recording left", where=str(path), expected=LEFTOVER)
+    if path.is_symlink():
+        raise InputError("this is a link", where=str(path), expected="the folder itself")
 
 
 @contextmanager
@@ -63,7 +64,7 @@ def held(folder: Path) -> Iterator[None]:
     """Keep a recorder away from the folder; InputError if one is at work in it."""
     check_folder(folder)
     try:
-        lock = open(folder / "lock", "a")  # noqa: SIM115 - held until the block ends
+        lock = open_lock(folder / "lock")
     except OSError as error:
         raise InputError(f"cannot be written to: {error.strerror}", where=str(folder)) from None
     try:
@@ -88,21 +89,23 @@ def was_joined(folder: Path) -> bool:
 
 def read_leftover(folder: Path) -> Leftover:
     """Check every segment; InputError if what was known at the start cannot be read, and nothing can be made."""
-    leftover = Leftover(_recipe(folder))
-    frame = _frame(folder)
-    numbered = {int(path.stem): path for path in folder.glob(SEGMENTS)}
-    late = {int(path.stem): path for path in folder.glob("[0-9]*.tmp")}  # closed, perhaps, but not yet renamed
+    recipe, frame = _known_at_start(folder)
+    leftover = Leftover(recipe)
+    numbered = _segments(folder, leftover)
+    row_shapes: dict[str, tuple[int, ...]] = {}
     bridging = True
-    for number in range(max([*numbered, *late], default=-1) + 1):
-        path = numbered.get(number, late.get(number))
+    following = 0
+    for number, path in sorted(numbered.items()):
+        if number > following:
+            several = f" to {number - 1:06d} are" if number > following + 1 else ": is"
+            leftover.unreadable.append(f"{following:06d}{several} missing")
+        following = number + 1
         try:
-            if path is None:
-                raise ValueError("is missing")
-            segment = _checked(path, frame)
+            segment = _checked(path, frame, row_shapes)
             if segment.first < leftover.slices:
                 raise ValueError(f"starts at slice {segment.first}, before the end of the one before it")
-        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-            leftover.unreadable.append(f"{number:06d}: {error}")
+        except (InputError, *DAMAGE) as error:
+            leftover.unreadable.append(f"{number:06d}: {_reason(error)}")
             continue
         gap = segment.first - leftover.slices
         bridging &= not gap or segment.may_follow_a_gap
@@ -129,78 +132,153 @@ class _Segment:
     may_follow_a_gap: bool
 
 
-def _recipe(folder: Path) -> Recipe:
+def _segments(folder: Path, leftover: Leftover) -> dict[int, Path]:
+    """The segments by their number; what only looks like one is named as unreadable."""
+    numbered: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):  # .h5 before .tmp
+        match = re.fullmatch(SEGMENT, path.name)
+        if match and path.stem == f"{int(match[1]):06d}":
+            numbered.setdefault(int(match[1]), path)
+        elif path.name[0].isdigit():
+            leftover.unreadable.append(f"{path.name}: is not the name of a segment")
+    return numbered
+
+
+def _reason(error: Exception) -> str:
+    """What is wrong with a segment, in one line and without its path, which the number tells."""
+    if isinstance(error, InputError):
+        return ", ".join([error.message, *([f"found {error.found}"] if error.found else [])])
+    return str(error)
+
+
+def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
+    """The recipe that the recording began with, and its frame in px; InputError if they cannot be told."""
+    path = folder / STATIC
     try:
-        with h5py.File(folder / STATIC, "r") as static:
-            names = list(_check_bytes(static))
-            text = static.attrs.get(RECIPE)
+        try:
+            with _opened(path) as static:
+                text = static.text_attribute(RECIPE)
+                datasets = static.datasets()
+                for name, dataset in datasets.items():
+                    _check_bytes(static, name, dataset)
+                frame = datasets["sensor/frame_px"][:2].tolist() if "sensor/frame_px" in datasets else []
+        except InputError as error:
+            raise ValueError(_reason(error)) from None
         if text is None:
             raise InputError(
                 "it does not say what was recorded",
                 where=str(folder),
                 hint="it was a simulation: run it again",
             )
-        unknown = [name for name in names if schema.load("recording").find(name) is None]
+        known = schema.load("recording")
+        unknown = [name for name in datasets if known.find(name) is None]
         if unknown:
             raise InputError(
                 "recorded by another version of evetac and cannot be joined",
                 where=str(folder),
-                expected=f"datasets of recording version {schema.load('recording').version}",
-                found=", ".join(unknown),
-                hint="the segments are plain HDF5 files: events/t, x, y, p, events_per_slice",
+                expected=f"datasets of recording version {known.version}",
+                found=", ".join(unknown)[:200],
+                hint=PLAIN,
             )
-        recipe = json.loads(str(text))
-        return Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise InputError(
-            f"what was known at the start cannot be read: {error}",
-            where=str(folder / STATIC),
-            hint="the segments beside it are plain HDF5 files: events/t, x, y, p, events_per_slice",
-        ) from None
+        if len(frame) != 2 or not all(1 <= size <= LARGEST_PX for size in frame):
+            raise ValueError(f"sensor/frame_px is {frame or 'missing'}")
+        recipe = read_json(text)
+        made = Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
+        if made.kind != "recording" or made.header()["kind"] != "recording":  # the header shows that it can be made
+            raise ValueError(f"the recipe is of another kind, {str(made.kind)[:60]!r}")
+    except (*DAMAGE, AttributeError) as error:
+        raise InputError(f"what was known at the start cannot be read: {error}", where=str(path), hint=PLAIN) from None
+    return made, (frame[0], frame[1])
 
 
-def _frame(folder: Path) -> tuple[int, int]:
-    with h5py.File(folder / STATIC, "r") as static:
-        width, height = static["sensor/frame_px"][()].tolist()
-    return int(width), int(height)
+@contextmanager
+def _opened(path: Path) -> Iterator[CheckedHdf5]:
+    """A file of the folder; what a recorder wrote lies there itself, so a link to elsewhere is refused."""
+    if path.is_symlink():
+        raise ValueError("is a link, and not what a recorder wrote")
+    with CheckedHdf5(path) as file:
+        yield file
 
 
-def _check_bytes(h5: h5py.File) -> dict[str, Any]:
-    """All arrays of a file; ValueError if the bytes of one are not those that were written."""
-    arrays = {}
-    for name in dataset_paths(h5):
-        value = h5[name][()]
-        if CRC in h5[name].attrs and checksum(value) != int(h5[name].attrs[CRC]):
-            raise ValueError(f"{name} was damaged")
-        arrays[name] = value
-    return arrays
+def _check_bytes(file: CheckedHdf5, name: str, dataset: h5py.Dataset) -> None:
+    """ValueError if the bytes of a dataset are not those that were written."""
+    stored = file.number_attribute(CRC, name)
+    if stored is None or schema.describe_stored(dataset) == "utf8":
+        return
+    now = 0
+    for rows in row_blocks(dataset) if dataset.shape else [dataset[()]]:
+        now = zlib.crc32(np.ascontiguousarray(rows).tobytes(), now)
+    if now != stored:
+        raise ValueError(f"{name} was damaged")
 
 
-def _checked(path: Path, frame: tuple[int, int]) -> _Segment:
-    """Read a segment whole; ValueError if it is not what a recorder wrote."""
-    with h5py.File(path, "r") as h5:
-        first = int(h5.attrs[FIRST_SLICE])
-        arrays = _check_bytes(h5)
-    counts = arrays[COUNTS]
-    columns = [arrays[f"events/{name}"] for name in Events._fields]
-    t, x, y, p = columns
-    if {len(column) for column in columns} != {int(counts.sum())}:
-        raise ValueError("its columns are not as long as it says")
-    in_slice = np.repeat(np.arange(first, first + len(counts)), counts)
-    if (np.diff(t) < 0).any() or (t // SLICE_US != in_slice).any():
-        raise ValueError("its events do not lie in its slices")
-    if (x >= frame[0]).any() or (y >= frame[1]).any() or (p > 1).any():
-        raise ValueError("it holds impossible events")
+def _checked(path: Path, frame: tuple[int, int], row_shapes: dict[str, tuple[int, ...]]) -> _Segment:
+    """Check a segment, block by block; ValueError if it is not what a recorder wrote.
+
+    row_shapes: of each dataset, as the segments before had them; those of this one are added.
+    """
+    with _opened(path) as file:
+        first = file.number_attribute(FIRST_SLICE)
+        datasets = file.datasets()
+        shapes = _row_shapes(datasets, row_shapes)
+        for name, dataset in datasets.items():
+            _check_bytes(file, name, dataset)
+        counts = datasets[COUNTS][()]
+        if first is None or first < 0 or first + len(counts) > LONGEST_SLICES:
+            raise ValueError(f"its first slice is {first}, and it has {len(counts)}")
+        _check_events([datasets[f"events/{name}"] for name in Events._fields], counts, first, frame)
+        table = schema.load("recording")
+        described = {name: table.find(name) for name in datasets if name != COUNTS}
+        every_slice = [
+            name for name, row in described.items() if row is not None and (row.dims or ())[:1] == ("slices",)
+        ]
+        if any(len(datasets[name]) != len(counts) for name in every_slice):
+            raise ValueError("its rows are not as many as its slices")
+        gripper_rows = len(datasets["gripper/t_us"]) if "gripper/t_us" in datasets else 0
+        row_shapes.update(shapes)
+        return _Segment(
+            path,
+            first,
+            len(counts),
+            len(datasets["events/t"]),
+            gripper_rows,
+            all(name == "control/probability" for name in every_slice),
+        )
+
+
+def _row_shapes(datasets: dict[str, h5py.Dataset], before: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """Shape of a row of each dataset; ValueError for one that a recording does not have, or not like this."""
+    missing = [name for name in (COUNTS, *(f"events/{name}" for name in Events._fields)) if name not in datasets]
+    if missing:
+        raise ValueError(f"{missing[0]} is missing, or is no dataset")
     table = schema.load("recording")
-    described = {name: table.find(name) for name in arrays if name != COUNTS}
-    every_slice = [name for name, row in described.items() if row is not None and row.dims and row.dims[0] == "slices"]
-    if any(len(arrays[name]) != len(counts) for name in every_slice):
-        raise ValueError("its rows are not as many as its slices")
-    return _Segment(
-        path,
-        first,
-        len(counts),
-        len(t),
-        len(arrays.get("gripper/t_us", ())),
-        all(name == "control/probability" for name in every_slice),
-    )
+    shapes = {}
+    for name, dataset in datasets.items():
+        row = table.find(name)
+        dtype, dims = ("int64", 1) if name == COUNTS else (row.dtype, len(row.dims or ())) if row else ("", 0)
+        shape = dataset.shape
+        if not dims or schema.describe_stored(dataset) != dtype or shape is None or len(shape) != dims:
+            raise ValueError(f"{name} is not what a recording has: {schema.describe_stored(dataset)} of shape {shape}")
+        shapes[name] = shape[1:]
+        if before.get(name, shape[1:]) != shape[1:]:
+            raise ValueError(f"{name} has rows of shape {shape[1:]}, those before of {before[name]}")
+    return shapes
+
+
+def _check_events(columns: list[h5py.Dataset], counts: NDArray[np.int64], first: int, frame: tuple[int, int]) -> None:
+    """Four columns as long as counted, each event in its slice and in the frame; ValueError if not."""
+    events = len(columns[0])
+    fits = not len(counts) or (counts.min() >= 0 and counts.max() <= events)
+    if not fits or {len(column) for column in columns} != {int(counts.sum())}:
+        raise ValueError("its columns are not as long as it says")
+    ends = np.cumsum(counts)
+    done, last = 0, -1
+    for t in row_blocks(columns[0]):
+        rows = slice(done, done + len(t))
+        x, y, p = (column[rows] for column in columns[1:])
+        in_slice = first + np.searchsorted(ends, np.arange(rows.start, rows.stop), side="right")
+        if len(t) and (t[0] < last or (np.diff(t) < 0).any() or (t // SLICE_US != in_slice).any()):
+            raise ValueError("its events do not lie in its slices")
+        if (x >= frame[0]).any() or (y >= frame[1]).any() or (p > 1).any():
+            raise ValueError("it holds impossible events")
+        done, last = rows.stop, int(t[-1]) if len(t) else last

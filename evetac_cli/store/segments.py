@@ -13,7 +13,7 @@ import json
 import shutil
 import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,8 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.store import schema
-from evetac_cli.store.disk import new_file
+from evetac_cli.store.checked_hdf5 import CheckedHdf5, row_blocks
+from evetac_cli.store.disk import new_file, open_lock
 from evetac_cli.store.files import create, put, put_header, replacing
 from evetac_cli.store.netcdf import describe_dataset
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
@@ -32,9 +33,10 @@ from evetac_cli.store.provenance import ContentDigest, Header, Recipe
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
 SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
 STATIC = "static.h5"
-SEGMENTS = "[0-9]*.h5"
 JOINED = "joined"  # in a folder whose recording is complete, and which was only not removed
 COUNTS = "events_per_slice"
+STARTS = "ms_to_idx"
+BLOCK_ROWS = 1 << 16  # of lost slices, which are written at once
 # Attributes of a segment, of its datasets, and of STATIC.
 FIRST_SLICE = "first_slice"
 CRC = "crc32"
@@ -81,7 +83,7 @@ class RecordingWriter:
         """Make the folder ours; a lock tells a recording in progress from one that broke off."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = open(self.folder / "lock", "w")  # noqa: SIM115 - held until finish() or discard()
+            self._lock = open_lock(self.folder / "lock")  # held until finish() or discard()
         except (FileExistsError, NotADirectoryError):
             raise InputError("the output folder is a file", where=str(self.folder)) from None
         except OSError as error:
@@ -138,14 +140,17 @@ class RecordingWriter:
         With `from_device`, the digest of the stored arrays enters the recipe: such a recording cannot be made again.
         """
         self.close_segment()
-        header = join(self.folder, self.path, recipe, late or {}, from_device=from_device)
+        parts = [self.folder / f"{number:06d}.h5" for number in range(self._segments)]
+        header = join(self.folder, self.path, recipe, late or {}, parts, from_device=from_device)
         with suppress(OSError):  # on a full disk; then the next lines have not much to do
             (self.folder / JOINED).touch()
         self.discard()
         return header
 
     def leave(self) -> None:
-        """Let go of the folder as it is: what is in it waits for `evetac repair`."""
+        """Let go of the folder: what is in it waits for `evetac repair`; without a segment it goes."""
+        if self._segments == 0:
+            self.discard()
         self._lock.close()
 
     def discard(self) -> None:
@@ -202,9 +207,9 @@ def checksum(value: Any) -> int:
 def _repairable(folder: Path) -> bool:
     """Whether a left-over folder says what was recorded in it."""
     try:
-        with h5py.File(folder / STATIC, "r") as static:
-            return RECIPE in static.attrs
-    except OSError:
+        with CheckedHdf5(folder / STATIC) as static:
+            return static.text_attribute(RECIPE) is not None
+    except InputError:
         return False
 
 
@@ -213,50 +218,50 @@ def join(
     path: Path,
     recipe: Recipe,
     late: Mapping[str, Any],
+    parts: Sequence[Path | int],
     *,
     from_device: bool,
-    parts: Sequence[Path | int] | None = None,
 ) -> Header:
-    """Join the segments of NAME.part/ into one recording, a segment at a time (memory does not grow with length).
+    """Join segments of NAME.part/ into one recording, block by block: memory does not grow with its length.
 
-    parts: the segments to join, all if not given; a number stands for so many slices that were lost: they are empty,
-    and what is stored of every slice is NaN there.
+    parts: the segments in their order; a number stands for so many slices that were lost: they are empty, and what is
+    stored of every slice is NaN there.
     """
-    if parts is None:
-        parts = sorted(folder.glob(SEGMENTS))
     per_slice = _float_of_every_slice(parts)
     digest = ContentDigest()
-    counts: list[Any] = []
+    events = 0
     written: dict[str, tuple[str, tuple[int, ...]]] = {}
     with replacing(path) as h5:
-        with h5py.File(folder / STATIC, "r") as static:
-            whole = {name: static[name] for name in dataset_paths(static)}
-            for name, dataset in whole.items():
-                value = dataset.asstr()[()] if schema.describe_stored(dataset) == "utf8" else dataset[()]
+        with CheckedHdf5(folder / STATIC) as static:
+            for name, dataset in static.datasets().items():
+                is_text = schema.describe_stored(dataset) == "utf8"
+                value = static.text(name, dataset) if is_text else dataset[()]
                 _put_whole(h5, name, value, digest, written)
         for name, value in late.items():
             _put_whole(h5, name, value, digest, written)
+        _put_more(h5, STARTS, np.zeros(1, np.int64), digest, written)
         for part in parts:
             if isinstance(part, int):
-                counts.append(np.zeros(part, np.int64))
-                for name, (dtype, row_shape) in per_slice.items():
-                    _put_more(h5, name, np.full((part, *row_shape), np.nan, dtype), digest, written)
+                for count in _in_blocks(part):
+                    _put_more(h5, STARTS, np.full(count, events, np.int64), digest, written)
+                    for name, (dtype, row_shape) in per_slice.items():
+                        _put_more(h5, name, np.full((count, *row_shape), np.nan, dtype), digest, written)
                 continue
-            with h5py.File(part, "r") as segment:
-                for name in dataset_paths(segment):
-                    rows = segment[name][()]
-                    if name == COUNTS:
-                        counts.append(rows)
-                    else:
-                        _put_more(h5, name, rows, digest, written)
+            with CheckedHdf5(part) as segment:
+                for name, dataset in segment.datasets().items():
+                    for rows in row_blocks(dataset):
+                        if name != COUNTS:
+                            _put_more(h5, name, rows, digest, written)
+                        else:
+                            ends = events + np.cumsum(rows)
+                            _put_more(h5, STARTS, ends.astype(np.int64), digest, written)
+                            events = int(ends[-1]) if len(ends) else events
         table = schema.load("recording")
         for column in Events._fields:  # a recording without a single slice still has its columns
             name = f"events/{column}"
             described = table.find(name)
             if name not in h5 and described is not None:
                 _put_whole(h5, name, np.empty(0, described.dtype), digest, written)
-        starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))]) if counts else np.zeros(1)
-        _put_whole(h5, "ms_to_idx", starts.astype(np.int64), digest, written)
         schema.refuse("recording", schema.problems(table, written), str(folder))
         if from_device:
             recipe = Recipe(**{**vars(recipe), "seed": None, "content": digest.hexdigest()})
@@ -265,14 +270,20 @@ def join(
     return header
 
 
+def _in_blocks(count: int) -> Iterator[int]:
+    """Numbers of at most BLOCK_ROWS that add up to `count`."""
+    for start in range(0, count, BLOCK_ROWS):
+        yield min(BLOCK_ROWS, count - start)
+
+
 def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, tuple[int, ...]]]:
     """Name -> (dtype, shape of a row) of what segments hold of every slice beside events, as far as it may be NaN."""
     table = schema.load("recording")
     first = next((part for part in parts if isinstance(part, Path)), None)
     if first is None or len(parts) < 2:
         return {}
-    with h5py.File(first, "r") as segment:
-        columns = {name: (segment[name].dtype, segment[name].shape[1:]) for name in dataset_paths(segment)}
+    with CheckedHdf5(first) as segment:
+        columns = {name: (dataset.dtype, dataset.shape[1:]) for name, dataset in segment.datasets().items()}
     described = {name: table.find(name) for name in columns}
     return {
         name: columns[name]
@@ -300,10 +311,3 @@ def _put_whole(
     put(h5, name, value)
     digest.update(name, value)
     written[name] = schema.describe(value)
-
-
-def dataset_paths(h5: h5py.File) -> list[str]:
-    """Paths of all datasets of a file, in any of its groups."""
-    names: list[str] = []
-    h5.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
-    return names

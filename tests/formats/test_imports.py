@@ -478,7 +478,7 @@ def test_links_to_elsewhere_are_not_followed(dsec: Callable[..., Path], tmp_path
         (tmp_path / "raw").write_bytes(b"\0\1\0")
         file.create_dataset("events/p", (3,), "u1", external=[(str(tmp_path / "raw"), 0, 3)])
 
-    assert "`p` is a link" in refusal(dsec(link, p=None), frame_px=FRAME)
+    assert "`events/p` is a link" in refusal(dsec(link, p=None), frame_px=FRAME)
     assert "lies in another file" in refusal(dsec(external, p=None), frame_px=FRAME)
 
 

@@ -6,8 +6,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -134,7 +136,7 @@ def test_kill_while_joining(tmp_path: Path) -> None:
 def test_nothing_to_repair(tmp_path: Path) -> None:
     """Assert that a folder without a segment, and what is no folder, are refused in words; an empty search is none."""
     writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False, recipe=RECIPE)
-    writer.leave()
+    writer._lock.close()  # as if it had been killed
     assert "no slice of it can be read" in str(repair.run([writer.folder]).rows[0]["fault"])
     with pytest.raises(InputError, match="no such file"):
         repair.run([tmp_path / "nothing"])
@@ -194,3 +196,177 @@ def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path
         assert all((one == other).all() for one, other in zip(whole, part, strict=True))
     with StageFile(output) as file, StageFile(made.recordings[0]) as parent:
         assert file.header["parents"] == [parent.header["id"]]
+
+
+def test_m5_a_segment_with_a_huge_number_ends_in_words(tmp_path: Path) -> None:
+    """Assert that a file whose name is a number that no recording reaches is one line, not a wait without end."""
+    folder = broken_off(tmp_path, [2, 3])
+    (folder / "99999999999.h5").touch()
+    run = [sys.executable, "-m", "evetac_cli", "repair", str(folder), "--json"]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
+    (row,) = json.loads(done.stdout)["rows"]
+    assert (done.returncode, row["status"], row["slices_kept"], row["slices_lost"]) == (0, "repaired", 5, 0)
+    assert "99999999999" in row["unreadable"]
+    assert len(row["unreadable"]) < 500
+
+
+def empty_dataset(h5: h5py.File) -> None:
+    del h5["events_per_slice"]
+    h5["events_per_slice"] = h5py.Empty("int64")
+
+
+def group_for_a_dataset(h5: h5py.File) -> None:
+    del h5["events/t"]
+    h5.create_group("events/t")
+
+
+def scalar_for_a_column(h5: h5py.File) -> None:
+    del h5["events/x"]
+    h5["events/x"] = np.uint16(3)
+
+
+def more_than_the_memory(h5: h5py.File) -> None:
+    del h5["events/t"]
+    h5.create_dataset("events/t", (2**50,), np.int64, chunks=(4096,))
+
+
+def counts_without_end(h5: h5py.File) -> None:
+    h5["events_per_slice"][0] = 2**62
+    h5["events_per_slice"].attrs["crc32"] = segments.checksum(h5["events_per_slice"][()])
+
+
+def far_in_the_future(h5: h5py.File) -> None:
+    """A segment without an event, so that no time contradicts its place."""
+    h5.attrs["first_slice"] = 2**40
+    h5["events_per_slice"][...] = 0
+    h5["events_per_slice"].attrs["crc32"] = segments.checksum(h5["events_per_slice"][()])
+    for name in "txyp":
+        dtype = h5[f"events/{name}"].dtype
+        del h5[f"events/{name}"]
+        h5[f"events/{name}"] = np.empty(0, dtype)
+
+
+SEGMENTS = [
+    empty_dataset,
+    group_for_a_dataset,
+    scalar_for_a_column,
+    more_than_the_memory,
+    counts_without_end,
+    far_in_the_future,
+]
+
+
+@pytest.mark.parametrize("change", SEGMENTS, ids=lambda change: change.__name__)
+def test_m4_a_senseless_segment_is_left_out_in_words(tmp_path: Path, change: Callable[[h5py.File], None]) -> None:
+    """Assert that a segment that no recorder wrote is named with what is wrong, and the others are kept."""
+    folder = broken_off(tmp_path, [2, 3, 4])
+    with h5py.File(folder / "000002.h5", "r+") as h5:
+        change(h5)
+    (row,) = repair.run([folder]).rows
+    assert (row["status"], row["slices_kept"], row["segments_unreadable"]) == ("repaired", 5, 1)
+    assert "000002: " in str(row["unreadable"])
+
+
+def test_m4_a_start_without_a_frame_ends_in_words(tmp_path: Path) -> None:
+    """Assert that a folder that does not say how large the frame is is reported, and kept."""
+    folder = broken_off(tmp_path, [2])
+    with h5py.File(folder / "static.h5", "r+") as h5:
+        del h5["sensor/frame_px"]
+    (row,) = repair.run([folder]).rows
+    assert "frame_px" in str(row["fault"])
+    assert folder.is_dir()
+
+
+def a_link(path: Path) -> None:
+    path.rename(path.with_name("moved"))
+    path.symlink_to(path.with_name("moved"))
+
+
+def a_link_to_a_device(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("/dev/zero")
+
+
+def a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+ODD_FILES = [a_link, a_link_to_a_device, a_pipe, a_folder]
+
+
+@pytest.mark.parametrize("odd", ODD_FILES, ids=lambda odd: odd.__name__)
+@pytest.mark.parametrize("name", ["000001.h5", "static.h5", "lock"])
+def test_odd_files_in_a_leftover_end_in_words(tmp_path: Path, odd: Callable[[Path], None], name: str) -> None:
+    """Assert that what is no file of a recorder is not followed, waited for or read, whichever file it stands for."""
+    folder = broken_off(tmp_path, [2, 3])
+    odd(folder / name)
+    (row,) = repair.run([folder]).rows
+    if name == "000001.h5":
+        assert (row["slices_kept"], row["segments_unreadable"]) == (2, 1)
+        assert "000001: " in str(row["unreadable"])
+    else:
+        assert row["status"] == "not repaired"
+        assert folder.is_dir()
+
+
+@pytest.mark.parametrize("odd", ODD_FILES, ids=lambda odd: odd.__name__)
+def test_odd_locks_do_not_hold_a_recording_up(tmp_path: Path, odd: Callable[[Path], None]) -> None:
+    """Assert that a recording does not begin where its lock leads elsewhere, and does not wait for a pipe."""
+    folder = tmp_path / "a.recording.part"
+    folder.mkdir()
+    (folder / "lock").touch()
+    odd(folder / "lock")
+    with pytest.raises(InputError, match="cannot be made"):
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+
+
+def test_odd_names_in_a_leftover_are_named(tmp_path: Path) -> None:
+    """Assert that names that only look like those of segments are no segments, and missing ones are one line."""
+    folder = broken_off(tmp_path, [2, 3])
+    for name in ("7.h5", "0000000.h5", "12abc.h5", "\u0663\u0663.h5", "000009.h5", "1" * 200 + ".h5"):
+        (folder / name).touch()
+    (row,) = repair.run([folder]).rows
+    assert (row["status"], row["slices_kept"]) == ("repaired", 5)
+    assert "000002 to 000008 are missing" in str(row["unreadable"])
+    assert str(row["unreadable"]).count("is not the name of a segment") == 4
+
+
+def test_a_link_to_a_leftover_is_not_repaired(tmp_path: Path) -> None:
+    """Assert that a link in place of the folder is named as one, and nothing behind it is removed."""
+    folder = broken_off(tmp_path, [2])
+    (tmp_path / "b.recording.part").symlink_to(folder)
+    (row,) = repair.run([tmp_path / "b.recording.part"]).rows
+    assert "this is a link" in str(row["fault"])
+    assert (folder / "000000.h5").exists()
+
+
+SENSELESS_RECIPES = [
+    "[" * 100_000,
+    "{}",
+    "[1]",
+    '{"kind": "recording", "method": 1, "parameters": {}, "parents": [1]}',
+    '{"kind": "recording", "method": 1, "parameters": {}, "parents": [{}]}',
+    '{"kind": "recording", "method": 1, "parameters": ' + '{"a":' * 200 + "1" + "}" * 200 + ', "parents": []}',
+    '{"kind": "labels", "method": 1, "parameters": {}, "parents": []}',
+    '{"kind": ["recording"], "method": 1, "parameters": {}, "parents": []}',
+    '{"kind": "recording", "method": 1, "parameters": {}, "parents": [], "seed": 1' + "0" * 5000 + "}",
+    '{"kind": "recording", "method": NaN, "parameters": {}, "parents": []}',
+]
+
+
+@pytest.mark.parametrize("recipe", SENSELESS_RECIPES, ids=lambda text: text[:60])
+def test_m4_a_senseless_recipe_ends_in_words(tmp_path: Path, recipe: str) -> None:
+    """Assert that a folder whose recipe was edited is reported, and kept."""
+    folder = broken_off(tmp_path, [2])
+    with h5py.File(folder / "static.h5", "r+") as h5:
+        h5.attrs["recipe"] = recipe
+    (row,) = repair.run([folder]).rows
+    assert "cannot be read" in str(row["fault"])
+    assert len(str(row["fault"])) < 1000
+    assert folder.is_dir()

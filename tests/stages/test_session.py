@@ -2,13 +2,17 @@
 
 import os
 import signal
+import subprocess
+import sys
 from array import array
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from evetac_cli.errors import DeviceError, attached_outcome
 from evetac_cli.jobs import Outcome
+from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import session
 
 RESULT = Outcome([{"slices": 3}], simulated=False)
@@ -62,3 +66,34 @@ def test_json_has_no_nan() -> None:
         "a": [1.0, None, [None]],
         "b": "c",
     }
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.stages import session
+from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.segments import RecordingWriter
+
+static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "e", "t_offset": np.int64(0)}
+recipe = Recipe("recording", 1, {})
+writer = RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False, recipe=recipe)
+count = 100000
+t = np.sort(np.random.default_rng(0).integers(0, 1000, count))
+writer.append(Events(t, *(np.ones(count, kind) for kind in ("u2", "u2", "u1"))))
+resource.setrlimit(resource.RLIMIT_FSIZE, (20000, resource.RLIM_INFINITY))
+try:
+    session.finish(writer, recipe, {})
+except InputError as error:
+    print("File too large" in str(error), "evetac repair" in str(error), writer.folder.exists())
+"""
+
+
+def test_low_a_full_disk_before_the_first_segment_advises_no_repair(tmp_path: Path) -> None:
+    """Assert that where nothing of a recording is on disk, no folder stays and nobody is sent to repair it."""
+    run = [sys.executable, "-c", FULL_DISK, str(tmp_path / "a.recording.h5")]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
+    assert (done.stdout, done.stderr) == ("True False False\n", "")

@@ -1,6 +1,7 @@
 """What a recording that broke off left: whole segments are told from damaged ones, and a gap stays a gap in time."""
 
 import json
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +168,7 @@ def test_recording_in_progress_is_left_alone(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False, recipe=RECIPE)
     with pytest.raises(InputError, match="in progress"), recovery.held(writer.folder):
         pass
-    writer.leave()
+    writer._lock.close()  # as if it had been killed
     with recovery.held(writer.folder):
         pass
     with pytest.raises(InputError, match="no such file"), recovery.held(tmp_path / "b.recording.part"):
@@ -201,3 +202,27 @@ def test_leftover_of_the_first_layout(tmp_path: Path, monkeypatch: pytest.Monkey
         recovery.read_leftover(folder)
     assert "sensor/individual" in str(refused.value)
     assert (folder / "000000.h5").exists()
+
+
+@pytest.mark.parametrize(("events", "lost_slices"), [(3_000_000, 0), (10, 5_000_000)])
+def test_m11_repair_takes_no_memory_for_the_length(tmp_path: Path, events: int, lost_slices: int) -> None:
+    """Assert that neither a segment of many events nor a long gap is ever in memory as a whole."""
+    folder = broken_off(tmp_path, [1])
+    t = np.sort(np.random.default_rng(0).integers(1000, 2000, events))
+    x, y, p = (np.ones(events, kind) for kind in (np.uint16, np.uint16, np.uint8))
+    with h5py.File(folder / "000001.h5", "w") as h5:
+        h5.attrs[segments.FIRST_SLICE] = 1 + lost_slices
+        h5[segments.COUNTS] = np.array([events])
+        for name, column in zip(Events._fields, (t + 1000 * lost_slices, x, y, p), strict=True):
+            h5[f"events/{name}"] = column
+    del t, x, y, p
+    tracemalloc.start()
+    try:
+        leftover = recovery.read_leftover(folder)
+        output = tmp_path / "a.recording.h5"
+        segments.join(folder, output, leftover.recipe, {"capture/ended": "x"}, parts=leftover.parts, from_device=True)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert (leftover.slices, leftover.events) == (2 + lost_slices, 3 + events)
+    assert most < 30e6
