@@ -239,3 +239,75 @@ def test_close_waits_for_another_threads_command(fresh: VirtualGripper) -> None:
 def test_nothing_is_reset_to_factory_values(gripper: VirtualGripper) -> None:
     """Assert that in all that was done to this gripper there is no factory reset."""
     assert Instruction.FACTORY_RESET not in gripper.instructions()
+
+
+BEFORE_A_COMMAND = """
+import sys, time
+from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
+settings = RhP12RnSettings(answer_ms=200, watchdog_ms=500, max_current_ma=100)
+driver = RhP12Rn(sys.argv[1], 2_000_000, sys.argv[2], settings)
+print("ready", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("mode", ["current", "position"])
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGSTOP, signal.SIGQUIT, signal.SIGABRT, signal.SIGSEGV])
+def test_h1_no_torque_stays_on_where_a_program_dies_before_its_first_command(
+    fresh: VirtualGripper, mode: str, ending: signal.Signals
+) -> None:
+    """Assert that a program that opened the gripper and then died or was stopped leaves no torque without a watchdog."""
+    command = [sys.executable, "-c", BEFORE_A_COMMAND, fresh.port, mode]
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == b"ready\n"
+        program.send_signal(ending)
+        time.sleep(0.1)
+        torque, watchdog = (fresh.read_register(name) for name in ("Torque Enable", "Bus Watchdog"))
+        program.kill()
+    assert torque == 0 or watchdog != 0
+
+
+@pytest.mark.parametrize("mode", ["current", "position"])
+def test_h1_the_watchdog_is_armed_before_torque(
+    fresh: VirtualGripper, monkeypatch: pytest.MonkeyPatch, mode: Any
+) -> None:
+    """Assert that torque is switched on with the watchdog running, no current as the goal, and where the fingers are."""
+    at_torque: list[tuple[int, int, int]] = []
+    write = Bus.write
+
+    def watched(bus: Bus, name: str, value: int) -> None:
+        if (name, value) == ("Torque Enable", 1):
+            registers = [fresh.read_register(each) for each in ("Bus Watchdog", "Goal Current", "Goal Position")]
+            registers[2] -= fresh.read_register("Present Position")
+            at_torque.append((registers[0], registers[1], registers[2] if mode == "position" else 0))
+        write(bus, name, value)
+
+    monkeypatch.setattr(Bus, "write", watched)
+    with RhP12Rn(fresh.port, mode=mode, settings=SLOW) as driver:
+        if mode == "current":
+            driver.write_current(5)
+        else:
+            driver.write_position(driver.read().position_ticks + 2)
+        assert fresh.read_register("Torque Enable") == 1
+    assert at_torque == [(SLOW.watchdog_ms // 20, 0, 0)]
+
+
+def test_h1_a_tripped_gripper_does_not_grip_again_while_it_is_opened() -> None:
+    """Assert that what a dead program left on, its watchdog tripped, has no current at any moment of a new start."""
+    left = {"Torque Enable": 1, "Bus Watchdog": -1, "Operating Mode": 0, "Goal Current": 300}
+    with VirtualGripper(registers=left) as gripper:
+        seen: list[tuple[int, int]] = []
+        write = Bus.write
+
+        class Watched(Bus):
+            def write(self, name: str, value: int) -> None:
+                write(self, name, value)
+                seen.append((gripper.read_register("Torque Enable"), gripper.read_register("Bus Watchdog")))
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("evetac_cli.devices.rh_p12_rn.driver.Bus", Watched)
+            RhP12Rn(gripper.port, settings=SLOW).close()
+        assert seen
+        assert (1, 0) not in seen
