@@ -103,7 +103,7 @@ def test_unplugging_is_said_and_stops_the_gripper() -> None:
     """Assert that a port that goes away is an error in words at once, and that the watchdog takes the current."""
     with VirtualGripper(faults=["unplug@0.2"]) as gripper:
         driver = RhP12Rn(gripper.port, settings=QUICK)
-        with pytest.raises(PortGone, match=r"port is gone(.|\n)*watchdog stops it after 1000 ms"):
+        with pytest.raises(PortGone, match=r"port is gone(.|\n)*watchdog stops the motor 1000 ms after"):
             while True:
                 cycles(driver, 1)
         driver.close()
@@ -121,7 +121,7 @@ def test_a_dead_gripper_is_a_timeout() -> None:
         driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=100, watchdog_ms=1000))
         cycles(driver, 2)
         gripper.inject("lost-answer%100")
-        with pytest.raises(DeviceTimeout, match=r"no answer(.|\n)*could not be switched off; its watchdog stops it"):
+        with pytest.raises(DeviceTimeout, match=r"no answer(.|\n)*could not be read back as off: (.|\n)*watchdog stops the motor"):
             cycles(driver, 1)
         driver.close()
         assert gripper.read_register("Torque Enable") == 0  # it heard, but could not say so
@@ -256,7 +256,7 @@ time.sleep(600)
 def test_h1_no_torque_stays_on_where_a_program_dies_before_its_first_command(
     fresh: VirtualGripper, mode: str, ending: signal.Signals
 ) -> None:
-    """Assert that a program that opened the gripper and then died or was stopped leaves no torque without a watchdog."""
+    """Assert that a program that opened the gripper and then died or stood still leaves no torque unwatched."""
     command = [sys.executable, "-c", BEFORE_A_COMMAND, fresh.port, mode]
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as program:
@@ -273,7 +273,7 @@ def test_h1_no_torque_stays_on_where_a_program_dies_before_its_first_command(
 def test_h1_the_watchdog_is_armed_before_torque(
     fresh: VirtualGripper, monkeypatch: pytest.MonkeyPatch, mode: Any
 ) -> None:
-    """Assert that torque is switched on with the watchdog running, no current as the goal, and where the fingers are."""
+    """Assert that at the moment of torque the watchdog runs, and goals are no current and where the fingers are."""
     at_torque: list[tuple[int, int, int]] = []
     write = Bus.write
 
