@@ -6,12 +6,14 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus, PortGone
+from evetac_cli.devices.rh_p12_rn.torque import release
 from evetac_cli.devices.virtual.dynamixel_frames import Instruction
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
@@ -121,7 +123,9 @@ def test_a_dead_gripper_is_a_timeout() -> None:
         driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=100, watchdog_ms=1000))
         cycles(driver, 2)
         gripper.inject("lost-answer%100")
-        with pytest.raises(DeviceTimeout, match=r"no answer(.|\n)*could not be read back as off: (.|\n)*watchdog stops the motor"):
+        with pytest.raises(
+            DeviceTimeout, match=r"no answer(.|\n)*could not be read back as off: (.|\n)*watchdog stops the motor"
+        ):
             cycles(driver, 1)
         driver.close()
         assert gripper.read_register("Torque Enable") == 0  # it heard, but could not say so
@@ -311,3 +315,107 @@ def test_h1_a_tripped_gripper_does_not_grip_again_while_it_is_opened() -> None:
             RhP12Rn(gripper.port, settings=SLOW).close()
         assert seen
         assert (1, 0) not in seen
+
+
+# Words, and the emergency key
+
+
+@pytest.fixture
+def half_open() -> Iterator[VirtualGripper]:
+    """A gripper whose fingers can still open."""
+    with VirtualGripper() as gripper:
+        yield gripper
+
+
+def test_words_say_what_was_read_back(fresh: VirtualGripper) -> None:
+    """Assert that the driver says before, while and after it drove the gripper what is known of torque."""
+    driver = RhP12Rn(fresh.port, settings=SLOW)
+    assert driver.release_words == "torque is off: no command was given yet"
+    driver.write_current(5)
+    assert driver.release_words == "torque is on"
+    driver.close()
+    assert driver.release_words == "torque is off (read back)"
+
+
+def test_words_where_nothing_can_be_read_back() -> None:
+    """Assert that a port that is gone is said so, with what the watchdog does and what is left behind."""
+    with VirtualGripper() as gripper:
+        driver = RhP12Rn(gripper.port, settings=QUICK)
+        driver.write_current(5)
+        gripper.inject("unplug")
+        with pytest.raises(DeviceError, match=r"watchdog stops the motor 1000 ms after the last instruction"):
+            driver.close()
+        assert driver.release_words.startswith("torque could not be read back as off: ")
+        assert "the port is gone" in driver.release_words
+        assert driver.release_words.endswith("Torque Enable stays 1 until the next start")
+
+
+def test_words_where_torque_was_never_on() -> None:
+    """Assert that a gripper that was lost before its first command is not said to be stopped by its watchdog."""
+    with VirtualGripper() as gripper:
+        driver = RhP12Rn(gripper.port, settings=QUICK)
+        gripper.inject("unplug")
+        with pytest.raises(DeviceError):
+            driver.close()
+        assert driver.release_words.endswith("this program never switched it on")
+
+
+@pytest.mark.parametrize("mode", ["current", "position"])
+def test_emergency_opening_is_bounded_and_ends_without_torque(half_open: VirtualGripper, mode: Any) -> None:
+    """Assert that it opens with no more than the current asked for, and then is off and closed to other commands."""
+    driver = RhP12Rn(half_open.port, mode=mode, settings=SLOW)
+    start = driver.read().position_ticks
+    command = driver.write_current if mode == "current" else driver.write_position
+    command(50 if mode == "current" else start + 5)
+    seen_ma = []
+    put = RhP12Rn._put
+
+    def watched(self: RhP12Rn, goals: Any) -> None:
+        put(self, goals)
+        seen_ma.append(abs(half_open.read_register("Goal Current")))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RhP12Rn, "_put", watched)
+        driver.emergency_open(80, 1.0)
+    assert set(seen_ma) == {80}
+    assert driver.release_words == "torque is off (read back)"
+    assert is_off(half_open)
+    assert half_open.read_register("Present Position") < start
+    with pytest.raises(DeviceError, match="is closed"):
+        command(10)
+
+
+def test_emergency_opening_of_a_gripper_that_was_never_commanded(half_open: VirtualGripper) -> None:
+    """Assert that it opens then too, and refuses what is no bound."""
+    driver = RhP12Rn(half_open.port, settings=SLOW)
+    for current_ma, seconds in ((0, 0.5), (100, 0.0), (100, 11.0), (100, float("nan"))):
+        with pytest.raises(ValueError, match="expected 1 mA or more"):
+            driver.emergency_open(current_ma, seconds)
+    start = driver.read().position_ticks
+    driver.emergency_open(seconds=1.0)
+    assert half_open.read_register("Present Position") < start
+    assert is_off(half_open)
+
+
+def test_emergency_opening_on_a_broken_line_says_so() -> None:
+    """Assert that a port that goes away meanwhile is an error with what is known of torque."""
+    with VirtualGripper() as gripper:
+        driver = RhP12Rn(gripper.port, settings=QUICK)
+        driver.write_current(5)
+        gripper.inject("unplug")
+        with pytest.raises(DeviceError, match=r"gone(.|\n)*then: +torque could not be read back"):
+            driver.emergency_open()
+        driver.close()
+
+
+def test_torque_of_a_dead_program_is_switched_off_and_read_back(fresh: VirtualGripper) -> None:
+    """Assert that another process ends what a killed one left, in words; and says so where the port is still held."""
+    assert run_program(fresh, signal.SIGKILL) == -signal.SIGKILL
+    assert fresh.read_register("Torque Enable") == 1
+    assert release(fresh.port, 2_000_000, answer_ms=2000) == "torque is off (read back)"
+    assert is_off(fresh)
+    with RhP12Rn(fresh.port, settings=SLOW) as driver:
+        driver.write_current(3)
+        words = release(fresh.port, 2_000_000, watchdog_ms=60)
+        assert "could not be read back as off" in words and "in use" in words
+        assert "stops the motor 60 ms after the last instruction" in words
