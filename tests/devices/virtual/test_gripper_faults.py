@@ -15,12 +15,44 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus, PortGone
 from evetac_cli.devices.rh_p12_rn.torque import release
 from evetac_cli.devices.virtual.dynamixel_frames import Instruction
+from evetac_cli.devices.virtual.faults import GRIPPER_FAULTS
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.resources import PACKAGE
 from tests.conftest import SLOW, is_off
 
+COUNTED = ("answers_stray", "answers_lost", "answers_damaged")
 QUICK = RhP12RnSettings(answer_ms=250, watchdog_ms=1000)  # where answers are lost on purpose
+
+
+# How a driver sees each fault: as an error in these words, or as a loss that it counts.
+SEEN_AS = {
+    "late-answer": "answers_stray",
+    "lost-answer": "answers_lost",
+    "bad-crc": "answers_damaged",
+    "watchdog": "bus watchdog has tripped",
+    "overload": "hardware error: overload",
+    "unplug": "the port is gone|there is no such port",
+}
+
+
+@pytest.mark.parametrize("moment", ["", "@0", "@0.3"])
+@pytest.mark.parametrize("fault", GRIPPER_FAULTS)
+def test_m10_a_fault_strikes_when_it_is_asked_for(fault: str, moment: str) -> None:
+    """Assert that each fault is seen by the driver, also where it is asked for at once or at second 0."""
+    seen = SEEN_AS[fault]
+    with VirtualGripper(faults=[fault + moment]) as gripper:
+        until_s = time.monotonic() + 30.0
+        if seen in COUNTED:
+            with RhP12Rn(gripper.port, settings=QUICK) as driver:
+                while driver.counted[seen] == 0 and time.monotonic() < until_s:
+                    cycles(driver, 1)
+            assert driver.counted[seen] >= 1
+            return
+        with pytest.raises(DeviceError, match=seen):
+            driver = RhP12Rn(gripper.port, settings=QUICK)
+            while time.monotonic() < until_s:
+                cycles(driver, 1)
 
 
 def cycles(driver: RhP12Rn, count: int) -> None:
