@@ -87,8 +87,9 @@ class Record(Trials):
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1; none; or its PORT or PORT@BAUD; default: that of"
-        " the camera, or none.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1+lost-answer%2 (late-answer, lost-answer, bad-crc,"
+        " watchdog, overload, unplug; @SECONDS after torque first went on); none; or its PORT or PORT@BAUD; default:"
+        " that of the camera, or none.",
         recipe=False,
     )
     seconds: float | None = parameter(
@@ -485,7 +486,10 @@ class Grasp(Trials):
         recipe=False,
     )
     gripper: str | None = parameter(
-        None, "Gripper: sim, virtual, or its PORT or PORT@BAUD; default: that of the camera.", recipe=False
+        None,
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (README, Hardware, lists them); or its PORT or"
+        " PORT@BAUD; default: that of the camera.",
+        recipe=False,
     )
     calibration: Path | None = parameter(
         None, "Devices: dot grid (JSON) of the sensor; default: what a virtual world says.", recipe=False

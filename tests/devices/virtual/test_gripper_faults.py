@@ -48,11 +48,13 @@ def test_m10_a_fault_strikes_when_it_is_asked_for(fault: str, moment: str) -> No
                 while driver.counted[seen] == 0 and time.monotonic() < until_s:
                     cycles(driver, 1)
             assert driver.counted[seen] >= 1
+            assert gripper.faults_struck() == {fault: 1}
             return
         with pytest.raises(DeviceError, match=seen):
             driver = RhP12Rn(gripper.port, settings=QUICK)
             while time.monotonic() < until_s:
                 cycles(driver, 1)
+        assert gripper.faults_struck() == {fault: 1}
 
 
 def cycles(driver: RhP12Rn, count: int) -> None:
