@@ -546,7 +546,8 @@ class Export:
 class Doctor:
     """Find cameras and grippers, and say of each what is wrong and the command that mends it; changes nothing.
 
-    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong.
+    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong. With --hardware
+    it tries a camera and a gripper step by step, moves the fingers a little, and writes a report.
     """
 
     print_udev: bool = parameter(False, "Print udev rules and where to put them, and do nothing else.", recipe=False)
@@ -555,6 +556,17 @@ class Doctor:
         "Examine this port too, with or without @BAUD. By itself it only talks to ports of FTDI adapters (U2D2).",
         recipe=False,
     )
+    hardware: bool = parameter(
+        False,
+        "First contact: try --camera and --gripper step by step, with at most 20 mA; stops, torque off, at the first"
+        " step that is not as expected.",
+        recipe=False,
+    )
+    camera: str | None = parameter(
+        None, "--hardware: camera to try: dvxplorer, dvxplorer:SERIAL, dv, dv:SERIAL, or virtual.", recipe=False
+    )
+    arm: bool = parameter(False, "--hardware: move a real gripper.", recipe=False)
+    yes: bool = parameter(False, "--hardware: do not ask before the fingers move.", recipe=False)
 
 
 def recipe_of(params: Any) -> dict[str, Any]:

@@ -75,6 +75,7 @@ class Torque:
                 if (found := bus.read("Torque Enable")) == 0:
                     with contextlib.suppress(DeviceError):
                         bus.write("Bus Watchdog", 0)
+                        bus.write("Goal Current", 0)  # refused before, if the watchdog had tripped
                     self._state, self.words = "off", IS_OFF
                     return True
                 why = f"Torque Enable reads {found}, though 0 was written"
