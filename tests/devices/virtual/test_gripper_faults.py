@@ -207,6 +207,28 @@ def test_watchdog_stops_the_gripper_of_a_killed_program(fresh: VirtualGripper) -
     assert (fresh.read_register("Bus Watchdog"), fresh.read_register("Present Current")) == (-1, 0)
 
 
+def test_a_program_that_was_stopped_does_not_grip_again(fresh: VirtualGripper) -> None:
+    """Assert that after SIGSTOP the watchdog takes the current, and after SIGCONT the program ends, torque off."""
+    command = [sys.executable, "-c", PROGRAM, fresh.port, "go"]
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == b"ready\n"
+        program.send_signal(signal.SIGSTOP)
+        deadline_s = time.monotonic() + 20
+        while fresh.read_register("Bus Watchdog") != -1 and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        time.sleep(0.05)
+        assert (fresh.read_register("Torque Enable"), fresh.read_register("Present Current")) == (1, 0)
+        before = fresh.read_register("Present Position")
+        program.send_signal(signal.SIGCONT)
+        said = program.communicate(timeout=60)[1].decode()
+    assert program.returncode == 1
+    assert "bus watchdog has tripped" in said and "torque is off (read back)" in said
+    assert is_off(fresh)
+    assert fresh.read_register("Present Position") == before
+
+
 def run_program(gripper: VirtualGripper, ending: Any) -> int:
     """Exit code of PROGRAM, ended by itself (a word) or by a signal once it commands the gripper."""
     command = [sys.executable, "-c", PROGRAM, gripper.port, ending if isinstance(ending, str) else "go"]
