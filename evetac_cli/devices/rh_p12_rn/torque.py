@@ -53,11 +53,11 @@ class Torque:
         if goal_ticks is not None:
             bus.write("Goal Position", goal_ticks)
         bus.write("Bus Watchdog", code)
-        if (found := bus.read("Bus Watchdog")) != code:
+        if (armed := bus.read("Bus Watchdog")) != code:
             raise DeviceError(
                 "the gripper's bus watchdog cannot be armed, so torque stays off",
                 expected=f"Bus Watchdog {code} ({self._watchdog_ms} ms)",
-                found=str(found),
+                found=str(armed),
                 hint="is its firmware up to date?",
             )
         self._state, self.words = "on", "torque is on"  # also if the answer to what follows is lost
@@ -72,13 +72,13 @@ class Torque:
             try:
                 bus.send("Goal Current", 0)
                 bus.write("Torque Enable", 0)
-                if (found := bus.read("Torque Enable")) == 0:
+                if (torque := bus.read("Torque Enable")) == 0:
                     with contextlib.suppress(DeviceError):
                         bus.write("Bus Watchdog", 0)
                         bus.write("Goal Current", 0)  # refused before, if the watchdog had tripped
                     self._state, self.words = "off", IS_OFF
                     return True
-                why = f"Torque Enable reads {found}, though 0 was written"
+                why = f"Torque Enable reads {torque}, though 0 was written"
             except DeviceError as error:
                 why = error.message
                 if isinstance(error, PortGone):
