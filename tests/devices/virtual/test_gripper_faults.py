@@ -475,3 +475,22 @@ def test_torque_of_a_dead_program_is_switched_off_and_read_back(fresh: VirtualGr
         words = release(fresh.port, 2_000_000, watchdog_ms=60)
         assert "could not be read back as off" in words and "in use" in words
         assert "stops the motor 60 ms after the last instruction" in words
+
+
+def test_a_second_ctrl_c_inside_close_leaves_no_torque(fresh: VirtualGripper, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that Ctrl-C while torque is being switched off interrupts only once it is off."""
+    driver = RhP12Rn(fresh.port, settings=SLOW)
+    driver.write_current(9)
+    write, pressed = Bus.write, []
+
+    def interrupted(bus: Bus, name: str, value: int) -> None:
+        if name == "Torque Enable" and not pressed:
+            pressed.append(name)
+            raise KeyboardInterrupt
+        write(bus, name, value)
+
+    monkeypatch.setattr(Bus, "write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        driver.close()
+    assert driver.release_words == "torque is off (read back)"
+    assert is_off(fresh)
