@@ -39,7 +39,13 @@ class Torque:
         """Torque off and the watchdog cleared, whatever another program left behind; DeviceError if it stays on."""
         self._bus.write("Torque Enable", 0)
         if self._bus.read("Torque Enable") != 0:
-            raise DeviceError("the gripper does not switch torque off", expected="Torque Enable 0", found="1")
+            raise DeviceError(
+                "the gripper does not switch torque off",
+                where=f"gripper at {self._bus.port}",
+                expected="Torque Enable 0",
+                found="1",
+                hint="switch 24 V off and on",
+            )
         self._bus.write("Bus Watchdog", 0)
         self._state, self.words = "off", "torque is off: no command was given yet"
 
@@ -56,6 +62,7 @@ class Torque:
         if (armed := bus.read("Bus Watchdog")) != code:
             raise DeviceError(
                 "the gripper's bus watchdog cannot be armed, so torque stays off",
+                where=f"gripper at {bus.port}",
                 expected=f"Bus Watchdog {code} ({self._watchdog_ms} ms)",
                 found=str(armed),
                 hint="is its firmware up to date?",
@@ -64,7 +71,17 @@ class Torque:
         bus.write("Torque Enable", 1)
 
     def switch_off(self) -> bool:
-        """Current 0, torque off; whether that was read back. `words` say which, and what happens if not."""
+        """Current 0, torque off; whether that was read back. `words` say which, and what happens if not.
+
+        Ctrl-C meanwhile takes effect after it.
+        """
+        try:
+            return self._switch_off()
+        except KeyboardInterrupt:
+            self._switch_off()
+            raise
+
+    def _switch_off(self) -> bool:
         bus = self._bus
         bus.tolerant = True
         why = ""
