@@ -242,7 +242,9 @@ def run_program(gripper: VirtualGripper, ending: Any) -> int:
             assert gripper.read_register("Goal Current") == 30
             time.sleep(0.05)
             program.send_signal(ending)
-        program.communicate(timeout=30)
+        said = program.communicate(timeout=30)[1].decode()
+        if ending != signal.SIGKILL:
+            assert f"gripper at {gripper.port}: torque is off (read back)" in said
         return program.returncode
 
 
