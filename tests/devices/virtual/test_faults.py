@@ -1,5 +1,7 @@
 """Faults of virtual devices by name: one grammar, and two tables that say which parts a fault takes."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, GRIPPER_FAULTS, Fau
 from evetac_cli.devices.virtual.servo import Answer
 from evetac_cli.devices.virtual.servo_process import LATE_S, Faults
 from evetac_cli.errors import InputError
+from evetac_cli.params import Record
+from evetac_cli.resources import PACKAGE
 
 
 @pytest.mark.parametrize(
@@ -70,6 +74,12 @@ def test_every_fault_may_be_written_as_its_name() -> None:
     assert [gripper_fault(name).name for name in GRIPPER_FAULTS] == list(GRIPPER_FAULTS)
 
 
+def test_the_help_names_every_fault_of_a_gripper() -> None:
+    """Assert that the help of --gripper lists them all, as they are called."""
+    help_ = next(item.metadata["help"] for item in fields(Record) if item.name == "gripper")
+    assert f"({', '.join(GRIPPER_FAULTS)};" in help_
+
+
 def test_how_long_a_fault_lasts() -> None:
     """Assert that it lasts from its moment to its end, that included and this not, and without a duration for good."""
     assert [camera_fault("damage@1:0.5").lasts(now_s) for now_s in (0.9, 1.0, 1.4, 1.5)] == [False, True, True, False]
@@ -99,3 +109,10 @@ def test_an_answer_is_spoilt_once() -> None:
     assert late == (b"ab", LATE_S)
     faults.add(gripper_fault("overload@2"))
     assert [faults.due(now_s, torque=True) for now_s in (1.9, 2.0, 2.1)] == [[], ["overload"], []]
+
+
+def test_the_page_on_safety_lists_every_fault_of_a_gripper() -> None:
+    """Assert that docs/safety.md has a row for each, in the words of the table of faults."""
+    page = (PACKAGE.parent / "docs" / "safety.md").read_text()
+    for name, kind in GRIPPER_FAULTS.items():
+        assert f"| `{name}` | {kind.effect} |" in page
