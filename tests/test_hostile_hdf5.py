@@ -290,7 +290,7 @@ def test_numbers_of_another_machine_are_read(originals: Path, tmp_path: Path) ->
 
 
 def test_names_of_dimensions_cost_nothing(originals: Path, tmp_path: Path) -> None:
-    """Assert that a netCDF dimension, a length of which no row was ever stored, is no dataset, and no fault in its place."""
+    """Assert that a netCDF dimension, a length without any stored row, is no dataset, and in its place no fault."""
 
     def named(path: Path) -> None:
         with h5py.File(path, "r+") as h5:
