@@ -148,3 +148,9 @@ def test_needs_no_torch() -> None:
     """Assert that a detector runs where torch cannot be imported."""
     code = "import sys; sys.modules['torch'] = None; import evetac_cli.kernels.slip.detector, evetac_cli.stages.grasp"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_m4_inputs_of_another_grid_are_a_value_error() -> None:
+    """Assert that inputs which do not fit the graph are a ValueError in words, not an error of onnxruntime."""
+    with pytest.raises(ValueError, match="inputs"):
+        trained("hist10").probability(np.zeros((1, 12, 20), np.float32))
