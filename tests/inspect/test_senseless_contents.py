@@ -96,7 +96,7 @@ CHANGES = [
     recording("events/p", -1, 255, "one of 0, 1"),
     recording("ms_to_idx", 0, 1, "begins at 0"),
     recording("ms_to_idx", -1, 10**6, "events/t"),
-    recording("ms_to_idx", -1, 1, "events/t"),
+    recording("ms_to_idx", -1, 1, "never decreasing"),
     recording("ms_to_idx", 3, -5, "0 to"),
     recording("ms_to_idx", 3, 200, "never decreasing"),
     recording("ms_to_idx", 3, 31, "events/t"),
@@ -132,7 +132,8 @@ CHANGES = [
     recording("capture/slices_per_s", (), INF, "finite"),
     recording("capture/commands_per_s", (), -1.0, "0 or more"),
     recording("capture/lost/camera.dropped", (), -3, "0 or more"),
-    recording("capture/lost_slices", 0, [4, 2], "end after they begin"),
+    recording("capture/lost_slices", 0, [4, 2], "never decreasing"),
+    recording("capture/lost_slices", 0, [4, 4], "end after they begin"),
     recording("capture/lost_slices", ..., [[6, 7], [2, 4]], "never decreasing"),
     recording("capture/lost_slices", 1, [6, SLICES + 1], "0 to"),
     recording("capture/lost_slices", 0, [-1, 4], "0 to"),
@@ -218,7 +219,8 @@ CHANGES = [
     features("dot_shape", ..., [-3, -4], "1 or more"),
     features("image/start", 0, 1, "begins at 0"),
     features("image/start", 3, 2, "never decreasing"),
-    features("image/start", -1, 5, "image/pixel"),
+    features("image/start", -1, 5, "never decreasing"),
+    features("image/start", -1, 50, "image/pixel"),
     features("image/start", 3, -1, "0 to"),
     features("image/pixel", 0, 540 * 480, "0 to 259199"),
     features("image/sign", 0, 0, "one of -1, 1"),
@@ -230,7 +232,7 @@ CHANGES = [
     model("history", (), 2**40, "history"),
     model("history", (), 11, "50"),
     model("architecture", (), "hist1000", "one of no-hist, hist10"),
-    model("architecture", (), "hist10", "weights"),
+    model("architecture", (), "hist10", "history"),
     model("dot_shape", ..., [1, 56], "2 x 4"),
     model("dot_shape", ..., [-7, -8], "1 or more"),
     model("dot_shape", ..., [8, 8], "weights"),
@@ -465,12 +467,14 @@ def test_m4_stages_of_files_without_slices(stage: str, tmp_path: Path, monkeypat
     assert [row["faults"] for row in validate.run(written).rows] == [None] * len(written)
 
 
-def test_m4_evaluate_vibration_of_events_before_time_0(small: dict[str, Path]) -> None:
+def test_m4_evaluate_vibration_of_events_before_time_0(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that events with a negative time are refused in words."""
-    recording("events/t", slice(0, 10), -5000, "").apply(small["recording"])
-    windows = params.EvaluateVibration(windows="0.02")
+    monkeypatch.setattr(small_files, "SLICES", 240)
+    path = tmp_path / "a.recording.h5"
+    small_files.recording(path)
+    recording("events/t", slice(0, 10), -5000, "").apply(path)
     with pytest.raises(InputError, match="events/t"):
-        run(evaluate_vibration, windows, small["recording"])
+        run(evaluate_vibration, params.EvaluateVibration(windows="0.1"), path)
 
 
 def test_m4_view_of_a_grid_that_does_not_fit(small: dict[str, Path]) -> None:
@@ -478,3 +482,33 @@ def test_m4_view_of_a_grid_that_does_not_fit(small: dict[str, Path]) -> None:
     tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "").apply(small["tracks"])
     with pytest.raises(InputError, match="sensor/dot_xy_px"):
         view.run([small["tracks"]], params.View(), small["tracks"].with_name("page.html"))
+
+
+def test_m4_evaluate_tracking_of_tracks_from_frames(small: dict[str, Path]) -> None:
+    """Assert that tracks of an RGB sensor, which have the constants of a camera and not of a tracker, are evaluated."""
+    rewrite_header(small["tracks"], parameters={"preset": "rgb", "camera": {"frame_ms": 40}, "seed": 0})
+    made = STAGES["evaluate tracking"][1](small["tracks"])
+    assert made.rows[0]["preset"] == "rgb"
+
+
+def test_m4_evaluate_tracking_with_the_truth_of_another_grid(small: dict[str, Path]) -> None:
+    """Assert that tracks by another grid than that of the truth are refused in words."""
+    with h5py.File(small["tracks"], "r+") as h5:
+        for name, rows in {name: h5[name][:, :8] for name in ("dot_xy_px", "events_per_dot", "lost")}.items():
+            del h5[name]
+            h5[name] = rows
+        del h5["sensor/dot_xy_px"]
+        h5["sensor/dot_xy_px"] = GRID_OF_TWO_ROWS
+    assert validate.run([small["tracks"]]).summary["invalid"] == 0
+    with pytest.raises(InputError, match="another number of dots"):
+        STAGES["evaluate tracking"][1](small["tracks"])
+
+
+def test_m4_featurize_with_infinite_dots_beside_missing_ones(small: dict[str, Path]) -> None:
+    """Assert that an infinite place is refused also where other dots are missing, NaN in grid and tracks."""
+    for dataset, index in (("sensor/dot_xy_px", (0, 0)), ("dot_xy_px", (slice(None), 0))):
+        tracks(dataset, index, NAN, "").apply(small["tracks"])
+    assert validate.run([small["tracks"]]).summary["invalid"] == 0
+    tracks("dot_xy_px", (2, 1), INF, "").apply(small["tracks"])
+    with pytest.raises(InputError, match="dot_xy_px"):
+        STAGES["featurize"][1](small["recording"])
