@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.store import schema
+from evetac_cli.store import contents, schema
 from evetac_cli.store.disk import existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, recompute_id
 
@@ -46,6 +46,7 @@ class StageFile:
             if major == schema.MAJOR and minor > known_minor:  # a newer minor version only adds
                 lines = [line for line in lines if "is not in the schema" not in line]
             schema.refuse(self.kind, lines, str(self.path))
+            contents.check_small(self, stored)
         except BaseException:
             self._h5.close()
             raise
@@ -72,14 +73,20 @@ class StageFile:
         return path in self._h5
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
-        """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar."""
+        """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar.
+
+        SchemaError where values are not what the schema allows.
+        """
         with _damage_in_words(self.path, path):
             dataset = self._h5.get(path)
             if not isinstance(dataset, h5py.Dataset):
                 raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
             if schema.describe_stored(dataset) == "utf8":
-                return dataset.asstr()[()]
-            return dataset[()] if dataset.shape == () else dataset[start:stop]
+                values = dataset.asstr()[()]
+            else:
+                values = dataset[()] if dataset.shape == () else dataset[start:stop]
+        contents.check_values(self, path, values, start)
+        return values
 
     def length(self, path: str) -> int:
         """Number of rows of a dataset, without reading it."""
