@@ -52,7 +52,7 @@ def check(
         raise ValueError("expected one graph, found functions, training or metadata beside it")
     inside = _weights_inside(model, architecture, rows, columns)
     for name, array in (weights or {}).items():
-        if not np.array_equal(inside[name], array):
+        if name not in inside or not np.array_equal(inside[name], array):
             raise ValueError(f"expected the weights of the file, found others as {name}")
     ours = _model(architecture, inside, rows, columns)
     for field in STAMPS:
