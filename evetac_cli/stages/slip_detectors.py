@@ -78,16 +78,25 @@ def read_horizon_ms(model: StageFile) -> int:
 
 
 def load_detector(model: StageFile) -> Detector:
-    """The detector in a model file; InputError if its graph is not ours, or not that of the weights beside it."""
+    """The detector in a model file; InputError as `check_graph`."""
+    graph = check_graph(model)
+    try:
+        return Detector(graph, ARCHITECTURES[model.read("architecture")])
+    except ValueError as error:
+        raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
+
+
+def check_graph(model: StageFile) -> bytes:
+    """The graph in a model file; InputError if it is not ours, or not that of the weights beside it."""
     architecture, shape = _of_model(model)
     names = (name for name in model.contents() if name.startswith("weights/"))
     weights = {name.removeprefix("weights/"): model.read(name) for name in names}
-    graph = model.read("onnx").tobytes()
+    graph: bytes = model.read("onnx").tobytes()
     try:
         onnx_graphs.check(graph, architecture, *shape, weights)
-        return Detector(graph, architecture)
     except ValueError as error:
         raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
+    return graph
 
 
 def check_checkpoints(model: StageFile) -> None:

@@ -95,12 +95,6 @@ def faults(file: Contents) -> Iterator[str]:
                 last = values.ravel()[-1:] if np.ndim(values) else None
         except InputError as error:
             yield " ".join(str(error).split())
-    for rule in _WHOLE_RULES.get(file.kind, ()):
-        try:
-            for fault in rule(file):
-                yield f"{fault[0]} is impossible: expected {fault[1]}, found {fault[2]}"
-        except InputError as error:  # a dataset that it reads was named above
-            yield " ".join(str(error).split())
 
 
 def blocks(file: Contents, path: str, shape: tuple[int, ...]) -> Iterator[Any]:
@@ -242,8 +236,9 @@ def _grid_of_features(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     dots = shapes["displacement_px"][1][1]
     if rows * columns != dots:
         yield "dot_shape", f"rows x columns of {dots} dots", f"{rows} x {columns}"
-    if ("label" in shapes) != ("onset_slice" in shapes):
-        yield "onset_slice", "label and onset_slice, or neither", "one of them"
+    for one, other in (("label", "onset_slice"), ("onset_slice", "label")):
+        if one in shapes and other not in shapes:
+            yield other, f"as {one} is there, {other} too", "none"
 
 
 def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
@@ -282,12 +277,12 @@ def _layers_of_force(file: Contents, shapes: Shapes) -> Iterator[Fault]:
         )
 
 
-def _onset(file: Contents) -> Iterator[Fault]:
-    """The onset is the first slice of slip."""
-    if not file.has("label"):
+def _onset(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    """The onset is the first slice of slip; read at opening too, as an hour of labels takes a few ms."""
+    if "label" not in shapes:
         return
     onset, first, slip = int(file.read("onset_slice")), 0, -1
-    for label in blocks(file, "label", (file.length("label"),)):
+    for label in blocks(file, "label", shapes["label"][1]):
         if slip < 0 and (label == 1).any():
             slip = first + int(np.argmax(label == 1))
         first += len(label)
@@ -298,11 +293,8 @@ def _onset(file: Contents) -> Iterator[Fault]:
 _RULES: dict[str, tuple[Callable[[Contents, Shapes], Iterator[Fault]], ...]] = {
     "recording": (_sensor, _lost_slices),
     "tracks": (_sensor,),
-    "features": (_grid_of_features,),
+    "labels": (_onset,),
+    "features": (_grid_of_features, _onset),
     "model": (_weights,),
     "force-model": (_layers_of_force,),
-}
-_WHOLE_RULES: dict[str, tuple[Callable[[Contents], Iterator[Fault]], ...]] = {
-    "labels": (_onset,),
-    "features": (_onset,),
 }

@@ -128,7 +128,8 @@ def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
     names = []
     for entry in parameters:
         same = variants.setdefault(entry["preset"], [])
-        constants = json.dumps(entry.get("constants") or entry["camera"], sort_keys=True)  # `camera` of track-rgb
+        made_by = entry["constants"] if "constants" in entry else entry["camera"]  # of the tracker, or of track-rgb
+        constants = json.dumps(made_by, sort_keys=True)
         if constants not in same:
             same.append(constants)
         number = same.index(constants) + 1
