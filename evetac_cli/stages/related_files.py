@@ -32,14 +32,14 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
 def check_made_from(file: StageFile, recording: StageFile) -> None:
     """InputError unless a file was made from this very recording, all of it: the right name is not enough."""
     if recording.header["id"] in file.header["parents"]:
-        found, slices = file.length(BY_SLICE[file.kind]), recording.length("ms_to_idx") - 1
-        if found == slices:
+        rows, slices = file.length(BY_SLICE[file.kind]), recording.length("ms_to_idx") - 1
+        if rows == slices:
             return
         raise InputError(
             f"the {file.kind} have another number of slices than the recording",
             where=str(file.path),
             expected=f"{slices}, as {recording.path}",
-            found=str(found),
+            found=str(rows),
             hint=f"evetac {COMMANDS[file.kind]} --force {recording.path}",
         )
     command = COMMANDS.get(file.kind)

@@ -108,8 +108,8 @@ def blocks(file: Contents, path: str, shape: tuple[int, ...]) -> Iterator[Any]:
 
 
 def _refuse(file: Contents, fault: Fault) -> None:
-    path, expected, found = fault
-    raise SchemaError(f"{path} is impossible", where=str(file.path), expected=expected, found=found)
+    path, expected, value = fault
+    raise SchemaError(f"{path} is impossible", where=str(file.path), expected=expected, found=value)
 
 
 def _text_fault(limits: Limits, text: str) -> tuple[str, str] | None:
@@ -137,7 +137,7 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
     """Expected and found of the first limit that an array breaks, if any."""
     limits = row.limits
 
-    def found(wrong: NDArray[np.bool_], part: NDArray[Any] = array) -> str:
+    def first_wrong(wrong: NDArray[np.bool_], part: NDArray[Any] = array) -> str:
         place = tuple(int(index) for index in np.argwhere(wrong)[0])
         value = str(part[place])[:SHORT]
         return f"{value} in row {first + place[0]}" if place else value
@@ -147,19 +147,19 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
         extreme = (np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None))  # NaN where all are
         if np.isinf(extreme).any() or (limits.finite is True and has_nan):
             wrong = np.isinf(array) if limits.finite == "or NaN" else ~np.isfinite(array)
-            return "finite values" + (" or NaN" if limits.finite == "or NaN" else ""), found(wrong)
+            return "finite values" + (" or NaN" if limits.finite == "or NaN" else ""), first_wrong(wrong)
         if limits.nan_where and has_nan:
             missing = np.isnan(file.read(limits.nan_where).reshape(-1, 2)).any(axis=1)
             wrong = np.isnan(array) & ~missing[:, None]
             if wrong.any():
-                return f"NaN only for dots that are missing in the grid {limits.nan_where}", found(wrong)
+                return f"NaN only for dots that are missing in the grid {limits.nan_where}", first_wrong(wrong)
     for part, low, high, expected in _bounds(file, row, array):
         if np.fmin.reduce(part, axis=None) < low or np.fmax.reduce(part, axis=None) > high:
-            return expected, found((part < low) | (part > high), part)
+            return expected, first_wrong((part < low) | (part > high), part)
     if limits.above is not None and not (array > limits.above).all():
-        return f"more than {limits.above:g}", found(~(array > limits.above))
+        return f"more than {limits.above:g}", first_wrong(~(array > limits.above))
     if limits.one_of and not np.isin(array, limits.one_of).all():
-        return f"one of {', '.join(map(str, limits.one_of))}", found(~np.isin(array, limits.one_of))
+        return f"one of {', '.join(map(str, limits.one_of))}", first_wrong(~np.isin(array, limits.one_of))
     if limits.increasing:
         flat = array.ravel()
         back = flat[1:] <= flat[:-1] if limits.increasing == "strictly" else flat[1:] < flat[:-1]

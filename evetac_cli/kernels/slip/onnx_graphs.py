@@ -80,12 +80,12 @@ def _weights_inside(model: Any, architecture: Architecture, rows: int, columns: 
 
 def _difference(model: Any, ours: Any) -> str:
     """Where a graph departs from ours, in words."""
-    found, wanted = ([node.op_type for node in one.graph.node] for one in (model, ours))
-    foreign = sorted(set(found) - set(wanted))
+    operators, wanted = ([node.op_type for node in one.graph.node] for one in (model, ours))
+    foreign = sorted(set(operators) - set(wanted))
     if foreign:
         return f"the operators {', '.join(name[:40] for name in foreign[:5])}"
-    if found != wanted:
-        return f"{len(found)} operators in another order, where there are {len(wanted)}"
+    if operators != wanted:
+        return f"{len(operators)} operators in another order, where there are {len(wanted)}"
     return "other constants or attributes"
 
 
