@@ -556,7 +556,8 @@ from evetac_cli.store.schema import KINDS
 
 rng = np.random.default_rng(0)
 arrays = {"label": rng.integers(0, 2, 200000).astype(np.int8), "relative_flow_px": rng.random(200000, np.float32),
-          "onset_slice": np.int64(1), "confidence": np.float64(1), "flow_pairs_computed": np.int64(1)}
+          "confidence": np.float64(1), "flow_pairs_computed": np.int64(1)}
+arrays["onset_slice"] = np.int64(arrays["label"].argmax())
 said = []
 for room in (0, 1, 1000, 30000, 400000):
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
