@@ -10,6 +10,7 @@ from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import Recording, open_recording
 
 COMMANDS = {"labels": "label", "tracks": "track"}  # that make a file of a kind from a recording
+BY_SLICE = {"labels": "label", "tracks": "dot_xy_px"}  # datasets with a row for every slice
 
 
 def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
@@ -29,9 +30,18 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
 
 
 def check_made_from(file: StageFile, recording: StageFile) -> None:
-    """InputError unless a file was made from this very recording: the right name is not enough."""
+    """InputError unless a file was made from this very recording, all of it: the right name is not enough."""
     if recording.header["id"] in file.header["parents"]:
-        return
+        rows, slices = file.length(BY_SLICE[file.kind]), recording.length("ms_to_idx") - 1
+        if rows == slices:
+            return
+        raise InputError(
+            f"the {file.kind} have another number of slices than the recording",
+            where=str(file.path),
+            expected=f"{slices}, as {recording.path}",
+            found=str(rows),
+            hint=f"evetac {COMMANDS[file.kind]} --force {recording.path}",
+        )
     command = COMMANDS.get(file.kind)
     raise InputError(
         f"the {file.kind} belong to another recording",

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip import features, inputs, onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
@@ -78,12 +78,41 @@ def read_horizon_ms(model: StageFile) -> int:
 
 
 def load_detector(model: StageFile) -> Detector:
-    """The detector in a model file; InputError if its architecture is unknown or its graph damaged."""
-    name = model.read("architecture")
-    if name not in ARCHITECTURES:
-        known = ", ".join(ARCHITECTURES)
-        raise InputError("unknown architecture", where=str(model.path), expected=known, found=str(name))
+    """The detector in a model file; InputError as `check_graph`."""
+    graph = check_graph(model)
     try:
-        return Detector(model.read("onnx").tobytes(), ARCHITECTURES[name])
+        return Detector(graph, ARCHITECTURES[model.read("architecture")])
     except ValueError as error:
-        raise InputError(str(error), where=str(model.path), hint="the file is damaged; train it again") from error
+        raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
+
+
+def check_graph(model: StageFile) -> bytes:
+    """The graph in a model file; InputError if it is not ours, or not that of the weights beside it."""
+    architecture, shape = _of_model(model)
+    names = (name for name in model.contents() if name.startswith("weights/"))
+    weights = {name.removeprefix("weights/"): model.read(name) for name in names}
+    graph: bytes = model.read("onnx").tobytes()
+    try:
+        onnx_graphs.check(graph, architecture, *shape, weights)
+    except ValueError as error:
+        raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
+    return graph
+
+
+def check_checkpoints(model: StageFile) -> None:
+    """InputError if the graph of a checkpoint is not ours; its weights are nowhere else."""
+    if not model.has("checkpoint/onnx"):
+        return
+    architecture, shape = _of_model(model)
+    for number in range(model.length("checkpoint/onnx")):
+        try:
+            onnx_graphs.check(model.read("checkpoint/onnx", number, number + 1).tobytes(), architecture, *shape)
+        except ValueError as error:
+            where = f"checkpoint/onnx, row {number}: {error}"
+            raise InputError(where, where=str(model.path), hint="train it again") from error
+
+
+def _of_model(model: StageFile) -> tuple[Architecture, tuple[int, int]]:
+    """Architecture, and rows and columns of the dot grid."""
+    rows, columns = (int(size) for size in model.read("dot_shape"))
+    return ARCHITECTURES[model.read("architecture")], (rows, columns)

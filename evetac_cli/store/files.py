@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.store import netcdf, schema
+from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.disk import existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.limited_json import read_json
@@ -53,6 +53,7 @@ class StageFile:
                 lines = [line for line in lines if "is not in the schema" not in line]
             lines = lines or netcdf.dimension_problems(self.kind, stored, dimensions)
             schema.refuse(self.kind, lines, str(self.path))
+            contents.check_small(self, stored)
         except BaseException:
             self._file.close()
             raise
@@ -79,27 +80,35 @@ class StageFile:
         return path in self._datasets or any(name.startswith(f"{path}/") for name in self._datasets)
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
-        """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar."""
+        """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar.
+
+        SchemaError where values are not what the schema allows.
+        """
         dataset = self._datasets.get(path)
         if dataset is None:
             raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
         with damage_in_words(self.path, path):
-            if schema.describe_stored(dataset) == "utf8":
-                return self._file.text(path, dataset)
-            if dataset.shape == ():
-                return dataset[()]
-            rows = len(range(*slice(start, stop).indices(len(dataset))))
-            size = rows * math.prod(dataset.shape[1:]) * dataset.dtype.itemsize
-            if size > MOST_READ_BYTES:
-                raise InputError(
-                    f"{path} is too long to be read at once",
-                    where=str(self.path),
-                    expected=f"at most {MOST_READ_BYTES / 1e9:.1f} GB",
-                    found=f"{size / 1e9:.1f} GB",
-                    hint="cut the recording with `evetac trim`",
-                )
-            array = dataset[start:stop]
-            return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
+            values = self._values(path, dataset, start, stop)
+        contents.check_values(self, path, values, start)
+        return values
+
+    def _values(self, path: str, dataset: h5py.Dataset, start: int, stop: int | None) -> Any:
+        if schema.describe_stored(dataset) == "utf8":
+            return self._file.text(path, dataset)
+        if dataset.shape == ():
+            return dataset[()]
+        rows = len(range(*slice(start, stop).indices(len(dataset))))
+        size = rows * math.prod(dataset.shape[1:]) * dataset.dtype.itemsize
+        if size > MOST_READ_BYTES:
+            raise InputError(
+                f"{path} is too long to be read at once",
+                where=str(self.path),
+                expected=f"at most {MOST_READ_BYTES / 1e9:.1f} GB",
+                found=f"{size / 1e9:.1f} GB",
+                hint="cut the recording with `evetac trim`",
+            )
+        array = dataset[start:stop]
+        return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
     def length(self, path: str) -> int:
         """Number of rows of a dataset, without reading it."""

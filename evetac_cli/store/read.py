@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.events import Events
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.store.files import StageFile
 
 BLOCK_SLICES = 1000
-LARGEST_PX = 65535  # what an event's uint16 can say
 
 
 class Recording(StageFile):
@@ -28,29 +27,11 @@ class Recording(StageFile):
         super().__init__(path, "recording")
         try:
             self.starts: NDArray[np.int64] = self.read("ms_to_idx")
-            first, last = self.starts[0], self.starts[-1]
-            if first != 0 or last != self.length("events/t") or (self.starts[1:] < self.starts[:-1]).any():
-                raise SchemaError("ms_to_idx does not count the events", where=str(self.path))
-            self._check_sensor()
         except BaseException:
             self.close()
             raise
         self._block = (0, 0)
         self._events: Events | None = None
-
-    def _check_sensor(self) -> None:
-        """Refuse a frame, window or dots that no sensor has, before anybody computes with them."""
-        width, height = self.frame_px
-        x0, y0, x1, y1 = self.window_px or (0, 0, width, height)
-        dots = self.dot_xy_px
-        faults = {
-            "sensor/frame_px": 1 <= width <= LARGEST_PX and 1 <= height <= LARGEST_PX,
-            "sensor/window_px": 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height,
-            "sensor/dot_xy_px": dots is None or bool(np.isfinite(dots).any()),
-        }
-        for name, fine in faults.items():
-            if not fine:
-                raise SchemaError(f"{name} is impossible", where=str(self.path), found=str(self.read(name).tolist()))
 
     def __len__(self) -> int:
         return len(self.starts) - 1
@@ -100,8 +81,29 @@ class Recording(StageFile):
         return self.events(int(self.starts[start]), int(self.starts[stop]))
 
     def events(self, first: int, last: int) -> Events:
-        """The events [first, last), counted from the start of the recording."""
-        return Events(*(self.read(f"events/{column}", first, last) for column in Events._fields))
+        """The events [first, last), counted from the start of the recording; SchemaError if their slice is another."""
+        events = Events(*(self.read(f"events/{column}", first, last) for column in Events._fields))
+        if events.size:
+            self.check_slices(events.t, first, last)
+        return events
+
+    def check_slices(self, t: NDArray[np.int64], first: int, last: int) -> None:
+        """Raise SchemaError unless the events [first, last), whose times do not decrease, lie in their slices."""
+        begin, end = np.searchsorted(self.starts, (first, last - 1), side="right")
+        edges = np.clip(self.starts[begin - 1 : end + 1], first, last) - first
+        slices = np.arange(begin - 1, end)
+        held = edges[1:] > edges[:-1]
+        earliest, latest = t[edges[:-1][held]], t[edges[1:][held] - 1]
+        wrong = (earliest < slices[held] * SLICE_US) | (latest >= (slices[held] + 1) * SLICE_US)
+        if wrong.any():
+            index = int(np.argmax(wrong))
+            slice_ = int(slices[held][index])
+            raise SchemaError(
+                "ms_to_idx does not fit events/t",
+                where=str(self.path),
+                expected=f"times from {slice_ * SLICE_US} to {(slice_ + 1) * SLICE_US - 1} us in slice {slice_}",
+                found=f"{earliest[index]} to {latest[index]}",
+            )
 
     def __getitem__(self, index: int) -> Events:
         if not -len(self) <= index < len(self):

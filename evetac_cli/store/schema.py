@@ -3,6 +3,18 @@
 A schema is a flat table: path -> dtype, named dims, unit, meaning. Every named dim has one size in a file; `slices+1`
 is the dim `slices` plus one. A path may end in `*` (any name), and dims may be null (any shape). A group listed in
 `optional_groups` is there with all its required datasets or not at all.
+
+A dataset may have limits, of which store/contents.py makes checks:
+
+    minimum, maximum, above   numbers that values may reach, and one that they must exceed
+    finite                    true, or "or NaN"; every float says which
+    nan_where                 a dot is NaN only where this grid has none
+    increasing                "strictly" or "never decreasing", in the order in which values are stored
+    index_of                  values are rows of another dataset; with `+1` in the dims, where its rows begin and end
+    one_of                    the only values
+    inside_frame, margin_px   x, y or xy within the sensor's frame, or so many px beside it
+    json                      a text is a JSON "object" or a "list of flat objects"
+    why                       the reason for a limit, where it is not obvious
 """
 
 import functools
@@ -24,8 +36,29 @@ OLDEST_MINOR = 2  # files of version 1.1 and before have other names of datasets
 
 
 @dataclass(frozen=True)
+class Limits:
+    """What values of a dataset may be, as described above; by default anything."""
+
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    finite: bool | str = ""
+    nan_where: str = ""
+    increasing: str = ""
+    index_of: str = ""
+    one_of: tuple[Any, ...] = ()
+    inside_frame: str = ""
+    margin_px: int = 0
+    json: str = ""
+    why: str = ""
+
+
+ANYTHING = Limits()
+
+
+@dataclass(frozen=True)
 class Dataset:
-    """One dataset of a schema: its dtype, named dims (None: any shape), unit, and what it means."""
+    """One dataset of a schema: its dtype, named dims (None: any shape), unit, what it means, and its limits."""
 
     path: str
     dtype: str
@@ -33,6 +66,12 @@ class Dataset:
     unit: str
     meaning: str
     optional: bool
+    limits: Limits = ANYTHING
+
+    @property
+    def edges(self) -> bool:
+        """Whether its values are where rows of another dataset begin, and where the last one ends."""
+        return bool(self.limits.index_of and self.dims) and str(self.dims[-1]).endswith("+1")  # type: ignore[index]
 
 
 @dataclass(frozen=True)
@@ -65,10 +104,18 @@ def load(kind: str) -> Schema:
             row["unit"],
             row["meaning"],
             row.get("optional", False),
+            _limits(row),
         )
         for path, row in table["datasets"].items()
     )
     return Schema(kind, table["version"], table["meaning"], tuple(table["optional_groups"]), rows)
+
+
+def _limits(row: Mapping[str, Any]) -> Limits:
+    given: dict[str, Any] = {name: row[name] for name in Limits.__dataclass_fields__ if name in row}
+    if "one_of" in given:
+        given["one_of"] = tuple(given["one_of"])
+    return Limits(**given)
 
 
 def problems(schema: Schema, stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:

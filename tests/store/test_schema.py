@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import SchemaError
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.resources import schemas
 from evetac_cli.store import schema
 from evetac_cli.store.schema import KINDS, Schema
@@ -238,4 +239,34 @@ def test_tables_are_sound(kind: str) -> None:
     for path, row in table["datasets"].items():
         assert row["dtype"] == "utf8" or np.dtype(row["dtype"]).name == row["dtype"], path
         assert row["meaning"], path
-        assert set(row) <= {"dtype", "dims", "unit", "meaning", "optional"}, path
+        limits = set(schema.Limits.__dataclass_fields__)
+        assert set(row) <= {"dtype", "dims", "unit", "meaning", "optional"} | limits, path
+
+
+@pytest.mark.parametrize(("kind", "path"), EVERY_DATASET)
+def test_limits_are_sound(kind: str, path: str) -> None:
+    """Assert that limits name datasets that exist, fit the dtype, and that every float says whether it is finite."""
+    table = schema.load(kind)
+    row = table.find(present(kind, path))
+    assert row is not None
+    limits = row.limits
+    assert limits.finite in ((True, "or NaN") if row.dtype.startswith("float") else ("",))
+    assert limits.increasing in ("", "strictly", "never decreasing")
+    assert limits.inside_frame in ("", "x", "y", "xy")
+    assert limits.json in ("", "object", "list of flat objects")
+    for other in (limits.index_of, limits.nan_where):
+        assert not other or table.find(other) is not None
+    assert not limits.inside_frame or table.find("sensor/frame_px") is not None
+    assert limits.minimum is None or limits.maximum is None or limits.minimum < limits.maximum
+    if limits.inside_frame == "xy":
+        assert row.dims is not None
+        assert row.dims[-1] == 2
+    for value in limits.one_of:
+        assert isinstance(value, str) == (row.dtype == "utf8")
+
+
+def test_architectures_are_those_of_the_code() -> None:
+    """Assert that the schema of models names the architectures that there are, in their order."""
+    row = schema.load("model").find("architecture")
+    assert row is not None
+    assert row.limits.one_of == tuple(ARCHITECTURES)

@@ -60,6 +60,8 @@ def slice_rows(k: int, every: int) -> dict[str, Any]:
     rows: dict[str, Any] = {}
     for number, row in enumerate(TRUTH + (GRIPPER if k % every == 0 else [])):
         value = (k + number) % 200 if "int" in row.dtype else k / 7 + number
+        if row.limits.one_of or row.limits.maximum == 1:
+            value = (k + number) % 2
         shape = [4 if isinstance(dim, str) else dim for dim in (row.dims or ())[1:]]
         rows[row.path] = np.full(shape, value) if shape else value
     return rows

@@ -10,6 +10,15 @@ from typing import NamedTuple
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
 GEL_PX = (540, 480)  # width and height of an event image: the frame without the window strip
 
+# Widths that are the same in all rows of the paper's table.
+CONV1 = 16  # channels
+CONV2 = 32
+FC3 = 32
+FC4 = 10
+IMAGE_CONVS = (15, 20, 25, 32)  # channels of the baseline's convolutions
+IMAGE_KERNEL = 5
+IMAGE_FC = 10
+
 
 class View(NamedTuple):
     """How a network sees one channel of a dot: newest slices as they are, then means over consecutive blocks.
@@ -106,6 +115,35 @@ class ImageArchitecture:
 
 
 Architecture = DotArchitecture | ImageArchitecture
+
+
+def weight_shapes(architecture: Architecture, rows: int, columns: int) -> dict[str, tuple[int, ...]]:
+    """Shape of every array of a network's weights by its name; rows and columns of dots mean nothing for images."""
+    layers: dict[str, tuple[int, ...]]
+    if isinstance(architecture, ImageArchitecture):
+        wide = architecture.history
+        entering = (wide, *IMAGE_CONVS)
+        layers = {
+            f"convs.{index}": (after, before, IMAGE_KERNEL, IMAGE_KERNEL)
+            for index, (before, after) in enumerate(zip(entering, IMAGE_CONVS, strict=False))
+        }
+        layers |= {"fc1": (IMAGE_FC, IMAGE_CONVS[-1]), "fc2": (1, IMAGE_FC)}
+    else:
+        wide = architecture.inputs_per_dot
+        layers = {
+            "fc1": (architecture.fc1, wide),
+            "fc2": (architecture.fc2, architecture.fc1),
+            "conv1": (CONV1, architecture.fc2, 3, 3),
+            "conv2": (CONV2, CONV1, 3, 3),
+            "fc3": (FC3, CONV2 * (rows // 2) * ((columns - 2) // 2)),
+            "fc4": (FC4, FC3),
+            "fc5": (1, FC4),
+        }
+    shapes: dict[str, tuple[int, ...]] = {"input_scale": (wide,), "input_offset": (wide,)}
+    for name, shape in layers.items():
+        shapes |= {f"{name}.weight": shape, f"{name}.bias": shape[:1]}
+    return shapes
+
 
 _PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))
 # why so: 90 x 80 px hold the first of the paper's pools; then only these leave 5 x 5 px for every convolution

@@ -28,9 +28,13 @@ class Detector:
         self.architecture = architecture
 
     def probability(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Slip probability (k,) of inputs (k, ...) as made by `inputs.at`."""
+        """Slip probability (k,) of inputs (k, ...) as made by `inputs.at`; ValueError for inputs of another shape."""
         probability: NDArray[np.float32]
-        (probability,) = self._session.run(None, {"features": batch})
+        try:
+            (probability,) = self._session.run(None, {"features": batch})
+        except Exception as error:  # as above
+            wanted = self._session.get_inputs()[0].shape
+            raise ValueError(f"expected inputs {wanted}, found {batch.shape}: {error}") from error
         # onnxruntime's sigmoid is an approximation: a few logits about 18 give 1.0000001
         return np.minimum(probability, np.float32(1), out=probability)
 

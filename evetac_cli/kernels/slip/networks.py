@@ -7,28 +7,25 @@ torch takes more than a second to import.
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-import onnx
 import torch
 from numpy.typing import ArrayLike, NDArray
-from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture, ImageArchitecture
-
-CONV1 = 16  # channels, the same in all rows of the paper's table
-CONV2 = 32
-FC3 = 32
-FC4 = 10
-IMAGE_CONVS = (15, 20, 25, 32)  # channels of the baseline's convolutions
-IMAGE_KERNEL = 5
-IMAGE_FC = 10
-
-# why so: the onnx package would stamp its newest versions, which the oldest onnxruntime we allow does not read
-ONNX_OPSET = 17
-ONNX_IR = 8
+from evetac_cli.kernels.slip import onnx_graphs
+from evetac_cli.kernels.slip.architectures import (
+    CONV1,
+    CONV2,
+    FC3,
+    FC4,
+    IMAGE_CONVS,
+    IMAGE_FC,
+    IMAGE_KERNEL,
+    Architecture,
+    DotArchitecture,
+    ImageArchitecture,
+)
 
 
 class SlipNet(nn.Module):
@@ -164,94 +161,9 @@ def from_weights(
 
 
 def onnx_graph(network: Network) -> bytes:
-    """Build the ONNX file of the network: features (batch, ...) float32, as `inputs.at`, -> probability (batch,).
-
-    Why so: written node by node, because torch's exporters are deprecated or want more packages, and these graphs are
-    short, the same for every torch, and identical byte for byte for identical weights.
-    """
-    graph = _Graph(weights(network))
-    if isinstance(network, SlipNet):
-        shape = [network.rows * network.columns, network.architecture.inputs_per_dot]
-        value = _dot_layers(graph, network, graph.normalised("features", [-1]))
-    else:
-        shape = list(network.architecture.input_shape)
-        value = _image_layers(graph, network, graph.normalised("features", [-1, 1, 1]))
-    value = graph.add("Sigmoid", value)
-    graph.add("Reshape", value, graph.constant("per_batch", [-1]), output="probability")
-    content = helper.make_graph(
-        graph.nodes,
-        network.architecture.name,
-        [helper.make_tensor_value_info("features", TensorProto.FLOAT, ["batch", *shape])],
-        [helper.make_tensor_value_info("probability", TensorProto.FLOAT, ["batch"])],
-        [numpy_helper.from_array(graph.arrays[name], name) for name in graph.used],
-    )
-    opset = [helper.make_opsetid("", ONNX_OPSET)]
-    model = helper.make_model(content, producer_name="evetac", opset_imports=opset, ir_version=ONNX_IR)
-    onnx.checker.check_model(model, full_check=True)
-    serialised: bytes = model.SerializeToString()
-    return serialised
-
-
-def _dot_layers(graph: "_Graph", network: SlipNet, value: str) -> str:
-    wide, fc2 = network.architecture.inputs_per_dot, network.architecture.fc2
-    value = graph.add("Reshape", value, graph.constant("per_dot", [-1, wide]))
-    value = graph.add("Relu", graph.layer("Gemm", value, "fc1", transB=1))
-    value = graph.add("Relu", graph.layer("Gemm", value, "fc2", transB=1))
-    value = graph.add("Reshape", value, graph.constant("per_grid", [-1, network.rows, network.columns, fc2]))
-    value = graph.add("Transpose", value, perm=[0, 3, 1, 2])
-    value = graph.add("Relu", graph.layer("Conv", value, "conv1", pads=[1, 0, 1, 0]))
-    value = graph.add("MaxPool", value, kernel_shape=[2, 2], strides=[2, 2])
-    value = graph.add("Relu", graph.layer("Conv", value, "conv2", pads=[1, 1, 1, 1]))
-    value = graph.add("Flatten", value)
-    value = graph.add("Relu", graph.layer("Gemm", value, "fc3", transB=1))
-    value = graph.add("Relu", graph.layer("Gemm", value, "fc4", transB=1))
-    return graph.layer("Gemm", value, "fc5", transB=1)
-
-
-def _image_layers(graph: "_Graph", network: ImageNet, value: str) -> str:
-    for index, (across, down) in enumerate(network.architecture.pools):
-        value = graph.layer("Conv", value, f"convs.{index}")
-        if (across, down) != (1, 1):
-            value = graph.add("MaxPool", value, kernel_shape=[down, across], strides=[down, across])
-        value = graph.add("Relu", value)
-    value = graph.add("Flatten", value)
-    value = graph.add("Relu", graph.layer("Gemm", value, "fc1", transB=1))
-    return graph.layer("Gemm", value, "fc2", transB=1)
-
-
-class _Graph:
-    """Nodes and constants of an ONNX graph, as they are added."""
-
-    def __init__(self, arrays: dict[str, NDArray[np.float32]]) -> None:
-        self.nodes: list[Any] = []
-        self.arrays: dict[str, NDArray[Any]] = dict(arrays)
-        self.used: list[str] = []
-
-    def add(self, operator: str, value: str, *more: str, output: str = "", **attributes: Any) -> str:
-        output = output or f"value{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, [value, *more], [output], **attributes))
-        return output
-
-    def layer(self, operator: str, value: str, name: str, **attributes: Any) -> str:
-        self.used += [f"{name}.weight", f"{name}.bias"]
-        return self.add(operator, value, f"{name}.weight", f"{name}.bias", **attributes)
-
-    def constant(self, name: str, values: list[int]) -> str:
-        self.arrays[name] = np.array(values, np.int64)
-        self.used.append(name)
-        return name
-
-    def normalised(self, value: str, shape: list[int]) -> str:
-        """Offset and scale, left out where they are the identity.
-
-        Why so: not folded into the first layer, as a channel that hardly varies would cancel there.
-        """
-        if np.all(self.arrays["input_offset"] == 0) and np.all(self.arrays["input_scale"] == 1):
-            return value
-        for name in ("input_offset", "input_scale"):
-            self.arrays[name] = self.arrays[name].reshape(shape)
-            self.used.append(name)
-        return self.add("Mul", self.add("Sub", value, "input_offset"), "input_scale")
+    """Build the ONNX file of the network: features (batch, ...) float32, as `inputs.at`, -> probability (batch,)."""
+    grid = (network.rows, network.columns) if isinstance(network, SlipNet) else (0, 0)
+    return onnx_graphs.build(network.architecture, weights(network), *grid)
 
 
 def _channels(values: ArrayLike, wide: int) -> Tensor:

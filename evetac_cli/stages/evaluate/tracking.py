@@ -48,6 +48,7 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
         with StageFile(path, "tracks") as tracks:
             if not len(tracks.read("dot_xy_px")):
                 raise InputError("the tracks have no slices", where=str(path))
+            _check_preset(path, tracks.header["parameters"])
             known += _truth(tracks, params.recordings) is not None
             headers.append(tracks.header)
     names = _preset_names([header["parameters"] for header in headers])
@@ -96,8 +97,29 @@ def _truth(tracks: StageFile, folder: Path | None) -> NDArray[np.float32] | None
         )
     with open_recording(path) as recording:
         check_made_from(tracks, recording)
-        true: NDArray[np.float32] | None = recording.read("truth/dot_xy_px") if recording.has("truth") else None
-        return true
+        if not recording.has("truth"):
+            return None
+        true: NDArray[np.float32] = recording.read("truth/dot_xy_px")
+    dots = tracks.contents()["dot_xy_px"][1][1]
+    if true.shape[1] != dots:
+        raise InputError(
+            "the tracks follow another number of dots than the truth has",
+            where=str(tracks.path),
+            expected=f"{true.shape[1]} dots, as {path}",
+            found=f"{dots} dots",
+        )
+    return true
+
+
+def _check_preset(path: Path, parameters: dict[str, Any]) -> None:
+    """InputError unless the parameters of tracks name the preset that they are compared by."""
+    if not isinstance(parameters.get("preset"), str) or ("constants" not in parameters and "camera" not in parameters):
+        raise InputError(
+            "the header of the tracks names no preset with its constants",
+            where=str(path),
+            expected="parameters as `evetac track` writes them",
+            found=", ".join(str(key)[:40] for key in list(parameters)[:8]) or "none",
+        )
 
 
 def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
@@ -106,7 +128,8 @@ def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
     names = []
     for entry in parameters:
         same = variants.setdefault(entry["preset"], [])
-        constants = json.dumps(entry["constants"], sort_keys=True)
+        made_by = entry["constants"] if "constants" in entry else entry["camera"]  # of the tracker, or of track-rgb
+        constants = json.dumps(made_by, sort_keys=True)
         if constants not in same:
             same.append(constants)
         number = same.index(constants) + 1

@@ -14,6 +14,7 @@ from evetac_cli.params import Grasp
 from evetac_cli.sim import scene
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
+from evetac_cli.stages.slip_detectors import check_graph
 from evetac_cli.stages.trials import Trial
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
@@ -74,8 +75,12 @@ def grasp_parameters(trial: Trial, params: Grasp, control: Control) -> dict[str,
 
 
 def model_headers(model_path: Path | None) -> tuple[Header, ...]:
-    """The header of the detector's model, if there is one, as parents of a recipe."""
+    """The header of the detector's model, if there is one, as parents of a recipe; InputError if it is not to be run.
+
+    Why so: asked for before any device is touched, and a graph is better refused now than in the detector's process.
+    """
     if model_path is None:
         return ()
     with StageFile(model_path, "model") as model:
+        check_graph(model)
         return (model.header,)

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
-from evetac_cli.kernels.slip import detector, features, inputs, networks
+from evetac_cli.kernels.slip import detector, features, inputs, networks, onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.slip.features import EventImages
@@ -131,7 +131,7 @@ def test_no_probabilitiesis_above_one() -> None:
     node = helper.make_node("Sigmoid", ["features"], ["probability"])
     graph = helper.make_graph([node], "sigmoid", [value("features")], [value("probability")])
     model = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", networks.ONNX_OPSET)], ir_version=networks.ONNX_IR
+        graph, opset_imports=[helper.make_opsetid("", onnx_graphs.OPSET)], ir_version=onnx_graphs.IR
     )
     probabilities = Detector(model.SerializeToString(), ARCHITECTURES["hist10"]).probability(logits)
     assert probabilities.dtype == np.float32
@@ -148,3 +148,9 @@ def test_needs_no_torch() -> None:
     """Assert that a detector runs where torch cannot be imported."""
     code = "import sys; sys.modules['torch'] = None; import evetac_cli.kernels.slip.detector, evetac_cli.stages.grasp"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_m4_inputs_of_another_grid_are_a_value_error() -> None:
+    """Assert that inputs which do not fit the graph are a ValueError in words, not an error of onnxruntime."""
+    with pytest.raises(ValueError, match="inputs"):
+        trained("hist10").probability(np.zeros((1, 12, 20), np.float32))

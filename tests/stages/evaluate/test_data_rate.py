@@ -60,8 +60,10 @@ def recording_file(
 def labels_file(recording: Path, onset: int, *, of: Path | None = None) -> None:
     with open_recording(of or recording) as source:
         header, slices = source.header, len(source)
+    label = np.zeros(slices, np.int8)
+    label[onset:] = onset >= 0
     arrays = {
-        "label": np.zeros(slices, np.int8),
+        "label": label,
         "relative_flow_px": np.zeros(slices, np.float32),
         "onset_slice": np.int64(onset),
         "confidence": np.float64("nan"),

@@ -223,4 +223,6 @@ def test_damaged_network_is_refused(made: Path, tmp_path: Path) -> None:
         arrays = {name: file.read(name) for name in file.contents()} | {"dot_shape": np.array([7, 8], np.int32)}
     path = tmp_path / "wrong.force-model.h5"
     write_stage(path, Recipe("force-model", 1, {}), arrays)
-    refused(predict_force, [made / "trial3.tracks.h5"], params.PredictForce(model=path), "does not fit", tmp_path)
+    refused(
+        predict_force, [made / "trial3.tracks.h5"], params.PredictForce(model=path), "0/weight is impossible", tmp_path
+    )

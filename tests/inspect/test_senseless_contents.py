@@ -1,0 +1,517 @@
+"""A list of contents that make no sense, each set into a small valid file: `validate` names the dataset, stages refuse.
+
+Every change is a dataset of the right dtype and shape, so that nothing but its values is wrong.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli import params
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import validate, view
+from evetac_cli.stages import featurize, label, track, track_rgb, trim
+from evetac_cli.stages.evaluate import labels as evaluate_labels
+from evetac_cli.stages.evaluate import slip as evaluate_slip
+from evetac_cli.stages.evaluate import tracking as evaluate_tracking
+from evetac_cli.stages.evaluate import vibration as evaluate_vibration
+from evetac_cli.stages.force import predict_force
+from evetac_cli.store.files import StageFile, put_header
+from evetac_cli.store.provenance import recompute_id
+from tests import small_files
+from tests.small_files import COLUMNS, DOTS, ROWS, SLICES
+
+NAN, INF = float("nan"), float("inf")
+DEEP = "[" * 100_000 + "]" * 100_000
+
+
+class Change(NamedTuple):
+    """One senseless content: a value set at an index of a dataset (... for all of it), and what must be said of it."""
+
+    kind: str
+    dataset: str
+    index: Any
+    value: Any
+    said: str
+
+    def apply(self, path: Path) -> None:
+        """Set the value in a file; text, and arrays of another shape, replace the dataset."""
+        with h5py.File(path, "r+") as h5:
+            stored = h5[self.dataset]
+            if isinstance(self.value, str):
+                del h5[self.dataset]
+                h5.create_dataset(self.dataset, data=self.value, dtype=h5py.string_dtype())
+            elif self.index is None:
+                dtype = stored.dtype
+                del h5[self.dataset]
+                h5[self.dataset] = np.asarray(self.value, dtype)
+            else:
+                stored[self.index] = self.value
+
+
+def recording(dataset: str, index: Any, value: Any, said: str) -> Change:
+    return Change("recording", dataset, index, value, said)
+
+
+def tracks(dataset: str, index: Any, value: Any, said: str) -> Change:
+    return Change("tracks", dataset, index, value, said)
+
+
+def features(dataset: str, index: Any, value: Any, said: str) -> Change:
+    return Change("features", dataset, index, value, said)
+
+
+def labels(dataset: str, index: Any, value: Any, said: str) -> Change:
+    return Change("labels", dataset, index, value, said)
+
+
+def model(dataset: str, index: Any, value: Any, said: str) -> Change:
+    return Change("model", dataset, index, value, said)
+
+
+def force_model(dataset: str, index: Any, value: Any, said: str) -> Change:
+    return Change("force-model", dataset, index, value, said)
+
+
+GRID_OF_TWO_ROWS = small_files.GRID_PX[:2]
+ONE_COORDINATE = small_files.GRID_PX + np.array([0.0, NAN])
+
+CHANGES = [
+    # events
+    recording("events/t", 0, -1, "0 or more"),
+    recording("events/t", -1, 10**9, "ms_to_idx"),
+    recording("events/t", 5, 900, "never decreasing"),
+    recording("events/t", ..., 0, "ms_to_idx"),
+    recording("events/x", 3, 640, "inside the frame"),
+    recording("events/x", -1, 65535, "inside the frame"),
+    recording("events/y", 3, 480, "inside the frame"),
+    recording("events/p", 3, 2, "one of 0, 1"),
+    recording("events/p", -1, 255, "one of 0, 1"),
+    recording("ms_to_idx", 0, 1, "begins at 0"),
+    recording("ms_to_idx", -1, 10**6, "events/t"),
+    recording("ms_to_idx", -1, 1, "never decreasing"),
+    recording("ms_to_idx", 3, -5, "0 to"),
+    recording("ms_to_idx", 3, 200, "never decreasing"),
+    recording("ms_to_idx", 3, 31, "events/t"),
+    recording("t_offset", (), 2**63 - 1, "4611686018427387904"),
+    recording("t_offset", (), -(2**63), "4611686018427387904"),
+    # sensor
+    recording("sensor/frame_px", 0, 0, "1 to 65535"),
+    recording("sensor/frame_px", 1, -480, "1 to 65535"),
+    recording("sensor/frame_px", 0, 2**31 - 1, "1 to 65535"),
+    recording("sensor/window_px", ..., [640, 0, 540, 480], "inside the frame"),
+    recording("sensor/window_px", 2, 700, "inside the frame"),
+    recording("sensor/window_px", 0, -1, "0 or more"),
+    recording("sensor/window_px", ..., [540, 0, 540, 480], "inside the frame"),
+    recording("sensor/dot_xy_px", (0, 0), INF, "finite"),
+    recording("sensor/dot_xy_px", (0, 0), [-500.0, 10.0], "inside the frame"),
+    recording("sensor/dot_xy_px", (0, 0), [10.0, 1e300], "inside the frame"),
+    recording("sensor/dot_xy_px", ..., NAN, "at least one dot"),
+    recording("sensor/dot_xy_px", (0, 0, 1), NAN, "both coordinates"),
+    recording("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "truth/dot_xy_px"),
+    recording("sensor/dot_radius_px", (), 0.0, "more than 0"),
+    recording("sensor/dot_radius_px", (), -15.0, "more than 0"),
+    recording("sensor/dot_radius_px", (), 1e9, "frame"),
+    recording("sensor/dot_radius_px", (), NAN, "finite"),
+    recording("sensor/dot_radius_px", (), INF, "finite"),
+    # gripper
+    recording("gripper/t_us", 3, 0, "never decreasing"),
+    recording("gripper/t_us", 0, -2000, "0 or more"),
+    recording("gripper/current_ma", 0, NAN, "finite"),
+    recording("gripper/current_ma", 0, INF, "finite"),
+    recording("gripper/current_target_ma", 0, INF, "finite"),
+    # capture
+    recording("capture/slices_per_s", (), -1.0, "0 or more"),
+    recording("capture/slices_per_s", (), INF, "finite"),
+    recording("capture/commands_per_s", (), -1.0, "0 or more"),
+    recording("capture/lost/camera.dropped", (), -3, "0 or more"),
+    recording("capture/lost_slices", 0, [4, 2], "never decreasing"),
+    recording("capture/lost_slices", 0, [4, 4], "end after they begin"),
+    recording("capture/lost_slices", ..., [[6, 7], [2, 4]], "never decreasing"),
+    recording("capture/lost_slices", 1, [6, SLICES + 1], "0 to"),
+    recording("capture/lost_slices", 0, [-1, 4], "0 to"),
+    recording("capture/lost_slices", 1, [3, 7], "never decreasing"),
+    recording("capture/clock_offset_us", (), NAN, "finite"),
+    recording("capture/command_misses", (), -1, "0 or more"),
+    recording("capture/command_us", 0, -1.0, "0 or more"),
+    recording("capture/command_us", ..., [3.0, 2.0, 1.0], "never decreasing"),
+    recording("capture/slice_late_us", ..., [3.0, 2.0, 1.0], "never decreasing"),
+    recording("capture/latency_us", 2, INF, "finite"),
+    recording("capture/released_us", (), NAN, "finite"),
+    # truth
+    recording("truth/dot_xy_px", (0, 0), NAN, "finite"),
+    recording("truth/dot_xy_px", (0, 0), 1e6, "inside the frame"),
+    recording("truth/dot_xy_px", (0, 0), -1e6, "inside the frame"),
+    recording("truth/object_xy_px", 0, INF, "finite"),
+    recording("truth/slid_px", 0, NAN, "finite"),
+    recording("truth/slip", 3, 7, "one of 0, 1"),
+    recording("truth/slip_fraction", 3, 1.5, "0 to 1"),
+    recording("truth/slip_fraction", 3, -0.5, "0 to 1"),
+    recording("truth/normal_force_n", 3, NAN, "finite"),
+    recording("truth/shear_force_n", 3, INF, "finite"),
+    recording("truth/tone_hz", 3, -100.0, "0 or more"),
+    recording("truth/tone_amplitude_um", 3, NAN, "finite"),
+    recording("truth/sampled_parameters", (), "no JSON", "a JSON object"),
+    recording("truth/sampled_parameters", (), "[1]", "a JSON object"),
+    recording("truth/sampled_parameters", (), DEEP, "a JSON object"),
+    # control
+    recording("control/t_us", 3, 0, "never decreasing"),
+    recording("control/t_us", 0, -1, "0 or more"),
+    recording("control/u_ff_ticks", 0, NAN, "finite"),
+    recording("control/x_ref_ticks", 0, INF, "finite"),
+    recording("control/slip", 0, 9, "one of 0, 1"),
+    recording("control/phase", 0, 3, "one of 0, 1, 2"),
+    recording("control/missed", 0, -1, "0 or more"),
+    recording("control/slices_processed", 3, -1, "0 or more"),
+    recording("control/slices_processed", 3, 0, "never decreasing"),
+    recording("control/outcome", (), '"text"', "a JSON object"),
+    recording("control/probability", 3, 1.5, "0 to 1"),
+    recording("control/probability", 3, INF, "finite"),
+    # tracks
+    tracks("dot_xy_px", (2, 1), INF, "finite"),
+    tracks("dot_xy_px", (2, 1), 1e7, "inside the frame"),
+    tracks("dot_xy_px", (2, 1), [-2000.0, 10.0], "inside the frame"),
+    tracks("dot_xy_px", (2, 1), NAN, "missing in the grid"),
+    tracks("events_per_dot", (0, 0), -1, "0 or more"),
+    tracks("lost", (3, 2), 7, "one of 0, 1"),
+    tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "dot_xy_px"),
+    tracks("sensor/dot_xy_px", (0, 0), [1000.0, 10.0], "inside the frame"),
+    tracks("sensor/dot_xy_px", (0, 0), INF, "finite"),
+    tracks("sensor/dot_radius_px", (), 0.0, "more than 0"),
+    tracks("sensor/dot_radius_px", (), 5000.0, "frame"),
+    tracks("sensor/frame_px", ..., [0, 0], "1 to 65535"),
+    tracks("sensor/window_px", ..., [540, 480, 640, 0], "inside the frame"),
+    # labels
+    labels("label", 3, 5, "one of -1, 0, 1"),
+    labels("label", 3, -128, "one of -1, 0, 1"),
+    labels("label", 3, 1, "onset_slice"),
+    labels("onset_slice", (), 3, "onset_slice"),
+    labels("onset_slice", (), -1, "onset_slice"),
+    labels("onset_slice", (), -2, "-1 to"),
+    labels("onset_slice", (), SLICES, "-1 to"),
+    labels("confidence", (), 1.5, "0 to 1"),
+    labels("confidence", (), -INF, "finite"),
+    labels("flow_pairs_computed", (), -1, "0 or more"),
+    labels("relative_flow_px", 3, INF, "finite"),
+    # features
+    features("displacement_px", (0, 0), INF, "finite"),
+    features("displacement_px", (0, 0), NAN, "finite"),
+    features("displacement_px", (0, 0), -1.0, "0 to 100000"),
+    features("displacement_px", (0, 0), 3e38, "0 to 100000"),
+    features("displacement_xy_px", (0, 0), INF, "finite"),
+    features("displacement_xy_px", (0, 0), -3e38, "-100000 to 100000"),
+    features("events_per_dot", (0, 0), -1, "0 or more"),
+    features("events_total", 0, -1, "0 or more"),
+    features("events_outside", 0, -1, "0 or more"),
+    features("label", 0, 7, "one of -1, 0, 1"),
+    features("label", 0, 1, "onset_slice"),
+    features("onset_slice", (), SLICES, "-1 to"),
+    features("onset_slice", (), 2**40, "-1 to"),
+    features("dot_shape", ..., [0, 12], "1 or more"),
+    features("dot_shape", ..., [COLUMNS + 1, ROWS], f"{DOTS} dots"),
+    features("dot_shape", ..., [-3, -4], "1 or more"),
+    features("image/start", 0, 1, "begins at 0"),
+    features("image/start", 3, 2, "never decreasing"),
+    features("image/start", -1, 5, "never decreasing"),
+    features("image/start", -1, 50, "image/pixel"),
+    features("image/start", 3, -1, "0 to"),
+    features("image/pixel", 0, 540 * 480, "0 to 259199"),
+    features("image/sign", 0, 0, "one of -1, 1"),
+    # model
+    model("threshold", (), 2.0, "0 to 1"),
+    model("threshold", (), -1.0, "0 to 1"),
+    model("threshold", (), NAN, "finite"),
+    model("history", (), -10, "history"),
+    model("history", (), 2**40, "history"),
+    model("history", (), 11, "50"),
+    model("architecture", (), "hist1000", "one of no-hist, hist10"),
+    model("architecture", (), "hist10", "history"),
+    model("dot_shape", ..., [1, 56], "2 x 4"),
+    model("dot_shape", ..., [-7, -8], "1 or more"),
+    model("dot_shape", ..., [8, 8], "weights"),
+    model("checkpoint/chosen", (), 99, "checkpoint/step"),
+    model("checkpoint/chosen", (), -1, "checkpoint/step"),
+    model("checkpoint/threshold", 0, 1.5, "0 to 1"),
+    model("checkpoint/score", 0, NAN, "finite"),
+    model("checkpoint/score", 0, 2.0, "0 to 1"),
+    model("checkpoint/step", 0, -5, "0 or more"),
+    model("checkpoint/step", 1, 0, "increasing"),
+    model("curve/step", 0, -1, "0 or more"),
+    model("curve/loss", 0, INF, "finite"),
+    model("horizon_ms", (), -10, "0 to 1000"),
+    model("horizon_ms", (), 2**40, "0 to 1000"),
+    model("weights/fc1.bias", 0, NAN, "finite"),
+    model("weights/fc1.bias", 0, 100.0, "onnx"),
+    model("weights/fc1.weight", None, np.zeros((2, 2)), "shape"),
+    model("onnx", ..., 0, "onnx"),
+    model("onnx", slice(0, 40), 255, "onnx"),
+    model("checkpoint/onnx", (0, ...), 0, "checkpoint/onnx"),
+    # force model
+    force_model("sensor", (), "radar", "one of events, frames"),
+    force_model("dot_shape", ..., [ROWS, COLUMNS + 1], "network/0/weight"),
+    force_model("dot_shape", ..., [0, 0], "1 or more"),
+    force_model("network/scale_px", (), 0.0, "1e-06 to 1000000"),
+    force_model("network/scale_px", (), NAN, "finite"),
+    force_model("network/scale_n", (), -1.0, "1e-06 to 1000000"),
+    force_model("regression/offset_n", 0, 1e300, "-1000000 to 1000000"),
+    force_model("network/2/bias", 0, 3e38, "-1000000 to 1000000"),
+    force_model("network/0/weight", (0, 0), INF, "finite"),
+    force_model("regression/slope_n_px", (0, 0), NAN, "finite"),
+    force_model("curve/chosen", (), 99, "curve/learned_n"),
+    force_model("curve/chosen", (), -1, "curve/learned_n"),
+    force_model("curve/held_out_n", 0, -1.0, "0 or more"),
+    # forces
+    Change("forces", "network_n", (0, 0), NAN, "finite"),
+    Change("forces", "regression_n", (0, 1), INF, "finite"),
+    # report
+    Change("report", "rows", (), "no JSON", "a JSON list of flat objects"),
+    Change("report", "rows", (), '{"a": 1}', "a JSON list of flat objects"),
+    Change("report", "rows", (), "[1, 2]", "a JSON list of flat objects"),
+    Change("report", "rows", (), '[{"a": {"b": 1}}]', "a JSON list of flat objects"),
+    Change("report", "rows", (), '[{"a": NaN}]', "a JSON list of flat objects"),
+    Change("report", "rows", (), DEEP, "a JSON list of flat objects"),
+    Change("report", "summary", (), "[]", "a JSON object"),
+    Change("report", "summary", (), "no JSON", "a JSON object"),
+]
+
+
+def name_of(change: Change) -> str:
+    value = (
+        np.array2string(np.asarray(change.value), threshold=4) if not isinstance(change.value, str) else change.value
+    )
+    return f"{change.kind} {change.dataset} {str(change.index)[:12]} {value[:20]}".replace("\n", "")
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> dict[str, Path]:
+    """Kind -> a small valid file, all of one trial."""
+    return small_files.every_kind(tmp_path)
+
+
+def test_the_list_is_long_and_the_files_are_valid(small: dict[str, Path]) -> None:
+    """Assert that there are at least 100 senseless contents, and that the files they are set into are valid."""
+    assert len(CHANGES) >= 100
+    rows = validate.run(list(small.values())).rows
+    assert [row["faults"] for row in rows] == [None] * len(small)
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=name_of)
+def test_m3_validate_refuses_senseless_contents(change: Change, small: dict[str, Path]) -> None:
+    """Assert that validate refuses the content in words that name the dataset and say what was expected."""
+    path = small[change.kind]
+    change.apply(path)
+    (row,) = validate.run([path]).rows
+    assert row["valid"] is False
+    assert change.dataset.split("/")[0] in row["faults"]
+    assert change.said in row["faults"]
+    assert len(row["faults"]) < 2000
+
+
+@pytest.mark.parametrize("change", CHANGES[::25], ids=name_of)
+def test_m3_validate_ends_with_exit_code_2(change: Change, small: dict[str, Path]) -> None:
+    """Assert that the command ends with exit code 2 and prints no traceback."""
+    path = small[change.kind]
+    change.apply(path)
+    result = CliRunner().invoke(app, ["validate", str(path), "--json"])
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+
+
+def run(stage: Any, chosen: Any, path: Path) -> Callable[[Path], Any]:
+    """Run a stage on a file, its output in a folder of its own."""
+    out = path.parent / "out"
+    out.mkdir(exist_ok=True)
+    (job,) = stage.jobs([path], chosen, out)
+    return stage.run(job, chosen)
+
+
+STAGES: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "trim": ("recording", lambda path: run(trim, params.Trim(), path)),
+    "track": ("recording", lambda path: run(track, params.Track(), path)),
+    "label truth": ("recording", lambda path: run(label, params.Label(method="truth"), path)),
+    "track-rgb": ("recording", lambda path: run(track_rgb, params.TrackRgb(), path)),
+    "featurize": (
+        "recording",
+        lambda path: run(featurize, params.Featurize(tracks=path.parent, labels=path.parent), path),
+    ),
+    "evaluate labels": ("labels", lambda path: run(evaluate_labels, params.EvaluateLabels(), path)),
+    "evaluate tracking": ("tracks", lambda path: run(evaluate_tracking, params.EvaluateTracking(), path)),
+    "evaluate slip": (
+        "features",
+        lambda path: run(evaluate_slip, params.EvaluateSlip(model=path.with_name("a.model.h5")), path),
+    ),
+    "predict-force": (
+        "tracks",
+        lambda path: run(predict_force, params.PredictForce(model=path.with_name("a.force-model.h5")), path),
+    ),
+}
+
+REFUSED_BY = [
+    ("trim", recording("events/x", 3, 640, "events/x")),
+    ("trim", recording("events/y", 3, 480, "events/y")),
+    ("trim", recording("events/t", 0, -1, "events/t")),
+    ("trim", recording("truth/slip", 3, 7, "truth/slip")),
+    ("trim", recording("gripper/t_us", 3, 0, "gripper/t_us")),
+    ("trim", recording("capture/lost_slices", 0, [4, 2], "capture/lost_slices")),
+    ("track", recording("events/p", 3, 2, "events/p")),
+    ("track", recording("events/x", 3, 640, "events/x")),
+    ("track", recording("sensor/dot_radius_px", (), -1.0, "sensor/dot_radius_px")),
+    ("label truth", recording("truth/slip", 3, 7, "truth/slip")),
+    ("track-rgb", recording("truth/dot_xy_px", (0, 0), INF, "truth/dot_xy_px")),
+    ("track-rgb", recording("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "dot_xy_px")),
+    ("featurize", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
+    ("featurize", tracks("events_per_dot", (0, 0), -1, "events_per_dot")),
+    ("featurize", tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "sensor/dot_xy_px")),
+    ("featurize", labels("label", 3, 5, "label")),
+    ("featurize", labels("onset_slice", (), 2**40, "onset_slice")),
+    ("featurize", labels("onset_slice", (), 3, "onset_slice")),
+    ("evaluate labels", labels("label", 3, 5, "label")),
+    ("evaluate labels", recording("truth/slip", 3, 7, "truth/slip")),
+    ("evaluate tracking", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
+    ("evaluate tracking", tracks("sensor/dot_xy_px", ..., NAN, "sensor/dot_xy_px")),
+    ("evaluate tracking", recording("truth/dot_xy_px", (0, 0), NAN, "truth/dot_xy_px")),
+    ("evaluate slip", model("threshold", (), 2.0, "threshold")),
+    ("evaluate slip", model("horizon_ms", (), 2**40, "horizon_ms")),
+    ("evaluate slip", features("label", 0, 7, "label")),
+    ("evaluate slip", features("onset_slice", (), 2**40, "onset_slice")),
+    ("predict-force", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
+    ("predict-force", force_model("network/scale_px", (), 0.0, "network/scale_px")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("stage", "change"), REFUSED_BY, ids=[f"{s}: {name_of(c)}" for s, c in REFUSED_BY])
+def test_m3_stages_refuse_what_validate_refuses(stage: str, change: Change, small: dict[str, Path]) -> None:
+    """Assert that a stage that reads the content refuses it in words that name the dataset, and writes nothing."""
+    change.apply(small[change.kind])
+    kind, work = STAGES[stage]
+    with pytest.raises(InputError, match=change.said) as refused:
+        work(small[kind])
+    assert str(small[change.kind]) in str(refused.value)
+    assert list((small[kind].parent / "out").iterdir()) == []
+
+
+def test_m4_deep_json_in_a_header_is_refused_in_words(small: dict[str, Path]) -> None:
+    """Assert that a header or a report with JSON nested 100,000 deep is refused by validate."""
+    for kind in ("labels", "report"):
+        with h5py.File(small[kind], "r+") as h5:
+            header = json.loads(h5.attrs["header"])
+            text = json.dumps(header)
+            h5.attrs.create("header", data=np.bytes_(""))
+            del h5.attrs["header"]
+            h5.attrs["header"] = text[:-1] + ', "more": ' + "[" * 5000 + "]" * 5000 + "}"
+        (row,) = validate.run([small[kind]]).rows
+        assert row["valid"] is False
+
+
+def rewrite_header(path: Path, **changes: Any) -> None:
+    """Change a header and give it the id that fits it, as somebody who means to deceive would."""
+    with StageFile(path) as file:
+        header = {**file.header, **changes}
+    header["id"] = recompute_id(header)
+    with h5py.File(path, "r+") as h5:
+        del h5.attrs["header"]
+        put_header(h5, header)
+
+
+@pytest.mark.parametrize("parameters", [{}, {"preset": 3, "constants": {}}, {"preset": "default"}])
+def test_m4_evaluate_tracking_of_tracks_without_a_preset(parameters: dict[str, Any], small: dict[str, Path]) -> None:
+    """Assert that tracks whose header names no preset are refused in words."""
+    rewrite_header(small["tracks"], parameters=parameters)
+    with pytest.raises(InputError, match="preset"):
+        STAGES["evaluate tracking"][1](small["tracks"])
+
+
+def without(small: dict[str, Path], kind: str, slices: int) -> None:
+    """Cut the last slices off a file of tracks or labels, as somebody may who edits it."""
+    with h5py.File(small[kind], "r+") as h5:
+        for name in ("dot_xy_px", "events_per_dot", "lost", "label", "relative_flow_px"):
+            if name in h5:
+                rows = h5[name][:-slices]
+                del h5[name]
+                h5[name] = rows
+
+
+@pytest.mark.parametrize("kind", ["tracks", "labels"])
+def test_m4_featurize_with_fewer_slices_than_the_recording(kind: str, small: dict[str, Path]) -> None:
+    """Assert that tracks and labels that are shorter than their recording are refused in words."""
+    without(small, kind, 4)
+    with pytest.raises(InputError, match="slices") as refused:
+        STAGES["featurize"][1](small["recording"])
+    assert str(small[kind]) in str(refused.value)
+
+
+def test_m4_evaluate_tracking_with_fewer_slices_than_the_truth(small: dict[str, Path]) -> None:
+    """Assert that tracks that are shorter than the truth beside them are refused in words."""
+    without(small, "tracks", 4)
+    with pytest.raises(InputError, match="slices"):
+        STAGES["evaluate tracking"][1](small["tracks"])
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_m4_stages_of_files_without_slices(stage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a trial without a single slice is valid, and that each stage takes or refuses it in words."""
+    monkeypatch.setattr(small_files, "SLICES", 0)
+    monkeypatch.setattr(small_files, "ONSET", -1)
+    small = small_files.every_kind(tmp_path, lost_slices=False)
+    assert [row["faults"] for row in validate.run(list(small.values())).rows] == [None] * len(small)
+    kind, work = STAGES[stage]
+    try:
+        made = work(small[kind])
+    except InputError:
+        return
+    written = [path for row in made.rows if (path := Path(str(row.get("output", "")))).suffix == ".h5"]
+    assert [row["faults"] for row in validate.run(written).rows] == [None] * len(written)
+
+
+def test_m4_evaluate_vibration_of_events_before_time_0(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that events with a negative time are refused in words."""
+    monkeypatch.setattr(small_files, "SLICES", 240)
+    path = tmp_path / "a.recording.h5"
+    small_files.recording(path)
+    recording("events/t", slice(0, 10), -5000, "").apply(path)
+    with pytest.raises(InputError, match="events/t"):
+        run(evaluate_vibration, params.EvaluateVibration(windows="0.1"), path)
+
+
+def test_m4_view_of_a_grid_that_does_not_fit(small: dict[str, Path]) -> None:
+    """Assert that view refuses tracks whose grid has fewer dots than they follow."""
+    tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "").apply(small["tracks"])
+    with pytest.raises(InputError, match="sensor/dot_xy_px"):
+        view.run([small["tracks"]], params.View(), small["tracks"].with_name("page.html"))
+
+
+def test_m4_evaluate_tracking_of_tracks_from_frames(small: dict[str, Path]) -> None:
+    """Assert that tracks of an RGB sensor, which have the constants of a camera and not of a tracker, are evaluated."""
+    rewrite_header(small["tracks"], parameters={"preset": "rgb", "camera": {"frame_ms": 40}, "seed": 0})
+    made = STAGES["evaluate tracking"][1](small["tracks"])
+    assert made.rows[0]["preset"] == "rgb"
+
+
+def test_m4_evaluate_tracking_with_the_truth_of_another_grid(small: dict[str, Path]) -> None:
+    """Assert that tracks by another grid than that of the truth are refused in words."""
+    with h5py.File(small["tracks"], "r+") as h5:
+        for name, rows in {name: h5[name][:, :8] for name in ("dot_xy_px", "events_per_dot", "lost")}.items():
+            del h5[name]
+            h5[name] = rows
+        del h5["sensor/dot_xy_px"]
+        h5["sensor/dot_xy_px"] = GRID_OF_TWO_ROWS
+    assert validate.run([small["tracks"]]).summary["invalid"] == 0
+    with pytest.raises(InputError, match="another number of dots"):
+        STAGES["evaluate tracking"][1](small["tracks"])
+
+
+def test_m4_featurize_with_infinite_dots_beside_missing_ones(small: dict[str, Path]) -> None:
+    """Assert that an infinite place is refused also where other dots are missing, NaN in grid and tracks."""
+    for dataset, index in (("sensor/dot_xy_px", (0, 0)), ("dot_xy_px", (slice(None), 0))):
+        tracks(dataset, index, NAN, "").apply(small["tracks"])
+    assert validate.run([small["tracks"]]).summary["invalid"] == 0
+    tracks("dot_xy_px", (2, 1), INF, "").apply(small["tracks"])
+    with pytest.raises(InputError, match="dot_xy_px"):
+        STAGES["featurize"][1](small["recording"])

@@ -1,0 +1,42 @@
+"""validate reads a file of any length in the same memory."""
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+
+from evetac_cli.events import slice_starts
+from evetac_cli.inspect import validate
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Recipe
+
+
+def write_long(path: Path, slices: int, events_a_slice: int) -> Path:
+    """A recording with so many events in each slice, at the slice's beginning."""
+    t = np.repeat(np.arange(slices, dtype=np.int64) * 1000, events_a_slice)
+    arrays = {
+        "events/t": t,
+        "events/x": np.zeros(len(t), np.uint16),
+        "events/y": np.zeros(len(t), np.uint16),
+        "events/p": np.zeros(len(t), np.uint8),
+        "ms_to_idx": slice_starts(t, slices),
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array([640, 480], np.int32),
+        "sensor/name": "unknown",
+    }
+    write_stage(path, Recipe("recording", 1, {}, content="0" * 64), arrays)
+    return path
+
+
+def test_m11_validate_takes_no_more_memory_for_more_events(tmp_path: Path) -> None:
+    """Assert that three times as many events take no more memory, those of an import, whose arrays are hashed, too."""
+    peaks = []
+    for events_a_slice in (1_500, 4_500):
+        path = write_long(tmp_path / f"{events_a_slice}.recording.h5", 1000, events_a_slice)
+        tracemalloc.start()
+        (row,) = validate.run([path]).rows
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert row["faults"] == "the arrays are not those that the header was made for"
+    assert peaks[1] < 1.2 * peaks[0]
+    assert peaks[1] < 40e6

@@ -1,0 +1,193 @@
+"""The smallest valid file of each kind, written in milliseconds: what tests change in one place and then offer."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli import resources
+from evetac_cli.events import Events, slice_starts
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Header, Recipe
+
+SLICES = 24
+ROWS, COLUMNS = 3, 4
+DOTS = ROWS * COLUMNS
+EVENTS_A_SLICE = 10
+ONSET = 15
+FRAME_PX = (640, 480)
+GRID_PX = np.stack(np.meshgrid([100.0, 200.0, 300.0, 400.0], [100.0, 200.0, 300.0]), axis=-1)
+TRACKER = {"preset": "default", "constants": {}}
+
+
+def _sensor() -> dict[str, Any]:
+    return {
+        "sensor/frame_px": np.array(FRAME_PX, np.int32),
+        "sensor/name": "evetac",
+        "sensor/dot_xy_px": GRID_PX.copy(),
+        "sensor/dot_radius_px": np.float64(15.0),
+        "sensor/window_px": np.array([540, 0, 640, 480], np.int32),
+    }
+
+
+def events() -> Events:
+    """As many events in each slice, all over the frame."""
+    rng = np.random.default_rng(0)
+    count = SLICES * EVENTS_A_SLICE
+    t = np.arange(count, dtype=np.int64) * (1000 // EVENTS_A_SLICE)
+    x, y = (rng.integers(0, size, count).astype(np.uint16) for size in FRAME_PX)
+    return Events(t, x, y, rng.integers(0, 2, count).astype(np.uint8))
+
+
+def recording(path: Path, *, lost_slices: bool = True) -> Header:
+    """A simulated recording with every group."""
+    made = events()
+    slices = np.arange(SLICES)
+    steps = SLICES // 2
+    slip = (slices >= ONSET).astype(np.uint8)
+    dots = np.broadcast_to(GRID_PX.reshape(1, DOTS, 2), (SLICES, DOTS, 2)).astype(np.float32)
+    spread = np.array([1.0, 2.0, 3.0])
+    arrays = {
+        **{f"events/{name}": getattr(made, name) for name in Events._fields},
+        "ms_to_idx": slice_starts(made.t, SLICES),
+        "t_offset": np.int64(0),
+        **_sensor(),
+        "gripper/t_us": np.arange(steps, dtype=np.int64) * 2000,
+        "gripper/current_target_ma": np.full(steps, np.nan),
+        "gripper/current_written_ma": np.zeros(steps, np.int32),
+        "gripper/current_ma": np.zeros(steps, np.float32),
+        "gripper/position_ticks": np.full(steps, 400, np.int32),
+        "capture/ended": "the end",
+        "capture/slices_per_s": np.float64(1000.0),
+        "capture/commands_per_s": np.float64(500.0),
+        "capture/lost/camera.dropped": np.int64(0),
+        "capture/lost_slices": np.array([[2, 4], [6, 7]] if lost_slices else np.empty((0, 2)), np.int64),
+        "capture/clock_offset_us": np.float64(0.0),
+        "capture/command_misses": np.int64(0),
+        "capture/command_us": spread,
+        "capture/slice_late_us": spread,
+        "capture/step_late_us": spread,
+        "capture/latency_us": spread,
+        "capture/released_us": np.float64(0.0),
+        "capture/scheduling": "normal",
+        "truth/dot_xy_px": dots,
+        "truth/object_xy_px": np.zeros((SLICES, 2), np.float32),
+        "truth/slid_px": np.zeros(SLICES, np.float32),
+        "truth/slip": slip,
+        "truth/slip_fraction": np.zeros(SLICES, np.float32),
+        "truth/normal_force_n": np.ones(SLICES, np.float32),
+        "truth/shear_force_n": np.zeros((SLICES, 2), np.float32),
+        "truth/tone_hz": np.zeros(SLICES, np.float32),
+        "truth/tone_amplitude_um": np.zeros(SLICES, np.float32),
+        "truth/sampled_parameters": "{}",
+        "control/t_us": np.arange(steps, dtype=np.int64) * 2000,
+        "control/u_ff_ticks": np.zeros(steps, np.float32),
+        "control/x_ref_ticks": np.full(steps, np.nan, np.float32),
+        "control/goal_ticks": np.full(steps, 400, np.int32),
+        "control/slip": np.zeros(steps, np.uint8),
+        "control/phase": np.repeat([0, 1, 2], steps // 3).astype(np.uint8),
+        "control/missed": np.zeros(steps, np.int32),
+        "control/slices_processed": np.arange(steps, dtype=np.int64),
+        "control/outcome": "{}",
+        "control/probability": np.full(SLICES, np.nan, np.float32),
+    }
+    return write_stage(path, Recipe("recording", 1, {}, seed=1, simulated_source=True), arrays)
+
+
+def tracks(path: Path, of: Header) -> Header:
+    """Tracks of dots that do not move."""
+    arrays = {
+        "dot_xy_px": np.broadcast_to(GRID_PX.reshape(1, DOTS, 2), (SLICES, DOTS, 2)).astype(np.float32),
+        "events_per_dot": np.ones((SLICES, DOTS), np.int32),
+        "lost": np.zeros((SLICES, DOTS), np.uint8),
+        **_sensor(),
+    }
+    return write_stage(path, Recipe("tracks", 1, TRACKER, parents=(of,)), arrays)
+
+
+def _label() -> Any:
+    return np.where(np.arange(SLICES) >= ONSET, 1, 0).astype(np.int8)
+
+
+def labels(path: Path, of: Header) -> Header:
+    """Labels with slip from ONSET on."""
+    arrays = {
+        "label": _label(),
+        "relative_flow_px": np.full(SLICES, np.nan, np.float32),
+        "onset_slice": np.int64(ONSET),
+        "confidence": np.float64(1.0),
+        "flow_pairs_computed": np.int64(0),
+    }
+    return write_stage(path, Recipe("labels", 1, {"method": "truth"}, parents=(of,)), arrays)
+
+
+def features(path: Path, of: tuple[Header, ...]) -> Header:
+    """Labelled features with images of two pixels a slice."""
+    arrays = {
+        "displacement_px": np.zeros((SLICES, DOTS), np.float32),
+        "displacement_xy_px": np.zeros((SLICES, DOTS, 2), np.float32),
+        "events_per_dot": np.ones((SLICES, DOTS), np.int32),
+        "events_total": np.full(SLICES, EVENTS_A_SLICE, np.int32),
+        "events_outside": np.full(SLICES, EVENTS_A_SLICE, np.int32),
+        "label": _label(),
+        "onset_slice": np.int64(ONSET),
+        "dot_shape": np.array([ROWS, COLUMNS], np.int32),
+        "image/start": np.arange(SLICES + 1, dtype=np.int64) * 2,
+        "image/pixel": np.tile(np.array([0, 539], np.uint32), SLICES),
+        "image/sign": np.tile(np.array([1, -1], np.int8), SLICES),
+    }
+    return write_stage(path, Recipe("features", 1, {}, parents=of), arrays)
+
+
+def force_model(path: Path, of: Header) -> Header:
+    """A force model of hidden layers of 5 and 4."""
+    inputs = 2 * DOTS
+    arrays = {
+        "sensor": "events",
+        "sensor_name": "evetac",
+        "dot_shape": np.array([ROWS, COLUMNS], np.int32),
+        "regression/slope_n_px": np.eye(2),
+        "regression/offset_n": np.zeros(2),
+        "network/scale_px": np.float64(1.0),
+        "network/scale_n": np.float64(1.0),
+        "network/0/weight": np.zeros((5, inputs), np.float32),
+        "network/0/bias": np.zeros(5, np.float32),
+        "network/1/weight": np.zeros((4, 5), np.float32),
+        "network/1/bias": np.zeros(4, np.float32),
+        "network/2/weight": np.zeros((2, 4), np.float32),
+        "network/2/bias": np.zeros(2, np.float32),
+        "curve/learned_n": np.array([2.0, 1.0]),
+        "curve/held_out_n": np.array([2.0, 1.0]),
+        "curve/chosen": np.int64(1),
+    }
+    return write_stage(path, Recipe("force-model", 1, {}, parents=(of,)), arrays)
+
+
+def forces(path: Path, of: tuple[Header, ...]) -> Header:
+    """Forces of 0."""
+    zero = np.zeros((SLICES, 2), np.float32)
+    return write_stage(path, Recipe("forces", 1, {}, parents=of), {"regression_n": zero, "network_n": zero})
+
+
+def report(path: Path) -> Header:
+    """A report of one row."""
+    arrays = {"command": "evaluate slip", "rows": '[{"f1": 0.5, "object": "8"}]', "summary": '{"f1": 0.5}'}
+    return write_stage(path, Recipe("report", 1, {}), arrays)
+
+
+def every_kind(folder: Path, *, lost_slices: bool = True) -> dict[str, Path]:
+    """Kind -> a small valid file of it, all of one trial; the model is the one that evetac comes with."""
+    paths = {
+        kind: folder / f"a.{kind}.h5"
+        for kind in ("recording", "tracks", "labels", "features", "model", "force-model", "forces", "report")
+    }
+    of_recording = recording(paths["recording"], lost_slices=lost_slices)
+    of_tracks = tracks(paths["tracks"], of_recording)
+    of_labels = labels(paths["labels"], of_recording)
+    features(paths["features"], (of_recording, of_tracks, of_labels))
+    of_force_model = force_model(paths["force-model"], of_tracks)
+    forces(paths["forces"], (of_tracks, of_force_model))
+    report(paths["report"])
+    shutil.copy(resources.MODEL, paths["model"])
+    return paths
