@@ -16,6 +16,15 @@ from typing import Any, TypeVar
 
 AnyError = TypeVar("AnyError", bound=BaseException)
 INTERRUPTED = "interrupted: finished files are complete, the one in progress was left out"
+MOST_CHARACTERS = 600  # of a part of an error: what a file or flag holds is quoted, not repeated
+
+
+def shortened(text: str) -> str:
+    """A text of any length with its middle left out where it is longer than MOST_CHARACTERS."""
+    if len(text) <= MOST_CHARACTERS:
+        return text
+    end = MOST_CHARACTERS // 4
+    return f"{text[: MOST_CHARACTERS - end]} [...] {text[-end:]}"
 
 
 class EvetacError(Exception):
@@ -29,8 +38,10 @@ class EvetacError(Exception):
     def __init__(
         self, message: str, *, where: str = "", expected: str = "", found: str = "", hint: str = "", kept: str = ""
     ) -> None:
-        super().__init__(message)
-        self.message, self.where, self.expected, self.found, self.hint = message, where, expected, found, hint
+        super().__init__(shortened(message))
+        self.message, self.where, self.expected, self.found, self.hint = map(
+            shortened, (message, where, expected, found, hint)
+        )
         self.kept = kept
 
     def __str__(self) -> str:

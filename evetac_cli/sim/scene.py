@@ -7,7 +7,6 @@ against schemas/scene.v1.json). Objects are rows of the paper's table (objects.t
 import json
 import math
 import re
-import tomllib
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim import sampling
+from evetac_cli.text_files import read_toml
 
 FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
 SENSOR_SEED = 104729  # with the seeds of a trial: keeps what samples its sensor apart from what samples the trial
@@ -42,12 +42,7 @@ def load(name_or_path: str) -> dict[str, Any]:
                 found=name_or_path,
                 hint=f"did you mean {near[0]}?" if near else "",
             )
-    try:
-        scene = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise SceneError(f"cannot be read: {error.strerror}", where=str(path)) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SceneError(f"not valid TOML: {error}", where=str(path)) from None
+    scene = read_toml(path, SceneError)
     _check_finite(scene, str(path), "")
     _check(scene, str(path))
     return scene
