@@ -212,6 +212,21 @@ def test_errors_of_ours_are_not_hidden(label_is: Any, files: list[str]) -> None:
     assert isinstance(evetac("label", files[0]).exception, ZeroDivisionError)
 
 
+@pytest.mark.parametrize(
+    ("error", "words"), [(MemoryError("at 0x1"), "not enough memory"), (RecursionError("depth"), "nested too deeply")]
+)
+def test_m4_memory_and_recursion_end_in_words(
+    label_is: Any, files: list[str], error: BaseException, words: str
+) -> None:
+    """Assert that what is too large or too deep is said, on stderr and in JSON."""
+    label_is(raising(error))
+    result = evetac("label", files[0], "--json")
+    assert result.exit_code == 1
+    assert words in result.stderr
+    assert result.stderr.startswith("error: ")
+    assert words in json.loads(result.stdout)["error"]["message"]
+
+
 def test_an_error_does_not_stop_the_others(label_is: Any, files: list[str]) -> None:
     """Assert that the other files are made, every error is printed, and the first one gives the exit code."""
 
@@ -281,7 +296,7 @@ ENDINGS += [
         2,
         {"kind": "PermissionError", "message": "Permission denied", "where": "x.h5"},
     ),
-    (ZeroDivisionError("bug"), 1, {"kind": "ZeroDivisionError", "message": "bug"}),
+    (ZeroDivisionError("bug"), 1, {"kind": "InternalError", "message": "internal error: ZeroDivisionError: bug"}),
 ]
 
 
