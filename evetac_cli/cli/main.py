@@ -18,7 +18,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from evetac_cli import __version__, console, params, resources
-from evetac_cli.cli import config, workers
+from evetac_cli.cli import config, exit_codes, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome
@@ -343,4 +343,4 @@ def main() -> None:
     if folder is not None:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))  # of this process and of those that it starts
     workers.catch_interrupts()
-    app()
+    exit_codes.run(app)

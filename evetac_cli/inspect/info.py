@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.console import format_value, print_table
+from evetac_cli.console import format_value, print_table, print_text
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
@@ -30,12 +30,12 @@ def show(result: Outcome) -> None:
     """Print a block for each file: figures first, then where it comes from."""
     for row in result.rows:
         figures = {name: value for name, value in row.items() if name not in HIDDEN}
-        print(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
+        print_text(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
         for name, value in figures.items():
-            print(f"  {name:<24} {format_value(value)}")
-        print(f"  {'made':<24} {row['made'].get('at', '?')} by evetac {row['made'].get('evetac', '?')}")
+            print_text(f"  {name:<24} {format_value(value)}")
+        print_text(f"  {'made':<24} {row['made'].get('at', '?')} by evetac {row['made'].get('evetac', '?')}")
         for line in _ancestry(row):
-            print(f"  {line}")
+            print_text(f"  {line}")
     if len(result.rows) > 1:
         common = [{"file": row["file"], "kind": row["kind"], "id": row["id"][:12]} for row in result.rows]
         print_table("info", common, result.summary, simulated=result.simulated)
