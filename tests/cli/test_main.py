@@ -227,6 +227,17 @@ def test_m4_memory_and_recursion_end_in_words(
     assert words in json.loads(result.stdout)["error"]["message"]
 
 
+@pytest.mark.parametrize("name", ["a" * 240, "ä" * 120, "a" * 300])
+def test_names_of_240_bytes_fail_before_the_work(label_is: Any, files: list[str], name: str) -> None:
+    """Assert that an output whose name no file system takes, with what is appended while it is written, is refused."""
+    label_is(lambda job, chosen: pytest.fail("ran"))
+    result = evetac("label", files[0], "-o", f"{name}.labels.h5", "--json")
+    assert result.exit_code == 2
+    assert "name is too long" in json.loads(result.stdout)["error"]["message"]
+    label_is(made)
+    assert evetac("label", files[0], "-o", f"{'a' * 150}.labels.h5").exit_code == 0
+
+
 def test_an_error_does_not_stop_the_others(label_is: Any, files: list[str]) -> None:
     """Assert that the other files are made, every error is printed, and the first one gives the exit code."""
 
