@@ -21,7 +21,7 @@ from evetac_cli import __version__, console, params, resources
 from evetac_cli.cli import config, exit_codes, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
-from evetac_cli.jobs import Job, Outcome
+from evetac_cli.jobs import Job, Outcome, require_possible_name
 
 MOST_ROWS = 100  # of one table on a terminal
 
@@ -248,6 +248,8 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
 
 def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
     """Refuse outputs that would replace each other, or (with --force) what they are made from."""
+    for job in jobs:
+        require_possible_name(job.output)
     times = Counter(job.output for job in jobs)
     clash = sorted(output for output, count in times.items() if count > 1)
     if clash:
