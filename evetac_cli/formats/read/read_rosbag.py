@@ -216,9 +216,9 @@ def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
         raise InputError("ROS bags need rosbags", where=where, found=str(error), hint=hint) from None
     kind: Any = Reader2
     if path.is_dir():
-        for file in path.iterdir():
-            if not file.is_dir():
-                open_regular(file).close()
+        for inside in path.iterdir():
+            if not inside.is_dir():
+                open_regular(inside).close()
         read_bytes(path / METADATA, MOST_METADATA_BYTES)
     if path.is_file():  # rosbags goes by the name of a file, we by its content
         with path.open("rb") as file:
