@@ -1,5 +1,6 @@
 """What people see: one JSON object, a table of plain text, a bar on a terminal and nothing elsewhere."""
 
+import ast
 import io
 import json
 import math
@@ -9,6 +10,9 @@ import numpy as np
 import pytest
 
 from evetac_cli import console
+from evetac_cli.inspect import doctor
+from evetac_cli.jobs import Outcome
+from evetac_cli.resources import PACKAGE
 
 ROWS: list[dict[str, Any]] = [
     {"file": "a.h5", "delay_ms": 1.25, "ok": True},
@@ -218,3 +222,23 @@ def test_no_control_character_reaches_a_bar(monkeypatch: pytest.MonkeyPatch) -> 
     shown = terminal.getvalue()
     assert SHOWN in shown
     assert "\x1b[31mred" not in shown and "\u202e" not in shown and "\x9b" not in shown
+
+
+def test_no_control_character_of_a_device_reaches_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that what a device says of itself is spelt out by doctor."""
+    row = {"device": NASTY, "check": "serial", "ok": False, "found": NASTY, "expected": NASTY, "fix": NASTY}
+    doctor.show(Outcome([row], False, {"cameras": 1, "grippers": 1, "wrong": 1}))
+    out = capsys.readouterr().out
+    assert out.count(SHOWN) == 4
+    assert not any(raw in out for raw in NASTY if not raw.isprintable())
+
+
+def test_only_console_prints() -> None:
+    """Assert that every line goes through console, which spells control characters out; udev rules are ours alone."""
+    printing = {
+        str(path.relative_to(PACKAGE))
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"
+    }
+    assert printing == {"console.py", "cli/main.py"}
