@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, table
 from evetac_cli.sim import scene
@@ -165,3 +166,25 @@ def test_m4_a_motion_without_end_is_refused(name: str, group: str, key: str, val
     build = {"press": Pressing, "rub": Rubbing}[plan["scene"]["kind"]]
     with pytest.raises(SceneError, match="too long"):
         build(plan, random(0), random(1))
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("shear", "randomise.kinetic_share", [5.0, 5.0]),
+        ("vibration", "tone.radius_mm", 1e-300),
+        ("slip", "gripper.start_factor", [1000.0, 1000.0]),
+        ("slip", "randomise.mass", [1000.0, 1000.0]),
+        ("slip", "texture.half_correlation_px", [1000.0, 1000.0]),
+    ],
+)
+def test_m4_a_scene_that_cannot_be_simulated_is_said(name: str, key: str, value: Any, tmp_path: Path) -> None:
+    """Assert that values within their ranges that no simulation can be made of are refused with the scene's name."""
+    odd = named(name)
+    group, inner = key.split(".")
+    odd[group][inner] = value
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    (plan, *_) = scene.plan(str(path), "8", "evetac", ("ramp", "press", "tone"))
+    with pytest.raises(SceneError, match=odd["name"]):
+        rig(plan, np.random.SeedSequence(0))
