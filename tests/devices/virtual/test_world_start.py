@@ -11,7 +11,7 @@ from evetac_cli.errors import DeviceError
 BUILT = {"sensor": {}, "holding_ma": 1.0, "sampled": "{}"}
 
 
-class Machine:
+class BusyHost:
     """A machine on which a process gets `share` of every second, and a world is built after `seconds` of its time."""
 
     def __init__(self, share: float, seconds: float) -> None:
@@ -35,7 +35,7 @@ class Machine:
 
 def test_cold_caches_on_a_busy_machine_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a world that computes is waited for, whatever the clock says: here half an hour."""
-    waiting = Machine(0.02, 40.0).waiting(monkeypatch)
+    waiting = BusyHost(0.02, 40.0).waiting(monkeypatch)
     waiting._wait_until_built()
     assert waiting.holding_ma == 1.0
 
@@ -43,4 +43,4 @@ def test_cold_caches_on_a_busy_machine_are_waited_for(monkeypatch: pytest.Monkey
 def test_a_world_that_does_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a process that stands still is not waited for without end."""
     with pytest.raises(DeviceError, match="did not start"):
-        Machine(0.0, 1.0).waiting(monkeypatch)._wait_until_built()
+        BusyHost(0.0, 1.0).waiting(monkeypatch)._wait_until_built()
