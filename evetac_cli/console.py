@@ -16,9 +16,30 @@ MOST_NAMING = 3  # columns that are repeated where a table is split
 MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between them a number has more than four digits, and is still easily read
 
 
+def safe(text: str) -> str:
+    """Text that cannot change a terminal: what is neither printable nor a line's end nor a tab is spelt out.
+
+    File names and texts in files may hold escape sequences, or marks that turn the direction of writing.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        sign if sign.isprintable() or sign in "\n\t" else sign.encode("unicode_escape").decode() for sign in text
+    )
+
+
+def _in_a_line(text: str) -> str:
+    return safe(text).replace("\n", "\\n").replace("\t", "\\t")
+
+
 def say(text: str) -> None:
     """A message to the user, on stderr."""
-    print(text, file=sys.stderr)
+    print(safe(text), file=sys.stderr)
+
+
+def print_text(text: str) -> None:
+    """Lines of a result, on stdout."""
+    print(safe(text))
 
 
 def wait_for_enter(text: str) -> None:
@@ -59,7 +80,7 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
         TimeRemainingColumn(),
     )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=None)
+        task = bar.add_task(_in_a_line(what), total=None)
 
         def advance(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
@@ -78,7 +99,7 @@ def live() -> Iterator[Callable[[str], None]]:
     from rich.text import Text
 
     with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as shown:
-        yield lambda text: shown.update(Text(text), refresh=True)
+        yield lambda text: shown.update(Text(safe(text)), refresh=True)
 
 
 def show(command: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool, as_json: bool) -> None:
@@ -122,12 +143,12 @@ def print_table(title: str, rows: list[dict[str, Any]], summary: dict[str, Any],
 
     # What is printed is text, not markup: a path may hold [brackets] or :colons:.
     console = Console(soft_wrap=not sys.stdout.isatty(), markup=False, emoji=False)
-    heading = title + (" (simulated)" if simulated else "")
+    heading = _in_a_line(title) + (" (simulated)" if simulated else "")
     for _, group in itertools.groupby(rows, key=tuple):  # rows of other columns are a table of their own
         for table in _tables(heading, list(group), console.width):
             console.print(table)
     for name, value in summary.items():
-        console.print(f"{name}: {format_value(value)}", highlight=False, soft_wrap=True)
+        console.print(f"{_in_a_line(name)}: {format_value(value)}", highlight=False, soft_wrap=True)
 
 
 def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]:
@@ -138,7 +159,7 @@ def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]
     """
     from rich.table import Table
 
-    names = list(rows[0])
+    names = list(map(_in_a_line, rows[0]))
     cells = [[format_value(value) for value in row.values()] for row in rows]
     widths = [3 + max(map(len, column)) for column in zip(names, *cells, strict=True)]
     if len(rows) <= FEW_ROWS and 1 + sum(widths) > width:
@@ -152,7 +173,7 @@ def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]
     for columns in _side_by_side(widths, _naming(rows), width):
         table = Table(title=title, title_justify="left")
         for column in columns:
-            numeric = all(isinstance(row[names[column]], (int, float, type(None))) for row in rows)
+            numeric = all(isinstance(list(row.values())[column], (int, float, type(None))) for row in rows)
             table.add_column(names[column], justify="right" if numeric else "left", overflow="fold")
         for values in cells:
             table.add_row(*(values[column] for column in columns))
@@ -181,7 +202,7 @@ def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[
 
 
 def format_value(value: Any) -> str:
-    """A cell: numbers to four digits, large ones whole, nothing for None, yes and no for truth values."""
+    """A cell, of one line: numbers to four digits, large ones whole, nothing for None, yes and no for truth values."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -192,7 +213,7 @@ def format_value(value: Any) -> str:
         return f"{value:,.0f}" if MOST_SHORT <= abs(value) < EXPONENT_FROM else f"{value:.4g}"
     if isinstance(value, int):
         return f"{value:,}"
-    return str(value)
+    return _in_a_line(str(value))
 
 
 def plain(value: Any) -> Any:

@@ -16,6 +16,17 @@ from typing import Any, TypeVar
 
 AnyError = TypeVar("AnyError", bound=BaseException)
 INTERRUPTED = "interrupted: finished files are complete, the one in progress was left out"
+INTERNAL_ERROR = "internal error"  # how what nobody foresaw begins: programs that try evetac out look for it
+MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
+MOST_CHARACTERS = 600  # of a part of an error: what a file or flag holds is quoted, not repeated
+
+
+def shortened(text: str) -> str:
+    """A text of any length with its middle left out where it is longer than MOST_CHARACTERS."""
+    if len(text) <= MOST_CHARACTERS:
+        return text
+    end = MOST_CHARACTERS // 4
+    return f"{text[: MOST_CHARACTERS - end]} [...] {text[-end:]}"
 
 
 class EvetacError(Exception):
@@ -29,12 +40,15 @@ class EvetacError(Exception):
     def __init__(
         self, message: str, *, where: str = "", expected: str = "", found: str = "", hint: str = "", kept: str = ""
     ) -> None:
-        super().__init__(message)
-        self.message, self.where, self.expected, self.found, self.hint = message, where, expected, found, hint
+        super().__init__(shortened(message))
+        self.message, self.where, self.expected, self.found, self.hint = map(
+            shortened, (message, where, expected, found, hint)
+        )
         self.kept = kept
 
     def __str__(self) -> str:
-        lines = [f"{self.where}: {self.message}" if self.where else self.message]
+        where = self.where.replace("\n", "\\n")  # a file's name may hold lines that look like ours
+        lines = [f"{where}: {self.message}" if where else self.message]
         lines += [f"  expected: {self.expected}"] if self.expected else []
         lines += [f"  found:    {self.found}"] if self.found else []
         lines += [f"  try:      {self.hint}"] if self.hint else []
@@ -85,11 +99,13 @@ def error_dict(error: BaseException) -> dict[str, Any]:
         return {"kind": type(error).__name__, **parts, "exit_status": error.exit_code}
     if isinstance(error, KeyboardInterrupt):
         return {"kind": "Interrupted", "message": str(error) or INTERRUPTED, "exit_status": 130}
+    if isinstance(error, MemoryError):
+        return {"kind": "MemoryError", "message": "not enough memory", "hint": MEMORY_HINT, "exit_status": 1}
+    if isinstance(error, RecursionError):
+        return {"kind": "RecursionError", "message": "nested too deeply", "exit_status": 1}
     if isinstance(error, OSError):
-        return {
-            "kind": type(error).__name__,
-            "message": error.strerror or str(error),
-            "where": str(error.filename or "output"),
-            "exit_status": InputError.exit_code,
-        }
-    return {"kind": type(error).__name__, "message": str(error), "exit_status": 1}
+        named = {"where": shortened(str(error.filename))} if error.filename is not None else {}
+        message = shortened(error.strerror or str(error) or type(error).__name__)
+        return {"kind": type(error).__name__, "message": message, **named, "exit_status": InputError.exit_code}
+    message = f"{INTERNAL_ERROR}: {type(error).__name__}: {shortened(str(error))}"
+    return {"kind": "InternalError", "message": message, "exit_status": 1}

@@ -1,9 +1,16 @@
 """Jobs and what comes of them: a job makes one output file, an outcome holds its rows, progress is (done, total)."""
 
+import os
+import platform
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
+
+from evetac_cli.errors import InputError
+
+MOST_NAME_BYTES = 255  # of a file, on nearly every file system
+APPENDED_BYTES = 48  # to a name while the file is written (store/disk.py), beside the name of this machine
 
 Progress = Callable[[int, int], None]  # (done, total)
 
@@ -29,6 +36,16 @@ class Outcome:
     simulated: bool
     summary: dict[str, Any] = field(default_factory=dict)
     made: bool = True
+
+
+def require_possible_name(output: Path) -> None:
+    """InputError, before any work, if no file of this name could be written."""
+    most = MOST_NAME_BYTES - APPENDED_BYTES - len(platform.node().encode())
+    length = len(os.fsencode(output.name))
+    if length > most:
+        raise InputError(
+            "the name is too long", where=str(output), expected=f"at most {most} bytes", found=f"{length} bytes"
+        )
 
 
 def outcome(job: Job, *, made: bool, simulated: bool, **figures: Any) -> Outcome:

@@ -1,5 +1,6 @@
 """What people see: one JSON object, a table of plain text, a bar on a terminal and nothing elsewhere."""
 
+import ast
 import io
 import json
 import math
@@ -9,6 +10,9 @@ import numpy as np
 import pytest
 
 from evetac_cli import console
+from evetac_cli.inspect import doctor
+from evetac_cli.jobs import Outcome
+from evetac_cli.resources import PACKAGE
 
 ROWS: list[dict[str, Any]] = [
     {"file": "a.h5", "delay_ms": 1.25, "ok": True},
@@ -181,3 +185,60 @@ def test_bar_without_any_step(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
     with pytest.raises(KeyError), console.progress_bar("track", "slices", quiet=False):
         raise KeyError
+
+
+NASTY = "\x1b[31mred\x9b2J\u202egnp\r\udcff"
+SHOWN = "\\x1b[31mred\\x9b2J\\u202egnp\\r\\udcff"
+
+
+def test_no_control_character_reaches_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that headings, names of columns, cells and the summary have control characters spelt out."""
+    console.show(NASTY, [{"file": NASTY, NASTY: "a\nb"}], {NASTY: NASTY}, simulated=False, as_json=False)
+    out = capsys.readouterr().out
+    assert out.count(SHOWN) == 5
+    assert "a\\nb" in out
+    assert not any(raw in out for raw in NASTY if not raw.isprintable())
+
+
+def test_no_control_character_reaches_messages(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that messages and the lines of a result keep their lines, and have the rest spelt out."""
+    console.say(f"a\n{NASTY}\tb")
+    console.print_text(f"a\n{NASTY}\tb")
+    assert capsys.readouterr() == (f"a\n{SHOWN}\tb\n", f"a\n{SHOWN}\tb\n")
+
+
+def test_no_control_character_reaches_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that names beside a bar, and what is shown live, are spelt out; the bar's own codes are there."""
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("TERM", "xterm")
+    with console.progress_bar(NASTY, "slices", quiet=False) as progress:
+        progress(1, 2)
+    with console.live() as show:
+        show(f"a\n{NASTY}")
+    shown = terminal.getvalue()
+    assert SHOWN in shown
+    assert "\x1b[31mred" not in shown and "\u202e" not in shown and "\x9b" not in shown
+
+
+def test_no_control_character_of_a_device_reaches_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that what a device says of itself is spelt out by doctor."""
+    row = {"device": NASTY, "check": "serial", "ok": False, "found": NASTY, "expected": NASTY, "fix": NASTY}
+    doctor.show(Outcome([row], False, {"cameras": 1, "grippers": 1, "wrong": 1}))
+    out = capsys.readouterr().out
+    assert out.count(SHOWN) == 4
+    assert not any(raw in out for raw in NASTY if not raw.isprintable())
+
+
+def test_only_console_prints() -> None:
+    """Assert that every line goes through console, which spells control characters out; udev rules are ours alone."""
+    printing = {
+        str(path.relative_to(PACKAGE))
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"
+    }
+    assert printing == {"console.py", "cli/main.py"}

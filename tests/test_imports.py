@@ -13,7 +13,7 @@ from evetac_cli.resources import PACKAGE
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
-GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources"})
+GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources", "text_files"})
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli"},
     "api": GROUND | {"stages", "devices", "store", "sim", "kernels"},
@@ -21,14 +21,15 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "numerics": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "realtime", "kernels"},
     "devices": frozenset({"errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
-    "formats": frozenset({"errors", "events", "jobs", "resources", "store", "kernels"}),
-    "store": frozenset({"errors", "events", "resources", "kernels", "evetac_cli"}),
-    "sim": frozenset({"errors", "events", "resources", "kernels"}),
+    "formats": frozenset({"errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
+    "store": frozenset({"errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
+    "sim": frozenset({"errors", "events", "resources", "text_files", "kernels"}),
     "realtime": frozenset({"errors", "events", "kernels"}),
     "kernels": frozenset({"errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
     "params": frozenset(),
     "resources": frozenset({"errors"}),
+    "text_files": frozenset({"errors"}),
     "jobs": frozenset({"errors"}),
     "events": frozenset({"errors"}),
     "errors": frozenset(),

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import sys
-import tomllib
 import typing
 from collections.abc import Mapping
 from dataclasses import fields
@@ -13,6 +12,7 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.params import flag_of
+from evetac_cli.text_files import read_toml
 
 # A table of a config file for each: [track], [evaluate.slip].
 COMMANDS = (
@@ -50,12 +50,7 @@ def resolve(cls: type, command: str, given: Mapping[str, Any], config: Path | No
 
 
 def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
-    try:
-        table = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError, and so is a number too long
-        raise InputError(f"not valid TOML: {error}", where=str(path)) from None
+    table = read_toml(path)
     words = command.split()
     for depth, word in enumerate(words):
         tables = {name.split()[depth] for name in COMMANDS if name.split()[:depth] == words[:depth]}
@@ -86,6 +81,8 @@ def _coerce(value: Any, hint: Any, where: str) -> Any:
     wanted = [option for option in (typing.get_args(hint) or (hint,)) if option is not type(None)]
     for option in wanted:
         if option is Path and isinstance(value, str):
+            if "\0" in value:
+                raise InputError("not the name of a file", where=where, found=repr(value))
             return Path(value)
         if option is float and type(value) is int and abs(value) < sys.float_info.max:
             return float(value)

@@ -1,18 +1,34 @@
 """Exit codes: an error is printed in words on stderr, and with --json as one object on stdout.
 
 A program that calls `evetac ... --json` can always parse what it gets: the rows of what was made, and the error.
+What nobody foresaw goes through all of this, so that tests see it as it was raised; only `run` calls it a defect.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import os
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
-from evetac_cli import console
-from evetac_cli.errors import INTERRUPTED, EvetacError, InputError, attached_outcome, error_dict
+from evetac_cli import __version__, console
+from evetac_cli.cli.standard_streams import OutputClosed, OutputError, end_as_by_sigpipe, open_streams
+from evetac_cli.errors import (
+    INTERNAL_ERROR,
+    INTERRUPTED,
+    EvetacError,
+    InputError,
+    attached_outcome,
+    error_dict,
+    shortened,
+)
 from evetac_cli.jobs import Outcome
 
 UsageError: Any = typer.BadParameter.__base__  # which typer does not name; it lies in click, or in typer's own copy
@@ -24,25 +40,32 @@ class Commands(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Note whether --json was given before any flag is read, then read the flags of `evetac` itself."""
         ctx.meta["as_json"] = "--json" in args
-        with _usage_errors_as_json(ctx):
+        with _outside_a_command(ctx):
             return list(super().parse_args(ctx, args))
 
     def invoke(self, ctx: Any) -> Any:
         """Find the command, read its flags, call it."""
-        with _usage_errors_as_json(ctx):
+        with _outside_a_command(ctx):
             return super().invoke(ctx)
 
 
 @contextmanager
-def _usage_errors_as_json(ctx: Any) -> Iterator[None]:
+def _outside_a_command(ctx: Any) -> Iterator[None]:
+    """Wrong flags, and Ctrl-C while they are read: typer prints the first itself, without a look at what it prints."""
     try:
         yield
     except UsageError as error:
+        error.message = console.safe(shortened(error.message))
         if ctx.meta["as_json"]:
             called = error.ctx.command_path if error.ctx else ctx.command_path
             title = called.removeprefix(ctx.command_path).strip()
             console.show_failure(title, [InputError(error.format_message())], [])
         raise
+    except KeyboardInterrupt as error:
+        if ctx.meta["as_json"]:
+            console.show_failure("", [error], [])
+        console.say(str(error) or INTERRUPTED)
+        raise typer.Exit(130) from None
 
 
 class CommandExit:
@@ -71,7 +94,7 @@ class CommandExit:
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if self.as_json and error is not None and not isinstance(error, (typer.Exit, BrokenPipeError)):
+        if self.as_json and error is not None and not isinstance(error, (typer.Exit, OutputClosed, OutputError)):
             errors = self.errors()
             known = any(error is other for other in errors)
             more = attached_outcome(error) if not known else None
@@ -80,11 +103,65 @@ class CommandExit:
         if isinstance(error, KeyboardInterrupt):
             console.say(str(error) or INTERRUPTED)
             raise typer.Exit(130) from None
-        if isinstance(error, (EvetacError, OSError)):
+        if isinstance(error, (EvetacError, OSError, MemoryError, RecursionError)):
             if self.verbose:
-                import traceback
-
-                traceback.print_exception(error)
+                console.say("".join(traceback.format_exception(error)).rstrip())
             data = error_dict(error)  # an OSError that no stage turned into words still names its path
-            console.say(f"error: {error if isinstance(error, EvetacError) else '{where}: {message}'.format(**data)}")
+            words = f"{data['where']}: {data['message']}" if "where" in data else data["message"]
+            console.say(f"error: {error if isinstance(error, EvetacError) else words}")
             raise typer.Exit(data["exit_status"]) from None
+
+
+def run(program: Callable[[], Any]) -> NoReturn:
+    """Run the program and end this process with its exit code, whatever comes: nothing leaves as a traceback."""
+    open_streams()
+    warnings.showwarning = _show_warning
+    try:
+        code = _exit_code(program)
+        sys.stdout.flush()
+    except OutputClosed:
+        end_as_by_sigpipe()
+    except OutputError as error:
+        console.say(f"error: {error}")
+        code = error.exit_code
+    for number in (signal.SIGINT, signal.SIGTERM):  # all is done and said: from now on they only end what still runs
+        signal.signal(number, signal.SIG_DFL)
+    sys.exit(code)
+
+
+def _exit_code(program: Callable[[], Any]) -> int:
+    try:
+        program()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    except KeyboardInterrupt as error:
+        console.say(str(error) or INTERRUPTED)
+        return 130
+    except OutputError:
+        raise
+    except Exception as error:
+        _say_internal_error(error, verbose=not {"-v", "--verbose"}.isdisjoint(sys.argv))
+        return 1
+    return 0
+
+
+def _say_internal_error(error: Exception, *, verbose: bool) -> None:
+    """What nobody foresaw, in words, with its traceback in a file or, if asked for, on stderr."""
+    trace = "".join(traceback.format_exception(error))
+    console.say(INTERNAL_ERROR)
+    console.say(f"  {type(error).__name__}: {shortened(str(error))}")
+    console.say(f"  this is a defect of evetac {__version__}: please report it, with the command and what follows")
+    if verbose:
+        console.say(trace.rstrip())
+        return
+    with suppress(OSError):
+        number, name = tempfile.mkstemp(prefix="evetac-internal-error-", suffix=".txt")
+        with os.fdopen(number, "w", errors="backslashreplace") as file:
+            file.write(trace)
+        console.say(f"  traceback: {name}")
+
+
+def _show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
+) -> None:
+    console.say(warnings.formatwarning(message, category, filename, lineno, line).rstrip())

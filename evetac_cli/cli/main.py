@@ -18,10 +18,10 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from evetac_cli import __version__, console, params, resources
-from evetac_cli.cli import config, workers
+from evetac_cli.cli import config, exit_codes, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
-from evetac_cli.jobs import Job, Outcome
+from evetac_cli.jobs import Job, Outcome, require_possible_name
 
 MOST_ROWS = 100  # of one table on a terminal
 
@@ -257,6 +257,8 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
 
 def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
     """Refuse outputs that would replace each other, or (with --force) what they are made from."""
+    for job in jobs:
+        require_possible_name(job.output)
     times = Counter(job.output for job in jobs)
     clash = sorted(output for output, count in times.items() if count > 1)
     if clash:
@@ -352,4 +354,4 @@ def main() -> None:
     if folder is not None:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))  # of this process and of those that it starts
     workers.catch_interrupts()
-    app()
+    exit_codes.run(app)

@@ -1,12 +1,14 @@
 """Camera, gripper and clock of a simulated scene: reading a slice is what makes its time pass."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from evetac_cli.devices import GripperReading, Rig
+from evetac_cli.errors import SceneError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
@@ -23,8 +25,9 @@ class SimulatedCamera:
 
     counted: Mapping[str, int] = MappingProxyType({})
 
-    def __init__(self, simulation: Simulation, name: str, sensor_row: Mapping[str, Any]) -> None:
+    def __init__(self, simulation: Simulation, scene: str, name: str, sensor_row: Mapping[str, Any]) -> None:
         self._simulation: Simulation | None = simulation
+        self._scene = scene
         self._now_us = 0
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array(sensor_row["frame_px"], np.int32),
@@ -40,7 +43,8 @@ class SimulatedCamera:
         if self._simulation is None or self._simulation.finished:
             return None
         self._now_us += SLICE_US
-        return self._simulation.step()
+        with _scene_in_words(self._scene):
+            return self._simulation.step()
 
     def now_us(self) -> int:
         """End of the slice that was read last."""
@@ -80,10 +84,24 @@ class SimulatedGripper:
 def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: float) -> Rig:
     """Build the devices of a simulated trial; mechanics and optics draw from random streams of their own.
 
-    durations: lift_s and balance_s of a scene in which an object is lifted.
+    durations: lift_s and balance_s of a scene in which an object is lifted. SceneError if nothing can be made of it.
     """
+    with _scene_in_words(plan["scene"]["name"]):
+        return _rig(plan, seeds, durations)
+
+
+@contextmanager
+def _scene_in_words(scene: str) -> Iterator[None]:
+    """Each value of a scene has a range, but not all go together: what the kernels then refuse is said of the scene."""
+    try:
+        yield
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
+        raise SceneError(f"cannot be simulated: {error}", where=f"scene {scene}") from error
+
+
+def _rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, durations: Mapping[str, float]) -> Rig:
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
-    named = plan["sensor"], plan["sensor_row"]
+    named = plan["scene"]["name"], plan["sensor"], plan["sensor_row"]
     driven = DRIVEN_SCENES.get(plan["scene"]["kind"])
     if driven is not None:
         trial = driven(plan, mechanics, optics)

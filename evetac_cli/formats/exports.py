@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write import write_aedat4, write_calibration, write_dsec, write_text
-from evetac_cli.jobs import Progress, silent
+from evetac_cli.jobs import Progress, require_possible_name, silent
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 from evetac_cli.store.read import Recording
@@ -60,6 +60,7 @@ def export(
 
     InputError if the target exists, unless `force`, or if the recording has not got what the format holds.
     """
+    require_possible_name(target)
     if target.is_dir():
         raise InputError("the output is a folder", where=str(target))
     if os.path.lexists(target) and not force:

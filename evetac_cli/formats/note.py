@@ -10,8 +10,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from evetac_cli.errors import InputError
+from evetac_cli.text_files import parse_json
 
 NAME = "evetac"
+# Beyond 2^53 us (285 years) a float no longer holds whole microseconds. Camera clocks that count from 1970 are at 2^51.
+CLOCK_LIMIT_US = 2**53
 LONGEST_SLICES = 24 * 3600 * 1000  # as for any import
 
 
@@ -33,7 +36,7 @@ class Note:
 def read_note(text: str, where: str) -> Note:
     """Read a note back; InputError if somebody edited it into something else."""
     try:
-        fields: dict[str, Any] = dict(json.loads(text))
+        fields: dict[str, Any] = dict(parse_json(text))
         start_us, slices, (width, height) = fields["start_us"], fields["slices"], fields["frame_px"]
         events = fields.get("events")
         whole = all(type(number) is int for number in (start_us, slices, width, height, events or 0))
@@ -41,7 +44,9 @@ def read_note(text: str, where: str) -> Note:
             raise ValueError("values of other types")
         if not 0 <= slices <= LONGEST_SLICES:
             raise ValueError(f"{slices} slices")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        if abs(start_us) > CLOCK_LIMIT_US or (events is not None and not 0 <= events <= CLOCK_LIMIT_US):
+            raise ValueError(f"begins at {start_us} us, {events} events")
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"the note that evetac left in it is damaged: {str(error)[:80]}",
             where=where,

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.console import print_text
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
 from evetac_cli.devices.probe import FTDI, Host
@@ -88,20 +89,24 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
 def show(result: Outcome) -> None:
     """Print a block for each device: what is right, what is wrong, and how to mend it."""
     for device, group in itertools.groupby(result.rows, key=lambda row: str(row["device"])):
-        print(device)
+        print_text(device)
         for row in group:
             sign = {True: "ok", False: "WRONG", None: "-"}[row["ok"]]
             expected = f"  (expected: {row['expected']})" if row["ok"] is not True and row["expected"] else ""
-            print(f"  {sign:<6}{row['check']:<16}{row['found']}{expected}")
+            print_text(f"  {sign:<6}{row['check']:<16}{row['found']}{expected}")
             if row["fix"]:
-                print(f"        {'':<16}try: {row['fix']}")
+                print_text(f"        {'':<16}try: {row['fix']}")
     counts = result.summary
     if not counts["cameras"]:
-        print("no camera found on USB. One that is plugged in: another port, another cable (some only carry power);")
-        print("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need none.")
+        print_text(
+            "no camera found on USB. One that is plugged in: another port, another cable (some only carry power);"
+        )
+        print_text("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need none.")
     if not counts["grippers"]:
-        print("no gripper found. By itself doctor only asks FTDI adapters (U2D2): name another with --gripper PORT.")
-    print(f"{counts['wrong']} wrong" if counts["wrong"] else "all that was found is fine")
+        print_text(
+            "no gripper found. By itself doctor only asks FTDI adapters (U2D2): name another with --gripper PORT."
+        )
+    print_text(f"{counts['wrong']} wrong" if counts["wrong"] else "all that was found is fine")
 
 
 def _row(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:

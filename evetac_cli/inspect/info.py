@@ -1,17 +1,19 @@
 """info: the figures of stage files and where they come from."""
 
-import json
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evetac_cli.console import format_value, print_table
+from evetac_cli.console import format_value, print_table, print_text
+from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
+from evetac_cli.text_files import parse_json
 
 RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor
 EVENT_BYTES = 5
@@ -30,12 +32,12 @@ def show(result: Outcome) -> None:
     """Print a block for each file: figures first, then where it comes from."""
     for row in result.rows:
         figures = {name: value for name, value in row.items() if name not in HIDDEN}
-        print(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
+        print_text(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
         for name, value in figures.items():
-            print(f"  {name:<24} {format_value(value)}")
-        print(f"  {'made':<24} {row['made'].get('at', '?')} by evetac {row['made'].get('evetac', '?')}")
+            print_text(f"  {name:<24} {format_value(value)}")
+        print_text(f"  {'made':<24} {row['made'].get('at', '?')} by evetac {row['made'].get('evetac', '?')}")
         for line in _ancestry(row):
-            print(f"  {line}")
+            print_text(f"  {line}")
     if len(result.rows) > 1:
         common = [{"file": row["file"], "kind": row["kind"], "id": row["id"][:12]} for row in result.rows]
         print_table("info", common, result.summary, simulated=result.simulated)
@@ -54,10 +56,28 @@ def _ancestry(row: dict[str, Any]) -> Iterator[str]:
             yield f"{name:<24} {', '.join(f'{count} {kind}' for kind, count in kinds.items())} (all: --json)"
 
 
+@contextmanager
+def _contents_in_words(path: Path) -> Iterator[None]:
+    """A file may have the right datasets, and still hold an epoch that does not exist: info shows what others refuse.
+
+    So whatever its figures cannot be made from is refused here, once for all of them.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
+        raise InputError(
+            "its contents make no sense",
+            where=str(path),
+            found=f"{type(error).__name__}: {error}",
+            hint=f"evetac validate {path}",
+        ) from error
+
+
 def _describe(path: Path) -> dict[str, Any]:
-    with StageFile(path) as file:
+    with StageFile(path) as file, _contents_in_words(path):
         header = file.header
-        row: dict[str, Any] = {
+        known: dict[str, Any] = {
             "file": str(path),
             "kind": file.kind,
             "version": header["version"],
@@ -66,13 +86,14 @@ def _describe(path: Path) -> dict[str, Any]:
             "seed": header["seed"],
             "simulated": header["simulated"],
         }
-        row |= _FIGURES[file.kind](file)
+        row = known | _FIGURES[file.kind](file) | known  # a report's own figures never stand in for these
         row["size_bytes"] = path.stat().st_size
         row["parameters"] = header["parameters"]
-        row["made"] = header.get("made", {})
+        row["made"] = dict(header.get("made", {}))
         row["parents"] = header["parents"]
         row["history"] = [
-            {"id": id_, **{key: ancestor[key] for key in ("kind", "method", "parameters", "seed", "parents")}}
+            {"id": id_, "kind": str(ancestor["kind"])}
+            | {key: ancestor[key] for key in ("method", "parameters", "seed", "parents")}
             for id_, ancestor in header["history"].items()
         ]
     return row
@@ -165,7 +186,7 @@ def _tracks(file: StageFile) -> dict[str, Any]:
         "slices": len(dots),
         "dots": dots.shape[1],
         "preset": file.header["parameters"]["preset"],
-        "moved_px_most": float(np.nanmax(moved)) if moved.size else 0.0,
+        "moved_px_most": float(np.fmax.reduce(moved, axis=None)) if moved.size else 0.0,  # NaN where all dots are lost
         "dots_lost_at_end": int(file.read("lost")[-1].sum()) if len(dots) else 0,
     }
 
@@ -211,7 +232,10 @@ def _forces(file: StageFile) -> dict[str, Any]:
 
 
 def _report(file: StageFile) -> dict[str, Any]:
-    return {"command": file.read("command"), **json.loads(file.read("summary"))}
+    summary = parse_json(file.read("summary"))
+    if not isinstance(summary, dict):
+        raise ValueError("a summary that is no table")
+    return {"command": file.read("command"), **summary}
 
 
 _FIGURES = {

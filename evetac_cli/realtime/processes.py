@@ -14,8 +14,11 @@ which with a simulated world and a recorder among them looked like a dead detect
 import os
 import signal
 import sys
+import time
+from contextlib import suppress
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 
 NICE = -10
 USUAL = "as usual"
@@ -34,6 +37,14 @@ def start_shielded(process: BaseProcess) -> None:
 def ignore_interrupts() -> None:
     """From now on Ctrl-C is for whoever started this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def cpu_time_s(process: int | None) -> float:
+    """How long a process has computed so far, to see whether it does; where Linux does not say it, the time of day."""
+    with suppress(OSError, IndexError, ValueError):
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return time.monotonic()
 
 
 def set_realtime_priority(rank: int, process: int = 0) -> str:

@@ -7,7 +7,6 @@ against schemas/scene.v1.json). Objects are rows of the paper's table (objects.t
 import json
 import math
 import re
-import tomllib
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -19,12 +18,28 @@ import numpy as np
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim import sampling
+from evetac_cli.text_files import read_toml
 
 FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
 SENSOR_SEED = 104729  # with the seeds of a trial: keeps what samples its sensor apart from what samples the trial
 NUMBERED_SEED = 1299709  # with the number of a sensor
 LOWEST_TONE_HZ = 1.0
 HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
+
+# What a kind of scene, and a kind of motion in it, cannot do without; the schema says the rest.
+HELD = ("time.rest_s", "time.load_s", "time.longest_s")
+NEEDED = {
+    "ramp": (*HELD, "time.hold_s"),
+    "hold": (*HELD, "gripper.open_ticks"),
+    "lift": ("time.touch_s", "hand"),
+    "press": ("time.rest_s", "face", "motion"),
+    "rub": ("time.rest_s", "rub"),
+    "tone": (),
+}
+NEEDED_OF_MOTION = {
+    "waypoints": ("shear_n", "offset_mm", "count", "move_s", "pause_s"),
+    "strokes": ("lines", "speed_mm_s", "approach_s"),
+}
 
 
 def load(name_or_path: str) -> dict[str, Any]:
@@ -42,12 +57,7 @@ def load(name_or_path: str) -> dict[str, Any]:
                 found=name_or_path,
                 hint=f"did you mean {near[0]}?" if near else "",
             )
-    try:
-        scene = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise SceneError(f"cannot be read: {error.strerror}", where=str(path)) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SceneError(f"not valid TOML: {error}", where=str(path)) from None
+    scene = read_toml(path, SceneError)
     _check_finite(scene, str(path), "")
     _check(scene, str(path))
     return scene
@@ -59,6 +69,7 @@ def _check(scene: dict[str, Any], where: str) -> None:
     misspelt = [error for error in errors if error.validator == "additionalProperties"]  # also why another is missing
     error = jsonschema.exceptions.best_match(misspelt or errors)
     if error is None:
+        _check_needed(scene, where)
         return _check_ranges(scene, where)
     place = ".".join(str(step) for step in error.absolute_path) or "the scene"
     hint = ""
@@ -80,6 +91,19 @@ def _check_finite(value: Any, where: str, place: str) -> None:
             _check_finite(item, where, place)
     elif isinstance(value, float) and not math.isfinite(value):
         raise SceneError(f"{place}: not a finite number", where=where, found=str(value))
+
+
+def _check_needed(scene: dict[str, Any], where: str) -> None:
+    """Check that what the kind of scene is made of is there."""
+    needed = list(NEEDED[scene["kind"]])
+    if scene["kind"] == "press" and "motion" in scene:
+        needed += [f"motion.{key}" for key in NEEDED_OF_MOTION[scene["motion"]["kind"]]]
+    for name in needed:
+        group, _, key = name.partition(".")
+        if group not in scene or (key and key not in scene[group]):
+            raise SceneError(
+                f"{name} is missing", where=where, expected=", ".join(needed), found=f"kind {scene['kind']}"
+            )
 
 
 def _check_ranges(scene: dict[str, Any], where: str) -> None:

@@ -96,7 +96,7 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
             )
         figures = {"jitter_px_rms": jitter, "kept_from_default": from_default, **_against_stored(recording, dots)}
         calibration = Calibration(recording.frame_px, dots, radius, window)
-    _write(job.output, calibration, recipe, figures)
+    _write(job, calibration, recipe, figures)
     return _outcome(job, recipe, made_now=True)
 
 
@@ -140,6 +140,10 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
         calibration = read_calibration(source)
     else:
         centres, radius = read_pickle(source)
+        if (centres < 0).any() or (centres > np.array(FRAME_PX) - 1).any():
+            raise InputError(
+                "a dot lies outside the frame", where=str(source), expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px"
+            )
         try:
             dots = grid.lattice(centres)
         except ValueError as error:
@@ -151,23 +155,19 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
                 expected=f"{len(centres)} dots in rows and columns",
                 found=f"{np.isfinite(dots[..., 0]).sum()} that are",
             )
-        if (centres < 0).any() or (centres > np.array(FRAME_PX) - 1).any():
-            raise InputError(
-                "a dot lies outside the frame", where=str(source), expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px"
-            )
         calibration = Calibration(FRAME_PX, dots, radius, _window(dots, radius, FRAME_PX, params, str(source)))
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params) | {"source": source.name}, content=calibration.digest())
     if up_to_date(job.output, recipe, force=force):
         return _outcome(job, recipe, made_now=False)
-    _write(job.output, calibration, recipe, {})
+    _write(job, calibration, recipe, {})
     return _outcome(job, recipe, made_now=True)
 
 
-def _write(path: Path, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
+def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
     pairs = grid.neighbours(calibration.dot_xy_px.reshape(-1, 2))
     neighbours = [[int(other) for other in row if other >= 0] for row in pairs]
     provenance = recipe.identity | {"id": recipe.id, "made": made()}
-    write_calibration(path, calibration, neighbours, figures, provenance)
+    write_calibration(job.output, calibration, neighbours, figures, provenance, str(job.inputs[0]))
 
 
 def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
@@ -175,19 +175,18 @@ def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
     calibration = read_calibration(job.output)
     rows, columns = calibration.dot_xy_px.shape[:2]
     missing = int(np.isnan(calibration.dot_xy_px[..., 0]).sum())
-    return outcome(
-        job,
-        made=made_now,
-        simulated=recipe.simulated,
-        dots=rows * columns - missing,
-        missing_dots=missing,
-        rows=rows,
-        columns=columns,
-        gel="closed" if calibration.window_px is None else "cut",
-        window_px=" ".join(map(str, calibration.window_px or ())) or None,
-        radius_px=calibration.dot_radius_px,
-        **read_quality(job.output),
-    )
+    figures = {
+        "dots": rows * columns - missing,
+        "missing_dots": missing,
+        "rows": rows,
+        "columns": columns,
+        "gel": "closed" if calibration.window_px is None else "cut",
+        "window_px": " ".join(map(str, calibration.window_px or ())) or None,
+        "radius_px": calibration.dot_radius_px,
+    }
+    result = outcome(job, made=made_now, simulated=recipe.simulated, **figures)
+    result.rows[0].update(read_quality(job.output))
+    return result
 
 
 def _window(

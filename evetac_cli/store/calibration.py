@@ -18,8 +18,11 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.provenance import Recipe, content_digest, first_difference
+from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 MOST_PX = 65536  # events count columns and rows in uint16
+MOST_DOTS = 1000  # an Evetac has 63; what arranges them compares each with each
+LEAST_RADIUS_PX = 0.01  # files are written to 0.001 px
 
 
 @dataclass(frozen=True)
@@ -48,54 +51,61 @@ class Calibration:
 
 def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Calibration:
     """Read a calibration; InputError names the key that is missing or wrong, or the frame if another is wanted."""
+    return _parsed(read_text(path, MOST_JSON_BYTES), str(path), frame_px)
+
+
+def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> Calibration:
+    """The calibration that a text says; `where` it comes from is said by an error."""
     try:
-        table = json.loads(path.read_text())
+        table = parse_json(text)
         width, height = _whole(table, "frame_px", 2)
         dots = _dots(table["dot_xy_px"])
         radius = table["radius_px"]
         window = None if table.get("window_px") is None else _whole(table, "window_px", 4)
         mask = table.get("mask")
         shape = [table[key] for key in ("rows", "columns") if key in table]
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
     except KeyError as error:
         raise InputError(
-            f"the key {error} is missing", where=str(path), expected="frame_px, radius_px, dot_xy_px"
+            f"the key {error} is missing", where=where, expected="frame_px, radius_px, dot_xy_px"
         ) from None
-    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise InputError(
-            f"not a calibration: {error}", where=str(path), expected="JSON with frame_px, radius_px, dot_xy_px"
+            f"not a calibration: {error}", where=where, expected="JSON with frame_px, radius_px, dot_xy_px"
         ) from None
     x0, y0, x1, y1 = window or (0, 0, width, height)
     for key, holds, expected in (
         ("frame_px", 0 < width <= MOST_PX and 0 < height <= MOST_PX, f"width and height from 1 to {MOST_PX}"),
-        ("radius_px", _is_number(radius) and 0 < radius <= max(width, height), "a number above 0, in px"),
+        (
+            "radius_px",
+            _is_number(radius) and LEAST_RADIUS_PX <= radius <= max(width, height),
+            "a number above 0, in px",
+        ),
         ("window_px", 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height, "x0, y0, x1, y1 inside the frame"),
     ):
         if not holds:
-            raise InputError(f"{key} is not valid", where=str(path), expected=expected, found=str(table[key]))
+            raise InputError(f"{key} is not valid", where=where, expected=expected, found=str(table[key]))
     try:
         arranged = _masked(grid.arrange(dots), mask)
     except ValueError as error:
-        raise InputError(f"the dots do not form a grid: {error}", where=str(path)) from None
+        raise InputError(f"the dots do not form a grid: {error}", where=where) from None
     if shape and shape != list(arranged.shape[:2]):
         raise InputError(
             "rows and columns do not fit the dots",
-            where=str(path),
+            where=where,
             expected=f"rows {arranged.shape[0]}, columns {arranged.shape[1]}, or neither",
             found=str(shape)[:60],
         )
     if (arranged < 0).any() or (arranged >= (width, height)).any():
         raise InputError(
             "a dot lies outside the frame",
-            where=str(path),
+            where=where,
             expected=f"dot_xy_px as (x, y) within {width} x {height} px",
             found=f"x up to {np.nanmax(arranged[..., 0]):.4g}, y up to {np.nanmax(arranged[..., 1]):.4g}",
         )
     if frame_px is not None and frame_px != (width, height):
         raise InputError(
             "the calibration is for another frame",
-            where=str(path),
+            where=where,
             expected=f"{frame_px[0]} x {frame_px[1]} px",
             found=f"{width} x {height} px",
         )
@@ -112,9 +122,9 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     if not path.exists():
         return False
     try:
-        made = json.loads(path.read_text())["provenance"]
+        made = parse_json(read_text(path, MOST_JSON_BYTES))["provenance"]
         difference = "" if made["id"] == recipe.id else first_difference(recipe, made)
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+    except (InputError, ValueError, TypeError, KeyError, AttributeError):
         difference = "no calibration made by evetac"
     if not difference or force:
         return not difference
@@ -132,8 +142,9 @@ def write_calibration(
     neighbours: list[list[int]],
     quality: dict[str, Any],
     provenance: dict[str, Any],
+    source: str,
 ) -> None:
-    """Write a calibration as JSON, all or nothing.
+    """Write a calibration as JSON, all or nothing; InputError, naming `source`, if it could not be read again.
 
     neighbours: indices of dots, counted row by row, a list for each dot. quality: how well the dots were detected, as
     flat figures with units in their names. provenance: the recipe's identity, its id, when and where it was made.
@@ -153,13 +164,19 @@ def write_calibration(
         "provenance": provenance,
     }
     lines = ",\n".join(f'  "{key}": {_in_lines(value)}' for key, value in table.items())
+    text = f"{{\n{lines}\n}}\n"
+    _parsed(text, source)
     with taking_the_place_of(path) as temporary:
-        temporary.write_text(f"{{\n{lines}\n}}\n")
+        temporary.write_text(text)
 
 
 def read_quality(path: Path) -> dict[str, Any]:
     """The figures of how well the dots were detected, from a calibration that `write_calibration` wrote."""
-    return dict(json.loads(path.read_text())["quality"])
+    table = parse_json(read_text(path, MOST_JSON_BYTES))  # was read as a calibration before
+    quality = table.get("quality")
+    if not isinstance(quality, dict) or not all(_is_number(value) for value in quality.values()):
+        raise InputError("quality is not valid", where=str(path), expected="numbers with their names")
+    return quality
 
 
 def _rounded(dot: NDArray[np.float64]) -> list[float | None]:
@@ -206,4 +223,9 @@ def _dots(values: Any) -> NDArray[np.float64]:
     """Centres as numbers, null for a missing dot; text is refused, though numpy would take it."""
     if np.asarray(values).dtype.kind not in "iufO":
         raise ValueError("dot_xy_px holds something other than numbers")
-    return np.asarray(values, dtype=np.float64)
+    dots = np.asarray(values, dtype=np.float64)
+    if dots.size > 2 * MOST_DOTS:
+        raise ValueError(f"more than {MOST_DOTS} dots")
+    if (np.isfinite(dots) & (np.abs(dots) > MOST_PX)).any():
+        raise ValueError(f"a dot lies outside the frame, more than {MOST_PX} px away")
+    return dots

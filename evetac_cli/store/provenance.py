@@ -87,10 +87,14 @@ class Recipe:
 
 
 def recompute_id(header: Header) -> str:
-    """Recompute the id from a header, to see whether somebody edited it."""
-    identity = {key: header[key] for key in ("kind", "method", "parameters", "seed", "content", "simulated", "parents")}
-    identity["major"] = int(header["version"].split(".")[0])
-    return hashlib.sha256(canonical(identity).encode()).hexdigest()
+    """Recompute the id from a header, to see whether somebody edited it; empty if it lacks what an id is made of."""
+    keys = ("kind", "method", "parameters", "seed", "content", "simulated", "parents")
+    try:
+        identity = {key: header[key] for key in keys} | {"major": int(header["version"].split(".")[0])}
+        text = canonical(identity)
+    except (KeyError, AttributeError, ValueError, TypeError, RecursionError):
+        return ""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def made() -> dict[str, str]:

@@ -212,6 +212,32 @@ def test_errors_of_ours_are_not_hidden(label_is: Any, files: list[str]) -> None:
     assert isinstance(evetac("label", files[0]).exception, ZeroDivisionError)
 
 
+@pytest.mark.parametrize(
+    ("error", "words"), [(MemoryError("at 0x1"), "not enough memory"), (RecursionError("depth"), "nested too deeply")]
+)
+def test_m4_memory_and_recursion_end_in_words(
+    label_is: Any, files: list[str], error: BaseException, words: str
+) -> None:
+    """Assert that what is too large or too deep is said, on stderr and in JSON."""
+    label_is(raising(error))
+    result = evetac("label", files[0], "--json")
+    assert result.exit_code == 1
+    assert words in result.stderr
+    assert result.stderr.startswith("error: ")
+    assert words in json.loads(result.stdout)["error"]["message"]
+
+
+@pytest.mark.parametrize("name", ["a" * 240, "ä" * 120, "a" * 300])
+def test_names_of_240_bytes_fail_before_the_work(label_is: Any, files: list[str], name: str) -> None:
+    """Assert that an output whose name no file system takes, with what is appended while it is written, is refused."""
+    label_is(lambda job, chosen: pytest.fail("ran"))
+    result = evetac("label", files[0], "-o", f"{name}.labels.h5", "--json")
+    assert result.exit_code == 2
+    assert "name is too long" in json.loads(result.stdout)["error"]["message"]
+    label_is(made)
+    assert evetac("label", files[0], "-o", f"{'a' * 150}.labels.h5").exit_code == 0
+
+
 def test_an_error_does_not_stop_the_others(label_is: Any, files: list[str]) -> None:
     """Assert that the other files are made, every error is printed, and the first one gives the exit code."""
 
@@ -281,7 +307,7 @@ ENDINGS += [
         2,
         {"kind": "PermissionError", "message": "Permission denied", "where": "x.h5"},
     ),
-    (ZeroDivisionError("bug"), 1, {"kind": "ZeroDivisionError", "message": "bug"}),
+    (ZeroDivisionError("bug"), 1, {"kind": "InternalError", "message": "internal error: ZeroDivisionError: bug"}),
 ]
 
 

@@ -398,3 +398,9 @@ def test_from_the_command_line(source: Path, tmp_path: Path) -> None:
             assert np.array_equal(one[name][()], other[name][()]), name
     twice = CliRunner().invoke(app, ["export", str(source), str(source), "--format", "text"])
     assert twice.exit_code == 2
+
+
+def test_names_of_240_bytes_fail_before_the_work(tmp_path: Path) -> None:
+    """Assert that an export whose name no file system takes is refused as such, whatever the recording."""
+    with pytest.raises(InputError, match="name is too long"):
+        export(tmp_path / "none.recording.h5", "text", tmp_path / ("a" * 240 + ".txt"))

@@ -1,5 +1,7 @@
 """Foreign event files: what comes in is right, or it is refused in words."""
 
+import functools
+import json
 import os
 import pickle
 import subprocess
@@ -16,11 +18,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.events import slice_starts
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import read_text
 from evetac_cli.formats.read.event_validation import Columns, normalise
+from evetac_cli.stages import record
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from tests.importing import FRAME, event_rows, real, refusal, same
@@ -590,3 +594,26 @@ def test_real_pickle_is_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "calibration.h5"
     path.write_bytes(real("evetac_base_calibration.pkl").read_bytes())
     assert "pickles are never loaded" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"start_us": 10**300},
+        {"start_us": -(1 << 62)},
+        {"events": 1 << 62},
+        {"events": -1},
+        {"frame_px": [10**300, 480]},
+        {"simulated": functools.reduce(lambda inner, _: [inner], range(500), [])},
+    ],
+    ids=lambda fields: next(iter(fields)),
+)
+def test_m4_a_note_out_of_all_measure_is_refused(tmp_path: Path, fields: dict[str, Any]) -> None:
+    """Assert that the note of an export that somebody changed is refused in words, also where there are no events."""
+    note = {"start_us": 0, "slices": 3, "frame_px": [640, 480], "simulated": False, "events": 0, **fields}
+    path = tmp_path / "a.txt"
+    path.write_text(f"# evetac {json.dumps(note)}\n")
+    chosen = params.Record(source=path)
+    (job,) = record.jobs([], chosen, tmp_path / "a.recording.h5")
+    with pytest.raises(InputError, match="note"):
+        record.run(job, chosen)

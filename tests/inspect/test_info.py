@@ -1,12 +1,17 @@
 """info: how a recording ended and what was lost, where an import comes from, and the nearest of its history."""
 
+import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 from evetac_cli import params
+from evetac_cli.errors import InputError
 from evetac_cli.inspect import info
 from evetac_cli.stages import record
 from evetac_cli.store.files import write_stage
@@ -125,3 +130,112 @@ def test_an_onset_that_is_not_there_is_empty(tmp_path: Path) -> None:
         write_stage(path, Recipe("labels", 1, {"onset": onset}, parents=(parent,)), arrays)
         (row,) = info.run([path]).rows
         assert row["onset_ms"] == (None if onset < 0 else onset)
+
+
+def changed(source: Path, target: Path, change: Callable[[Any, dict[str, Any]], Any]) -> Path:
+    """A copy of a file with its datasets and header changed by hand."""
+    shutil.copy(source, target)
+    with h5py.File(target, "r+") as h5:
+        header = json.loads(h5.attrs["header"])
+        change(h5, header)
+        h5.attrs["header"] = json.dumps(header)
+    return target
+
+
+def put(h5: Any, name: str, value: Any) -> None:
+    """Another value in place of a dataset."""
+    del h5[name]
+    h5[name] = value
+
+
+def fill(h5: Any, name: str, value: Any) -> None:
+    """The same value everywhere in a dataset."""
+    h5[name][...] = value
+
+
+SENSELESS: dict[str, tuple[str, Callable[[Any, dict[str, Any]], Any]]] = {
+    "chosen epoch far away": ("force_model", lambda h5, header: fill(h5, "curve/chosen", 99)),
+    "no steps": ("model", lambda h5, header: [put(h5, f"curve/{n}", h5[f"curve/{n}"][:0]) for n in ("step", "loss")]),
+    "dots infinite": ("tracks", lambda h5, header: fill(h5, "dot_xy_px", np.inf)),
+    "dots not numbers": ("tracks", lambda h5, header: fill(h5, "dot_xy_px", np.nan)),
+    "grid of another size": ("tracks", lambda h5, header: put(h5, "sensor/dot_xy_px", np.ones((2, 3, 2)))),
+    "shape of three": ("features", lambda h5, header: put(h5, "dot_shape", np.ones(3, np.int32))),
+    "ancestor without a method": ("labels", lambda h5, header: header["history"].update(x={"kind": "model"})),
+    "kind of an ancestor a list": ("labels", lambda h5, header: next(iter(header["history"].values())).update(kind=[])),
+    "made a number": ("labels", lambda h5, header: header.update(made=3)),
+    "made by lists": ("labels", lambda h5, header: header.update(made={"at": [1], "evetac": {"a": None}})),
+    "ancestors nested deep": (
+        "labels",
+        lambda h5, header: next(iter(header["history"].values())).update(parameters=nested(200)),
+    ),
+}
+
+
+def nested(depth: int) -> Any:
+    """Lists in lists."""
+    value: Any = 0
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+@pytest.mark.parametrize("name", SENSELESS)
+@pytest.mark.filterwarnings("error")
+def test_m4_info_shows_or_refuses_senseless_files(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Assert that whatever a file says is shown or refused in words that name the file, and nothing else is raised."""
+    kind, change = SENSELESS[name]
+    first = made.recordings[0]
+    source = getattr(made, kind) if kind in ("model", "force_model") else made.beside(first, kind)
+    path = changed(source, tmp_path / source.name, change)
+    try:
+        shown(path, capsys)
+    except InputError as error:
+        assert str(path) in str(error)
+
+
+SUMMARIES = {
+    "no JSON": "{",
+    "a list": "[1]",
+    "a number": "3",
+    "nested deep": "[" * 100_000,
+    "nested in a table": '{"a": ' + "[" * 500 + "]" * 500 + "}",
+    "a number of 100,000 digits": '{"a": ' + "9" * 100_000 + "}",
+    "names of our own": '{"made": 3, "history": 4, "parents": 5, "simulated": "no", "file": 6, "parameters": 7}',
+}
+
+
+@pytest.mark.parametrize("summary", SUMMARIES.values(), ids=SUMMARIES)
+def test_m4_info_of_a_report_with_any_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str], summary: str) -> None:
+    """Assert that the text of a report is shown or refused in words, and never stands in for what info says itself."""
+    path = tmp_path / "a.slip.report.h5"
+    write_stage(path, Recipe("report", 1, {}), {"command": "evaluate slip", "rows": "[]", "summary": summary})
+    try:
+        lines = shown(path, capsys)
+    except InputError as error:
+        assert str(path) in str(error)
+        assert len(str(error)) < 2_000
+    else:
+        assert lines[0] == str(path)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"notes": 3, "format": 3, "source": "a"},
+        {"notes": [1, None], "format": "text"},
+        {"notes": ["a"], "format": "text", "source": "a", "dropped": [1]},
+        {"notes": ["a"], "format": "text", "source": "a", "dropped": {"a": "b"}},
+    ],
+)
+def test_m4_info_of_an_import_with_any_parameters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], parameters: dict[str, Any]
+) -> None:
+    """Assert that parameters of other types than an import writes are refused in words."""
+    path = captured(tmp_path / "a.recording.h5", ended="as asked")
+    header = Recipe("recording", 1, parameters, content="0").header()
+    with h5py.File(path, "r+") as h5:
+        h5.attrs["header"] = json.dumps(header)
+    with pytest.raises(InputError, match="recording"):
+        shown(path, capsys)

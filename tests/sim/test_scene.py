@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, table
 from evetac_cli.sim import scene
+from evetac_cli.sim.scenes.pressing import Pressing
+from evetac_cli.sim.scenes.rubbing import Rubbing
 from tests.conftest import as_toml
 
 
@@ -114,3 +117,74 @@ def test_which_sensor_is_sampled() -> None:
     for wrong in ("randomized:", "randomized:x", "randomized:-1", "randomized:1.5"):
         with pytest.raises(InputError, match="no such sensor"):
             scene.sensor_row(wrong)
+
+
+# What a scene cannot do without beyond its schema: (scene of that kind, key).
+CANNOT_DO_WITHOUT = [
+    *(("slip", f"time.{key}") for key in ("rest_s", "load_s", "hold_s", "longest_s")),
+    *(("data-rate", key) for key in ("time.rest_s", "time.load_s", "time.longest_s", "gripper", "gripper.open_ticks")),
+    *(("lift", key) for key in ("time.touch_s", "hand")),
+    *(("edge", key) for key in ("time.rest_s", "rub")),
+    *(("shear", key) for key in ("time.rest_s", "face", "motion")),
+    *(("shear", f"motion.{key}") for key in ("shear_n", "offset_mm", "count", "move_s", "pause_s")),
+    *(("press", key) for key in ("time.rest_s", "face", "motion")),
+    *(("press", f"motion.{key}") for key in ("lines", "speed_mm_s", "approach_s")),
+]
+
+
+@pytest.mark.parametrize(("name", "key"), CANNOT_DO_WITHOUT)
+def test_m4_a_part_that_is_missing_is_said(name: str, key: str, tmp_path: Path) -> None:
+    """Assert that a scene without what its kind is made of is refused with the key, before anything is built."""
+    odd = named(name)
+    group, _, inner = key.partition(".")
+    if inner:
+        del odd[group][inner]
+    else:
+        del odd[group]
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    with pytest.raises(SceneError, match=key):
+        scene.load(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "group", "key", "value"),
+    [
+        ("press", "motion", "speed_mm_s", 1e-300),
+        ("press", "motion", "approach_s", 10_000.0),
+        ("shear", "motion", "count", 100_000),
+        ("edge", "rub", "speed_mm_s", [1e-300, 1e-300]),
+    ],
+)
+def test_m4_a_motion_without_end_is_refused(name: str, group: str, key: str, value: Any, tmp_path: Path) -> None:
+    """Assert that a face that would take more than a day is refused, and not recorded for ever."""
+    odd = named(name)
+    odd[group][key] = value
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    (plan,) = scene.plan(str(path), "8", "evetac", ("press", "rub"))
+    build = {"press": Pressing, "rub": Rubbing}[plan["scene"]["kind"]]
+    with pytest.raises(SceneError, match="too long"):
+        build(plan, random(0), random(1))
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("shear", "randomise.kinetic_share", [5.0, 5.0]),
+        ("vibration", "tone.radius_mm", 1e-300),
+        ("slip", "gripper.start_factor", [1000.0, 1000.0]),
+        ("slip", "randomise.mass", [1000.0, 1000.0]),
+        ("slip", "texture.half_correlation_px", [1000.0, 1000.0]),
+    ],
+)
+def test_m4_a_scene_that_cannot_be_simulated_is_said(name: str, key: str, value: Any, tmp_path: Path) -> None:
+    """Assert that values within their ranges that no simulation can be made of are refused with the scene's name."""
+    odd = named(name)
+    group, inner = key.split(".")
+    odd[group][inner] = value
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    (plan, *_) = scene.plan(str(path), "8", "evetac", ("ramp", "press", "tone"))
+    with pytest.raises(SceneError, match=odd["name"]):
+        rig(plan, np.random.SeedSequence(0))

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 import json
 from typing import Any
 
@@ -250,3 +251,23 @@ def test_content_digest_tells_arrays_apart() -> None:
     base = {"a": np.array([[1, 2, 3], [4, 5, 6]], np.int32)}
     digests = [content_digest(arrays) for arrays in (base, *DIFFERENT.values())]
     assert len(set(digests)) == len(digests)
+
+
+HEADER = Recipe("report", 1, {"a": 1}).header()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({key: ...} for key in ("kind", "version", "method", "parameters", "seed", "content", "simulated", "parents")),
+        *({"version": value} for value in ("x", "", 3, None, "9" * 5000 + ".1")),
+        {"parameters": {"a": float("nan")}},
+        {"parameters": functools.reduce(lambda inner, _: [inner], range(100_000), [])},
+    ],
+    ids=lambda change: str(change)[:30] if "parameters" not in change else "parameters",
+)
+def test_m4_a_header_without_an_identity_has_no_id(change: dict[str, Any]) -> None:
+    """Assert that a header, or an ancestor in it, that lacks what an id is made of has none, and nothing is raised."""
+    header = {key: value for key, value in {**HEADER, **change}.items() if value is not ...}
+    assert recompute_id(header) == ""
+    assert recompute_id(HEADER) == HEADER["id"]

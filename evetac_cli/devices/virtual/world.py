@@ -30,7 +30,7 @@ import numpy as np
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
-from evetac_cli.realtime.processes import ignore_interrupts, start_shielded
+from evetac_cli.realtime.processes import cpu_time_s, ignore_interrupts, start_shielded
 from evetac_cli.realtime.shared_time import READER_S, SharedTime
 
 SLICE_S = 1e-3
@@ -39,7 +39,7 @@ BACKLOG_BYTES = 4 << 20  # of words that nobody fetched; further slices are drop
 FIRST_MS = 1  # device time of the first slice: a camera whose clock reads 0 looks as if it had wrapped
 PAPER_P_GAIN = 50  # the servo's gain at which the simulated drive was fitted
 WORD_BYTES = 4
-START_S = 120.0  # in which a world must be built, compiling included
+STANDSTILL_S = 60.0  # a process that computed nothing for so long will not build its world any more
 END_S = 2.0
 WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp comes to the moment at which a hand rises
 WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
@@ -95,9 +95,18 @@ class VirtualWorld:
             raise
 
     def _wait_until_built(self) -> None:
-        """Wait until the process has built the world; DeviceError if it does not come up."""
-        if not self._orders.poll(START_S):
-            raise DeviceError("the virtual world did not start", expected=f"within {START_S:g} s")
+        """Wait until the process has built the world, for as long as it computes; DeviceError if it does not come up.
+
+        Why not for a time: its kernels may have to be compiled, which takes minutes where others want the cores too.
+        """
+        used_s, since_s = -1.0, time.monotonic()
+        while not self._orders.poll(1.0):
+            now_s = cpu_time_s(self._process.pid) if self._process is not None else used_s
+            if now_s > used_s:
+                used_s, since_s = now_s, time.monotonic()
+            elif time.monotonic() - since_s > STANDSTILL_S:
+                computed = f"none for {STANDSTILL_S:g} s"
+                raise DeviceError("the virtual world did not start", expected="a process that computes", found=computed)
         try:
             reply = self._orders.recv()
         except EOFError:

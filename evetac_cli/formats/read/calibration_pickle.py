@@ -4,7 +4,8 @@ A pickle is a small program, and loading one from elsewhere is running it. Here 
 in one table, of stand-ins of our own: nothing of numpy, of builtins or of any other module can be called.
 
 Why stand-ins, also for what is harmless: numpy's own `_reconstruct` makes an array of whatever shape the file says,
-before anybody has seen that the bytes for it are missing, and numpy's dtypes may hold objects.
+before anybody has seen that the bytes for it are missing, and numpy's dtypes may hold objects. Of the opcodes only
+those are taken that numpy writes: a key that is tuples of tuples, sixty deep, takes 2^60 steps to be looked up.
 """
 
 import io
@@ -20,9 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.store.calibration import MOST_DOTS
+from evetac_cli.text_files import read_bytes
 
 MOST_BYTES = 1 << 20  # the official file has 1,735
 MOST_MEMO = 10_000
+MOST_NUMBERS = 10_000  # in lists, which may hold each other: the official file has 168
+MOST_LATIN1 = 1 << 22  # characters in all: one text may be turned into bytes again and again
+# Of numpy's pickles of every protocol, and texts as Python 2 wrote them.
+OPCODES = """
+    PROTO FRAME STOP MARK NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG1 FLOAT BINFLOAT
+    STRING SHORT_BINSTRING UNICODE BINUNICODE SHORT_BINUNICODE BINBYTES SHORT_BINBYTES BYTEARRAY8
+    EMPTY_LIST LIST APPEND APPENDS EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 GLOBAL STACK_GLOBAL REDUCE BUILD
+    MEMOIZE PUT BINPUT LONG_BINPUT GET BINGET LONG_BINGET
+"""
 NUMBERS = ("f4", "f8", "i4", "i8", "u4", "u8")
 BYTE_ORDERS = ("<", ">", "=", "|")
 
@@ -65,12 +77,6 @@ def _array(content: Any, type_: Any, shape: Any, order: Any = "C") -> _Array:
     return array
 
 
-def _latin1(text: Any, encoding: Any) -> bytes:
-    if not isinstance(text, str) or encoding != "latin1":
-        raise pickle.UnpicklingError("text in another encoding than latin1")
-    return text.encode("latin1")
-
-
 class _StandIn:
     """A function that a pickle can call, and cannot change: pickles may set the state of what they can name."""
 
@@ -97,13 +103,25 @@ _NAMES: dict[str, Any] = {
     "numpy._core.multiarray.scalar": _SCALAR,
     "numpy.core.numeric._frombuffer": _FROM_BUFFER,
     "numpy._core.numeric._frombuffer": _FROM_BUFFER,
-    "_codecs.encode": _StandIn(_latin1),  # how protocol 2 and older write bytes
 }
 
 
 class _Reader(pickle.Unpickler):
+    left = MOST_LATIN1
+
+    def _latin1(self, text: Any, encoding: Any) -> bytes:
+        """How protocol 2 and older write bytes."""
+        if not isinstance(text, str) or encoding != "latin1":
+            raise pickle.UnpicklingError("text in another encoding than latin1")
+        self.left -= len(text)
+        if self.left < 0:
+            raise pickle.UnpicklingError("more text than a calibration holds")
+        return text.encode("latin1")
+
     def find_class(self, module: str, name: str) -> Any:
         """Look a name up in the table of stand-ins; nothing is ever imported."""
+        if (module, name) == ("_codecs", "encode"):
+            return _StandIn(self._latin1)
         if f"{module}.{name}" not in _NAMES:
             raise pickle.UnpicklingError(f"it asks for {module[:40]}.{name[:40]}, which a calibration does not need")
         return _NAMES[f"{module}.{name}"]
@@ -113,19 +131,14 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
     """Centres (n, 2) as (x, y) in px, in the file's order, and the mean radius in px; InputError for anything else."""
     expected = "a pickle of centres (n, 2) and radii (n, 1), as the official software writes it"
     try:
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-        if len(content) > MOST_BYTES:
-            raise pickle.UnpicklingError(f"more than {MOST_BYTES} bytes")
+        content = read_bytes(path, MOST_BYTES)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of escapes in damaged strings, which say nothing to the user
-            _check_sizes(content)
+            _check_opcodes(content)
             value = _Reader(io.BytesIO(content)).load()
         if not isinstance(value, (tuple, list)) or len(value) != 2:
             raise pickle.UnpicklingError("not two arrays")
         centres, radii = (_numbers(part) for part in value)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from None
     # A damaged or hostile pickle can make the unpickler raise any of these, and each means: refused.
     except (
         pickle.UnpicklingError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError, OverflowError,
@@ -133,6 +146,8 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
     ) as error:  # fmt: skip
         raise InputError(f"not a calibration: {str(error)[:200]}", where=str(path), expected=expected) from None
     count = len(centres) if centres.ndim else 0
+    if count > MOST_DOTS:
+        raise InputError("not a calibration", where=str(path), expected=f"at most {MOST_DOTS} dots", found=str(count))
     if centres.shape != (count, 2) or count == 0 or radii.size != count or not np.isfinite(centres).all():
         raise InputError(
             "not a calibration", where=str(path), expected=expected, found=f"shapes {centres.shape} and {radii.shape}"
@@ -142,23 +157,32 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
     return centres, float(radii.mean())
 
 
-def _check_sizes(content: bytes) -> None:
-    """Refuse opcodes that ask for more memory than the file has bytes; genops reads only as far as the file goes."""
+def _check_opcodes(content: bytes) -> None:
+    """Refuse opcodes that numpy does not write, or that ask for more memory than the file has bytes.
+
+    genops reads only as far as the file goes.
+    """
+    allowed = OPCODES.split()
     for opcode, argument, _ in pickletools.genops(content):
+        if opcode.name not in allowed:
+            raise pickle.UnpicklingError(f"it uses {opcode.name}, which a calibration does not need")
         if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > MOST_MEMO:
             raise pickle.UnpicklingError(f"a memo of {argument} entries")
 
 
 def _numbers(value: Any) -> NDArray[np.float64]:
     """An array, or nested lists of numbers, as float64."""
-    array = np.array(_plain(value))
+    array = np.array(_plain(value, [MOST_NUMBERS]))
     if not isinstance(value, (_Array, list)) or array.dtype.kind not in "iuf":
         raise pickle.UnpicklingError("something other than arrays of numbers")
     return array.astype(np.float64)
 
 
-def _plain(value: Any) -> Any:
-    """Lists with the arrays themselves in place of their stand-ins."""
+def _plain(value: Any, left: list[int]) -> Any:
+    """Lists with the arrays themselves in place of their stand-ins, as long as there are any `left` to be taken."""
+    left[0] -= 1
+    if left[0] < 0:
+        raise pickle.UnpicklingError(f"lists of more than {MOST_NUMBERS} numbers")
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_plain(item, left) for item in value]
     return value.values if isinstance(value, _Array) else value

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate, empty
+from evetac_cli.formats.note import CLOCK_LIMIT_US as CLOCK_LIMIT_US
 from evetac_cli.formats.note import Note
 
-# Beyond 2^53 us (285 years) a float no longer holds whole microseconds. Camera clocks that count from 1970 are at 2^51.
-CLOCK_LIMIT_US = 2**53
 # Every millisecond costs a row of the slice index, so one broken time stamp must not make billions of empty slices.
 SPAN_LIMIT_US = 24 * 3600 * 1_000_000
 # uint16 coordinates

@@ -16,10 +16,13 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.read import read_prophesee
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
 from evetac_cli.formats.read.ros_messages import Fields, Packet, Part, decoder, event_array, event_packet, evetac_image
+from evetac_cli.text_files import open_regular, read_bytes
 
 SQLITE = b"SQLite format 3\x00"
 MCAP = b"\x89MCAP0\r\n"
 ROS1 = b"#ROSBAG V2.0\n"
+METADATA = "metadata.yaml"
+MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred
 ZSTD = b"\x28\xb5\x2f\xfd"
 PROPHESEE = ("evt2", "evt3")
 ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
@@ -39,7 +42,7 @@ TYPES: dict[str, tuple[Callable[[Fields], Any], str]] = {
 
 def is_bag_folder(path: Path) -> bool:
     """Whether this folder is a bag of ROS 2."""
-    return (path / "metadata.yaml").is_file()
+    return (path / METADATA).is_file()
 
 
 def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
@@ -212,6 +215,11 @@ def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
         hint = "pip install '.[convert]'"
         raise InputError("ROS bags need rosbags", where=where, found=str(error), hint=hint) from None
     kind: Any = Reader2
+    if path.is_dir():
+        for inside in path.iterdir():
+            if not inside.is_dir():
+                open_regular(inside).close()
+        read_bytes(path / METADATA, MOST_METADATA_BYTES)
     if path.is_file():  # rosbags goes by the name of a file, we by its content
         with path.open("rb") as file:
             head = file.read(len(SQLITE))

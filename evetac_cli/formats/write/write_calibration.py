@@ -37,6 +37,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
         neighbours,
         {},
         {"recording": header["id"], "simulated": header["simulated"], "made": made()},
+        str(recording.path),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.errors import SceneError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim import sampling
 from evetac_cli.sim.camera.contact_edges import Outline
@@ -20,6 +21,7 @@ from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.shared import STEP_S, THETA, GroundTruthSlip, material, pad
 
 Floats = NDArray[np.float64]
+LONGEST_S = 24 * 3600.0  # as for any recording
 
 
 class Timeline(NamedTuple):
@@ -195,6 +197,9 @@ class Pressing:
 
 
 def timeline(entries: list[tuple[float, Floats, float]]) -> Timeline:
-    """The timeline through (time in s, place in m, force in N)."""
+    """The timeline through (time in s, place in m, force in N); SceneError if it takes more than a day."""
     time_s, xy_m, force_n = zip(*entries, strict=True)
+    if not time_s[-1] <= LONGEST_S:
+        expected = f"at most {LONGEST_S:g} s"
+        raise SceneError("the motion takes too long", where="--scene", expected=expected, found=f"{time_s[-1]:.4g} s")
     return Timeline(np.array(time_s), np.array(xy_m), np.array(force_n))

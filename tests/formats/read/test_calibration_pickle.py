@@ -210,3 +210,29 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         read_pickle(tmp_path / "none.pkl")
     with pytest.raises(InputError, match="Is a directory"):
         read_pickle(tmp_path)
+
+
+def doubled(start: bytes, twice: bytes) -> bytes:
+    """A value that holds the one before it twice, sixty times over."""
+    content = b"\x80\x04" + start + b"\x94"
+    for number in range(60):
+        content += twice.replace(b"N", bytes([number])) + b"\x94"
+    return content
+
+
+BOMBS = {
+    "lists of lists": doubled(b"]", b"](hNhNe") + b"h\x3bh\x3b\x86.",
+    "tuples of tuples as a key": b"\x80\x04}" + doubled(b")", b"hNhN\x86")[2:] + b"K\x01s.",
+    "one text as bytes, again and again": b"\x80\x04c_codecs\nencode\n\x94X\x00\x00\x08\x00"
+    + b"a" * (1 << 19)
+    + b"\x94X\x06\x00\x00\x00latin1\x94]("
+    + b"h\x00h\x01h\x02\x86R" * 40_000
+    + b"e.",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_small_pickles_of_a_large_value_are_refused(tmp_path: Path, name: str) -> None:
+    """Assert that a pickle of some kB that stands for more numbers than a computer holds is refused at once."""
+    with pytest.raises(InputError, match="not a calibration"):
+        read(tmp_path, BOMBS[name])

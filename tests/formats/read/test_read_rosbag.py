@@ -1,5 +1,6 @@
 """ROS bags: every layout of messages with events, in bags of ROS 1 and ROS 2, whole, odd and damaged."""
 
+import os
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -464,3 +465,19 @@ def test_short_messages_are_refused() -> None:
         for length in range(len(raw) - (4 if ros2 else 0)):
             with pytest.raises((ValueError, struct.error)):
                 event_array(Fields(raw[:length], ros2=ros2))
+
+
+def test_a_bag_folder_with_a_pipe_is_refused(tmp_path: Path) -> None:
+    """Assert that a pipe in place of a bag's file is refused, and not waited for."""
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    os.mkfifo(tmp_path / "a.db3")
+    with pytest.raises(InputError, match="a pipe"):
+        read_events(tmp_path)
+
+
+def test_large_metadata_are_refused(tmp_path: Path) -> None:
+    """Assert that metadata.yaml is not parsed at any size: YAML takes its time."""
+    with (tmp_path / "metadata.yaml").open("wb") as file:
+        file.truncate(1 << 24)
+    with pytest.raises(InputError, match="too large"):
+        read_events(tmp_path)

@@ -1,0 +1,143 @@
+"""The one door for text files from elsewhere, TOML and JSON: regular files only, of a bounded size, depth and count.
+
+Why the structure is looked at before the text is parsed: tomllib takes a minute for one key of 100,000 dotted parts,
+and both parsers run out of stack where lists are nested deep enough. Looking takes a time in proportion to the size.
+"""
+
+import json
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from evetac_cli.errors import InputError
+
+MOST_TOML_BYTES = 1 << 18  # a config file or scene has a few kB; tomllib reads this in half a second
+MOST_JSON_BYTES = 1 << 22  # a calibration has 10 kB; this is one of ten thousand dots
+MOST_DEPTH = 32  # tables in tables, lists in lists, and dots of a key: ours have 4
+MOST_VALUES = 50_000  # entries of lists and tables: so many take milliseconds
+WHOLE_BITS = 64  # what TOML promises for a whole number, with its sign
+
+# Texts and comments, whose content is no structure. One that does not end runs to the end of its line, or of the file.
+_TOML_TEXT = re.compile(
+    r'"""(?:[^\\"]|\\.|"(?!""))*+(?:"{3,5}|\\?\Z)'
+    r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
+    r'|"(?:[^"\\\n]|\\[^\n])*+"?'
+    r"|'[^'\n]*+'?"
+    r"|#[^\n]*+",
+    re.DOTALL,
+)
+_JSON_TEXT = re.compile(r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)', re.DOTALL)
+_DOTTED = re.compile(rf"(?<![\w\-])[\w\-]++(?:[ \t]*+\.[ \t]*+[\w\-]++){{{MOST_DEPTH}}}")
+_STRUCTURE = re.compile(r"[\[\]{},=:]")
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a file for reading; OSError where that fails, InputError for a pipe, socket or device, which might wait."""
+    kind = os.stat(path).st_mode
+    if not stat.S_ISDIR(kind) and not stat.S_ISREG(kind):
+        raise _not_regular(path, kind)
+    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC), "rb")
+    kind = os.fstat(file.fileno()).st_mode
+    if not stat.S_ISREG(kind):  # another took its place
+        file.close()
+        raise _not_regular(path, kind)
+    return file
+
+
+def _not_regular(path: Path, kind: int) -> InputError:
+    names = ((stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"), (stat.S_ISDIR, "a folder"))
+    what = next((name for is_one, name in names if is_one(kind)), "a device")
+    return InputError("cannot be read", where=str(path), expected="a regular file", found=what)
+
+
+def read_bytes(path: Path, most_bytes: int) -> bytes:
+    """The whole of a regular file; InputError where it cannot be read or is larger."""
+    try:
+        with open_regular(path) as file:
+            content = file.read(most_bytes + 1)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", where=str(path)) from None
+    if len(content) > most_bytes:
+        raise InputError("the file is too large", where=str(path), expected=f"at most {most_bytes:,} bytes")
+    return content
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """The whole of a regular file of UTF-8; InputError for anything else."""
+    try:
+        return read_bytes(path, most_bytes).decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"not text in UTF-8 from byte {error.start} on", where=str(path)) from None
+
+
+def read_toml(path: Path, refusal: type[InputError] = InputError) -> dict[str, Any]:
+    """A TOML file within the limits above, its whole numbers too; `refusal`, an InputError, for anything else."""
+    try:
+        return parse_toml(read_text(path, MOST_TOML_BYTES))
+    except ValueError as error:
+        raise refusal(f"not valid TOML: {error}", where=str(path)) from None
+    except InputError as error:
+        raise refusal(error.message, where=error.where, expected=error.expected, found=error.found) from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML within the limits above; ValueError says in words what is wrong with it."""
+    outline = _TOML_TEXT.sub("a", text.replace("\r\n", "\n"))
+    if _DOTTED.search(outline):
+        raise ValueError(f"a key of more than {MOST_DEPTH} parts")
+    _check_outline(outline)
+    try:
+        table = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    for value in _values(table):
+        if type(value) is int and value.bit_length() >= WHOLE_BITS:
+            raise ValueError(f"a whole number of more than {WHOLE_BITS} bits")
+    return table
+
+
+def parse_json(text: str) -> Any:
+    """Parse JSON within the limits above, except for size; ValueError says in words what is wrong with it."""
+    _check_outline(_JSON_TEXT.sub("a", text))
+    try:
+        return json.loads(text, parse_int=_whole)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def _whole(digits: str) -> int:
+    if len(digits) <= WHOLE_BITS // 3:  # more are more than 64 bits, and int() takes its time for very many
+        number = int(digits)
+        if number.bit_length() < WHOLE_BITS:
+            return number
+    raise ValueError(f"a whole number of more than {WHOLE_BITS} bits")
+
+
+def _check_outline(outline: str) -> None:
+    """Refuse text, without its strings, that is nested too deeply or has too many values."""
+    depth = values = 0
+    for match in _STRUCTURE.finditer(outline):
+        sign = match[0]
+        if sign in "[{":
+            depth += 1
+            if depth > MOST_DEPTH:
+                raise ValueError(f"it is nested more than {MOST_DEPTH} deep")
+        elif sign in "]}":
+            depth = max(0, depth - 1)
+        else:
+            values += 1
+            if values > MOST_VALUES:
+                raise ValueError(f"it has more than {MOST_VALUES:,} values")
+
+
+def _values(value: Any) -> Iterator[Any]:
+    """All that stands in tables and lists, which are not deep."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for item in inner:
+        yield from _values(item)
+    if not isinstance(value, (dict, list)):
+        yield value

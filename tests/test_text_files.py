@@ -1,0 +1,223 @@
+"""Text files from elsewhere, at each place that reads one: refused in words, at once, whatever they are."""
+
+import json
+import os
+import pickle
+import resource
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli import params
+from evetac_cli.cli import config
+from evetac_cli.errors import InputError
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read.calibration_pickle import read_pickle
+from evetac_cli.params import Calibrate
+from evetac_cli.sim import scene
+from evetac_cli.stages import calibrate
+from evetac_cli.store.calibration import read_calibration
+
+FRAME_PX = (640, 480)
+READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "--config": ("a.toml", lambda path: config.resolve(params.Label, "label", {}, path)),
+    "--scene": ("a.toml", lambda path: scene.load(str(path))),
+    "--calibration": ("a.json", read_calibration),
+    "calibrate --import": ("a.pkl", read_pickle),
+    "record --from": ("a.txt", lambda path: read_events(path, frame_px=FRAME_PX)),
+}
+MOST_ECHOED = 2_000  # characters of an error, its file's name included
+
+
+MORE_BYTES = 2 << 30  # of memory than before the test
+
+
+@pytest.fixture(autouse=True)
+def _an_end() -> Iterator[None]:
+    """What reads for ever is broken off, by time or memory: far beyond what any refusal takes."""
+
+    def broken_off(number: int, frame: FrameType | None) -> None:
+        pytest.fail("it does not end")
+
+    used_bytes = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used_bytes + MORE_BYTES, limits[1]))
+    before = signal.signal(signal.SIGALRM, broken_off)
+    signal.alarm(20)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+    resource.setrlimit(resource.RLIMIT_AS, limits)
+
+
+def refused(read: Callable[[Path], Any], path: Path) -> str:
+    """The words in which a file is refused."""
+    with pytest.raises(InputError) as caught:
+        read(path)
+    assert len(str(caught.value)) < MOST_ECHOED
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def listening(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as end:
+        end.bind(os.path.relpath(path))
+
+
+def endless(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def terminal(path: Path) -> None:
+    path.symlink_to("/dev/tty")
+
+
+def loop(path: Path) -> None:
+    path.symlink_to(path.name)
+
+
+def missing(path: Path) -> None:
+    path.symlink_to("nowhere")
+
+
+@pytest.mark.parametrize("make", [pipe, listening, endless, terminal, Path.mkdir, loop, missing])
+@pytest.mark.parametrize("reader", READERS)
+def test_only_regular_files_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader: str, make: Callable[[Path], None]
+) -> None:
+    """Assert that a pipe, socket, device, folder or link to nothing is refused in words, without waiting for it."""
+    monkeypatch.chdir(tmp_path)
+    name, read = READERS[reader]
+    make(tmp_path / name)
+    refused(read, tmp_path / name)
+
+
+@pytest.mark.parametrize("reader", [reader for reader in READERS if reader != "record --from"])
+def test_a_large_file_is_not_read(tmp_path: Path, reader: str) -> None:
+    """Assert that a file of 16 GB, all holes, is refused for its size, and not loaded."""
+    name, read = READERS[reader]
+    path = tmp_path / name
+    with path.open("wb") as file:
+        file.truncate(1 << 34)
+    assert "bytes" in refused(read, path)
+
+
+LONG_NUMBER = "9" * 100_000
+TOML = {
+    "dots": "label." + "a." * 100_000 + "a = 1",
+    "dots in a header": "[label." + "a." * 100_000 + "a]",
+    "dots with blanks": "label" + " . a" * 50_000 + " = 1",
+    "dots of texts": "label" + '."a"' * 50_000 + " = 1",
+    "dots after a text that ends in a quote": 'x = ["""a"""", {' + "a." * 50_000 + "a = 1}]",
+    "nested lists": "label = " + "[" * 100_000,
+    "nested lists that end": "label = " + "[" * 200 + "]" * 200,
+    "nested tables": "label = " + "{a = " * 300 + "1" + "}" * 300,
+    "an unknown key of 100,000 letters": "a" * 100_000 + " = 1",
+    "a text of 100,000 letters": "label = '" + "a" * 100_000 + "'",
+    "a wrong value of 100,000 letters": "[label]\nconfirm_ms = '" + "a" * 100_000 + "'",
+    "100,000 keys": "".join(f"k{number} = 1\n" for number in range(100_000)),
+    "a whole number of 100,000 digits": f"label = {LONG_NUMBER}",
+    "a whole number of 5,000 hexadecimal digits": "label = 0x" + "f" * 5_000,
+    "a whole number of 65 bits": "[label]\nconfirm_ms = " + str(1 << 64),
+    "a number of 100,000 digits": f"label = {LONG_NUMBER}.5",
+    "no text": "\xff".encode("latin1"),
+    "a quote that does not end": 'label = """' + '\\"' * 50_000,
+}
+
+
+@pytest.mark.parametrize("text", TOML.values(), ids=TOML)
+@pytest.mark.parametrize("reader", ["--config", "--scene"])
+def test_hostile_toml(tmp_path: Path, reader: str, text: str | bytes) -> None:
+    """Assert that TOML beyond the limits is refused at once, and little of it is repeated."""
+    path = tmp_path / "a.toml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    refused(READERS[reader][1], path)
+
+
+def test_text_in_toml_may_hold_dots_and_brackets(tmp_path: Path) -> None:
+    """Assert that only the structure is limited, not what stands in texts and comments."""
+    path = tmp_path / "a.toml"
+    many = "a." * 100 + "[" * 100
+    path.write_text(
+        f"# {many}\n[record]\nscene = '{many}' # {many}\nobjects = \"{many}\\\"{many}\"\nstream = '''\n{many}\n'''\n"
+    )
+    chosen = config.resolve(params.Record, "record", {}, path)
+    assert (chosen.scene, chosen.objects, chosen.stream) == (many, f'{many}"{many}', f"{many}\n")
+
+
+def test_a_path_in_toml_holds_no_zero_byte(tmp_path: Path) -> None:
+    """Assert that a name that no system call takes is refused where it is read."""
+    path = tmp_path / "a.toml"
+    path.write_text('[track]\ncalibration = "a\\u0000b"\n')
+    with pytest.raises(InputError, match="calibration"):
+        config.resolve(params.Track, "track", {}, path)
+
+
+JSON = {
+    "nested lists": "[" * 100_000,
+    "nested lists that end": "[" * 500 + "]" * 500,
+    "nested objects": '{"a":' * 100_000,
+    "a whole number of 100,000 digits": json.dumps({"frame_px": [640, 480], "radius_px": 0}).replace("0}", LONG_NUMBER),
+    "a frame of 100,000 digits": f'{{"frame_px": [{LONG_NUMBER}, 480]}}',
+    "a frame of 4,000 digits": f'{{"frame_px": [{LONG_NUMBER[:4000]}, 480], "radius_px": 1, "dot_xy_px": [[1, 1]]}}',
+    "a text of 100,000 letters for a number": json.dumps(
+        {"frame_px": [640, 480], "radius_px": "a" * 100_000, "dot_xy_px": [[1, 1], [9, 1]]}
+    ),
+    "a frame that is a long text": json.dumps({"frame_px": "a" * 100_000}),
+    "2 million numbers": json.dumps({"frame_px": [640, 480], "radius_px": 1, "dot_xy_px": [[1, 1]] * 1_000_000}),
+    "no text": "\xff".encode("latin1"),
+    "a quote that does not end": '{"' + '\\"' * 50_000,
+}
+
+
+@pytest.mark.parametrize("text", JSON.values(), ids=JSON)
+def test_hostile_json(tmp_path: Path, text: str | bytes) -> None:
+    """Assert that JSON beyond the limits is refused at once, and little of it is repeated."""
+    path = tmp_path / "a.json"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    refused(read_calibration, path)
+
+
+GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(8), 40.0 + 60 * np.arange(7)), axis=2).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("radius_px", [3e76, 641.0, 1e-300, 1e-9])
+def test_a_flipped_pickle_writes_no_calibration(tmp_path: Path, radius_px: float) -> None:
+    """Assert that what is written can be read again: a radius that no dot has is refused, and nothing is written."""
+    source, out = tmp_path / "grid.pkl", tmp_path / "o.json"
+    source.write_bytes(pickle.dumps((GRID, np.full((len(GRID), 1), radius_px))))
+    chosen = Calibrate(source=source)
+    (job,) = calibrate.jobs([], chosen, out)
+    with pytest.raises(InputError, match=r"grid\.pkl"):
+        calibrate.run(job, chosen)
+    assert not out.exists()
+    source.write_bytes(pickle.dumps((GRID, np.full((len(GRID), 1), 20.0))))
+    assert calibrate.run(job, chosen).made
+
+
+def test_a_flipped_centre_writes_no_calibration(tmp_path: Path) -> None:
+    """Assert that no bit of a centre makes a calibration that cannot be read: each is refused, or read back."""
+    source, out = tmp_path / "grid.pkl", tmp_path / "o.json"
+    chosen = Calibrate(source=source, any_grid=True)
+    (job,) = calibrate.jobs([], chosen, out)
+    for bit in range(64):
+        flipped = GRID.copy()
+        flipped[:1, :1].view(np.uint64)[...] ^= np.uint64(1 << bit)
+        source.write_bytes(pickle.dumps((flipped, np.full((len(GRID), 1), 20.0))))
+        out.unlink(missing_ok=True)
+        try:
+            calibrate.run(job, chosen)
+        except InputError:
+            assert not out.exists()
+        else:
+            read_calibration(out)
