@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from array import array
 
 import numpy as np
@@ -62,3 +63,27 @@ def test_json_has_no_nan() -> None:
         "a": [1.0, None, [None]],
         "b": "c",
     }
+
+
+class SlowGripper:
+    """A gripper that is being let go of when a signal comes."""
+
+    def __init__(self) -> None:
+        self.released = False
+
+    def close(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+        self.released = True
+
+
+def test_low_ctrl_c_inside_close_waits_until_the_gripper_is_released() -> None:
+    """Assert that a second and third Ctrl-C do not break off the end of torque, and are raised after it."""
+    gripper = SlowGripper()
+    with session.signals_counted() as signals:
+        os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt), session.signals_held():
+            gripper.close()
+        assert gripper.released
+        assert len(signals) == 3
