@@ -5,6 +5,9 @@ as the first thing that it does. But before it comes to that, it loads modules f
 signals are held back: so SIGINT is held back while one is started, in the child until it ignores it, here until the
 child runs, and none is lost.
 
+Why so, other signals: SIGTERM and the like may be meant for one of the processes alone. Each is remembered, and the loop
+ends in order at its next step: an exception in the middle of a command to the gripper would leave the command half sent.
+
 Why so, priority: a beat of 1 ms is shorter than what a usual scheduler promises on a busy computer. What is permitted
 depends on the user (`ulimit -r`, `ulimit -e`): it is tried, and the result is recorded. Only for what takes little:
 Linux stops all real-time processes of a core for the rest of a second of which they took 0.95 s (sched_rt_runtime_us),
@@ -19,6 +22,11 @@ from multiprocessing.process import BaseProcess
 
 NICE = -10
 USUAL = "as usual"
+ENDING = tuple(
+    getattr(signal, name)
+    for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGABRT", "SIGUSR1", "SIGUSR2")
+    if hasattr(signal, name)
+)  # signals that end a program, and that a program may handle; Ctrl-C is another matter
 
 
 def start_shielded(process: BaseProcess) -> None:
@@ -34,6 +42,18 @@ def start_shielded(process: BaseProcess) -> None:
 def ignore_interrupts() -> None:
     """From now on Ctrl-C is for whoever started this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def remember_signals() -> list[int]:
+    """From now on signals that would end this process are only added to this list; its loop looks at it.
+
+    A signal that is ignored already, as SIGHUP under nohup, stays so.
+    """
+    came: list[int] = []
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda number, frame: came.append(number))
+    return came
 
 
 def set_realtime_priority(rank: int, process: int = 0) -> str:

@@ -26,6 +26,7 @@ from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
+from evetac_cli.realtime.emergency_key import emergency_key
 from evetac_cli.realtime.processes import set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.stages import session
@@ -176,16 +177,21 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
         recipe = _recipe(trial, params, described, sensor)
         writer = RecordingWriter(trial.output, sensor, discard_leftover=False, recipe=recipe)
+        key = opened.enter_context(emergency_key())
         if gripper.is_hardware and not signals:
             console.say(f"{gripper} moves now; {FALLS}")
+        if key.there and not signals:
+            console.say(session.KEY_HINT)
         try:
             if not signals:
                 processes.go()
             recorded = record(
-                processes, world, writer, timing.end_ms, signals, lambda done: progress(done, timing.end_ms)
+                processes, world, writer, timing.end_ms, signals, key, lambda done: progress(done, timing.end_ms)
             )
         except BaseException as error:
             writer.leave()
+            processes.close()
+            console.say(f"{gripper}: {processes.last_words()}")
             raise session.with_hint(error, writer) from None
         processes.close()
         datasets = {
@@ -266,7 +272,10 @@ def _result(
     if recorded.has_steps:
         saved = f"{recorded.slices:,} slices in {trial.output}"
         result = _row(trial, recipe, recorded, datasets, grasp_outcome)
-    session.raise_end(recorded.error, recorded.ended, saved, result, "interrupted, torque is off")
+    torque = recorded.torque
+    session.raise_end(
+        recorded.error, recorded.ended, saved, result, f"interrupted; {torque}", f"{session.OPENED}; {torque}"
+    )
     if result is None:
         raise DeviceError("the grasp ended before its first step", found=recorded.ended)
     return result
@@ -298,9 +307,13 @@ def _row(
         slices=recorded.slices,
         ended=recorded.ended,
         **timing,
-        command_misses=int(datasets["capture/command_misses"]),
+        command_misses=_whole(datasets.get("capture/command_misses")),
         latencies=len(recorded.latency_us),
         scheduling=datasets["capture/scheduling"],
         lost=session.lost_words(datasets),
         **grasp_outcome,
     )
+
+
+def _whole(value: Any) -> int | None:
+    return None if value is None else int(value)
