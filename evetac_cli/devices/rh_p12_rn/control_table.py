@@ -7,6 +7,8 @@ of the virtual servo only: a driver reads what its device says.
 
 from dataclasses import dataclass
 
+from evetac_cli.errors import DeviceError
+
 MODEL_NUMBER = 35074  # RH-P12-RN(A)
 OLD_MODEL_NUMBER = 35073  # RH-P12-RN: the same look, another control table
 RAM_START = 512  # below lies the EEPROM, which is locked while torque is on
@@ -162,3 +164,16 @@ def hardware_errors(status: int) -> list[str]:
     """Names of the bits set in Hardware Error Status."""
     named = [name for bit, name in enumerate(HARDWARE_ERRORS) if status >> bit & 1]
     return named + [f"bit {bit}" for bit in range(len(HARDWARE_ERRORS), 8) if status >> bit & 1]
+
+
+def check_model(model: int, where: str) -> None:
+    """DeviceError unless the model number is that of an RH-P12-RN(A)."""
+    if model == MODEL_NUMBER:
+        return
+    older = "the older RH-P12-RN, whose control table is another" if model == OLD_MODEL_NUMBER else "another device"
+    raise DeviceError(
+        "this driver is for the RH-P12-RN(A)",
+        where=where,
+        expected=f"model number {MODEL_NUMBER}",
+        found=f"{model}: {older}",
+    )

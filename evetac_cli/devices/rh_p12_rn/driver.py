@@ -6,8 +6,10 @@ beyond them is clamped to them, and counted. One cycle is a read of current, spe
 not answered; every 100th command is, which proves that commands arrive.
 
 Why so: whatever ends the driver - close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal - sets
-current 0 and torque off. What no program can handle (SIGKILL, a pulled plug) is left to the servo's Bus Watchdog, which
-runs from the first command on: then a program silent for 100 ms loses the gripper, and gets an error that says so.
+current 0 and torque off, and `release_words` say what was read back. What no program can handle (SIGKILL, a pulled
+plug) is left to the servo's Bus Watchdog: then a program silent for 100 ms loses the gripper, and gets an error that
+says so. Setting up leaves torque off and the first command switches it on, watchdog first (torque.py), so a program may
+take its time before that command, and nothing but the commands keeps the watchdog quiet: no thread, no timer.
 
 EEPROM is written only where it differs from what is needed (operating mode, return delay), with torque off, and named
 in `described`. Nothing is ever reset to factory values. Source: hardware notes on the control table; the set-up order
@@ -31,23 +33,23 @@ from typing import Any, Literal, TypeVar
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
-    MODEL_NUMBER,
-    OLD_MODEL_NUMBER,
     POSITION_MODE,
     REGISTERS,
     RETURN_DELAY_US,
     WATCHDOG_MS,
     WATCHDOG_TRIPPED,
     baud_code,
+    check_model,
 )
-from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, PortGone, Refused
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, Refused
+from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import DeviceError, EvetacError
 
 Mode = Literal["current", "position"]
 CHECK_EVERY = 100  # commands between two that are answered
-RELEASE_TRIES = 5
 SET_UP_TRIES = 5
-SETTLE_S = 0.1  # while setting up there is time to wait for an answer that is late
+OPENING_STEP_S = 0.005  # between two commands while it opens
+LONGEST_OPENING_S = 10.0
 _PRESENT = REGISTERS["Present Current"].address
 _PRESENT_SIZE = REGISTERS["Present Position"].address + REGISTERS["Present Position"].size - _PRESENT
 _GOAL = {"current": "Goal Current", "position": "Goal Position"}
@@ -84,7 +86,7 @@ class RhP12RnSettings:
 
 
 class RhP12Rn(AbstractContextManager["RhP12Rn"]):
-    """A gripper, with torque on from here to `close`; also a context manager."""
+    """A gripper, with torque on from the first command to `close`; also a context manager."""
 
     def __init__(
         self,
@@ -93,7 +95,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         mode: Mode = "current",
         settings: RhP12RnSettings = RhP12RnSettings(),  # frozen: may be shared
     ) -> None:
-        """Open the port, set the gripper up, switch torque on: at 0 mA, or at its present position.
+        """Open the port and set the gripper up, torque off.
 
         DeviceError or DeviceTimeout if it is not there, not this model, or has a hardware error.
         """
@@ -101,22 +103,31 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             raise ValueError(f"mode must be current or position, found {mode!r}")
         self._mode, self._settings = mode, settings
         self._closed = False
+        self._is_ours = False  # the model that this driver is for
         self._clamped = self._commands = 0
         self._alone = threading.RLock()  # at the end of a program another thread may be in the middle of a command
         self._process = os.getpid()  # a child process that inherits this object must not touch the gripper
-        self._watched = False
         self._spoken_s = time.monotonic()
         self._silent_ms = 0.0  # the longest silence since a command was answered
         self._bus = Bus(port, baud, settings.id, answer_ms=settings.answer_ms)
+        self._torque = Torque(self._bus, settings.watchdog_ms)
         _close_at_exit(self)
         try:
             self._bus.settle_s = SETTLE_S
             self.described: Mapping[str, Any] = self._set_up_soundly()
             self._bus.settle_s = 0.0
+        except DeviceError as error:
+            raise self._given_up(error) from error
         except BaseException:
-            self._release()
+            if self._is_ours:
+                self._torque.switch_off()
             self._end()
             raise
+
+    @property
+    def release_words(self) -> str:
+        """What is known of torque; once it is closed, what was read back, or why it could not be and what happens."""
+        return self._torque.words
 
     @property
     def counted(self) -> Mapping[str, int]:
@@ -140,18 +151,39 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._command("position", goal_ticks, *self._range_ticks)
 
     def close(self) -> None:
-        """Current 0, torque off, port closed; a second call does nothing. DeviceError if torque may still be on."""
+        """Current 0, torque off, port closed; a second call does nothing. DeviceError unless off was read back."""
         if os.getpid() != self._process:
             return
         with self._alone:
             if self._closed:
                 return
             try:
-                released = self._release()
+                released = self._torque.switch_off()
             finally:
                 self._end()
         if not released:
-            raise DeviceError(self._still_on(), where=self._where, hint="switch 24 V off")
+            raise DeviceError(self.release_words, where=self._where, hint="switch 24 V off if the fingers still press")
+
+    def emergency_open(self, current_ma: int = 100, seconds: float = 0.5) -> None:
+        """Open with at most this current for so long, then torque off and close: what an emergency key does.
+
+        Commands of other threads wait, and then find it closed. DeviceError as of a command and of `close`; ValueError
+        for no current, or a time that is not above 0 and at most 10 s.
+        """
+        if operator.index(current_ma) < 1 or not 0 < seconds <= LONGEST_OPENING_S:
+            raise ValueError(f"expected 1 mA or more and 0 to {LONGEST_OPENING_S:g} s, found {current_ma}, {seconds}")
+        most_ma = min(current_ma, self._limit_ma)
+        goals = {"Goal Current": most_ma, "Goal Position": self._range_ticks[0]}
+        if self._mode == "current":
+            goals = {"Goal Current": -most_ma}
+        with self._alone:
+            try:
+                until_s = time.monotonic() + seconds
+                while time.monotonic() < until_s:
+                    self._attempt(lambda: self._put(goals))
+                    time.sleep(OPENING_STEP_S)
+            finally:
+                self.close()
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -181,10 +213,11 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
 
     def _set_up(self, written: dict[str, list[int]]) -> dict[str, Any]:
         bus, settings = self._bus, self._settings
+        bus.tolerant = True  # a hardware error is the answer to what follows; first, which model it is
         check_model(bus.ping(), self._where)
+        bus.tolerant, self._is_ours = False, True
         bus.send("Status Return Level", 2)  # else it may not answer what follows
-        bus.write("Bus Watchdog", 0)  # one that tripped would refuse all that follows
-        bus.write("Torque Enable", 0)
+        self._torque.clear()
         needed = {"Operating Mode": CURRENT_MODE if self._mode == "current" else POSITION_MODE}
         if settings.return_delay_us is not None:
             needed["Return Delay Time"] = settings.return_delay_us // RETURN_DELAY_US
@@ -195,6 +228,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         limit_ma = bus.read("Current Limit")
         self._limit_ma = min(limit_ma, settings.max_current_ma or limit_ma)
         lowest, highest = bus.read("Min Position Limit"), bus.read("Max Position Limit")
+        self._own_limits = lowest, highest
         self._range_ticks = max(lowest, settings.first_tick), min(highest, settings.last_tick)
         if self._range_ticks[0] >= self._range_ticks[1]:
             raise DeviceError(
@@ -205,11 +239,6 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             )
         if self._mode == "position":
             bus.write("Position P Gain", settings.p_gain)
-            bus.write("Goal Current", self._limit_ma)
-            bus.write("Goal Position", min(max(bus.read("Present Position"), lowest), highest))
-        else:
-            bus.write("Goal Current", 0)
-        bus.write("Torque Enable", 1)
         return {
             "model": "RH-P12-RN(A)",
             "firmware": bus.read("Firmware Version"),
@@ -231,20 +260,26 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             raise DeviceError(f"a {mode} for a gripper opened in {self._mode} mode", where=self._where)
         goal = min(max(operator.index(value), low), high)
         self._clamped += goal != value
-        self._attempt(lambda: self._put(goal))
+        self._attempt(lambda: self._command_once(goal))
         self._commands += 1
 
-    def _put(self, goal: int) -> None:
+    def _command_once(self, goal: int) -> None:
         """A command; with an answer every so often, and after a silence that may have tripped the watchdog."""
         name = _GOAL[self._mode]
-        if not self._watched:
-            self._bus.write("Bus Watchdog", self._settings.watchdog_ms // WATCHDOG_MS)
-            self._watched = True
+        if not self._torque.is_on:
+            self._put({name: goal} if self._mode == "current" else {name: goal, "Goal Current": self._limit_ma})
         elif self._commands % CHECK_EVERY and self._silent_ms < 0.5 * self._settings.watchdog_ms:
             self._bus.send(name, goal)
-            return
+        else:
+            self._put({name: goal})
+
+    def _put(self, goals: Mapping[str, int]) -> None:
+        """Goals that are answered, with torque on; in position mode the current follows the position it is for."""
+        if not self._torque.is_on:
+            self._torque.switch_on(self._here_ticks() if self._mode == "position" else None)
         try:
-            self._bus.write(name, goal)
+            for name, goal in goals.items():
+                self._bus.write(name, goal)
         except Refused as refused:
             if refused.fault == RANGE_FAULT and self._bus.read("Bus Watchdog") == WATCHDOG_TRIPPED:
                 raise DeviceError(
@@ -257,8 +292,13 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             raise
         self._silent_ms = 0.0
 
+    def _here_ticks(self) -> int:
+        """Where the fingers are, within the gripper's own limits."""
+        lowest, highest = self._own_limits
+        return min(max(self._bus.read("Present Position"), lowest), highest)
+
     def _attempt(self, action: Callable[[], _T]) -> _T:
-        """Run a transaction; on any failure torque goes off, and the error says whether it did."""
+        """Run a transaction; on any failure torque goes off, and the error says what was read back."""
         with self._alone:
             if self._closed:
                 raise DeviceError("the gripper is closed", where=self._where)
@@ -266,52 +306,24 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             try:
                 result = action()
             except DeviceError as error:
-                after = "torque is off" if self._release() else self._still_on()
-                self._end()
-                raise type(error)(f"{error}\n  then:     {after}") from error
+                raise self._given_up(error) from error
             self._spoken_s = time.monotonic()
             return result
 
-    # Letting go
-
-    def _still_on(self) -> str:
-        watched = f"its watchdog stops it after {self._settings.watchdog_ms} ms"
-        return f"torque could not be switched off; {watched if self._watched else 'it was not commanded yet'}"
-
-    def _release(self) -> bool:
-        """Current 0 and torque off; whether the gripper has confirmed it."""
-        self._bus.tolerant = True
-        for _ in range(RELEASE_TRIES):
-            try:
-                self._bus.send("Goal Current", 0)
-                self._bus.write("Torque Enable", 0)
-                if self._bus.read("Torque Enable") == 0:
-                    self._bus.write("Bus Watchdog", 0)
-                    return True
-            except PortGone:
-                return False
-            except DeviceError:
-                self._bus.settle_s = SETTLE_S
-        return False
+    def _given_up(self, error: DeviceError) -> DeviceError:
+        """The error that ends the driver, with what became of torque; to another model nothing is written."""
+        if self._is_ours:
+            self._torque.switch_off()
+        self._end()
+        if not self._is_ours:
+            return error
+        return type(error)(f"{error}\n  then:     {self.release_words}")
 
     def _end(self) -> None:
         self._bus.close()
         self._closed = True
         if self in _OPEN:
             _OPEN.remove(self)
-
-
-def check_model(model: int, where: str) -> None:
-    """DeviceError unless the model number is that of an RH-P12-RN(A)."""
-    if model == MODEL_NUMBER:
-        return
-    older = "the older RH-P12-RN, whose control table is another" if model == OLD_MODEL_NUMBER else "another device"
-    raise DeviceError(
-        "this driver is for the RH-P12-RN(A)",
-        where=where,
-        expected=f"model number {MODEL_NUMBER}",
-        found=f"{model}: {older}",
-    )
 
 
 def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms: float = ANSWER_MS) -> None:

@@ -112,9 +112,9 @@ class VirtualServo:
         self._apply_registers()
 
     def _apply_registers(self) -> None:
-        """Apply what was written: the plant's goals, the watchdog's time (s, 0 is off)."""
+        """Apply what was written: the plant's goals, the watchdog's time (s, 0 without watchdog or torque)."""
         watchdog = self._get("Bus Watchdog")
-        self._watchdog_s = max(watchdog, 0) * table.WATCHDOG_MS * 1e-3
+        self._watchdog_s = max(watchdog, 0) * table.WATCHDOG_MS * 1e-3 if self.torque else 0.0  # e-Manual, 546
         self._goals = Goals(
             torque=self.torque and watchdog != table.WATCHDOG_TRIPPED,
             mode=self._get("Operating Mode"),

@@ -15,9 +15,11 @@ from tests.conftest import SLOW, is_off
 
 
 def test_current_mode_is_set_up(fresh: VirtualGripper) -> None:
-    """Assert mode, torque and a goal of 0 while open, all off afterwards, and the EEPROM written at need only."""
+    """Assert the mode, torque from the first command only, all off afterwards, and the EEPROM written at need only."""
     with RhP12Rn(fresh.port, settings=SLOW) as driver:
         assert fresh.read_register("Operating Mode") == 0
+        assert is_off(fresh)
+        driver.write_current(0)
         assert (fresh.read_register("Torque Enable"), fresh.read_register("Goal Current")) == (1, 0)
         assert fresh.read_register("Return Delay Time") == 0
         assert driver.described["current_limit_ma"] == 661
@@ -29,16 +31,17 @@ def test_current_mode_is_set_up(fresh: VirtualGripper) -> None:
 
 
 def test_position_mode_is_set_up(fresh: VirtualGripper) -> None:
-    """Assert mode 5, the P gain, the limit as goal current, and that it stays where it is."""
-    with RhP12Rn(fresh.port, mode="position", settings=RhP12RnSettings(answer_ms=2000, max_current_ma=200)) as driver:
+    """Assert mode 5, the P gain, no torque at first, and the limit as goal current from the first command on."""
+    settings = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540, max_current_ma=200)
+    with RhP12Rn(fresh.port, mode="position", settings=settings) as driver:
         assert driver.described["eeprom_written"] == {"Operating Mode": [0, 5]}
         assert (fresh.read_register("Operating Mode"), fresh.read_register("Position P Gain")) == (5, 50)
+        assert is_off(fresh)
+        here = driver.read().position_ticks
+        driver.write_position(here)
+        assert fresh.read_register("Torque Enable") == 1
         assert fresh.read_register("Goal Current") == 200
-        assert (
-            fresh.read_register("Goal Position")
-            == fresh.read_register("Present Position")
-            == driver.read().position_ticks
-        )
+        assert fresh.read_register("Goal Position") == here
         with pytest.raises(DeviceError, match="opened in position mode"):
             driver.write_current(5)
     assert is_off(fresh)
@@ -122,9 +125,9 @@ def test_one_answered_transaction_a_cycle(fresh: VirtualGripper) -> None:
             driver.write_current(k % 7)
         after = fresh.instructions()
         spent = {code: after[code] - before.get(code, 0) for code in after}
-        assert spent[Instruction.READ] == 201
+        assert spent[Instruction.READ] == 201 + 1  # and the watchdog, whether it is armed
         assert spent[Instruction.SYNC_WRITE] == 198
-        assert spent[Instruction.WRITE] == 3 + 1  # and the watchdog's start
+        assert spent[Instruction.WRITE] == 3 + 3  # and goal current, watchdog and torque before the first
         assert fresh.read_register("Goal Current") == 200 % 7
 
 

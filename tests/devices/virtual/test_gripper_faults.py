@@ -6,12 +6,14 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus, PortGone
+from evetac_cli.devices.rh_p12_rn.torque import release
 from evetac_cli.devices.virtual.dynamixel_frames import Instruction
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
@@ -103,7 +105,7 @@ def test_unplugging_is_said_and_stops_the_gripper() -> None:
     """Assert that a port that goes away is an error in words at once, and that the watchdog takes the current."""
     with VirtualGripper(faults=["unplug@0.2"]) as gripper:
         driver = RhP12Rn(gripper.port, settings=QUICK)
-        with pytest.raises(PortGone, match=r"port is gone(.|\n)*watchdog stops it after 1000 ms"):
+        with pytest.raises(PortGone, match=r"port is gone(.|\n)*watchdog stops the motor 1000 ms after"):
             while True:
                 cycles(driver, 1)
         driver.close()
@@ -121,7 +123,9 @@ def test_a_dead_gripper_is_a_timeout() -> None:
         driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=100, watchdog_ms=1000))
         cycles(driver, 2)
         gripper.inject("lost-answer%100")
-        with pytest.raises(DeviceTimeout, match=r"no answer(.|\n)*could not be switched off; its watchdog stops it"):
+        with pytest.raises(
+            DeviceTimeout, match=r"no answer(.|\n)*could not be read back as off: (.|\n)*watchdog stops the motor"
+        ):
             cycles(driver, 1)
         driver.close()
         assert gripper.read_register("Torque Enable") == 0  # it heard, but could not say so
@@ -239,3 +243,179 @@ def test_close_waits_for_another_threads_command(fresh: VirtualGripper) -> None:
 def test_nothing_is_reset_to_factory_values(gripper: VirtualGripper) -> None:
     """Assert that in all that was done to this gripper there is no factory reset."""
     assert Instruction.FACTORY_RESET not in gripper.instructions()
+
+
+BEFORE_A_COMMAND = """
+import sys, time
+from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
+settings = RhP12RnSettings(answer_ms=200, watchdog_ms=500, max_current_ma=100)
+driver = RhP12Rn(sys.argv[1], 2_000_000, sys.argv[2], settings)
+print("ready", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("mode", ["current", "position"])
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGSTOP, signal.SIGQUIT, signal.SIGABRT, signal.SIGSEGV])
+def test_h1_no_torque_stays_on_where_a_program_dies_before_its_first_command(
+    fresh: VirtualGripper, mode: str, ending: signal.Signals
+) -> None:
+    """Assert that a program that opened the gripper and then died or stood still leaves no torque unwatched."""
+    command = [sys.executable, "-c", BEFORE_A_COMMAND, fresh.port, mode]
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == b"ready\n"
+        program.send_signal(ending)
+        time.sleep(0.1)
+        torque, watchdog = (fresh.read_register(name) for name in ("Torque Enable", "Bus Watchdog"))
+        program.kill()
+    assert torque == 0 or watchdog != 0
+
+
+@pytest.mark.parametrize("mode", ["current", "position"])
+def test_h1_the_watchdog_is_armed_before_torque(
+    fresh: VirtualGripper, monkeypatch: pytest.MonkeyPatch, mode: Any
+) -> None:
+    """Assert that at the moment of torque the watchdog runs, and goals are no current and where the fingers are."""
+    at_torque: list[tuple[int, int, int]] = []
+    write = Bus.write
+
+    def watched(bus: Bus, name: str, value: int) -> None:
+        if (name, value) == ("Torque Enable", 1):
+            registers = [fresh.read_register(each) for each in ("Bus Watchdog", "Goal Current", "Goal Position")]
+            registers[2] -= fresh.read_register("Present Position")
+            at_torque.append((registers[0], registers[1], registers[2] if mode == "position" else 0))
+        write(bus, name, value)
+
+    monkeypatch.setattr(Bus, "write", watched)
+    with RhP12Rn(fresh.port, mode=mode, settings=SLOW) as driver:
+        if mode == "current":
+            driver.write_current(5)
+        else:
+            driver.write_position(driver.read().position_ticks + 2)
+        assert fresh.read_register("Torque Enable") == 1
+    assert at_torque == [(SLOW.watchdog_ms // 20, 0, 0)]
+
+
+def test_h1_a_tripped_gripper_does_not_grip_again_while_it_is_opened() -> None:
+    """Assert that what a dead program left on, its watchdog tripped, has no current at any moment of a new start."""
+    left = {"Torque Enable": 1, "Bus Watchdog": -1, "Operating Mode": 0, "Goal Current": 300}
+    with VirtualGripper(registers=left) as gripper:
+        seen: list[tuple[int, int]] = []
+        write = Bus.write
+
+        class Watched(Bus):
+            def write(self, name: str, value: int) -> None:
+                write(self, name, value)
+                seen.append((gripper.read_register("Torque Enable"), gripper.read_register("Bus Watchdog")))
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("evetac_cli.devices.rh_p12_rn.driver.Bus", Watched)
+            RhP12Rn(gripper.port, settings=SLOW).close()
+        assert seen
+        assert (1, 0) not in seen
+
+
+# Words, and the emergency key
+
+
+@pytest.fixture
+def half_open() -> Iterator[VirtualGripper]:
+    """A gripper whose fingers can still open."""
+    with VirtualGripper() as gripper:
+        yield gripper
+
+
+def test_words_say_what_was_read_back(fresh: VirtualGripper) -> None:
+    """Assert that the driver says before, while and after it drove the gripper what is known of torque."""
+    driver = RhP12Rn(fresh.port, settings=SLOW)
+    assert driver.release_words == "torque is off: no command was given yet"
+    driver.write_current(5)
+    assert driver.release_words == "torque is on"
+    driver.close()
+    assert driver.release_words == "torque is off (read back)"
+
+
+def test_words_where_nothing_can_be_read_back() -> None:
+    """Assert that a port that is gone is said so, with what the watchdog does and what is left behind."""
+    with VirtualGripper() as gripper:
+        driver = RhP12Rn(gripper.port, settings=QUICK)
+        driver.write_current(5)
+        gripper.inject("unplug")
+        with pytest.raises(DeviceError, match=r"watchdog stops the motor 1000 ms after the last instruction"):
+            driver.close()
+        assert driver.release_words.startswith("torque could not be read back as off: ")
+        assert "the port is gone" in driver.release_words
+        assert driver.release_words.endswith("Torque Enable stays 1 until the next start")
+
+
+def test_words_where_torque_was_never_on() -> None:
+    """Assert that a gripper that was lost before its first command is not said to be stopped by its watchdog."""
+    with VirtualGripper() as gripper:
+        driver = RhP12Rn(gripper.port, settings=QUICK)
+        gripper.inject("unplug")
+        with pytest.raises(DeviceError):
+            driver.close()
+        assert driver.release_words.endswith("this program never switched it on")
+
+
+@pytest.mark.parametrize("mode", ["current", "position"])
+def test_emergency_opening_is_bounded_and_ends_without_torque(half_open: VirtualGripper, mode: Any) -> None:
+    """Assert that it opens with no more than the current asked for, and then is off and closed to other commands."""
+    driver = RhP12Rn(half_open.port, mode=mode, settings=SLOW)
+    start = driver.read().position_ticks
+    command = driver.write_current if mode == "current" else driver.write_position
+    command(50 if mode == "current" else start + 5)
+    seen_ma = []
+    put = RhP12Rn._put
+
+    def watched(self: RhP12Rn, goals: Any) -> None:
+        put(self, goals)
+        seen_ma.append(abs(half_open.read_register("Goal Current")))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RhP12Rn, "_put", watched)
+        driver.emergency_open(80, 1.0)
+    assert set(seen_ma) == {80}
+    assert driver.release_words == "torque is off (read back)"
+    assert is_off(half_open)
+    assert half_open.read_register("Present Position") < start
+    with pytest.raises(DeviceError, match="is closed"):
+        command(10)
+
+
+def test_emergency_opening_of_a_gripper_that_was_never_commanded(half_open: VirtualGripper) -> None:
+    """Assert that it opens then too, and refuses what is no bound."""
+    driver = RhP12Rn(half_open.port, settings=SLOW)
+    for current_ma, seconds in ((0, 0.5), (100, 0.0), (100, 11.0), (100, float("nan"))):
+        with pytest.raises(ValueError, match="expected 1 mA or more"):
+            driver.emergency_open(current_ma, seconds)
+    start = driver.read().position_ticks
+    driver.emergency_open(seconds=1.0)
+    assert half_open.read_register("Present Position") < start
+    assert is_off(half_open)
+
+
+def test_emergency_opening_on_a_broken_line_says_so() -> None:
+    """Assert that a port that goes away meanwhile is an error with what is known of torque."""
+    with VirtualGripper() as gripper:
+        driver = RhP12Rn(gripper.port, settings=QUICK)
+        driver.write_current(5)
+        gripper.inject("unplug")
+        with pytest.raises(DeviceError, match=r"gone(.|\n)*then: +torque could not be read back"):
+            driver.emergency_open()
+        driver.close()
+
+
+def test_torque_of_a_dead_program_is_switched_off_and_read_back(fresh: VirtualGripper) -> None:
+    """Assert that another process ends what a killed one left, in words; and says so where the port is still held."""
+    assert run_program(fresh, signal.SIGKILL) == -signal.SIGKILL
+    assert fresh.read_register("Torque Enable") == 1
+    assert release(fresh.port, 2_000_000, answer_ms=2000) == "torque is off (read back)"
+    assert is_off(fresh)
+    with RhP12Rn(fresh.port, settings=SLOW) as driver:
+        driver.write_current(3)
+        words = release(fresh.port, 2_000_000, watchdog_ms=60)
+        assert "could not be read back as off" in words and "in use" in words
+        assert "stops the motor 60 ms after the last instruction" in words

@@ -153,6 +153,8 @@ def test_watchdog_trips_and_refuses_goals() -> None:
     assert asked.write("Goal Current", 10) == Fault.DATA_RANGE
     assert asked.write("Goal Position", 300) == Fault.DATA_RANGE
     assert asked.read("Goal Current") == 40
+    assert asked.read("Torque Enable") == 1  # stays, until somebody writes 0
+    assert asked.write("Torque Enable", 0) == 0
     assert asked.write("Bus Watchdog", 0) == 0
     assert asked.write("Goal Current", 10) == 0
     asked.now_s = 9.0
@@ -164,12 +166,30 @@ def test_anything_heard_feeds_the_watchdog() -> None:
     """Assert that a read every 90 ms keeps a watchdog of 100 ms quiet, but not one meant for another servo."""
     asked = Asked()
     asked.write("Bus Watchdog", 5)
+    asked.write("Torque Enable", 1)
     for _ in range(5):
         asked.now_s += 0.09
         assert asked.read("Bus Watchdog") == 5
     asked.now_s += 0.09
     asked.raw(Instruction.PING, id_=3)
     asked.now_s += 0.02
+    assert asked.read("Bus Watchdog") == -1
+
+
+def test_the_watchdog_counts_while_torque_is_on() -> None:
+    """Assert that silence without torque trips nothing, and that torque does not inherit it."""
+    asked = Asked(Operating_Mode=0)
+    asked.write("Bus Watchdog", 5)
+    asked.now_s = 3.0
+    asked.servo.tick(asked.now_s)
+    assert asked.read("Bus Watchdog") == 5
+    asked.now_s = 6.0
+    asked.write("Torque Enable", 1)
+    asked.now_s = 6.09
+    asked.servo.tick(asked.now_s)
+    assert asked.read("Bus Watchdog") == 5
+    asked.now_s = 6.2
+    asked.servo.tick(asked.now_s)
     assert asked.read("Bus Watchdog") == -1
 
 
