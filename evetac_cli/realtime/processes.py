@@ -5,8 +5,8 @@ as the first thing that it does. But before it comes to that, it loads modules f
 signals are held back: so SIGINT is held back while one is started, in the child until it ignores it, here until the
 child runs, and none is lost.
 
-Why so, other signals: SIGTERM and the like may be meant for one of the processes alone. Each is remembered, and the loop
-ends in order at its next step: an exception in the middle of a command to the gripper would leave the command half sent.
+Why so, other signals: SIGTERM and the like may be meant for one of the processes alone. Each is remembered, and the
+loop ends in order at its next step: an exception in the middle of a command would leave it half sent.
 
 Why so, priority: a beat of 1 ms is shorter than what a usual scheduler promises on a busy computer. What is permitted
 depends on the user (`ulimit -r`, `ulimit -e`): it is tried, and the result is recorded. Only for what takes little:

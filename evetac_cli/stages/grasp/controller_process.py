@@ -230,7 +230,7 @@ def command_grasp(
 ) -> ControllerEnded:
     """Command until the grasp is over, the order to stop or open comes, or something fails; then torque off.
 
-    has_ended: whether the detector's process has; clock and sleep in seconds; ending: signals that came to this process.
+    has_ended: whether the detector's process has; clock and sleep in seconds; ending: signals that came here.
     """
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:

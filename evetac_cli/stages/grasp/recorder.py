@@ -130,8 +130,8 @@ class GraspProcesses:
         self.controller.kill()
         self.controller.join(END_S)
         settings, gripper = self._settings, self._settings.gripper
-        times = {"watchdog_ms": gripper.watchdog_ms, "answer_ms": gripper.answer_ms}
-        return release(settings.port, settings.baud, id_=gripper.id, **times)
+        watchdog_ms, answer_ms = gripper.watchdog_ms, gripper.answer_ms
+        return release(settings.port, settings.baud, id_=gripper.id, watchdog_ms=watchdog_ms, answer_ms=answer_ms)
 
     def _wait_for(self, kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
         """The first message of a kind; what went wrong before it comes is raised."""
@@ -164,7 +164,6 @@ class GraspProcesses:
             if process.is_alive():
                 process.kill()
                 process.join()
-
 
     def last_words(self) -> str:
         """What torque is once both were closed; for whoever broke off recording."""
@@ -287,8 +286,9 @@ class RecordedGrasp:
             self.error = (detector and detector.error) or controller.error
             if isinstance(self.error, EvetacError) and "torque" not in str(self.error):
                 self.error.message += f"; {self.torque}"
-        if self.ended in (INTERRUPTED, FELL, OPENED) and controller is not None:
-            self.error = controller.error if self.ended == OPENED else None
+        opened = controller is not None and self.ended == OPENED == controller.ended
+        if opened or (controller is not None and self.ended in (INTERRUPTED, FELL)):
+            self.error = None
         else:
             self.ended = str(self.error).splitlines()[0] if self.error or controller is None else controller.ended
 

@@ -174,6 +174,9 @@ class GraspProcesses:
     def close(self) -> None:
         GraspProcesses.closed += 1
 
+    def last_words(self) -> str:
+        return "torque is off (read back)"
+
 
 @pytest.fixture
 def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
@@ -197,7 +200,11 @@ def some(writer: RecordingWriter, ended: str, error: Exception | None = None, st
     late = {"control/late_us": 5.0, "control/missed": 1, "control/latency_us": 2500.0, "control/slices_processed": 1}
     recorded.take_steps([{**row, **late}] * steps, writer)
     cycle_us = array("d", [700.0] * steps)
-    recorded.controller = ControllerEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
+    counted = {"answers_lost": 4}
+    recorded.controller = ControllerEnded(
+        ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, counted, "torque is off"
+    )
+    recorded.torque = "torque is off"
     recorded.detector = DetectorEnded({"late_events": 3}, None)
     return recorded
 
