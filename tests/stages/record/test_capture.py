@@ -505,7 +505,7 @@ def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         assert file.header["parameters"]["setup"]["gripper"]["model"] == "RH-P12-RN(A)"
     assert not any(count for name, count in lost.items() if "camera" in name)
     repeated = 2 * lost["capture/lost/gripper.answers_lost"]
-    assert rows <= counts[1] - counts[0] <= rows + 1 + repeated  # and once the watchdog
+    assert rows <= counts[1] - counts[0] <= rows + 3 + repeated  # and once goal current, watchdog and torque
     assert written[0] == 10
 
 
