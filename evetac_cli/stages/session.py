@@ -17,7 +17,7 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.errors import DeviceError, EvetacError, InputError, attach_outcome
 from evetac_cli.jobs import Outcome
-from evetac_cli.realtime.emergency_key import KEY_NAME
+from evetac_cli.realtime.emergency_key import KEY_NAME, EmergencyKey, emergency_key
 from evetac_cli.realtime.processes import ENDING
 from evetac_cli.stages.trials import OUTPUT, DeviceTrial, Trial
 from evetac_cli.store.disk import require_room
@@ -27,6 +27,7 @@ from evetac_cli.store.segments import RecordingWriter, refuse_leftover
 INTERRUPTED = "interrupted"
 OPENED = "opened by the emergency key"
 KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
+FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time
 ENDS = (signal.SIGINT, *ENDING)
 LOST = "capture/lost/"
 BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
@@ -193,24 +194,30 @@ def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
     return error
 
 
-def raise_end(
-    error: Exception | None,
-    ended: str,
-    saved: str,
-    result: Outcome | None,
-    interrupted: str = INTERRUPTED,
-    opened: str = OPENED,
-) -> None:
+def raise_end(error: Exception | None, ended: str, saved: str, result: Outcome | None, torque: str = "") -> None:
     """Let what ended the trial go on from here, with what was saved and the rows of its files.
 
-    error: what failed; ended: why the recording ended, in words; interrupted: what is said on Ctrl-C. The emergency key
-    ends a series as Ctrl-C does: no further trial moves the gripper.
+    error: what failed; ended: why the recording ended, in words; torque: what it was left with, in words. The emergency
+    key ends a series as Ctrl-C does: no further trial moves the gripper.
     """
+    then = f"; {torque}" if torque else ""
     if error is not None:
         failed = error if isinstance(error, EvetacError) else DeviceError(str(error))
+        if "torque" not in str(failed):
+            failed.message += then
         failed.kept = saved
         raise attach_outcome(failed, result)
-    if ended == INTERRUPTED:
-        raise attach_outcome(KeyboardInterrupt(f"{interrupted}: {saved}"), result)
-    if ended == OPENED:
-        raise attach_outcome(KeyboardInterrupt(f"{opened}: {saved}"), result)
+    if ended in (INTERRUPTED, OPENED):
+        raise attach_outcome(KeyboardInterrupt(f"{ended}{then}: {saved}"), result)
+
+
+@contextmanager
+def gripper_key(*, moves: bool) -> Iterator[EmergencyKey]:
+    """The key that opens the gripper, announced, where one is moved and somebody is at a terminal to press it."""
+    if not moves:
+        yield EmergencyKey(None)
+        return
+    with emergency_key() as key:
+        if key.there:
+            console.say(KEY_HINT)
+        yield key

@@ -26,8 +26,8 @@ def test_an_error_says_what_was_saved() -> None:
 
 def test_an_interrupt_goes_on() -> None:
     """Assert that Ctrl-C goes on as such, and that a trial which simply ended raises nothing."""
-    with pytest.raises(KeyboardInterrupt, match="interrupted, torque is off: 3 slices") as stopped:
-        session.raise_end(None, session.INTERRUPTED, "3 slices", RESULT, "interrupted, torque is off")
+    with pytest.raises(KeyboardInterrupt, match="interrupted; torque is off: 3 slices") as stopped:
+        session.raise_end(None, session.INTERRUPTED, "3 slices", RESULT, "torque is off")
     assert attached_outcome(stopped.value) is RESULT
     session.raise_end(None, "the camera's stream ended", "3 slices", RESULT)
 

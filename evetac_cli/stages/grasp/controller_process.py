@@ -33,13 +33,12 @@ from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, s
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.stages.grasp.loop import Timing, control_row
-from evetac_cli.stages.session import OPENED
+from evetac_cli.stages.session import FRESH, OPENED
 
 PRIORITY = 30
 BATCH_STEPS = 25  # whose rows the recorder gets at once
 COMMAND_BYTES = 19  # of a goal position on the wire, 10 bits each
 FROZEN_US = 10_000.0  # a step so much later than due was stopped, or waited for an answer
-FRESH = 0.75  # of the watchdog's time: so noticing it, switching torque off and reading back fit into that time
 FRESH_US = 150.0  # age that a status should have when a step reads it: the detector is not always as fast
 FOLLOWING = 0.02  # of what a step is off, so much is corrected at a time
 MOST_SHIFT_US = 4.0

@@ -26,7 +26,6 @@ from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
-from evetac_cli.realtime.emergency_key import emergency_key
 from evetac_cli.realtime.processes import set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.stages import session
@@ -177,11 +176,9 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
         recipe = _recipe(trial, params, described, sensor)
         writer = RecordingWriter(trial.output, sensor, discard_leftover=False, recipe=recipe)
-        key = opened.enter_context(emergency_key())
         if gripper.is_hardware and not signals:
             console.say(f"{gripper} moves now; {FALLS}")
-        if key.there and not signals:
-            console.say(session.KEY_HINT)
+        key = opened.enter_context(session.gripper_key(moves=not signals))
         try:
             if not signals:
                 processes.go()
@@ -272,10 +269,7 @@ def _result(
     if recorded.has_steps:
         saved = f"{recorded.slices:,} slices in {trial.output}"
         result = _row(trial, recipe, recorded, datasets, grasp_outcome)
-    torque = recorded.torque
-    session.raise_end(
-        recorded.error, recorded.ended, saved, result, f"interrupted; {torque}", f"{session.OPENED}; {torque}"
-    )
+    session.raise_end(recorded.error, recorded.ended, saved, result, recorded.torque)
     if result is None:
         raise DeviceError("the grasp ended before its first step", found=recorded.ended)
     return result
