@@ -146,8 +146,10 @@ class GripperLoop:
     def error(self) -> Exception | None:
         """What failed, that the loop hangs included; None if nothing did."""
         silent_s = self._time.now_s() - self._alive_s
-        if self._error is None and self._thread.is_alive() and silent_s > max(
-            HANGS_S, HANGS_WATCHDOGS * self._watchdog_s
+        if (
+            self._error is None
+            and self._thread.is_alive()
+            and silent_s > max(HANGS_S, HANGS_WATCHDOGS * self._watchdog_s)
         ):
             return DeviceError(f"the loop that commands the gripper hangs: no command for {silent_s:.1f} s")
         return self._error
