@@ -99,6 +99,12 @@ class Record(Trials):
         high=86400.0,
         recipe=False,
     )
+    arm: bool = parameter(
+        False,
+        "Devices: move a real gripper. Torque is switched off at the end, and whenever something fails: what is held"
+        " then falls.",
+        recipe=False,
+    )
     closing_ma: int = parameter(
         10, "Devices: current that closes the gripper until contact.", unit="mA", low=1, high=500, recipe=False
     )

@@ -1,4 +1,7 @@
-"""Open the camera and the gripper that were named, with what is behind them where they are virtual."""
+"""Open the camera and the gripper that were named, with what is behind them where they are virtual.
+
+Whoever moves a gripper comes through here, or through `require_arm` alone: the one place that asks for --arm.
+"""
 
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -9,6 +12,7 @@ import numpy as np
 from evetac_cli.devices import Rig
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import Mode, NamedGripper
+from evetac_cli.errors import InputError
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.gripper import VirtualGripper
@@ -22,6 +26,18 @@ class Peers(NamedTuple):
     servo: "VirtualGripper | None"
 
 
+def require_arm(gripper: NamedGripper, *, armed: bool, plan: str = "", hint: str = "") -> None:
+    """InputError where real fingers would be moved without --arm; plan: what would be done with them, in words."""
+    if gripper.is_hardware and not armed:
+        raise InputError(
+            "this would move a real gripper",
+            where=str(gripper),
+            expected="--arm, once nothing is between the fingers that must not be",
+            found=plan,
+            hint=hint or "--dry-run shows all of the plan",
+        )
+
+
 def open_peers(
     camera: NamedCamera,
     gripper: NamedGripper,
@@ -29,13 +45,16 @@ def open_peers(
     seeds: np.random.SeedSequence,
     opened: ExitStack,
     *,
+    armed: bool,
     tells_truth: bool,
     **durations: float,
 ) -> Peers:
     """Start the virtual world and the virtual servo that the names ask for; they are closed with `opened`.
 
-    plan: what the world simulates, as in devices.simulated.rig; tells_truth: whether the world gives its truth.
+    plan: what the world simulates, as in devices.simulated.rig; armed: whether a real gripper may be moved;
+    tells_truth: whether the world gives its truth.
     """
+    require_arm(gripper, armed=armed)
     world = None
     if plan is not None and camera.simulates_scene:
         from evetac_cli.devices.virtual.world import VirtualWorld
@@ -55,12 +74,13 @@ def open_rig(
     plan: Mapping[str, Any] | None,
     seeds: np.random.SeedSequence,
     *,
+    armed: bool = False,
     mode: Mode = "current",
 ) -> Rig:
     """Open what was named, the gripper first: a camera's clock starts when it is opened.
 
-    plan: what a simulated scene is made of; mode: of the gripper. DeviceError if a device cannot be opened; what was
-    opened until then is closed again.
+    plan: what a simulated scene is made of; armed: whether a real gripper may be moved; mode: of the gripper.
+    InputError where it may not; DeviceError if a device cannot be opened; what was opened until then is closed again.
     """
     if camera.is_stepped:
         from evetac_cli.devices.simulated import rig
@@ -68,7 +88,7 @@ def open_rig(
         assert plan is not None
         return rig(plan, seeds)
     with ExitStack() as opened:
-        world, servo = open_peers(camera, gripper, plan, seeds, opened, tells_truth=False)
+        world, servo = open_peers(camera, gripper, plan, seeds, opened, armed=armed, tells_truth=False)
         driver, gripper_setup = gripper.open(mode, gripper.port if servo is None else servo.port)
         if driver is not None:
             opened.callback(driver.close)

@@ -35,7 +35,9 @@ def named(camera: str, gripper: str, made: Made, mode: Mode = "current") -> Rig:
     """What the command line opens for these names."""
     ramp = for_trial(plan(str(made.scene), "8", "evetac", ("ramp",))[0], (5, 8, 0))
     seeds = np.random.SeedSequence([5, 8, 0])
-    return open_rig(cameras.parse(camera), grippers.parse(gripper), CameraSettings(), ramp, seeds, mode=mode)
+    return open_rig(
+        cameras.parse(camera), grippers.parse(gripper), CameraSettings(), ramp, seeds, armed=True, mode=mode
+    )
 
 
 # Cameras whose stream ends by itself, and those that go on until they are closed.

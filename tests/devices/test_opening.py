@@ -1,14 +1,20 @@
 """The one door to motion: whatever moves real fingers asks for --arm, whichever camera is named with it."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from evetac_cli.devices import cameras, grippers
+from evetac_cli.devices.cameras import CameraSettings
+from evetac_cli.devices.opening import open_peers, open_rig
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import InputError
-from evetac_cli.params import Record
-from evetac_cli.stages import record
+from evetac_cli.params import Grasp, Record
+from evetac_cli.resources import PACKAGE
+from evetac_cli.stages import grasp, record
 
 CAMERAS = ("virtual:prepared=1e5", "virtual", "dvxplorer", "dv", "virtual:prepared=1e5,virtual:prepared=1e5")
 
@@ -23,3 +29,46 @@ def test_m1_record_moves_no_real_gripper_without_arm(gripper: VirtualGripper, tm
             record.run(job, Record(**flags))
     assert gripper.instructions() == before
     assert not list(tmp_path.iterdir())
+
+
+def test_an_armed_recording_moves_it(gripper: VirtualGripper, tmp_path: Path) -> None:
+    """Assert that with --arm the same recording is made, and that torque is off again after it."""
+    params = Record(
+        camera="virtual:prepared=1e5", gripper=gripper.port, arm=True, seconds=0.3, expected_event_rate=1e3, hold_s=0.1
+    )
+    (job,) = record.jobs([], params, tmp_path)
+    assert (record.run(job, params).rows[0]["commands"] or 0) > 0
+    assert gripper.read_register("Torque Enable") == 0
+
+
+def test_what_moves_nothing_needs_no_arm(tmp_path: Path) -> None:
+    """Assert that --dry-run and --live of a named port, and virtual grippers, are not refused."""
+    port: dict[str, Any] = {"camera": "dvxplorer", "gripper": "/dev/ttyNothing"}
+    for flags in ({**port, "dry_run": True}, {**port, "live": True}, {"camera": "virtual", "gripper": "virtual"}):
+        assert record.jobs([], Record(**flags), tmp_path)
+    assert grasp.jobs([], Grasp(**port, dry_run=True), tmp_path)
+
+
+def test_both_ways_to_a_gripper_ask(gripper: VirtualGripper) -> None:
+    """Assert that opening by itself asks too, so that no command can forget it."""
+    before = gripper.instructions()
+    camera, named = cameras.parse("virtual:prepared=1e5"), grippers.parse(gripper.port)
+    with pytest.raises(InputError, match="--arm"):
+        open_rig(camera, named, CameraSettings(), None, np.random.SeedSequence(0))
+    with pytest.raises(InputError, match="--arm"), ExitStack() as opened:
+        open_peers(camera, named, None, np.random.SeedSequence(0), opened, armed=False, tells_truth=False)
+    assert gripper.instructions() == before
+
+
+def test_there_is_no_other_way_to_a_gripper() -> None:
+    """Assert that the driver is made only where a gripper was let through the door before."""
+    makers = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in PACKAGE.rglob("*.py")
+        if any("RhP12Rn(" in line and "class " not in line for line in path.read_text().splitlines())
+    }
+    assert makers == {
+        "devices/grippers.py",  # opened by open_rig
+        "stages/grasp/controller_process.py",  # started after open_peers
+        "devices/virtual/gripper.py",  # an example in its docstring
+    }

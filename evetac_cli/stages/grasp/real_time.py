@@ -19,7 +19,7 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import VIRTUAL_WATCHDOG_FACTOR, NamedGripper
-from evetac_cli.devices.opening import open_peers
+from evetac_cli.devices.opening import open_peers, require_arm
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS
 from evetac_cli.errors import DeviceError, InputError
@@ -74,17 +74,11 @@ def jobs(
         gripper_settings(params, gripper)
     except ValueError as error:
         raise InputError(str(error), where="--watchdog-ms") from None
-    if gripper.is_hardware and not (params.arm or params.dry_run):
-        console.say(
-            f"{camera} and {gripper}: {params.controller} at {params.control_hz:g} Hz for {timing.end_ms * 1e-3:g} s,"
-            f" with at most {params.max_current_ma} mA; {FALLS}"
-        )
-        raise InputError(
-            "this would move a real gripper",
-            where=str(gripper),
-            expected="--arm, once nothing is between the fingers that must not be",
-            hint="--dry-run shows all of the plan",
-        )
+    plan = (
+        f"{params.controller} at {params.control_hz:g} Hz for {timing.end_ms * 1e-3:g} s, with at most"
+        f" {params.max_current_ma} mA; {FALLS}"
+    )
+    require_arm(gripper, armed=params.arm or params.dry_run, plan=plan)
     trials = device_trials(("lift",), (camera,), gripper, params, out, prefix="grasp-")
     if gripper.is_stepped:
         return [ReplayTrial(each.inputs, each.output, each.number, each.seed, None, camera) for each in trials]
@@ -150,7 +144,9 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         session.wait_for_object(trial)
     with ExitStack() as opened:
         durations = {"lift_s": params.lift_s, "balance_s": params.balance_s}
-        world, servo = open_peers(camera, gripper, trial.plan, seeds, opened, tells_truth=True, **durations)
+        world, servo = open_peers(
+            camera, gripper, trial.plan, seeds, opened, armed=params.arm, tells_truth=True, **durations
+        )
         signals = opened.enter_context(session.signals_counted())  # until here Ctrl-C breaks off
         sensor = _sensor(trial, params, world)
         detector = DetectorSettings(camera, seeds, sensor, setup.model_path_for(params), params.tracker, timing.end_ms)

@@ -13,6 +13,7 @@ from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.devices.opening import require_arm
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.read_rosbag import is_bag_folder
 from evetac_cli.jobs import Job, Outcome, Progress, silent
@@ -40,6 +41,7 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
         return [ImportJob((params.source,), output_path(params.source, OUTPUT, out))]
     if cameras[0].is_stepped:
         return simulated_trials(SCENE_KINDS, params, out, params.tones)
+    require_arm(gripper, armed=params.arm or params.dry_run or params.live)  # --live moves nothing
     return device_trials(("ramp", "hold"), cameras, gripper, params, out)
 
 

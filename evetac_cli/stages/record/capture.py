@@ -146,7 +146,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
         trajectory = {"trajectory": uuid4().hex} if len(trial.cameras) > 1 else {}
         for place, camera in enumerate(trial.cameras):
             gripper = NoGripper() if place else trial.gripper
-            rig = open_rig(camera, gripper, settings(params), trial.plan, seeds)
+            rig = open_rig(camera, gripper, settings(params), trial.plan, seeds, armed=params.arm)
             opened.callback(rig.close)
             for note in getattr(rig.camera, "notes", ()):
                 console.say(note)

@@ -76,11 +76,11 @@ def test_refused_before_anything_is_opened(flags: dict[str, Any], what: str, tmp
     assert not list(tmp_path.iterdir())
 
 
-def test_not_armed_shows_the_plan(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_not_armed_shows_the_plan(tmp_path: Path) -> None:
     """Assert that without --arm one reads what would be done, with which current, and that objects fall."""
-    with pytest.raises(InputError, match="--arm"):
+    with pytest.raises(InputError, match="--arm") as refused:
         jobs(tmp_path, camera="dvxplorer", gripper=PORT, max_current_ma=77)
-    said = capsys.readouterr().err
+    said = str(refused.value)
     assert "77 mA" in said
     assert "31.5 s" in said
     assert "falls" in said

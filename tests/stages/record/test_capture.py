@@ -32,6 +32,8 @@ from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
 
+ARMED = {"gripper": "/dev/ttyUSB0", "arm": True}
+
 
 class Camera:
     """A camera that makes ten events in every slice, and fails or ends after a number of slices."""
@@ -143,7 +145,7 @@ def test_every_command_is_in_the_file(rig_is: Callable[..., Rig], tmp_path: Path
     """Assert that what was written to the gripper is in the file, one row a command, target and whole number."""
     hand = Hand()
     rig_is(Camera(), hand)
-    path, made = recording(tmp_path, gripper="/dev/ttyUSB0", hold_s=0.0, holding_ma=3.0, lowest_ma=2.5)
+    path, made = recording(tmp_path, gripper="/dev/ttyUSB0", arm=True, hold_s=0.0, holding_ma=3.0, lowest_ma=2.5)
     assert faults(path) is None
     with open_recording(path) as file:
         assert file.read("gripper/current_written_ma").tolist() == hand.written
@@ -291,7 +293,9 @@ def test_changed_setup_is_refused(
 ) -> None:
     """Assert that a series is not continued with another camera or other settings, and the difference is named."""
     rig_is(Camera(), Hand())
-    params = Record(camera="dvxplorer", expected_event_rate=1e4, seconds=0.05, count=1, gripper="/dev/ttyUSB0")
+    params = Record(
+        camera="dvxplorer", expected_event_rate=1e4, seconds=0.05, count=1, gripper="/dev/ttyUSB0", arm=True
+    )
     (job,) = record.jobs([], params, tmp_path)
     record.run(job, params)
     rig = rig_is(Camera(), Hand(), change.pop("serial", "T1"))
@@ -354,7 +358,7 @@ def test_series_is_not_begun_in_part(taken: str, rig_is: Callable[..., Rig], tmp
         ({"camera": "dvxplorer"}, "there.recording.h5", "the output exists"),
         ({"camera": "dvxplorer"}, "there.recording.h5/new.recording.h5", "the output folder is a file"),
         ({"camera": "dvxplorer", "expected_event_rate": 1e9, "seconds": 80000.0}, "", "not enough room"),
-        ({"camera": "dvxplorer", "gripper": "/dev/ttyUSB0", "lowest_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
+        ({"camera": "dvxplorer", **ARMED, "lowest_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
         ({"camera": "virtual", "lowest_ma": 500.0, "holding_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
         ({"camera": "dvxplorer", "calibration": Path("nope.json"), "live": False}, "", "nope.json: cannot be read"),
         ({}, "there.recording.h5", "not a valid evetac file"),
@@ -391,8 +395,8 @@ def test_drawn_current_below_the_lowest(rig_is: Callable[..., Rig], tmp_path: Pa
     ("flags", "end"),
     [
         ({}, "until Ctrl-C"),
-        ({"gripper": "/dev/ttyUSB0"}, "until it lets go, or Ctrl-C"),
-        ({"gripper": "/dev/ttyUSB0", "seconds": 3.0}, "after 3 s"),
+        (ARMED, "until it lets go, or Ctrl-C"),
+        ({**ARMED, "seconds": 3.0}, "after 3 s"),
     ],
 )
 def test_plan_says_what_ends_it(flags: dict[str, Any], end: str, tmp_path: Path) -> None:
@@ -566,7 +570,7 @@ def test_two_cameras_end_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     rigs = [Rig(Camera(), hand, Camera()), Rig(Camera(fails_at=50), None, Camera())]
     monkeypatch.setattr(capture, "open_rig", lambda *named, **more: rigs.pop(0))
     opened = list(rigs)
-    params = Record(camera="dvxplorer:A,dvxplorer:B", gripper="/dev/ttyUSB0", expected_event_rate=1e4)
+    params = Record(camera="dvxplorer:A,dvxplorer:B", gripper="/dev/ttyUSB0", arm=True, expected_event_rate=1e4)
     (job,) = record.jobs([], params, tmp_path)
     assert [path.name for path in job.outputs] == [
         "dvxplorer-A-s0-000.recording.h5",
