@@ -5,8 +5,9 @@
 The commands are real ones, with a camera that plays prepared words and a gripper at a port. At its other end is a
 virtual servo, in a process of its own that outlives the commands. It keeps its own log, by the clock by which
 the kill is timed: when the motor got current, when it was without, and when the last goal came. The moment is anywhere
-from before the first word to after the last; the process is the recorder (the parent of all), the detector or the
-controller, where there is one yet. A stopped process goes on after 1 s and is watched for 1 s more.
+from before the first word to after the last; of every four trials two are timed from when the motor first got current,
+until after it is without. The process is the recorder (the parent of all), the detector or the controller, where there
+is one yet. A stopped process goes on after 1 s and is watched for 1 s more.
 
 Every trial is a line of JSON, and trials whose line is there are not run again. The machine's own lateness, that of a
 thread that wakes every millisecond, is measured beside it. Exit code 1 where a motor had current for more than 100 ms,
@@ -211,8 +212,11 @@ def processes_of(recorder: int) -> dict[str, int]:
     return dict(zip(PARTS, (recorder, *sorted(spawned)), strict=False))
 
 
-def life_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> float:
-    """How long a command takes that nobody kills; the second time, when everything is compiled."""
+def lives_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> tuple[float, float]:
+    """How long a command takes that nobody kills, and for how long the motor has current in it.
+
+    The second time counts, when everything is compiled.
+    """
     for _ in range(2):
         clear(folder)
         began_s = time.monotonic()
@@ -220,18 +224,26 @@ def life_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> float:
             command_line(name, servo.port, watchdog_ms, folder), capture_output=True, text=True, check=False
         )
         if done.returncode:
-            raise SystemExit(f"{name} fails by itself: {done.stderr}")
-    return time.monotonic() - began_s
+            raise SystemExit(f"{name} fails by itself, is the machine too busy? {done.stderr}")
+    ended_s = time.monotonic()
+    servo.wait_without_current()
+    (begin, end), *_ = servo.spans(began_s)
+    return ended_s - began_s, end - begin
 
 
-def one(name: str, part: str, after_s: float, how: str, watchdog_ms: int, servo: Servo, folder: Path) -> dict[str, Any]:
-    """Run a command, strike a part of it so long after its start; what the servo and the command say."""
+def one(
+    name: str, part: str, since: str, after_s: float, how: str, watchdog_ms: int, servo: Servo, folder: Path
+) -> dict[str, Any]:
+    """Run a command, strike a part of it so long after its start, or the motor's; what servo and command say."""
     clear(folder)
     number = signal.SIGKILL if how == "kill" else signal.SIGSTOP
     with subprocess.Popen(
         command_line(name, servo.port, watchdog_ms, folder),
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
     ) as run:  # fmt: skip
+        began_s = time.monotonic()
+        while since == "current" and not servo.spans(began_s) and run.poll() is None:
+            time.sleep(0.002)
         time.sleep(after_s)
         found = processes_of(run.pid)
         struck = part if part in found else PARTS[0]
@@ -255,7 +267,7 @@ def one(name: str, part: str, after_s: float, how: str, watchdog_ms: int, servo:
                 run.wait(LONGEST_S)
             servo.wait_without_current()
         spans = servo.spans(struck_s)
-        gripped_before = any(begin <= struck_s for begin, _ in servo.spans(0.0) if begin > struck_s - after_s)
+        gripped_before = any(begin <= struck_s for begin, _ in servo.spans(began_s))
         exit_code = run.poll()
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(run.pid, signal.SIGKILL)
@@ -269,6 +281,7 @@ def one(name: str, part: str, after_s: float, how: str, watchdog_ms: int, servo:
     return {
         "command": name,
         "struck": "nothing: it had ended" if ended_before else struck,
+        "since": since,
         "after_s": round(after_s, 4),
         "had_current": had_current,
         "without_current_ms": round((last_s - struck_s) * 1e3, 2),
@@ -327,14 +340,16 @@ def main() -> None:
         servo = Servo(folder)
         opened.callback(servo.close)
         opened.enter_context(busy_loops(chosen.busy))
-        lives_s = {name: life_s(name, servo, chosen.watchdog_ms, folder) for name in ("grasp", "record")}
+        lives = {name: lives_s(name, servo, chosen.watchdog_ms, folder) for name in ("grasp", "record")}
         late = Lateness()
         for trial in sorted(set(range(chosen.count)) - done):
             rng = np.random.default_rng([chosen.seed, trial])
             name = ("grasp", "record")[trial % 2]
             part = PARTS[rng.integers(3)] if name == "grasp" else PARTS[0]
-            after_s = float(rng.uniform(0.0, lives_s[name] + SETTLED_S))
-            row = {"trial": trial, **which, **one(name, part, after_s, chosen.how, chosen.watchdog_ms, servo, folder)}
+            since = ("start", "current")[trial // 2 % 2]
+            after_s = float(rng.uniform(0.0, lives[name][since == "current"] + SETTLED_S))
+            struck = one(name, part, since, after_s, chosen.how, chosen.watchdog_ms, servo, folder)
+            row = {"trial": trial, **which, **struck}
             row["machine_late_ms_p99"], row["machine_late_ms_most"] = late.take()
             rows.append(row)
             text = json.dumps(row)

@@ -27,7 +27,10 @@ from evetac_cli.store.segments import RecordingWriter, refuse_leftover
 INTERRUPTED = "interrupted"
 OPENED = "opened by the emergency key"
 KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
+PRIORITY = 10  # of whoever records while a gripper moves: behind detector and controller, whose steps are short
+OVERLOADED = "is the computer overloaded? A longer --watchdog-ms gives it more time"
 FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time
+RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
 ENDS = (signal.SIGINT, *ENDING)
 LOST = "capture/lost/"
 BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file

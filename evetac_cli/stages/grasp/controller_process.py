@@ -3,7 +3,8 @@
 Deadlines are absolute: a step that comes late does not move those after it, and one that is missed is counted, not made
 up for. Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That
 is also what happens where the detector publishes no status, its camera gives no event, or the recorder (which is the
-parent of all) gives no sign of life, for longer than FRESH of the watchdog's time, and where the bus fails. What this
+parent of all) gives no sign of life, for longer than FRESH of the watchdog's time, and where the bus fails; a recorder
+writes to a disk, and has RECORDER_MS if that is longer. What this
 process itself cannot notice, its own death, is noticed by the servo, whose Bus Watchdog only the commands of this loop
 keep quiet. And if it was stopped for longer than that, it lets go before it commands anything.
 
@@ -33,7 +34,7 @@ from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, s
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.stages.grasp.loop import Timing, control_row
-from evetac_cli.stages.session import FRESH, OPENED
+from evetac_cli.stages.session import FRESH, OPENED, OVERLOADED, RECORDER_MS
 
 PRIORITY = 30
 BATCH_STEPS = 25  # whose rows the recorder gets at once
@@ -153,6 +154,7 @@ class Watch:
     def __init__(self, watchdog_ms: float, has_ended: Callable[[], bool] = lambda: False) -> None:
         """`has_ended` says whether the detector's process has ended, which needs no waiting."""
         self._fresh_us = 1e3 * FRESH * watchdog_ms
+        self._recorder_us = max(self._fresh_us, 1e3 * RECORDER_MS)
         self._has_ended = has_ended
         self._awake_us = -math.inf
 
@@ -167,13 +169,13 @@ class Watch:
         """
         if self._has_ended():
             return "the detector died", status.at_us
-        for what, alive_us in (
-            ("the detector hangs: no sign of life", status.at_us),
-            ("the camera is silent: not a single event", status.heard_us),
-            ("the recorder hangs: no sign of life", recorder_us),
+        for what, alive_us, most_us in (
+            ("the detector hangs: no sign of life", status.at_us, self._fresh_us),
+            ("the camera is silent: not a single event", status.heard_us, self._fresh_us),
+            ("the recorder hangs: no sign of life", recorder_us, self._recorder_us),
         ):
             silent_us = now_us - alive_us
-            if silent_us > 2 * self._fresh_us or min(silent_us, now_us - self._awake_us) > self._fresh_us:
+            if silent_us > 2 * most_us or min(silent_us, now_us - self._awake_us) > most_us:
                 return f"{what} for {silent_us * 1e-3:.0f} ms", alive_us
         return "", status.at_us
 
@@ -298,7 +300,7 @@ def _command(
             elif begun_s > began_s + settings.most_s:
                 ended = TOO_LONG
             elif fault:
-                ended, error = fault, DeviceError(fault)
+                ended, error = fault, DeviceError(fault, hint=OVERLOADED if "hangs" in fault else "")
             elif ending:
                 ended = f"the controller was ended by {signal.Signals(ending[0]).name}"
                 error = DeviceError(ended)
@@ -309,7 +311,7 @@ def _command(
             silent_ms = (clock() - last_s) * 1e3
             if silent_ms > settings.watchdog_ms:  # the servo has let go, and must not be made to grip again
                 ended, alive_us = f"the controller was stopped for {silent_ms:.0f} ms", last_s * 1e6
-                error = DeviceError(ended)
+                error = DeviceError(ended, hint=OVERLOADED)
                 break
             gripper.write_position(goal)
         except DeviceError as failed:

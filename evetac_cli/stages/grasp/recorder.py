@@ -97,17 +97,20 @@ class GraspProcesses:
         Nothing moves before `go`. signals: grows when Ctrl-C is pressed.
         """
         self._wait_for(str, self.slices, self.detector, LOAD_S, signals)
-        self._orders[1].send("begin")
+        self._order(1, "begin")
         gripper = self._wait_for(GripperReady, self.steps, self.controller, LOAD_S, signals)
-        self._orders[0].send("begin")
+        self._order(0, "begin")
         return self._wait_for(CameraReady, self.slices, self.detector, OPEN_S, signals), gripper
 
     def go(self) -> None:
         """Let the detector begin, upon which the controller moves the gripper; from now on it needs signs of life."""
         self.give_sign_of_life()
         self._began_us = self._clock() * 1e6
-        with contextlib.suppress(OSError):  # it has died, which `record` finds out
-            self._orders[0].send("go")
+        self._order(0, "go")
+
+    def _order(self, whom: int, order: str) -> None:
+        with contextlib.suppress(OSError):  # it has died, which whoever waits for its answer finds out
+            self._orders[whom].send(order)
 
     def give_sign_of_life(self) -> None:
         """For the loop that records: it is alive."""

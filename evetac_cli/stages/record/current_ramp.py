@@ -2,7 +2,7 @@
 
 The law is a pure start/step state machine; the loop runs it at 500 Hz in a thread of its own, so that a gripper that
 answers late does not hold up the camera. Whoever fetches its rows records, and shows by that that it is alive: where it
-is not for FRESH of the watchdog's time, or the loop itself was stopped for longer than that time, the gripper is let go
+is not for FRESH of the watchdog's time (or RECORDER_MS), or the loop itself was stopped for longer than that time, the gripper is let go
 of before it is commanded again. (paper, "Experimental Setup and Data Collection Procedure"; in a simulated
 scene simulated.py commands in step with the scene's time instead.)
 """
@@ -23,7 +23,7 @@ from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSet
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.stages.session import FRESH, OPENED
+from evetac_cli.stages.session import FRESH, OPENED, OVERLOADED, RECORDER_MS
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
 RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
@@ -189,9 +189,11 @@ class GripperLoop:
         """DeviceError where no command may be given: this loop was stopped, or nobody records."""
         now_s = self._time.now_s()
         if self.commands and now_s - self._alive_s > self._watchdog_s:  # the servo has let go, and must not grip again
-            raise DeviceError(f"the program was stopped for {(now_s - self._alive_s) * 1e3:.0f} ms")
-        if now_s - self._fetched_s > FRESH * self._watchdog_s:
-            raise DeviceError(f"the recorder hangs: no sign of life for {(now_s - self._fetched_s) * 1e3:.0f} ms")
+            stopped_ms = (now_s - self._alive_s) * 1e3
+            raise DeviceError(f"the program was stopped for {stopped_ms:.0f} ms", hint=OVERLOADED)
+        if now_s - self._fetched_s > max(FRESH * self._watchdog_s, 1e-3 * RECORDER_MS):
+            silent_ms = (now_s - self._fetched_s) * 1e3
+            raise DeviceError(f"the recorder hangs: no sign of life for {silent_ms:.0f} ms", hint=OVERLOADED)
 
     def _open(self) -> None:
         """What the emergency key does."""

@@ -105,7 +105,7 @@ def test_steps_follow_the_status(age_us: float) -> None:
 
 
 def test_watch() -> None:
-    """Assert that silence of detector, camera and recorder are distinguished, three quarters of the watchdog's time."""
+    """Assert that silence of detector, camera and recorder are told apart, within the watchdog's time or 75 ms."""
     watch = Watch(60)
     status = DetectorStatus(SlipSignal(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
     assert watch.fault(status, 1e6, 1.044e6)[0] == ""
@@ -113,8 +113,11 @@ def test_watch() -> None:
     assert ("detector" in reason, alive_us) == (True, 1e6)
     reason, alive_us = watch.fault(status._replace(at_us=1.04e6), 1.04e6, 1.046e6)
     assert ("camera" in reason, alive_us) == (True, 1e6)
-    reason, alive_us = watch.fault(status._replace(at_us=1.04e6, heard_us=1.04e6), 1e6, 1.046e6)
+    later = status._replace(at_us=1.07e6, heard_us=1.07e6)
+    assert watch.fault(later, 1e6, 1.074e6)[0] == ""
+    reason, alive_us = watch.fault(later, 1e6, 1.076e6)
     assert ("recorder" in reason, alive_us) == (True, 1e6)
+    assert Watch(200).fault(later._replace(at_us=1.14e6, heard_us=1.14e6), 1e6, 1.149e6)[0] == ""
     assert "recorder" in watch.fault(status, -math.inf, 1.001e6)[0]  # it never gave a sign of life
 
 
@@ -266,9 +269,10 @@ def test_latency_is_from_the_event_to_the_last_byte(bench: Callable[..., Bench])
 
 
 @pytest.mark.parametrize(
-    ("silent", "what"), [("dies_at", "detector"), ("silent_at", "camera"), ("recorder_dies_at", "recorder")]
+    ("silent", "what", "after_ms"),
+    [("dies_at", "detector", 45), ("silent_at", "camera", 45), ("recorder_dies_at", "recorder", 75)],
 )
-def test_silence_ends_with_torque_off(bench: Callable[..., Bench], silent: str, what: str) -> None:
+def test_silence_ends_with_torque_off(bench: Callable[..., Bench], silent: str, what: str, after_ms: int) -> None:
     """Assert that a hanging detector or recorder, or a silent camera, ends the grasp within the watchdog's time."""
     at = bench()
     setattr(at, silent, 250)
@@ -278,9 +282,9 @@ def test_silence_ends_with_torque_off(bench: Callable[..., Bench], silent: str, 
     ended, _ = at.run()
     assert what in ended.ended
     assert isinstance(ended.error, DeviceError)
-    assert str(ended.error).endswith("; torque is off (read back)")
+    assert "; torque is off (read back)" in str(ended.error)
     assert ended.torque == "torque is off (read back)"
-    assert 45_000.0 < ended.released_us - ended.alive_us < 48_000.0
+    assert 0.0 < ended.released_us - ended.alive_us - 1e3 * after_ms < 3_000.0
     assert at.hand.closed_s == pytest.approx(ended.released_us * 1e-6)
 
 
@@ -313,7 +317,7 @@ def test_a_controller_that_was_stopped_does_not_grip_again(bench: Callable[..., 
     at.hand.frozen_at, at.hand.frozen_s = 60, frozen_s
     ended, _ = at.run(most_s=1e3, timing=Timing(100, 200, 100_000))
     assert "the controller was stopped for" in ended.ended
-    assert str(ended.error).endswith("torque is off (read back)")
+    assert "; torque is off (read back)" in str(ended.error)
     assert len(at.hand.goals) == 60
     assert at.hand.closed_s is not None
 

@@ -230,7 +230,7 @@ def test_a_recorder_that_hangs_ends_with_torque_off() -> None:
     gripper = WatchedGripper(clock)
     loop = run_watched(gripper, clock)
     assert str(loop.error).startswith("the recorder hangs: no sign of life for ")
-    assert str(loop.error).endswith("; torque is off (read back)")
+    assert "; torque is off (read back)" in str(loop.error)
     assert gripper.closed_s == pytest.approx(100.075, abs=0.003)
 
 
@@ -258,7 +258,7 @@ def test_a_loop_that_was_stopped_does_not_grip_again(stopped_s: float) -> None:
     gripper.stops_at, gripper.stopped_s = 5, stopped_s
     loop = run_watched(gripper, clock)
     assert str(loop.error).startswith("the program was stopped for ")
-    assert str(loop.error).endswith("; torque is off (read back)")
+    assert "; torque is off (read back)" in str(loop.error)
     assert len(gripper.written) == 5
 
 
