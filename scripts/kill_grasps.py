@@ -33,6 +33,7 @@ import numpy as np
 
 BOUND_MS = 100.0
 STOPPED_S = 1.0  # and as long again it is watched after SIGCONT
+WORDS_S = 5.0  # for a command to end by itself, after that
 SETTLED_S = 0.3  # without current for so long, it stays so
 LONGEST_S = 60.0  # that a command may take
 PARTS = ("recorder", "detector", "controller")
@@ -260,6 +261,8 @@ def one(
                 if not ended_before:
                     os.kill(found[struck], signal.SIGCONT)
             time.sleep(STOPPED_S)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # for its words
+                run.wait(WORDS_S)
         elif struck == PARTS[0]:
             servo.wait_without_current()
         else:

@@ -2,11 +2,11 @@
 
 Deadlines are absolute: a step that comes late does not move those after it, and one that is missed is counted, not made
 up for. Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That
-is also what happens where the detector publishes no status, its camera gives no event, or the recorder (which is the
-parent of all) gives no sign of life, for longer than FRESH of the watchdog's time, and where the bus fails; a recorder
-writes to a disk, and has RECORDER_MS if that is longer. What this
-process itself cannot notice, its own death, is noticed by the servo, whose Bus Watchdog only the commands of this loop
-keep quiet. And if it was stopped for longer than that, it lets go before it commands anything.
+is also what happens where the bus fails, and where the detector publishes no status, its camera gives no event, or the
+recorder (the parent of all) gives no sign of life for longer than FRESH of the watchdog's time; a recorder writes to a
+disk, and has RECORDER_MS if that is longer. What this process itself cannot notice, its own death, is noticed by the
+servo, whose Bus Watchdog only the commands of this loop keep quiet. And if it was stopped for longer than that, it lets
+go before it commands anything.
 
 Why so: a sensor's noise alone gives events in every slice, at rest too. So a camera without any is broken or unplugged,
 not idle.

@@ -2,9 +2,9 @@
 
 The law is a pure start/step state machine; the loop runs it at 500 Hz in a thread of its own, so that a gripper that
 answers late does not hold up the camera. Whoever fetches its rows records, and shows by that that it is alive: where it
-is not for FRESH of the watchdog's time (or RECORDER_MS), or the loop itself was stopped for longer than that time, the gripper is let go
-of before it is commanded again. (paper, "Experimental Setup and Data Collection Procedure"; in a simulated
-scene simulated.py commands in step with the scene's time instead.)
+is not for FRESH of the watchdog's time (or RECORDER_MS), or the loop itself was stopped for longer than that time, the
+gripper is let go of before it is commanded again. (paper, "Experimental Setup and Data Collection Procedure"; in a
+simulated scene simulated.py commands in step with the scene's time instead.)
 """
 
 import math
