@@ -127,6 +127,20 @@ def signals_counted() -> Iterator[list[int]]:
 
 
 @contextmanager
+def signals_interrupt() -> Iterator[None]:
+    """Signals that would end the program without a word break off as Ctrl-C does; before anything is recorded."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    with _handled(interrupt, [number for number in ENDING if signal.getsignal(number) is signal.SIG_DFL]):
+        yield
+
+
+@contextmanager
 def signals_held() -> Iterator[None]:
     """Signals wait until the block is over, in which a gripper is let go of: nothing may break that off."""
     if threading.current_thread() is not threading.main_thread():
@@ -151,10 +165,10 @@ def signals_held() -> Iterator[None]:
 
 
 @contextmanager
-def _handled(handler: Callable[[int, Any], None]) -> Iterator[None]:
-    """Let a function handle all signals that end a program, but for those that are ignored."""
-    numbers = [number for number in ENDS if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, handler) for number in numbers}
+def _handled(handler: Callable[[int, Any], None], numbers: Sequence[int] = ENDS) -> Iterator[None]:
+    """Let a function handle these signals, but for those that are ignored."""
+    heeded = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in heeded}
     try:
         yield
     finally:

@@ -87,3 +87,22 @@ def test_low_ctrl_c_inside_close_waits_until_the_gripper_is_released() -> None:
             gripper.close()
         assert gripper.released
         assert len(signals) == 3
+
+
+def test_low_other_signals_interrupt_before_anything_is_recorded() -> None:
+    """Assert that signals which would end the program without a word break off as Ctrl-C does; ignored ones do not."""
+    numbers = [signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1]
+    before = [signal.signal(number, signal.SIG_DFL) for number in numbers]
+    try:
+        with session.signals_interrupt():
+            for number in numbers:
+                with pytest.raises(KeyboardInterrupt):
+                    os.kill(os.getpid(), number)
+        assert all(signal.getsignal(number) is signal.SIG_DFL for number in numbers)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        with session.signals_interrupt(), session.signals_counted() as signals:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not signals
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)

@@ -142,6 +142,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
     if trial.cameras[0].is_hardware and not params.resume:
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as hurry:
+        opened.enter_context(session.signals_interrupt())
         # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
         held = trial.gripper.is_hardware and not any(camera.simulates_scene for camera in trial.cameras)
         hurry.enter_context(hurried(session.PRIORITY, wanted=held))
