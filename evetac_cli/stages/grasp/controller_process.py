@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, Protocol
 
+from evetac_cli import console
 from evetac_cli.devices import Gripper
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
@@ -48,6 +49,7 @@ FIRST_STATUS_S = 30.0  # in which the camera must be found and give its first sl
 WAITING_S = 0.01
 ORDER_S = 0.1
 OVER = "the grasp is over"
+RECORDER_HANGS = "the recorder hangs"
 STOPPED = "stopped"
 TOO_LONG = "the time allowed is over"
 
@@ -172,7 +174,7 @@ class Watch:
         for what, alive_us, most_us in (
             ("the detector hangs: no sign of life", status.at_us, self._fresh_us),
             ("the camera is silent: not a single event", status.heard_us, self._fresh_us),
-            ("the recorder hangs: no sign of life", recorder_us, self._recorder_us),
+            (f"{RECORDER_HANGS}: no sign of life", recorder_us, self._recorder_us),
         ):
             silent_us = now_us - alive_us
             if silent_us > 2 * most_us or min(silent_us, now_us - self._awake_us) > most_us:
@@ -189,6 +191,7 @@ def run_controller(
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
     ending = remember_signals()
+    recorder = os.getppid()
     outbox = MessageWriter(pipe)
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     gripper: RhP12Rn | None = None
@@ -214,9 +217,20 @@ def run_controller(
         torque = "torque was never on" if gripper is None else gripper.release_words
         failed = DeviceError(f"the controller failed: {type(error).__name__}: {error}; {torque}")
         result = result._replace(ended=str(failed), error=failed, torque=torque)
+    _speak_for_recorder(result, died=os.getppid() != recorder)
     outbox.put(result)
     with contextlib.suppress(BrokenPipeError):
         outbox.flush(FLUSH_S)
+
+
+def _speak_for_recorder(result: ControllerEnded, *, died: bool) -> None:
+    """Tell the user what became of torque, where the recorder cannot, or not now."""
+    with contextlib.suppress(OSError):  # there may be no terminal any more
+        if died:
+            kept = "what was recorded until then waits for `evetac repair`"
+            console.say(f"error: the recorder died; {result.torque}; {kept}")
+        elif RECORDER_HANGS in result.ended:
+            console.say(f"error: {result.ended}; {result.torque}")
 
 
 def command_grasp(

@@ -12,12 +12,14 @@ import threading
 from array import array
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
+from evetac_cli import console
 from evetac_cli.devices import Gripper, GripperReading, gripper_row
 from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSettings
 from evetac_cli.errors import DeviceError, EvetacError
@@ -92,6 +94,10 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
         elif reading.position_ticks <= state.touch_ticks - OPENED_TICKS:
             state.ended = "the gripper opened"
     return state.target_ma
+
+
+class RecorderHangs(DeviceError):
+    """Whoever records gives no sign of life; it cannot say so itself now."""
 
 
 class GripperLoop:
@@ -193,7 +199,7 @@ class GripperLoop:
             raise DeviceError(f"the program was stopped for {stopped_ms:.0f} ms", hint=OVERLOADED)
         if now_s - self._fetched_s > max(FRESH * self._watchdog_s, 1e-3 * RECORDER_MS):
             silent_ms = (now_s - self._fetched_s) * 1e3
-            raise DeviceError(f"the recorder hangs: no sign of life for {silent_ms:.0f} ms", hint=OVERLOADED)
+            raise RecorderHangs(f"the recorder hangs: no sign of life for {silent_ms:.0f} ms", hint=OVERLOADED)
 
     def _open(self) -> None:
         """What the emergency key does."""
@@ -212,3 +218,6 @@ class GripperLoop:
         if isinstance(error, EvetacError) and torque not in str(error):
             error.message += f"; {torque}"
         self._error = error
+        if isinstance(error, RecorderHangs):
+            with suppress(OSError):  # there may be no terminal any more
+                console.say(f"error: {error}")

@@ -129,6 +129,15 @@ def test_low_a_stopped_recorder_ends_the_grasp(running: RunningCommand) -> None:
     assert validate.run([running.out]).rows[0]["faults"] is None
 
 
+def test_a_killed_recorder_is_told_by_the_controller(running: RunningCommand) -> None:
+    """Assert that torque goes off where the recorder is killed, and that somebody still says so."""
+    os.kill(running.run.pid, signal.SIGKILL)
+    said = running.words()
+    assert "the recorder died; torque is off (read back)" in said
+    assert "evetac repair" in said
+    assert running.torque == 0
+
+
 @pytest.mark.parametrize("name", ["SIGHUP", "SIGQUIT", "SIGABRT", "SIGUSR1"])
 def test_low_signals_to_the_recorder_end_in_words(name: str, running: RunningCommand) -> None:
     """Assert that a lost terminal and the like end as Ctrl-C does: torque off in words, a valid file."""
