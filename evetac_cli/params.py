@@ -87,8 +87,9 @@ class Record(Trials):
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1; none; or its PORT or PORT@BAUD; default: that of"
-        " the camera, or none.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1+lost-answer%2 (late-answer, lost-answer, bad-crc,"
+        " watchdog, overload, unplug; @SECONDS after torque first went on); none; or its PORT or PORT@BAUD; default:"
+        " that of the camera, or none.",
         recipe=False,
     )
     seconds: float | None = parameter(
@@ -493,7 +494,10 @@ class Grasp(Trials):
         recipe=False,
     )
     gripper: str | None = parameter(
-        None, "Gripper: sim, virtual, or its PORT or PORT@BAUD; default: that of the camera.", recipe=False
+        None,
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (README, Hardware, lists them); or its PORT or"
+        " PORT@BAUD; default: that of the camera.",
+        recipe=False,
     )
     calibration: Path | None = parameter(
         None, "Devices: dot grid (JSON) of the sensor; default: what a virtual world says.", recipe=False
@@ -550,7 +554,8 @@ class Export:
 class Doctor:
     """Find cameras and grippers, and say of each what is wrong and the command that mends it; changes nothing.
 
-    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong.
+    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong. With --hardware
+    it tries a camera and a gripper step by step, moves the fingers a little, and writes a report.
     """
 
     print_udev: bool = parameter(False, "Print udev rules and where to put them, and do nothing else.", recipe=False)
@@ -559,6 +564,17 @@ class Doctor:
         "Examine this port too, with or without @BAUD. By itself it only talks to ports of FTDI adapters (U2D2).",
         recipe=False,
     )
+    hardware: bool = parameter(
+        False,
+        "First contact: try --camera and --gripper step by step, with at most 20 mA; stops, torque off, at the first"
+        " step that is not as expected.",
+        recipe=False,
+    )
+    camera: str | None = parameter(
+        None, "--hardware: camera to try: dvxplorer, dvxplorer:SERIAL, dv, dv:SERIAL, or virtual.", recipe=False
+    )
+    arm: bool = parameter(False, "--hardware: move a real gripper.", recipe=False)
+    yes: bool = parameter(False, "--hardware: do not ask before the fingers move.", recipe=False)
 
 
 def recipe_of(params: Any) -> dict[str, Any]:

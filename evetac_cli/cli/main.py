@@ -121,7 +121,9 @@ _EXPORTING = _VIEWING | {
     "out": (Path | None, None, "-o/--out", "File or folder; default: beside the recording."),
     "force": (bool, False, "-f/--force", "Replace a file that exists."),
 }
-_EXAMINING = {name: _RUNNING[name] for name in ("as_json", "verbose")}
+_EXAMINING = {name: _RUNNING[name] for name in ("as_json", "verbose")} | {
+    "out": (Path | None, None, "-o/--out", "--hardware: report file; default: evetac-hardware-DATE.json here."),
+}
 
 
 def _add(
@@ -231,13 +233,20 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
         module = importlib.import_module(f"evetac_cli.{command.module}")
+        if not chosen.hardware and (chosen.camera or chosen.arm or chosen.yes or running["out"]):
+            raise InputError("has no effect without --hardware", where="--camera, --arm, --yes or -o")
         if chosen.print_udev:
             if running["as_json"]:
                 console.show(title, [], {"udev": module.udev_rules()}, simulated=False, as_json=True)
             else:
                 print(module.udev_rules())
             return
-        result: Outcome = module.run(chosen)
+        result: Outcome
+        if chosen.hardware:
+            module = importlib.import_module("evetac_cli.inspect.hardware_check")
+            result = module.run(chosen, running["out"])
+        else:
+            result = module.run(chosen)
         if running["as_json"]:
             console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)
         else:

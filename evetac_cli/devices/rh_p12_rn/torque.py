@@ -75,11 +75,12 @@ class Torque:
                 if (found := bus.read("Torque Enable")) == 0:
                     with contextlib.suppress(DeviceError):
                         bus.write("Bus Watchdog", 0)
+                        bus.write("Goal Current", 0)  # refused before, if the watchdog had tripped
                     self._state, self.words = "off", IS_OFF
                     return True
                 why = f"Torque Enable reads {found}, though 0 was written"
             except DeviceError as error:
-                why = str(error).splitlines()[0]
+                why = error.message
                 if isinstance(error, PortGone):
                     break
                 bus.settle_s = SETTLE_S
@@ -101,7 +102,7 @@ def release(port: str, baud: int, *, id_: int = 1, watchdog_ms: int = 100, answe
             torque.switch_off()
             return torque.words
     except DeviceError as error:
-        return _not_read_back(str(error).splitlines()[0], "on", watchdog_ms)
+        return _not_read_back(error.message, "on", watchdog_ms)
 
 
 def _not_read_back(why: str, state: State, watchdog_ms: int) -> str:

@@ -1,7 +1,8 @@
 """What can be made to go wrong with a virtual camera or gripper, and the text by which it is asked for.
 
 A fault is `NAME[%PERCENT][@SECONDS[:DURATION]]`: %PERCENT strikes each answer with that probability, @SECONDS begins so
-long after the camera was started or the gripper's torque first switched on (without it at once), :DURATION ends it.
+long after the camera was started or the gripper's torque first switched on (without it at once; a watchdog trips under
+torque only, and waits for it), :DURATION ends it.
 On the command line they follow the device, joined by `+`: `--camera virtual:unplug@2 --gripper virtual:lost-answer%2`.
 """
 
@@ -20,6 +21,7 @@ class FaultKind(NamedTuple):
     duration: bool = True  # :DURATION; of one that takes %PERCENT only together with that
     percent: bool = False  # %PERCENT
     usual_s: float = 0.0  # its duration if none is given; 0: it strikes once, or lasts for good
+    torque: bool = False  # it cannot strike before torque is on
 
 
 _BEFORE = {"moment": False, "duration": False}  # it is so from before the camera is opened
@@ -43,7 +45,7 @@ GRIPPER_FAULTS: Mapping[str, FaultKind] = {
     "late-answer": FaultKind("the answer comes when the host has long given up", percent=True),
     "lost-answer": FaultKind("no answer", percent=True),
     "bad-crc": FaultKind("one byte of the answer is damaged", percent=True),
-    "watchdog": FaultKind("the Bus Watchdog trips as if the host had been silent", duration=False),
+    "watchdog": FaultKind("the Bus Watchdog trips as if the host had been silent", duration=False, torque=True),
     "overload": FaultKind("hardware error: torque off, an alert in every answer until reboot", duration=False),
     "unplug": FaultKind("the port is gone", duration=False),
 }

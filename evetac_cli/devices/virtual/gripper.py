@@ -75,6 +75,10 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         """Let a fault strike, at once, or as its moment or share has it."""
         self._ask(inject=_checked(fault))
 
+    def faults_struck(self) -> dict[str, int]:
+        """How often each fault has struck so far, by name; those that did not are missing."""
+        return {str(name): int(times) for name, times in self._ask(struck=True).items()}
+
     def read_register(self, register: str) -> int:
         """Value of a register, read without using the serial port."""
         return int(self._ask(read=register))

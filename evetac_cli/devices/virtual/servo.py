@@ -4,9 +4,9 @@ Frames and the time go in, answers and their delay come out, so that a test can 
 moves is a plant (servo_plant).
 
 Where the maker's manual leaves it open, this servo is the strict one: Goal Current starts at 0, a wrong CRC is answered
-with error 3, a tripped watchdog takes the current from the motor and leaves Torque Enable as it is, an overload
-switches it off until reboot, a factory reset is refused. Profiles, PWM and the position integral and derivative are
-registers without effect.
+with error 3, a tripped watchdog takes the current from the motor, leaves Torque Enable as it is and accepts nothing but
+0, an overload switches torque off until reboot, a factory reset is refused. Profiles, PWM and the position integral and
+derivative are registers without effect.
 """
 
 import struct
@@ -325,10 +325,11 @@ class VirtualServo:
     def _check_value(self, register: Register, value: int) -> None:
         if not register.accepts(value):
             raise Refused(Fault.DATA_RANGE)
+        tripped = self._get("Bus Watchdog") == table.WATCHDOG_TRIPPED
+        if tripped and (register.name in _GOALS or (register.name == "Bus Watchdog" and value)):
+            raise Refused(Fault.DATA_RANGE)
         if register.name not in _GOALS:
             return
-        if self._get("Bus Watchdog") == table.WATCHDOG_TRIPPED:
-            raise Refused(Fault.DATA_RANGE)
         limit = _LIMITED_BY.get(register.name)
         if limit is not None:
             within = abs(value) <= self._get(limit)

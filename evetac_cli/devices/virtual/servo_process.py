@@ -16,6 +16,7 @@ import sys
 import termios
 import time
 import tty
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -45,6 +46,7 @@ class Faults:
         self._waiting = faults
         self._rng = rng
         self._torque_s: float | None = None  # when torque was first on
+        self.struck: Counter[str] = Counter()  # how often each did
 
     def add(self, fault: Fault) -> None:
         """Add a fault to those that wait."""
@@ -57,11 +59,13 @@ class Faults:
     def spoil(self, answer: Answer, now_s: float, torque: bool) -> Answer | None:
         """The answer as the faults leave it; None if it is lost."""
         names = self._take(now_s, torque, spoiling=True)
-        names += [
+        hit = [
             fault.name
             for fault in self._waiting
             if fault.share and self._lasts(fault, now_s) and self._rng.random() < fault.share
         ]
+        self.struck.update(hit)
+        names += hit
         if "lost-answer" in names:
             return None
         data, after_s = answer
@@ -79,10 +83,11 @@ class Faults:
             if not fault.share and GRIPPER_FAULTS[fault.name].percent == spoiling and self._lasts(fault, now_s)
         ]
         self._waiting = [fault for fault in self._waiting if fault not in struck]
+        self.struck.update(fault.name for fault in struck)
         return [fault.name for fault in struck]
 
     def _lasts(self, fault: Fault, now_s: float) -> bool:
-        if fault.start_s is None:
+        if fault.start_s is None and not GRIPPER_FAULTS[fault.name].torque:
             return True
         return self._torque_s is not None and fault.lasts(now_s - self._torque_s)
 
@@ -176,6 +181,8 @@ def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s:
     if "inject" in asked:
         faults.add(gripper_fault(asked["inject"]))
         return True
+    if "struck" in asked:
+        return dict(faults.struck)
     if "read" in asked:
         servo.tick(now_s)
         return servo.value(asked["read"])

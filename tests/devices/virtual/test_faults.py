@@ -1,5 +1,7 @@
 """Faults of virtual devices by name: one grammar, and two tables that say which parts a fault takes."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, GRIPPER_FAULTS, Fau
 from evetac_cli.devices.virtual.servo import Answer
 from evetac_cli.devices.virtual.servo_process import LATE_S, Faults
 from evetac_cli.errors import InputError
+from evetac_cli.params import Record
 
 
 @pytest.mark.parametrize(
@@ -68,6 +71,12 @@ def test_every_fault_may_be_written_as_its_name() -> None:
     """Assert that each name alone is a fault."""
     assert [camera_fault(name).name for name in CAMERA_FAULTS] == list(CAMERA_FAULTS)
     assert [gripper_fault(name).name for name in GRIPPER_FAULTS] == list(GRIPPER_FAULTS)
+
+
+def test_the_help_names_every_fault_of_a_gripper() -> None:
+    """Assert that the help of --gripper lists them all, as they are called."""
+    help_ = next(item.metadata["help"] for item in fields(Record) if item.name == "gripper")
+    assert f"({', '.join(GRIPPER_FAULTS)};" in help_
 
 
 def test_how_long_a_fault_lasts() -> None:

@@ -15,12 +15,46 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus, PortGone
 from evetac_cli.devices.rh_p12_rn.torque import release
 from evetac_cli.devices.virtual.dynamixel_frames import Instruction
+from evetac_cli.devices.virtual.faults import GRIPPER_FAULTS
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.resources import PACKAGE
 from tests.conftest import SLOW, is_off
 
+COUNTED = ("answers_stray", "answers_lost", "answers_damaged")
 QUICK = RhP12RnSettings(answer_ms=250, watchdog_ms=1000)  # where answers are lost on purpose
+
+
+# How a driver sees each fault: as an error in these words, or as a loss that it counts.
+SEEN_AS = {
+    "late-answer": "answers_stray",
+    "lost-answer": "answers_lost",
+    "bad-crc": "answers_damaged",
+    "watchdog": "bus watchdog has tripped",
+    "overload": "hardware error: overload",
+    "unplug": "the port is gone|there is no such port",
+}
+
+
+@pytest.mark.parametrize("moment", ["", "@0", "@0.3"])
+@pytest.mark.parametrize("fault", GRIPPER_FAULTS)
+def test_m10_a_fault_strikes_when_it_is_asked_for(fault: str, moment: str) -> None:
+    """Assert that each fault is seen by the driver, also where it is asked for at once or at second 0."""
+    seen = SEEN_AS[fault]
+    with VirtualGripper(faults=[fault + moment]) as gripper:
+        until_s = time.monotonic() + 30.0
+        if seen in COUNTED:
+            with RhP12Rn(gripper.port, settings=QUICK) as driver:
+                while driver.counted[seen] == 0 and time.monotonic() < until_s:
+                    cycles(driver, 1)
+            assert driver.counted[seen] >= 1
+            assert gripper.faults_struck() == {fault: 1}
+            return
+        with pytest.raises(DeviceError, match=seen):
+            driver = RhP12Rn(gripper.port, settings=QUICK)
+            while time.monotonic() < until_s:
+                cycles(driver, 1)
+        assert gripper.faults_struck() == {fault: 1}
 
 
 def cycles(driver: RhP12Rn, count: int) -> None:
@@ -171,6 +205,28 @@ def test_watchdog_stops_the_gripper_of_a_killed_program(fresh: VirtualGripper) -
         time.sleep(0.05)
     time.sleep(0.05)
     assert (fresh.read_register("Bus Watchdog"), fresh.read_register("Present Current")) == (-1, 0)
+
+
+def test_a_program_that_was_stopped_does_not_grip_again(fresh: VirtualGripper) -> None:
+    """Assert that after SIGSTOP the watchdog takes the current, and after SIGCONT the program ends, torque off."""
+    command = [sys.executable, "-c", PROGRAM, fresh.port, "go"]
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == b"ready\n"
+        program.send_signal(signal.SIGSTOP)
+        deadline_s = time.monotonic() + 20
+        while fresh.read_register("Bus Watchdog") != -1 and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        time.sleep(0.05)
+        assert (fresh.read_register("Torque Enable"), fresh.read_register("Present Current")) == (1, 0)
+        before = fresh.read_register("Present Position")
+        program.send_signal(signal.SIGCONT)
+        said = program.communicate(timeout=60)[1].decode()
+    assert program.returncode == 1
+    assert "bus watchdog has tripped" in said and "torque is off (read back)" in said
+    assert is_off(fresh)
+    assert fresh.read_register("Present Position") == before
 
 
 def run_program(gripper: VirtualGripper, ending: Any) -> int:

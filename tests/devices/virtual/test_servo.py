@@ -345,3 +345,11 @@ def test_no_frame_breaks_the_servo(id_: int, instruction: int, parameters: bytes
         assert FrameReader().push(answer)[0].sound
     if asked.servo.value("ID") == 1 and asked.servo.value("Status Return Level") == 2:
         assert asked.ask(Instruction.PING) is not None
+
+
+def test_a_tripped_watchdog_accepts_nothing_but_0() -> None:
+    """Assert that it cannot be armed again before it was cleared."""
+    asked = Asked(Bus_Watchdog=-1)
+    assert asked.write("Bus Watchdog", 5) == Fault.DATA_RANGE
+    assert asked.write("Bus Watchdog", 0) == 0
+    assert asked.write("Bus Watchdog", 5) == 0
