@@ -250,7 +250,7 @@ def test_a_failure_says_what_was_saved(armed: tuple[Grasp, DeviceTrial], recorde
 def test_m2_a_dead_controller_leaves_a_file_and_words(
     armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]
 ) -> None:
-    """Assert that a controller that died without a word ends in words of torque, with a file that has no figures of it."""
+    """Assert that a controller that died without a word ends in words of torque, and a file without its figures."""
 
     def dies(processes: Any, world: Any, writer: RecordingWriter, *more: Any) -> RecordedGrasp:
         died = DeviceError("the controller died (signal 9); torque is off (read back)")
