@@ -250,20 +250,20 @@ def one(
         while since == "current" and not servo.spans(began_s) and run.poll() is None:
             time.sleep(0.002)
         time.sleep(after_s)
-        found = processes_of(run.pid)
-        struck = part if part in found else PARTS[0]
+        processes = processes_of(run.pid)
+        struck = part if part in processes else PARTS[0]
         ended_before = run.poll() is not None
         struck_s = time.monotonic()
         if not ended_before:
             with contextlib.suppress(ProcessLookupError):
-                os.kill(found[struck], number)
+                os.kill(processes[struck], number)
         watched_until_s = float("inf")
         if how == "stop":
             time.sleep(STOPPED_S)
             watched_until_s = time.monotonic()
             with contextlib.suppress(ProcessLookupError):
                 if not ended_before:
-                    os.kill(found[struck], signal.SIGCONT)
+                    os.kill(processes[struck], signal.SIGCONT)
             time.sleep(STOPPED_S)
             with contextlib.suppress(subprocess.TimeoutExpired):  # for its words
                 run.wait(WORDS_S)

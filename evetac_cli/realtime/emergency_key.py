@@ -17,14 +17,14 @@ KEY_NAME = "space"
 
 
 class EmergencyKey:
-    """Whether the key was pressed; `there` says whether there is one."""
+    """Whether the key was pressed; `exists` says whether there is one."""
 
     def __init__(self, terminal: int | None) -> None:
         self._terminal = terminal
         self._pressed = False
 
     @property
-    def there(self) -> bool:
+    def exists(self) -> bool:
         """Whether a key can be pressed at all."""
         return self._terminal is not None
 

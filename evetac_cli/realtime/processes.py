@@ -78,7 +78,7 @@ def set_realtime_priority(rank: int, process: int = 0) -> str:
 
 
 @contextmanager
-def hurried(rank: int, *, wanted: bool = True) -> Iterator[str]:
+def raised_priority(rank: int, *, wanted: bool = True) -> Iterator[str]:
     """Let this thread, and threads that it starts, go ahead of others for as long as the block lasts, if permitted.
 
     Yields what `set_realtime_priority` returns.

@@ -235,6 +235,6 @@ def gripper_key(*, moves: bool) -> Iterator[EmergencyKey]:
         yield EmergencyKey(None)
         return
     with emergency_key() as key:
-        if key.there:
+        if key.exists:
             console.say(KEY_HINT)
         yield key

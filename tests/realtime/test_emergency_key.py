@@ -20,7 +20,7 @@ PROGRAM = """
 import sys, time
 from evetac_cli.realtime.emergency_key import emergency_key
 with emergency_key() as key:
-    print("there" if key.there else "not there", flush=True)
+    print("there" if key.exists else "not there", flush=True)
     while not key.pressed:
         time.sleep(0.001)
     print("pressed", flush=True)
@@ -101,10 +101,10 @@ def test_without_a_terminal_there_is_no_key(monkeypatch: pytest.MonkeyPatch) -> 
     with os.fdopen(reading) as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
         with emergency_key() as key:
-            assert not key.there
+            assert not key.exists
             assert not key.pressed
     for gone in (None, stdin):
         monkeypatch.setattr(sys, "stdin", gone)
         with emergency_key() as key:
-            assert not key.there
+            assert not key.exists
     os.close(writing)

@@ -26,7 +26,7 @@ from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
-from evetac_cli.realtime.processes import hurried, set_realtime_priority
+from evetac_cli.realtime.processes import raised_priority, set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.stages import session
 from evetac_cli.stages.grasp import replay, setup
@@ -179,7 +179,9 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         try:
             if not signals:
                 processes.go()
-            with hurried(session.PRIORITY, wanted=gripper.is_hardware):  # a grasp lasts while its recorder is alive
+            with raised_priority(
+                session.PRIORITY, wanted=gripper.is_hardware
+            ):  # a grasp lasts while its recorder is alive
                 recorded = record(
                     processes, world, writer, timing.end_ms, signals, key, lambda done: progress(done, timing.end_ms)
                 )

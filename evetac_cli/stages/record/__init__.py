@@ -51,9 +51,11 @@ def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
     gripper = named_grippers.parse(params.gripper if params.gripper is not None else cameras[0].own_gripper)
     if params.watchdog_ms != DRIVERS_WATCHDOG_MS:
         if params.watchdog_ms % WATCHDOG_STEP_MS:
-            found = str(params.watchdog_ms)
             raise InputError(
-                "not a time of the watchdog", where="--watchdog-ms", expected="a multiple of 20 ms", found=found
+                "not a time of the watchdog",
+                where="--watchdog-ms",
+                expected="a multiple of 20 ms",
+                found=str(params.watchdog_ms),
             )
         gripper = replace(gripper, watchdog_ms=params.watchdog_ms)
     if any(camera.is_stepped != gripper.is_stepped for camera in cameras):

@@ -31,7 +31,7 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.params import Record
 from evetac_cli.realtime.emergency_key import EmergencyKey
-from evetac_cli.realtime.processes import hurried
+from evetac_cli.realtime.processes import raised_priority
 from evetac_cli.stages import session
 from evetac_cli.stages.record.capture_plan import asked_holding_ma, check, is_done, make_hold, settings
 from evetac_cli.stages.record.current_ramp import GripperLoop, Hold, start, step
@@ -141,11 +141,11 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
     rng = np.random.default_rng(seeds.spawn(1)[0])
     if trial.cameras[0].is_hardware and not params.resume:
         session.wait_for_object(trial)
-    with ExitStack() as opened, ExitStack() as hurry:
+    with ExitStack() as opened, ExitStack() as priority:
         opened.enter_context(session.signals_interrupt())
         # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
         held = trial.gripper.is_hardware and not any(camera.simulates_scene for camera in trial.cameras)
-        hurry.enter_context(hurried(session.PRIORITY, wanted=held))
+        priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
         recordings: list[CameraRecording] = []
         opened.push(lambda kind, error, trace: _discard_empty(recordings, failed=error is not None))
         trajectory = {"trajectory": uuid4().hex} if len(trial.cameras) > 1 else {}
@@ -162,7 +162,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with session.signals_held():
                 _release(recordings)
-            hurry.close()
+            priority.close()
             _finish(recordings, datasets)
     return _result(trial, recordings, datasets)
 
