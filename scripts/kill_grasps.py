@@ -228,11 +228,11 @@ def lives_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> tuple[fl
         whole_s = time.monotonic() - began_s
         servo.wait_without_current()
         spans = servo.spans(began_s)
-        if not spans:
-            raise SystemExit(f"{name} moves nothing: {done.stderr}")
-        moving_s = max(moving_s, spans[-1][1] - spans[0][0])
+        moving_s = max([moving_s, *(end - begin for begin, end in spans)])
         if done.returncode == 0 and attempt:
             break
+    if not moving_s:
+        raise SystemExit(f"{name} moves nothing: {done.stderr}")
     return whole_s, moving_s
 
 
