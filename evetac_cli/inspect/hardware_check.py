@@ -15,12 +15,13 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evetac_cli import __version__, console
+from evetac_cli import console
 from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
@@ -41,6 +42,7 @@ from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Outcome
 from evetac_cli.params import Doctor
+from evetac_cli.store.provenance import made
 
 CURRENT_MA, MOVE_S, STEP_S, LEAST_COMMANDS = 20, 0.2, 0.005, 10
 REST_MA = 3  # what a motor without current may still measure
@@ -48,6 +50,7 @@ READS = 200  # of the line, none of which may be lost
 SILENCE = 3  # times the watchdog's time
 ROOM_TICKS = range(60, 640)  # where the fingers can both close and open a little
 CAMERA_S = 1.0
+LIBRARIES = ("dynamixel-sdk", "pyserial", "pyusb", "libusb-package")
 MOTION = "the fingers will move a little: nothing may be between them, and the 24 V switch within reach"
 
 
@@ -65,12 +68,12 @@ class Steps:
         """Say what is expected, do it, and say what was found: NotAsExpected unless it was as expected."""
         console.say(f"{len(self.rows) + 1:2d}. {device}, {check}: expected {expected}")
         try:
-            ok, found = act()
+            ok, said = act()
         except EvetacError as error:
-            ok, found = False, " ".join(str(error).split())
-        row = {"device": device, "check": check, "ok": ok, "found": found, "expected": expected}
+            ok, said = False, " ".join(str(error).split())
+        row = {"device": device, "check": check, "ok": ok, "found": said, "expected": expected}
         self.rows.append({**row, "fix": fix or None if not ok else None})
-        console.say(f"    {'ok' if ok else 'NOT AS EXPECTED'}: {found}")
+        console.say(f"    {'ok' if ok else 'NOT AS EXPECTED'}: {said}")
         if not ok:
             raise NotAsExpected
 
@@ -121,12 +124,12 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
             "camera": None if camera is None else str(camera),
             "gripper": str(gripper),
             "registers": registers,
-            "time": f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}",
-            "evetac": __version__,
-            "python": platform.python_version(),
-            "system": platform.platform(),
+            "made": {**made(), "system": platform.platform(), **{name: version(name) for name in LIBRARIES}},
         }
-        path.write_text(json.dumps(report, indent=1) + "\n")
+        try:
+            path.write_text(json.dumps(report, indent=1) + "\n")
+        except OSError as error:
+            console.say(f"{path}: the report could not be written: {error.strerror}")
     return Outcome(steps.rows, simulated, {**summary, "report": str(path)})
 
 
@@ -206,7 +209,7 @@ def _try_gripper(
         steps.do(name, "port", "the serial port opens", open_, "evetac doctor says what keeps it")
         check = GripperCheck(found_bus[0], settings, steps, name, registers)
         try:
-            check.look()
+            check.read_all()
             check.try_watchdog(ask)
             check.move()
         finally:
@@ -226,7 +229,7 @@ class GripperCheck:
     def _do(self, check: str, expected: str, act: Callable[[], tuple[bool, str]], fix: str = "") -> None:
         self._steps.do(self._name, check, expected, act, fix)
 
-    def look(self) -> None:
+    def read_all(self) -> None:
         """What it is and how it is; nothing is written but torque off."""
         bus = self._bus
 
@@ -258,9 +261,9 @@ class GripperCheck:
             return now < high, f"{now} C, limit {high} C"
 
         def errors() -> tuple[bool, str]:
-            found = hardware_errors(*known("Hardware Error Status"))
+            errors_now = hardware_errors(*known("Hardware Error Status"))
             bus.tolerant = False
-            return not found, ", ".join(found) or "none"
+            return not errors_now, ", ".join(errors_now) or "none"
 
         def torque() -> tuple[bool, str]:
             was = known("Torque Enable")[0]
@@ -296,8 +299,8 @@ class GripperCheck:
             self._torque_on()
             armed, torque = bus.read("Bus Watchdog"), bus.read("Torque Enable")
             time.sleep(silence_ms * 1e-3)
-            ok, found = self._tripped(f"before: Bus Watchdog {armed}, Torque Enable {torque}")
-            return ok and armed > 0 and torque == 1, found
+            ok, said = self._tripped(f"before: Bus Watchdog {armed}, Torque Enable {torque}")
+            return ok and armed > 0 and torque == 1, said
 
         room = f"{ROOM_TICKS.start} to {ROOM_TICKS.stop - 1} ticks, so that there is room both ways"
         self._do("position", room, position, "move the fingers half open by hand: torque is off")
@@ -328,8 +331,8 @@ class GripperCheck:
             self._hold(CURRENT_MA)
             time.sleep(SILENCE * self._settings.watchdog_ms * 1e-3)
             left_ma = self._bus.read("Present Current")
-            ok, found = self._tripped(f"{left_ma:+d} mA left")
-            return ok and abs(left_ma) <= REST_MA, found
+            ok, said = self._tripped(f"{left_ma:+d} mA left")
+            return ok and abs(left_ma) <= REST_MA, said
 
         fix = "not at the end of the way? no object between the fingers? else please send the report"
         for check, sign in (("closes", 1), ("opens", -1)):
@@ -389,5 +392,5 @@ class GripperCheck:
         except Refused as error:
             refused = error.fault == RANGE_FAULT
         goals = "refused" if refused else "accepted"
-        found = f"Bus Watchdog {watchdog}, goals {goals}, Torque Enable {torque}; {also}"
-        return watchdog == WATCHDOG_TRIPPED and refused and torque == 1, found
+        said = f"Bus Watchdog {watchdog}, goals {goals}, Torque Enable {torque}; {also}"
+        return watchdog == WATCHDOG_TRIPPED and refused and torque == 1, said

@@ -62,13 +62,18 @@ def test_both_ways_to_a_gripper_ask(gripper: VirtualGripper) -> None:
 
 def test_there_is_no_other_way_to_a_gripper() -> None:
     """Assert that the driver is made only where a gripper was let through the door before."""
-    makers = {
-        path.relative_to(PACKAGE).as_posix()
-        for path in PACKAGE.rglob("*.py")
-        if any("RhP12Rn(" in line and "class " not in line for line in path.read_text().splitlines())
-    }
-    assert makers == {
+
+    def using(text: str) -> set[str]:
+        return {
+            path.relative_to(PACKAGE).as_posix()
+            for path in PACKAGE.rglob("*.py")
+            if any(text in line and "class " not in line for line in path.read_text().splitlines())
+        }
+
+    assert using("RhP12Rn(") == {
         "devices/grippers.py",  # opened by open_rig
         "stages/grasp/controller_process.py",  # started after open_peers
         "devices/virtual/gripper.py",  # an example in its docstring
     }
+    assert using(".switch_on(") == {"devices/rh_p12_rn/driver.py", "inspect/hardware_check.py"}
+    assert using("require_arm(") >= {"inspect/hardware_check.py", "stages/record/__init__.py"}

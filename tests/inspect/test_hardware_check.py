@@ -48,7 +48,7 @@ def test_a_good_camera_and_gripper(tmp_path: Path) -> None:
     assert made.simulated and report["simulated"]
     assert report["rows"] == made.rows
     assert report["registers"]["Model Number"] == 35074 and report["registers"]["Current Limit"] == 661
-    assert all(report[name] for name in ("time", "evetac", "python", "system"))
+    assert all(report["made"][name] for name in ("at", "evetac", "python", "system", "pyusb", "dynamixel-sdk"))
 
 
 @pytest.mark.parametrize(

@@ -189,8 +189,13 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self.close()
 
     @property
+    def port(self) -> str:
+        """The serial port, as it was named."""
+        return self._bus.port
+
+    @property
     def _where(self) -> str:
-        return f"gripper at {self._bus.port}"
+        return f"gripper at {self.port}"
 
     # Setting up
 
@@ -366,9 +371,12 @@ def _close_at_exit(gripper: RhP12Rn) -> None:
 
 
 def _close_all() -> None:
+    """Close what the program left open, and say what was read back, as far as somebody still listens."""
     for gripper in _OPEN.copy():
         with contextlib.suppress(EvetacError):
             gripper.close()
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            print(f"gripper at {gripper.port}: {gripper.release_words}", file=sys.stderr)
 
 
 def _end_in_order(number: int, frame: FrameType | None) -> None:

@@ -39,7 +39,13 @@ class Torque:
         """Torque off and the watchdog cleared, whatever another program left behind; DeviceError if it stays on."""
         self._bus.write("Torque Enable", 0)
         if self._bus.read("Torque Enable") != 0:
-            raise DeviceError("the gripper does not switch torque off", expected="Torque Enable 0", found="1")
+            raise DeviceError(
+                "the gripper does not switch torque off",
+                where=f"gripper at {self._bus.port}",
+                expected="Torque Enable 0",
+                found="1",
+                hint="switch 24 V off and on",
+            )
         self._bus.write("Bus Watchdog", 0)
         self._state, self.words = "off", "torque is off: no command was given yet"
 
@@ -53,18 +59,29 @@ class Torque:
         if goal_ticks is not None:
             bus.write("Goal Position", goal_ticks)
         bus.write("Bus Watchdog", code)
-        if (found := bus.read("Bus Watchdog")) != code:
+        if (armed := bus.read("Bus Watchdog")) != code:
             raise DeviceError(
                 "the gripper's bus watchdog cannot be armed, so torque stays off",
+                where=f"gripper at {bus.port}",
                 expected=f"Bus Watchdog {code} ({self._watchdog_ms} ms)",
-                found=str(found),
+                found=str(armed),
                 hint="is its firmware up to date?",
             )
         self._state, self.words = "on", "torque is on"  # also if the answer to what follows is lost
         bus.write("Torque Enable", 1)
 
     def switch_off(self) -> bool:
-        """Current 0, torque off; whether that was read back. `words` say which, and what happens if not."""
+        """Current 0, torque off; whether that was read back. `words` say which, and what happens if not.
+
+        Ctrl-C meanwhile takes effect after it.
+        """
+        try:
+            return self._switch_off()
+        except KeyboardInterrupt:
+            self._switch_off()
+            raise
+
+    def _switch_off(self) -> bool:
         bus = self._bus
         bus.tolerant = True
         why = ""
@@ -72,13 +89,13 @@ class Torque:
             try:
                 bus.send("Goal Current", 0)
                 bus.write("Torque Enable", 0)
-                if (found := bus.read("Torque Enable")) == 0:
+                if (torque := bus.read("Torque Enable")) == 0:
                     with contextlib.suppress(DeviceError):
                         bus.write("Bus Watchdog", 0)
                         bus.write("Goal Current", 0)  # refused before, if the watchdog had tripped
                     self._state, self.words = "off", IS_OFF
                     return True
-                why = f"Torque Enable reads {found}, though 0 was written"
+                why = f"Torque Enable reads {torque}, though 0 was written"
             except DeviceError as error:
                 why = error.message
                 if isinstance(error, PortGone):

@@ -10,6 +10,7 @@ from evetac_cli.devices.virtual.servo import Answer
 from evetac_cli.devices.virtual.servo_process import LATE_S, Faults
 from evetac_cli.errors import InputError
 from evetac_cli.params import Record
+from evetac_cli.resources import PACKAGE
 
 
 @pytest.mark.parametrize(
@@ -108,3 +109,10 @@ def test_an_answer_is_spoilt_once() -> None:
     assert late == (b"ab", LATE_S)
     faults.add(gripper_fault("overload@2"))
     assert [faults.due(now_s, torque=True) for now_s in (1.9, 2.0, 2.1)] == [[], ["overload"], []]
+
+
+def test_the_page_on_safety_lists_every_fault_of_a_gripper() -> None:
+    """Assert that docs/safety.md has a row for each, in the words of the table of faults."""
+    page = (PACKAGE.parent / "docs" / "safety.md").read_text()
+    for name, kind in GRIPPER_FAULTS.items():
+        assert f"| `{name}` | {kind.effect} |" in page

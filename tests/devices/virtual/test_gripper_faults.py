@@ -242,7 +242,9 @@ def run_program(gripper: VirtualGripper, ending: Any) -> int:
             assert gripper.read_register("Goal Current") == 30
             time.sleep(0.05)
             program.send_signal(ending)
-        program.communicate(timeout=30)
+        said = program.communicate(timeout=30)[1].decode()
+        if ending != signal.SIGKILL:
+            assert f"gripper at {gripper.port}: torque is off (read back)" in said
         return program.returncode
 
 
@@ -312,7 +314,7 @@ time.sleep(600)
 
 
 @pytest.mark.parametrize("mode", ["current", "position"])
-@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGSTOP, signal.SIGQUIT, signal.SIGABRT, signal.SIGSEGV])
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV])
 def test_h1_no_torque_stays_on_where_a_program_dies_before_its_first_command(
     fresh: VirtualGripper, mode: str, ending: signal.Signals
 ) -> None:
@@ -475,3 +477,22 @@ def test_torque_of_a_dead_program_is_switched_off_and_read_back(fresh: VirtualGr
         words = release(fresh.port, 2_000_000, watchdog_ms=60)
         assert "could not be read back as off" in words and "in use" in words
         assert "stops the motor 60 ms after the last instruction" in words
+
+
+def test_a_second_ctrl_c_inside_close_leaves_no_torque(fresh: VirtualGripper, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that Ctrl-C while torque is being switched off interrupts only once it is off."""
+    driver = RhP12Rn(fresh.port, settings=SLOW)
+    driver.write_current(9)
+    write, pressed = Bus.write, []
+
+    def interrupted(bus: Bus, name: str, value: int) -> None:
+        if name == "Torque Enable" and not pressed:
+            pressed.append(name)
+            raise KeyboardInterrupt
+        write(bus, name, value)
+
+    monkeypatch.setattr(Bus, "write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        driver.close()
+    assert driver.release_words == "torque is off (read back)"
+    assert is_off(fresh)
