@@ -55,7 +55,8 @@ def emergency_key() -> Iterator[EmergencyKey]:
         yield EmergencyKey(terminal)
     finally:
         with contextlib.suppress(termios.error, OSError):  # the terminal is gone
-            termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+            if os.tcgetpgrp(terminal) == os.getpgrp():  # else the shell has it, and whoever sets it is stopped
+                termios.tcsetattr(terminal, termios.TCSANOW, before)
 
 
 def _terminal() -> int | None:
