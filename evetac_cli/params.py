@@ -128,6 +128,14 @@ class Record(Trials):
         high=1000.0,
         recipe=False,
     )
+    watchdog_ms: int = parameter(
+        100,
+        "Devices: the gripper lets go if it gets no command for so long, or nobody records; a multiple of 20.",
+        unit="ms",
+        low=20,
+        high=500,
+        recipe=False,
+    )
     threshold_on: int | None = parameter(
         None,
         "Devices: contrast threshold of brighter, 0 most sensitive, 17 least; default: the driver's.",

@@ -1,91 +1,373 @@
-"""Kill the detector of grasps in real time at random times, and print how long torque stayed on.
+"""Kill or stop a process of `grasp` or `record` at a random moment; how long does the motor keep its current?
 
-    python scripts/kill_grasps.py [--count 10] [--how kill|stop] [--watchdog-ms 60]
+    python scripts/kill_grasps.py -o kills.jsonl [--count 200] [--how kill|stop] [--watchdog-ms 60] [--busy 4]
 
-The grasps are virtual. Torque is read from outside: in the memory in which the virtual servo shows its registers
-to the world, every half millisecond, by the clock by which the detector was killed (or stopped, as if it hung).
+The commands are real ones, with a camera that plays prepared words and a gripper at a port. At its other end is a
+virtual servo, in a process of its own that outlives the commands. It keeps its own log, by the clock by which
+the kill is timed: when the motor got current, when it was without, and when the last goal came. The moment is anywhere
+from before the first word to after the last; of every four trials two are timed from when the motor first got current,
+until after it is without. The process is the recorder (the parent of all), the detector or the controller, where there
+is one yet. A stopped process goes on after 1 s and is watched for 1 s more.
+
+Every trial is a line of JSON, and trials whose line is there are not run again. The machine's own lateness, that of a
+thread that wakes every millisecond, is measured beside it. Exit code 1 where a motor had current for more than 100 ms,
+or gripped again; beside busy loops (--busy) that is reported without a bound.
 """
 
 import argparse
+import contextlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from evetac_cli.devices.virtual.servo_plant import SharedPlant
-from evetac_cli.inspect import validate
-from evetac_cli.store.read import open_recording
+BOUND_MS = 100.0
+STOPPED_S = 1.0  # and as long again it is watched after SIGCONT
+TRIES = 6
+WORDS_S = 5.0  # for a command to end by itself, after that
+SETTLED_S = 0.3  # without current for so long, it stays so
+LONGEST_S = 60.0  # that a command may take
+PARTS = ("recorder", "detector", "controller")
+TICK_S = 1e-3  # of the servo; a real one is not slower
+SERVO_PRIORITY, CLOSE_MA = 40, 0.5
+BUSY = "while True: pass"
 
-POLL_S = 5e-4
-LONGEST_S = 5.0
+
+# The servo
 
 
-def spawned(process: int) -> list[int]:
-    """World, detector and controller of a grasp, once all three have been started."""
+def be_servo(log: Path) -> None:
+    """Be the servo until stdin ends; a line in the log for every change."""
+    from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS, baud_code
+    from evetac_cli.devices.virtual import servo_process
+    from evetac_cli.devices.virtual.dynamixel_frames import Frame, Instruction
+    from evetac_cli.devices.virtual.servo import Answer, VirtualServo
+    from evetac_cli.devices.virtual.servo_plant import Goals, Motion, Obstacle, OwnDynamics
+    from evetac_cli.realtime.processes import set_realtime_priority
+    from evetac_cli.realtime.shared_time import HOST_TIME
+
+    goal_registers = {REGISTERS[name].address for name in ("Goal Current", "Goal Position")}
+
+    class LoggedPlant(OwnDynamics):
+        """A finger before an obstacle, that notes when its motor gets current and when it is without."""
+
+        has_current = False
+        goal_s = 0.0
+
+        def advance(self, goals: Goals, now_s: float) -> Motion:
+            motion = super().advance(goals, now_s)
+            has_current = goals.torque or abs(motion.current_ma) >= CLOSE_MA
+            if has_current != self.has_current:
+                self.has_current = has_current
+                line = {"t_s": time.monotonic(), "has_current": has_current, "goal_s": self.goal_s}
+                os.write(file, (json.dumps(line) + "\n").encode())
+            return motion
+
+    class LoggedServo(VirtualServo):
+        """A servo that notes when the last goal came."""
+
+        def handle(self, frame: Frame, now_s: float) -> list[Answer]:
+            written = frame.instruction in (Instruction.WRITE, Instruction.SYNC_WRITE)
+            if written and int.from_bytes(frame.parameters[:2], "little") in goal_registers:
+                plant.goal_s = now_s
+            return super().handle(frame, now_s)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    plant = LoggedPlant(Obstacle())
+    servo = LoggedServo(plant, {"Baud Rate": baud_code(2_000_000)}, time.monotonic())
+    servo_process.IDLE_S = TICK_S
+    line = servo_process.Line(servo, servo_process.Faults([], np.random.default_rng(0)), HOST_TIME)
+    print(line.port, flush=True)
+    set_realtime_priority(SERVO_PRIORITY)
+    while not line.wait(sys.stdin.fileno()):
+        pass
+
+
+class Servo:
+    """The servo's process, and its log."""
+
+    def __init__(self, folder: Path) -> None:
+        self._log = folder / "servo.jsonl"
+        command = [sys.executable, __file__, "--servo", str(self._log)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+        )
+        assert self._process.stdout is not None
+        self.port = self._process.stdout.readline().strip()
+        self._begun_s = time.monotonic()
+
+    def spans(self, from_s: float) -> list[tuple[float, float]]:
+        """When the motor had current, from this moment on: beginning and end (inf: it still has)."""
+        spans: list[tuple[float, float]] = []
+        for text in self._log.read_text().splitlines():
+            line = json.loads(text)
+            if line["has_current"]:
+                spans.append((line["t_s"], float("inf")))
+            else:
+                spans[-1] = (spans[-1][0], line["t_s"])
+        return [(begin, end) for begin, end in spans if end > from_s]
+
+    def last_goal_s(self) -> float:
+        """When the last goal came before the motor's last change."""
+        lines = self._log.read_text().splitlines() if self._log.exists() else []
+        return float(json.loads(lines[-1])["goal_s"]) if lines else 0.0
+
+    def wait_without_current(self) -> None:
+        """Wait until the motor is without current and stays so for a while."""
+        until_s = time.monotonic() + LONGEST_S
+        while time.monotonic() < until_s and any(end > time.monotonic() - SETTLED_S for _, end in self.spans(0.0)):
+            time.sleep(0.005)
+
+    def close(self) -> None:
+        """End it."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(10.0)
+
+
+# The machine
+
+
+class Lateness:
+    """How late a thread wakes that sleeps for a millisecond, again and again."""
+
+    def __init__(self) -> None:
+        self._late_ms: list[float] = []
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        while True:
+            due_s = time.monotonic() + 1e-3
+            time.sleep(1e-3)
+            self._late_ms.append((time.monotonic() - due_s) * 1e3)
+
+    def take(self) -> tuple[float, float]:
+        """99th percentile and most since the last call, in ms."""
+        late_ms, self._late_ms = self._late_ms, []
+        return float(np.percentile(late_ms, 99)), max(late_ms)
+
+
+@contextlib.contextmanager
+def busy_loops(count: int) -> Iterator[None]:
+    """So many processes that do nothing but compute."""
+    loops = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
+# The commands
+
+
+def command_line(name: str, port: str, watchdog_ms: int, folder: Path) -> list[str]:
+    """A short `grasp` or `record` with the gripper at the port."""
+    grid = folder / "grid.json"
+    if not grid.exists():
+        x, y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
+        dots = np.stack([x, y], axis=-1).tolist()
+        grid.write_text(json.dumps({"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots}))
+    common = ["--camera", "virtual:prepared=10000", "--gripper", port, "--arm", "--watchdog-ms", str(watchdog_ms)]
+    more = {
+        "grasp": ["--calibration", str(grid), "--lift-s", "1", "--balance-s", "0"],
+        "record": ["--seconds", "1.5", "--expected-event-rate", "1e5"],
+    }[name]
+    out = folder / f"{name}.recording.h5"
+    return [sys.executable, "-m", "evetac_cli", name, *common, *more, "-q", "--force", "-o", str(out)]
+
+
+def clear(folder: Path) -> None:
+    """Remove what an earlier trial left."""
+    for path in sorted(folder.glob("*.recording*"), reverse=True):
+        if path.is_dir():
+            for file in path.iterdir():
+                file.unlink()
+            path.rmdir()
+        else:
+            path.unlink()
+
+
+def processes_of(recorder: int) -> dict[str, int]:
+    """The processes of a command that there are now, by their part."""
     children: list[str] = []
-    for task in Path(f"/proc/{process}/task").iterdir():
-        children += (task / "children").read_text().split()
-    return sorted(int(pid) for pid in children if "multiprocessing-fork" in Path(f"/proc/{pid}/cmdline").read_text())
+    with contextlib.suppress(OSError):  # it has ended
+        for task in Path(f"/proc/{recorder}/task").iterdir():
+            children += (task / "children").read_text().split()
+    spawned = []
+    for pid in children:
+        with contextlib.suppress(OSError):
+            if "multiprocessing-fork" in Path(f"/proc/{pid}/cmdline").read_text():
+                spawned.append(int(pid))
+    return dict(zip(PARTS, (recorder, *sorted(spawned)), strict=False))
 
 
-def plant_files(process: int) -> Iterator[str]:
-    """Files of a virtual plant that a process has mapped."""
-    for line in Path(f"/proc/{process}/maps").read_text().splitlines():
-        if "evetac-plant-" in line:
-            yield line.split()[-1]
+def lives_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> tuple[float, float]:
+    """How long a command takes that nobody kills, and for how long the motor has current in it.
+
+    A first time compiles everything; on a machine that is too busy it may end before its time, and is tried again.
+    """
+    whole_s = moving_s = 0.0
+    for attempt in range(TRIES):
+        clear(folder)
+        began_s = time.monotonic()
+        line = command_line(name, servo.port, watchdog_ms, folder)
+        done = subprocess.run(line, capture_output=True, text=True, check=False)
+        whole_s = time.monotonic() - began_s
+        servo.wait_without_current()
+        spans = servo.spans(began_s)
+        moving_s = max([moving_s, *(end - begin for begin, end in spans)])
+        if done.returncode == 0 and attempt:
+            break
+    if not moving_s:
+        raise SystemExit(f"{name} moves nothing: {done.stderr}")
+    return whole_s, moving_s
 
 
-def one(out: Path, how: signal.Signals, watchdog_ms: int, after_s: float) -> float:
-    """Grasp, kill the detector so long after the first command; ms until torque was off, NaN if it stayed on."""
-    command = [sys.executable, "-m", "evetac_cli", "grasp", "--camera", "virtual", "-q", "-o", str(out)]
-    with subprocess.Popen([*command, "--watchdog-ms", str(watchdog_ms)], stderr=subprocess.PIPE, text=True) as grasp:
-        while not out.with_name(out.name.replace(".h5", ".part")).joinpath("000000.h5").exists():
-            if grasp.poll() is not None:
-                raise SystemExit(f"the grasp did not start: {grasp.communicate()[1]}")
-            time.sleep(0.01)
-        world, detector, _ = spawned(grasp.pid)
-        plant = SharedPlant(next(plant_files(world)))
+def one(
+    name: str, part: str, since: str, after_s: float, how: str, watchdog_ms: int, servo: Servo, folder: Path
+) -> dict[str, Any]:
+    """Run a command, strike a part of it so long after its start, or the motor's; what servo and command say."""
+    clear(folder)
+    number = signal.SIGKILL if how == "kill" else signal.SIGSTOP
+    with subprocess.Popen(
+        command_line(name, servo.port, watchdog_ms, folder),
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    ) as run:  # fmt: skip
+        began_s = time.monotonic()
+        while since == "current" and not servo.spans(began_s) and run.poll() is None:
+            time.sleep(0.002)
         time.sleep(after_s)
-        if not plant.goals().torque:
-            raise SystemExit(f"it ended by itself: {grasp.communicate()[1]}")
-        os.kill(detector, how)
+        processes = processes_of(run.pid)
+        struck = part if part in processes else PARTS[0]
+        ended_before = run.poll() is not None
         struck_s = time.monotonic()
-        while plant.goals().torque and time.monotonic() < struck_s + LONGEST_S:
-            time.sleep(POLL_S)
-        passed_s = time.monotonic() - struck_s
-        if how is signal.SIGSTOP:
-            os.kill(detector, signal.SIGCONT)
-        grasp.communicate()
-    return passed_s * 1e3 if passed_s < LONGEST_S else float("nan")
+        if not ended_before:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(processes[struck], number)
+        watched_until_s = float("inf")
+        if how == "stop":
+            time.sleep(STOPPED_S)
+            watched_until_s = time.monotonic()
+            with contextlib.suppress(ProcessLookupError):
+                if not ended_before:
+                    os.kill(processes[struck], signal.SIGCONT)
+            time.sleep(STOPPED_S)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # for its words
+                run.wait(WORDS_S)
+        elif struck == PARTS[0]:
+            servo.wait_without_current()
+        else:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                run.wait(LONGEST_S)
+            servo.wait_without_current()
+        spans = servo.spans(struck_s)
+        gripped_before = any(begin <= struck_s for begin, _ in servo.spans(began_s))
+        exit_code = run.poll()
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(run.pid, signal.SIGKILL)
+        said = run.communicate()[1]
+    judged = [(begin, end) for begin, end in spans if begin < watched_until_s]
+    first_off_s = min((end for _, end in judged), default=struck_s)
+    had_current = any(begin <= struck_s for begin, _ in judged)
+    last_s = max((min(end, watched_until_s) for _, end in judged), default=struck_s)
+    again = gripped_before and any(begin > first_off_s for begin, _ in spans)
+    servo.wait_without_current()
+    return {
+        "command": name,
+        "struck": "nothing: it had ended" if ended_before else struck,
+        "since": since,
+        "after_s": round(after_s, 4),
+        "had_current": had_current,
+        "without_current_ms": round((last_s - struck_s) * 1e3, 2),
+        "goal_after_ms": round(max(servo.last_goal_s() - struck_s, 0.0) * 1e3, 2),
+        "gripped_again": again,
+        "exit_code": exit_code,
+        "traceback": "Traceback" in said,
+        "words": [line for line in said.splitlines() if "torque" in line or "error" in line][-2:],
+    }
+
+
+def summary(rows: list[dict[str, Any]], chosen: argparse.Namespace) -> dict[str, Any]:
+    """All trials in one row."""
+    ms = np.array([row["without_current_ms"] for row in rows])
+    moving = ms[[row["had_current"] for row in rows]]
+    return {
+        "how": chosen.how,
+        "watchdog_ms": chosen.watchdog_ms,
+        "busy_loops": chosen.busy,
+        "trials": len(rows),
+        "with_current_when_struck": len(moving),
+        "without_current_ms_median": float(np.median(moving)) if len(moving) else None,
+        "without_current_ms_p99": float(np.percentile(moving, 99)) if len(moving) else None,
+        "without_current_ms_most": float(ms.max()),
+        "over_100_ms": int((ms > BOUND_MS).sum()),
+        "gripped_again": sum(row["gripped_again"] for row in rows),
+        "tracebacks": sum(row["traceback"] for row in rows),
+        "machine_late_ms_p99": float(np.median([row["machine_late_ms_p99"] for row in rows])),
+        "machine_late_ms_most": max(row["machine_late_ms_most"] for row in rows),
+    }
 
 
 def main() -> None:
-    """Kill, wait for torque off, validate, print."""
+    """Strike, watch, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=10)
+    parser.add_argument(
+        "-o", "--out", type=Path, help="JSON lines, one a trial; trials that are in it are not run again"
+    )
+    parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")
     parser.add_argument("--watchdog-ms", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--busy", type=int, default=0, help="so many busy loops beside it")
+    parser.add_argument("--servo", type=Path, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
-    rng = np.random.default_rng(chosen.seed)
-    how = signal.SIGKILL if chosen.how == "kill" else signal.SIGSTOP
-    passed_ms = []
-    for trial in range(chosen.count):
-        with tempfile.TemporaryDirectory() as folder:
-            out = Path(folder) / "killed.recording.h5"
-            passed_ms.append(one(out, how, chosen.watchdog_ms, rng.uniform(0.5, 8.0)))
-            faults = validate.run([out]).rows[0]["faults"] or "valid"
-            with open_recording(out) as file:
-                print(f"{trial}: {passed_ms[-1]:.1f} ms, {len(file)} slices, {faults}: {file.read('capture/ended')}")
-    print(
-        f"{chosen.count} grasps (simulated): torque off after {np.median(passed_ms):.1f} ms, most {max(passed_ms):.1f}"
-    )
+    if chosen.servo is not None:
+        be_servo(chosen.servo)
+        return
+    which = {"how": chosen.how, "watchdog_ms": chosen.watchdog_ms, "busy": chosen.busy, "seed": chosen.seed}
+    lines = chosen.out.read_text().splitlines() if chosen.out is not None and chosen.out.exists() else []
+    known = [json.loads(line) for line in lines]
+    rows = [row for row in known if which.items() <= row.items() and row["trial"] < chosen.count]
+    done = {row["trial"] for row in rows}
+    with ExitStack() as opened:
+        folder = Path(opened.enter_context(tempfile.TemporaryDirectory()))
+        servo = Servo(folder)
+        opened.callback(servo.close)
+        opened.enter_context(busy_loops(chosen.busy))
+        lives = {name: lives_s(name, servo, chosen.watchdog_ms, folder) for name in ("grasp", "record")}
+        late = Lateness()
+        for trial in sorted(set(range(chosen.count)) - done):
+            rng = np.random.default_rng([chosen.seed, trial])
+            name = ("grasp", "record")[trial % 2]
+            part = PARTS[rng.integers(3)] if name == "grasp" else PARTS[0]
+            since = ("start", "current")[trial // 2 % 2]
+            after_s = float(rng.uniform(0.0, lives[name][since == "current"] + SETTLED_S))
+            struck = one(name, part, since, after_s, chosen.how, chosen.watchdog_ms, servo, folder)
+            row = {"trial": trial, **which, **struck}
+            row["machine_late_ms_p99"], row["machine_late_ms_most"] = late.take()
+            rows.append(row)
+            text = json.dumps(row)
+            print(text, file=sys.stderr, flush=True)
+            if chosen.out is not None:
+                with chosen.out.open("a") as file:
+                    file.write(text + "\n")
+    whole = summary(rows, chosen)
+    print(json.dumps(whole))
+    if not chosen.busy and (whole["over_100_ms"] or whole["gripped_again"]):
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

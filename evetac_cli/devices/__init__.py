@@ -8,6 +8,7 @@ comes only from a simulation and goes only into the file.
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, NamedTuple, Protocol
 
 from evetac_cli.events import Events
@@ -110,6 +111,12 @@ class Rig:
     simulated: bool = True  # what the camera sees comes from a simulation
     parents: tuple[dict[str, Any], ...] = ()  # headers of the files that the camera plays
     peers: tuple[Closable, ...] = ()  # what the devices need, such as the virtual ones behind the wire
+
+    @property
+    def watchdog_ms(self) -> float:
+        """Time without commands after which the gripper lets go by itself; inf where nothing is known of that."""
+        gripper = self.setup.get("gripper")
+        return float(gripper.get("watchdog_ms", inf)) if isinstance(gripper, Mapping) else inf
 
     def known_sensor(self) -> dict[str, Any]:
         """All datasets of the sensor, those of the camera and those known beyond it."""

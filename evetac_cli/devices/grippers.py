@@ -5,7 +5,7 @@ is imported only then.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from evetac_cli.devices import Gripper
@@ -36,6 +36,7 @@ class NamedGripper:
     is_stepped: ClassVar[bool] = False  # part of a simulation whose time passes as slices are read
     is_hardware: ClassVar[bool] = False  # it moves real fingers
     is_moved: ClassVar[bool] = True  # commands move it
+    watchdog_ms: int | None = field(default=None, kw_only=True)  # asked for; None: the driver's
 
     @property
     def port(self) -> str:
@@ -58,7 +59,7 @@ class NamedGripper:
         """The driver's settings where nothing is asked for."""
         from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 
-        return RhP12RnSettings()
+        return RhP12RnSettings() if self.watchdog_ms is None else RhP12RnSettings(watchdog_ms=self.watchdog_ms)
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":
         """Start the virtual servo behind the port; None where the servo is real, or there is none."""
@@ -110,6 +111,8 @@ class Virtual(NamedGripper):
 
     def default_settings(self) -> "RhP12RnSettings":
         """Times that a busy computer can keep."""
+        if self.watchdog_ms is not None:
+            return self.patient(super().default_settings())
         return replace(super().default_settings(), answer_ms=VIRTUAL_ANSWER_MS, watchdog_ms=VIRTUAL_WATCHDOG_MS)
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":

@@ -137,12 +137,12 @@ def show(result: Outcome) -> None:
     """Say how it ended, what is wrong, and where the report is; the steps were said as they were done."""
     for row in result.rows:
         if not row["ok"]:
-            print(f"{row['device']}, {row['check']}: expected {row['expected']}; found {row['found']}")
+            print_text(f"{row['device']}, {row['check']}: expected {row['expected']}; found {row['found']}")
             if row["fix"]:
-                print(f"  try: {row['fix']}")
-    print(f"{result.summary['ended']}; {result.summary['steps']} steps; report: {result.summary['report']}")
+                print_text(f"  try: {row['fix']}")
+    print_text(f"{result.summary['ended']}; {result.summary['steps']} steps; report: {result.summary['report']}")
     if result.summary["wrong"]:
-        print("the report is complete enough to send to the maintainers")
+        print_text("the report is complete enough to send to the maintainers")
 
 
 def _ask(question: str) -> bool:

@@ -5,6 +5,9 @@ as the first thing that it does. But before it comes to that, it loads modules f
 signals are held back: so SIGINT is held back while one is started, in the child until it ignores it, here until the
 child runs, and none is lost.
 
+Why so, other signals: SIGTERM and the like may be meant for one of the processes alone. Each is remembered, and the
+loop ends in order at its next step: an exception in the middle of a command would leave it half sent.
+
 Why so, priority: a beat of 1 ms is shorter than what a usual scheduler promises on a busy computer. What is permitted
 depends on the user (`ulimit -r`, `ulimit -e`): it is tried, and the result is recorded. Only for what takes little:
 Linux stops all real-time processes of a core for the rest of a second of which they took 0.95 s (sched_rt_runtime_us),
@@ -15,13 +18,19 @@ import os
 import signal
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 NICE = -10
 USUAL = "as usual"
+ENDING = tuple(
+    getattr(signal, name)
+    for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGABRT", "SIGUSR1", "SIGUSR2")
+    if hasattr(signal, name)
+)  # signals that end a program, and that a program may handle; Ctrl-C is another matter
 
 
 def start_shielded(process: BaseProcess) -> None:
@@ -47,6 +56,18 @@ def cpu_time_s(process: int | None) -> float:
     return time.monotonic()
 
 
+def remember_signals() -> list[int]:
+    """From now on signals that would end this process are only added to this list; its loop looks at it.
+
+    A signal that is ignored already, as SIGHUP under nohup, stays so.
+    """
+    came: list[int] = []
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda number, frame: came.append(number))
+    return came
+
+
 def set_realtime_priority(rank: int, process: int = 0) -> str:
     """Raise this process (or one by its number) above others; of two, the one of higher rank, 1 to 50, goes first.
 
@@ -64,3 +85,24 @@ def set_realtime_priority(rank: int, process: int = 0) -> str:
         return f"nice {NICE}"
     except OSError:
         return USUAL
+
+
+@contextmanager
+def raised_priority(rank: int, *, wanted: bool = True) -> Iterator[str]:
+    """Let this thread, and threads that it starts, go ahead of others for as long as the block lasts, if permitted.
+
+    Yields what `set_realtime_priority` returns.
+    """
+    if not wanted or sys.platform != "linux":
+        yield USUAL
+        return
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    scheduling = set_realtime_priority(rank)
+    try:
+        yield scheduling
+    finally:
+        with suppress(OSError):
+            os.sched_setscheduler(0, policy, parameters)
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, niceness)

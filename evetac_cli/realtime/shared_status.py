@@ -1,9 +1,13 @@
-"""The slip detector's state in shared memory: written by the detector at 1000 Hz, read by the controller at 500 Hz.
+"""What the processes of a grasp know of each other, in shared memory.
 
-Beside the slip signal stand the times by which the controller recognizes a detector that died and a camera that is
-silent, and knows how old the signal is.
+The slip signal is written by the detector at 1000 Hz and read by the controller at 500 Hz. Beside it stand the times by
+which the controller recognizes a detector that died and a camera that is silent, and knows how old the signal is.
+
+Recorder and controller leave a sign of life each, written by the loop that does their work, and by nothing else: a
+thread that did so would hide that the loop hangs.
 """
 
+import math
 import multiprocessing
 from typing import NamedTuple
 
@@ -12,7 +16,7 @@ from evetac_cli.realtime.shared_row import SharedRow
 
 REMEMBERED = 32  # slices with slip whose time is known
 _SIZE = 1024
-_STOP_AT = 768
+_STOP_AT, _RECORDER_AT, _CONTROLLER_AT, _OPEN_AT = 768, 832, 896, 960
 
 
 class DetectorStatus(NamedTuple):
@@ -45,6 +49,9 @@ class SharedStatus:
         memory = memoryview(self._block).cast("B")
         self._status = SharedRow(memory, 0, f"q3dq3d{REMEMBERED}d")
         self._stop = SharedRow(memory, _STOP_AT, "q")
+        self._recorder = SharedRow(memory, _RECORDER_AT, "d")
+        self._controller = SharedRow(memory, _CONTROLLER_AT, "d")
+        self._open = SharedRow(memory, _OPEN_AT, "q")
 
     def __getstate__(self) -> dict[str, object]:
         return {"_block": self._block}
@@ -77,3 +84,32 @@ class SharedStatus:
     def stopping(self) -> bool:
         """Whether `stop` was called."""
         return self._stop.read() is not None
+
+    def open_gripper(self) -> None:
+        """For the recorder: the emergency key was pressed; open the gripper, and end."""
+        self._open.write(1)
+
+    @property
+    def opening(self) -> bool:
+        """Whether `open_gripper` was called."""
+        return self._open.read() is not None
+
+    def recorder_lives(self, now_us: float) -> None:
+        """For the loop of the recorder: it is alive."""
+        self._recorder.write(now_us)
+
+    @property
+    def recorder_us(self) -> float:
+        """When the recorder last gave a sign of life; -inf before the first."""
+        row = self._recorder.read()
+        return -math.inf if row is None else row[1][0]
+
+    def controller_lives(self, now_us: float) -> None:
+        """For the loop of the controller: it is alive."""
+        self._controller.write(now_us)
+
+    @property
+    def controller_us(self) -> float:
+        """When the controller last gave a sign of life; -inf before the first."""
+        row = self._controller.read()
+        return -math.inf if row is None else row[1][0]

@@ -4,10 +4,11 @@ Before a device is touched: whether the outputs may be written and fit on the di
 runs: Ctrl-C ends it between slices. Afterwards: the file is joined, and an error or Ctrl-C goes on with what was saved.
 """
 
+import os
 import signal
 import threading
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,12 +17,21 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.errors import DeviceError, EvetacError, InputError, attach_outcome
 from evetac_cli.jobs import Outcome
+from evetac_cli.realtime.emergency_key import KEY_NAME, EmergencyKey, emergency_key
+from evetac_cli.realtime.processes import ENDING
 from evetac_cli.stages.trials import OUTPUT, DeviceTrial, Trial
 from evetac_cli.store.disk import require_room
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.segments import RecordingWriter, refuse_leftover
 
 INTERRUPTED = "interrupted"
+OPENED = "opened by the emergency key"
+KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
+PRIORITY = 10  # of whoever records while a gripper moves: behind detector and controller, whose steps are short
+OVERLOADED = "is the computer overloaded? A longer --watchdog-ms gives it more time"
+FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time
+RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
+ENDS = (signal.SIGINT, *ENDING)
 LOST = "capture/lost/"
 BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
 
@@ -98,7 +108,10 @@ def without_nan(value: Any) -> Any:
 
 @contextmanager
 def signals_counted() -> Iterator[list[int]]:
-    """Ctrl-C and SIGTERM are counted at first, so that a recording ends between slices; a second one breaks off."""
+    """Ctrl-C and other signals that end a program are counted at first, so that a recording ends between slices.
+
+    A second one breaks off. One that is ignored already, as SIGHUP under nohup, stays so.
+    """
     signals: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield signals
@@ -109,12 +122,58 @@ def signals_counted() -> Iterator[list[int]]:
         if len(signals) > 1:
             raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, count) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with _handled(count):
         yield signals
+
+
+@contextmanager
+def signals_interrupt() -> Iterator[None]:
+    """Signals that would end the program without a word break off as Ctrl-C does; before anything is recorded."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    with _handled(interrupt, [number for number in ENDING if signal.getsignal(number) is signal.SIG_DFL]):
+        yield
+
+
+@contextmanager
+def signals_held() -> Iterator[None]:
+    """Signals wait until the block is over, in which a gripper is let go of: nothing may break that off."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[tuple[int, Any]] = []
+    before = {number: signal.getsignal(number) for number in ENDS}
+    with _handled(lambda number, frame: came.append((number, frame))):
+        yield
+    raised: BaseException | None = None
+    for number, frame in came:
+        handler = before[number]
+        try:
+            if callable(handler):
+                handler(number, frame)
+            elif handler == signal.SIG_DFL:
+                os.kill(os.getpid(), number)
+        except BaseException as error:  # every handler is called, then the first error raised
+            raised = raised or error
+    if raised is not None:
+        raise raised
+
+
+@contextmanager
+def _handled(handler: Callable[[int, Any], None], numbers: Sequence[int] = ENDS) -> Iterator[None]:
+    """Let a function handle these signals, but for those that are ignored."""
+    heeded = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in heeded}
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 def spread(values: "array[float]") -> Any:
@@ -154,16 +213,30 @@ def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
     return error
 
 
-def raise_end(
-    error: Exception | None, ended: str, saved: str, result: Outcome | None, interrupted: str = INTERRUPTED
-) -> None:
-    """Let an error or Ctrl-C that ended the trial go on from here, with what was saved and the rows of its files.
+def raise_end(error: Exception | None, ended: str, saved: str, result: Outcome | None, torque: str = "") -> None:
+    """Let what ended the trial go on from here, with what was saved and the rows of its files.
 
-    error: what failed; ended: why the recording ended, in words; interrupted: what is said on Ctrl-C.
+    error: what failed; ended: why the recording ended, in words; torque: what it was left with, in words. The emergency
+    key ends a series as Ctrl-C does: no further trial moves the gripper.
     """
+    then = f"; {torque}" if torque else ""
     if error is not None:
         failed = error if isinstance(error, EvetacError) else DeviceError(str(error))
+        if "torque" not in str(failed):
+            failed.message += then
         failed.kept = saved
         raise attach_outcome(failed, result)
-    if ended == INTERRUPTED:
-        raise attach_outcome(KeyboardInterrupt(f"{interrupted}: {saved}"), result)
+    if ended in (INTERRUPTED, OPENED):
+        raise attach_outcome(KeyboardInterrupt(f"{ended}{then}: {saved}"), result)
+
+
+@contextmanager
+def gripper_key(*, moves: bool) -> Iterator[EmergencyKey]:
+    """The key that opens the gripper, announced, where one is moved and somebody is at a terminal to press it."""
+    if not moves:
+        yield EmergencyKey(None)
+        return
+    with emergency_key() as key:
+        if key.exists:
+            console.say(KEY_HINT)
+        yield key

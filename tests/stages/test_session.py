@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from array import array
 from pathlib import Path
 
@@ -29,8 +30,8 @@ def test_an_error_says_what_was_saved() -> None:
 
 def test_an_interrupt_goes_on() -> None:
     """Assert that Ctrl-C goes on as such, and that a trial which simply ended raises nothing."""
-    with pytest.raises(KeyboardInterrupt, match="interrupted, torque is off: 3 slices") as stopped:
-        session.raise_end(None, session.INTERRUPTED, "3 slices", RESULT, "interrupted, torque is off")
+    with pytest.raises(KeyboardInterrupt, match="interrupted; torque is off: 3 slices") as stopped:
+        session.raise_end(None, session.INTERRUPTED, "3 slices", RESULT, "torque is off")
     assert attached_outcome(stopped.value) is RESULT
     session.raise_end(None, "the camera's stream ended", "3 slices", RESULT)
 
@@ -97,3 +98,46 @@ def test_low_a_full_disk_before_the_first_segment_advises_no_repair(tmp_path: Pa
     run = [sys.executable, "-c", FULL_DISK, str(tmp_path / "a.recording.h5")]
     done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
     assert (done.stdout, done.stderr) == ("True False False\n", "")
+
+
+class SlowGripper:
+    """A gripper that is being let go of when a signal comes."""
+
+    def __init__(self) -> None:
+        self.released = False
+
+    def close(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+        self.released = True
+
+
+def test_low_ctrl_c_inside_close_waits_until_the_gripper_is_released() -> None:
+    """Assert that a second and third Ctrl-C do not break off the end of torque, and are raised after it."""
+    gripper = SlowGripper()
+    with session.signals_counted() as signals:
+        os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt), session.signals_held():
+            gripper.close()
+        assert gripper.released
+        assert len(signals) == 3
+
+
+def test_low_other_signals_interrupt_before_anything_is_recorded() -> None:
+    """Assert that signals which would end the program without a word break off as Ctrl-C does; ignored ones do not."""
+    numbers = [signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1]
+    before = [signal.signal(number, signal.SIG_DFL) for number in numbers]
+    try:
+        with session.signals_interrupt():
+            for number in numbers:
+                with pytest.raises(KeyboardInterrupt):
+                    os.kill(os.getpid(), number)
+        assert all(signal.getsignal(number) is signal.SIG_DFL for number in numbers)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        with session.signals_interrupt(), session.signals_counted() as signals:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not signals
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)

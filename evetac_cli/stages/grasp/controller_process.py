@@ -1,9 +1,12 @@
 """The controller's process of a grasp in real time: every 2 ms read the gripper and the detector's status, command.
 
 Deadlines are absolute: a step that comes late does not move those after it, and one that is missed is counted, not made
-up for. Whatever ends the grasp, torque is switched off; nothing is opened. That is also what happens where the detector
-publishes no status, or its camera gives no event, for longer than the watchdog allows, and where the bus fails. What
-this process itself cannot notice, its own death, is noticed by the servo, whose Bus Watchdog is set to the same time.
+up for. Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That
+is also what happens where the bus fails, and where the detector publishes no status, its camera gives no event, or the
+recorder (the parent of all) gives no sign of life for longer than FRESH of the watchdog's time; a recorder writes to a
+disk, and has RECORDER_MS if that is longer. What this process itself cannot notice, its own death, is noticed by the
+servo, whose Bus Watchdog only the commands of this loop keep quiet. And if it was stopped for longer than that, it lets
+go before it commands anything.
 
 Why so: a sensor's noise alone gives events in every slice, at rest too. So a camera without any is broken or unplugged,
 not idle.
@@ -13,23 +16,26 @@ import contextlib
 import gc
 import math
 import os
+import signal
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
+from evetac_cli import console
 from evetac_cli.devices import Gripper
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.realtime.message_pipe import MessageWriter
-from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
+from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, set_realtime_priority
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.stages.grasp.loop import Timing, control_row
+from evetac_cli.stages.session import FRESH, OPENED, OVERLOADED, RECORDER_MS
 
 PRIORITY = 30
 BATCH_STEPS = 25  # whose rows the recorder gets at once
@@ -41,7 +47,9 @@ MOST_SHIFT_US = 4.0
 FLUSH_S = 5.0
 FIRST_STATUS_S = 30.0  # in which the camera must be found and give its first slice
 WAITING_S = 0.01
+ORDER_S = 0.1
 OVER = "the grasp is over"
+RECORDER_HANGS = "the recorder hangs"
 STOPPED = "stopped"
 TOO_LONG = "the time allowed is over"
 
@@ -60,8 +68,19 @@ class ControllerSettings:
     time: TimeSource = HOST_TIME  # by which the controller goes
 
 
+class HeldGripper(Gripper, Protocol):
+    """A gripper that says what torque it was left with, and that an emergency key opens."""
+
+    @property
+    def release_words(self) -> str:
+        """What is known of torque; once it is closed, what was read back."""
+
+    def emergency_open(self) -> None:
+        """Open it at bounded current for a stated time, then close."""
+
+
 class GripperReady(NamedTuple):
-    """The gripper has torque and waits."""
+    """The gripper is set up, and has no torque before its first command."""
 
     setup: dict[str, Any]
     scheduling: str
@@ -79,6 +98,7 @@ class ControllerEnded(NamedTuple):
     alive_us: float  # last event of the camera where it is silent, else last status; NaN if the bus failed
     released_us: float  # when torque was off; NaN where that is not known
     counted: dict[str, int]
+    torque: str = "torque was never on"  # in words, as it was read back
 
 
 class Pace:
@@ -126,15 +146,17 @@ def shift_us(age_us: float) -> float:
 
 
 class Watch:
-    """Says when the detector is dead or its camera silent.
+    """Says when detector or recorder are dead or hang, or the camera is silent.
 
-    Why so: a busy computer stops all of its processes now and then, by up to 0.1 s. So silence counts from where the
-    controller itself has been awake, and a detector that was stopped with it has the watchdog's time to go on.
+    Why so: a busy computer stops all of its processes now and then. So silence counts from where the controller itself
+    has been awake, and who was stopped with it has the time to go on; but no more than once that time, or a controller
+    that is late at every step would never see anything.
     """
 
     def __init__(self, watchdog_ms: float, has_ended: Callable[[], bool] = lambda: False) -> None:
         """`has_ended` says whether the detector's process has ended, which needs no waiting."""
-        self._watchdog_us = 1e3 * watchdog_ms
+        self._fresh_us = 1e3 * FRESH * watchdog_ms
+        self._recorder_us = max(self._fresh_us, 1e3 * RECORDER_MS)
         self._has_ended = has_ended
         self._awake_us = -math.inf
 
@@ -142,16 +164,21 @@ class Watch:
         """The controller was stopped until now."""
         self._awake_us = now_us
 
-    def fault(self, status: DetectorStatus, now_us: float) -> tuple[str, float]:
-        """What is wrong, "" if nothing is, and when what is at fault was last alive."""
+    def fault(self, status: DetectorStatus, recorder_us: float, now_us: float) -> tuple[str, float]:
+        """What is wrong, "" if nothing is, and when what is at fault was last alive.
+
+        recorder_us: when the recorder last was.
+        """
         if self._has_ended():
             return "the detector died", status.at_us
-        for what, alive_us in (
-            ("the detector hangs: no sign of life", status.at_us),
-            ("the camera is silent: not a single event", status.heard_us),
+        for what, alive_us, most_us in (
+            ("the detector hangs: no sign of life", status.at_us, self._fresh_us),
+            ("the camera is silent: not a single event", status.heard_us, self._fresh_us),
+            (f"{RECORDER_HANGS}: no sign of life", recorder_us, self._recorder_us),
         ):
-            if now_us - max(alive_us, self._awake_us) > self._watchdog_us:
-                return f"{what} for {(now_us - alive_us) * 1e-3:.0f} ms", alive_us
+            silent_us = now_us - alive_us
+            if silent_us > 2 * most_us or min(silent_us, now_us - self._awake_us) > most_us:
+                return f"{what} for {silent_us * 1e-3:.0f} ms", alive_us
         return "", status.at_us
 
 
@@ -163,9 +190,14 @@ def run_controller(
     detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
+    ending = remember_signals()
+    recorder = os.getppid()
     outbox = MessageWriter(pipe)
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
+    gripper: RhP12Rn | None = None
     try:
+        while not orders.poll(ORDER_S):
+            _raise_if_ended(ending)
         orders.recv()
         scheduling = set_realtime_priority(PRIORITY)
         with RhP12Rn(settings.port, settings.baud, "position", settings.gripper) as gripper:
@@ -176,52 +208,76 @@ def run_controller(
             gc.freeze()
             gc.disable()  # the loop makes no cycles
             clock, sleep = settings.time.now_s, settings.time.sleep
-            result = command_grasp(gripper, shared, settings, outbox, clock, sleep, has_ended=detector.poll)
+            result = command_grasp(gripper, shared, settings, outbox, clock, sleep, detector.poll, ending)
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as error:
         result = result._replace(ended=str(error).splitlines()[0], error=error)
     except Exception as error:  # raised by the process that started this
-        failed = DeviceError(f"the controller failed: {type(error).__name__}: {error}")
-        result = result._replace(ended=str(failed), error=failed)
+        torque = "torque was never on" if gripper is None else gripper.release_words
+        failed = DeviceError(f"the controller failed: {type(error).__name__}: {error}; {torque}")
+        result = result._replace(ended=str(failed), error=failed, torque=torque)
+    _speak_for_recorder(result, died=os.getppid() != recorder)
     outbox.put(result)
     with contextlib.suppress(BrokenPipeError):
         outbox.flush(FLUSH_S)
 
 
+def _speak_for_recorder(result: ControllerEnded, *, died: bool) -> None:
+    """Tell the user what became of torque, where the recorder cannot, or not now."""
+    with contextlib.suppress(OSError):  # there may be no terminal any more
+        if died:
+            kept = "what was recorded until then waits for `evetac repair`"
+            console.say(f"error: the recorder died; {result.torque}; {kept}")
+        elif RECORDER_HANGS in result.ended:
+            console.say(f"error: {result.ended}; {result.torque}")
+
+
 def command_grasp(
-    gripper: Gripper,
+    gripper: HeldGripper,
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
     has_ended: Callable[[], bool] = lambda: False,
+    ending: Sequence[int] = (),
 ) -> ControllerEnded:
-    """Command until the grasp is over, the order to stop comes, or something fails; then torque off.
+    """Command until the grasp is over, the order to stop or open comes, or something fails; then torque off.
 
-    has_ended: whether the detector's process has; clock and sleep in seconds.
+    has_ended: whether the detector's process has; clock and sleep in seconds; ending: signals that came here.
     """
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
-    if _wait_for_status(shared, clock, sleep):
-        result = _command(gripper, shared, settings, outbox, clock, sleep, has_ended)
     try:
+        if _wait_for_status(shared, clock, sleep, ending):
+            result = _command(gripper, shared, settings, outbox, clock, sleep, has_ended, ending)
+        if result.ended == OPENED:
+            gripper.emergency_open()
         gripper.close()  # without effect where the driver has let go of it already
     except DeviceError as failed:
-        return result._replace(ended=str(failed).splitlines()[0], error=failed, counted=dict(gripper.counted))
-    bus_failed = result.error is not None and math.isnan(result.alive_us)  # the error says whether torque is off
+        with contextlib.suppress(DeviceError):  # the words say it
+            gripper.close()
+        # before it, another fault may have ended the grasp
+        first = result.error if result.error is not None else failed
+        result = result._replace(ended=str(first).splitlines()[0], error=first, alive_us=math.nan)
+    torque = gripper.release_words
+    error = result.error
+    if isinstance(error, EvetacError) and torque not in str(error):
+        error.message += f"; {torque}"
+    bus_failed = error is not None and math.isnan(result.alive_us)  # the error says whether torque is off
     released_us = math.nan if bus_failed else clock() * 1e6
-    return result._replace(released_us=released_us, counted=dict(gripper.counted))
+    return result._replace(released_us=released_us, counted=dict(gripper.counted), torque=torque)
 
 
 def _command(
-    gripper: Gripper,
+    gripper: HeldGripper,
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
     has_ended: Callable[[], bool],
+    ending: Sequence[int],
 ) -> ControllerEnded:
     """The loop; its result does not yet say when torque was off."""
     timing = settings.timing
@@ -247,19 +303,30 @@ def _command(
                 watch.slept_until(now_us)
             pace.shift(shift_us(now_us - status.at_us))
             slice_ = max(int(now_us - status.zero_us) // SLICE_US, 0)
-            fault, alive_us = watch.fault(status, now_us)
+            shared.controller_lives(now_us)
+            fault, alive_us = watch.fault(status, shared.recorder_us, now_us)
             if slice_ >= timing.end_ms:
                 ended = OVER
+            elif shared.opening:
+                ended = OPENED
             elif shared.stopping or os.getppid() != parent:
                 ended = STOPPED
             elif begun_s > began_s + settings.most_s:
                 ended = TOO_LONG
             elif fault:
-                ended, error = fault, DeviceError(f"{fault}; torque is off")
+                ended, error = fault, DeviceError(fault, hint=OVERLOADED if "hangs" in fault else "")
+            elif ending:
+                ended = f"the controller was ended by {signal.Signals(ending[0]).name}"
+                error = DeviceError(ended)
             if ended:
                 break
             phase = timing.phase(slice_)
             goal = control.step(phase, status.signal, reading.position_ticks)
+            silent_ms = (clock() - last_s) * 1e3
+            if silent_ms > settings.watchdog_ms:  # the servo has let go, and must not be made to grip again
+                ended, alive_us = f"the controller was stopped for {silent_ms:.0f} ms", last_s * 1e6
+                error = DeviceError(ended, hint=OVERLOADED)
+                break
             gripper.write_position(goal)
         except DeviceError as failed:
             ended, error, alive_us = str(failed).splitlines()[0], failed, math.nan
@@ -282,13 +349,26 @@ def _command(
     return ControllerEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
 
 
-def _wait_for_status(shared: SharedStatus, clock: Callable[[], float], sleep: Callable[[float], None]) -> bool:
-    """Wait until the detector has evaluated a first slice; False if it was stopped before."""
+def _raise_if_ended(ending: Sequence[int]) -> None:
+    """DeviceError if a signal came that ends this process."""
+    if ending:
+        raise DeviceError(f"the controller was ended by {signal.Signals(ending[0]).name}")
+
+
+def _wait_for_status(
+    shared: SharedStatus, clock: Callable[[], float], sleep: Callable[[float], None], ending: Sequence[int]
+) -> bool:
+    """Wait until the detector has evaluated a first slice; False if it was stopped before.
+
+    There is no torque yet.
+    """
     until_s = clock() + FIRST_STATUS_S
     parent = os.getppid()
     while shared.latest() is None:
+        shared.controller_lives(clock() * 1e6)
         if shared.stopping or os.getppid() != parent:
             return False
+        _raise_if_ended(ending)
         if clock() > until_s:
             raise DeviceError("the detector did not begin", expected=f"a first slice within {FIRST_STATUS_S:g} s")
         sleep(WAITING_S)

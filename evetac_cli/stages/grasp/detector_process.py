@@ -7,9 +7,10 @@ recorder in batches, without waiting for it.
 import contextlib
 import gc
 import os
+import signal
 import sys
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -24,7 +25,7 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.message_pipe import MessageWriter
-from evetac_cli.realtime.processes import ignore_interrupts, set_realtime_priority
+from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, set_realtime_priority
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.loop import SlipDetector
 
@@ -37,6 +38,7 @@ FLUSH_US = 250  # a quiet camera's words are sent this often: a slice is evaluat
 WARM_UP_SLICES = 30  # of noise, before the camera runs
 WARM_UP_EVENTS = 3000  # in each
 FLUSH_S = 5.0
+ORDER_S = 0.1
 SWITCH_S = 2e-4  # the threads that read and decode take turns so often
 
 
@@ -117,6 +119,7 @@ def run_detector(
     ends, however it ends.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
+    ending = remember_signals()
     outbox = MessageWriter(pipe)
     camera = None
     error: Exception | None = None
@@ -125,7 +128,7 @@ def run_detector(
         sys.setswitchinterval(SWITCH_S)
         outbox.put("ready")
         outbox.flush(FLUSH_S)
-        orders.recv()
+        _wait_for_order(orders, ending)
         scheduling = set_realtime_priority(PRIORITY)  # before the camera's thread, which inherits it
         camera, setup, _ = settings.camera.open(CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
         outbox.put(CameraReady(camera.sensor, setup, getattr(camera, "notes", ()), scheduling))
@@ -133,8 +136,8 @@ def run_detector(
         gc.freeze()
         gc.disable()  # the loop makes no cycles
         outbox.flush(FLUSH_S)
-        orders.recv()  # from the first slice on, the gripper moves
-        detect(camera, detector, status, outbox, settings.slices)
+        _wait_for_order(orders, ending)  # from the first slice on, the gripper moves
+        detect(camera, detector, status, outbox, settings.slices, ending)
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as failed:
@@ -151,12 +154,29 @@ def run_detector(
     alive.close()
 
 
+def _wait_for_order(orders: Connection, ending: Sequence[int]) -> None:
+    """Wait for the next order; DeviceError if a signal comes before it, that ends this process."""
+    while not orders.poll(ORDER_S):
+        _raise_if_ended(ending)
+    orders.recv()
+
+
+def _raise_if_ended(ending: Sequence[int]) -> None:
+    if ending:
+        raise DeviceError(f"the detector was ended by {signal.Signals(ending[0]).name}")
+
+
 def detect(
-    camera: RunningCamera, detector: SlipDetector | None, status: SharedStatus, outbox: MessageWriter, most: int
+    camera: RunningCamera,
+    detector: SlipDetector | None,
+    status: SharedStatus,
+    outbox: MessageWriter,
+    most: int,
+    ending: Sequence[int] = (),
 ) -> None:
     """Evaluate and hand over slice after slice, until there are `most`, or an order to stop.
 
-    DeviceError where the stream ends before, or the recorder cannot keep up.
+    DeviceError where the stream ends before, the recorder cannot keep up, or a signal came (`ending`).
     """
     host_us = getattr(camera, "host_us", None)
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
@@ -167,6 +187,7 @@ def detect(
     slices_held: list[Events] = []
     batch = SliceBatch(concatenate([]))
     while slices < most and not status.stopping:
+        _raise_if_ended(ending)
         events = camera.read()
         if events is None:
             raise DeviceError("the camera's stream ended", expected=f"{most} slices", found=f"{slices}")

@@ -26,7 +26,7 @@ from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
-from evetac_cli.realtime.processes import set_realtime_priority
+from evetac_cli.realtime.processes import raised_priority, set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.stages import session
 from evetac_cli.stages.grasp import replay, setup
@@ -143,6 +143,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
     if gripper.is_hardware:
         session.wait_for_object(trial)
     with ExitStack() as opened:
+        opened.enter_context(session.signals_interrupt())
         durations = {"lift_s": params.lift_s, "balance_s": params.balance_s}
         world, servo = open_peers(
             camera, gripper, trial.plan, seeds, opened, armed=params.arm, tells_truth=True, **durations
@@ -156,8 +157,8 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
             gripper_settings(params, gripper),
             setup.make_law(params),
             timing,
-            # a world that is late holds up its camera
-            (VIRTUAL_WATCHDOG_FACTOR if world is not None else 1) * params.watchdog_ms,
+            # as the servo's own: where nothing real moves, a busy computer is forgiven
+            (VIRTUAL_WATCHDOG_FACTOR if servo is not None else 1) * params.watchdog_ms,
             params.max_seconds,
             HOST_TIME if world is None else world.time,
         )
@@ -174,14 +175,20 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         writer = RecordingWriter(trial.output, sensor, discard_leftover=False, recipe=recipe)
         if gripper.is_hardware and not signals:
             console.say(f"{gripper} moves now; {FALLS}")
+        key = opened.enter_context(session.gripper_key(moves=not signals))
         try:
             if not signals:
                 processes.go()
-            recorded = record(
-                processes, world, writer, timing.end_ms, signals, lambda done: progress(done, timing.end_ms)
-            )
+            with raised_priority(
+                session.PRIORITY, wanted=gripper.is_hardware
+            ):  # a grasp lasts while its recorder is alive
+                recorded = record(
+                    processes, world, writer, timing.end_ms, signals, key, lambda done: progress(done, timing.end_ms)
+                )
         except BaseException as error:
             writer.leave()
+            processes.close()
+            console.say(f"{gripper}: {processes.last_words()}")
             raise session.with_hint(error, writer) from None
         processes.close()
         datasets = {
@@ -262,7 +269,7 @@ def _result(
     if recorded.has_steps:
         saved = f"{recorded.slices:,} slices in {trial.output}"
         result = _row(trial, recipe, recorded, datasets, grasp_outcome)
-    session.raise_end(recorded.error, recorded.ended, saved, result, "interrupted, torque is off")
+    session.raise_end(recorded.error, recorded.ended, saved, result, recorded.torque)
     if result is None:
         raise DeviceError("the grasp ended before its first step", found=recorded.ended)
     return result
@@ -294,9 +301,13 @@ def _row(
         slices=recorded.slices,
         ended=recorded.ended,
         **timing,
-        command_misses=int(datasets["capture/command_misses"]),
+        command_misses=_whole(datasets.get("capture/command_misses")),
         latencies=len(recorded.latency_us),
         scheduling=datasets["capture/scheduling"],
         lost=session.lost_words(datasets),
         **grasp_outcome,
     )
+
+
+def _whole(value: Any) -> int | None:
+    return None if value is None else int(value)

@@ -1,7 +1,9 @@
 """The third process of a grasp in real time: starts detector and controller, and records what they send.
 
-It never keeps them waiting, and they never wait for it. It knows why the grasp ended: because it was over, because of
-Ctrl-C, or because something failed; the file says so in any case.
+It never keeps them waiting, and they never wait for it; but a grasp goes on only while it is alive. It is the parent of
+the others, so one sign of life stands for both, and the loop that records is the only one that gives it. It knows why
+the grasp ended: because it was over, because of Ctrl-C or the emergency key, or because something failed; the file says
+so in any case. Where the controller died or hangs, it ends the controller, switches torque off and reads it back.
 """
 
 import contextlib
@@ -17,8 +19,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import DeviceError
+from evetac_cli.devices.rh_p12_rn.torque import release
+from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import start_shielded
 from evetac_cli.realtime.shared_status import SharedStatus
@@ -27,17 +31,21 @@ from evetac_cli.stages.grasp import controller_process, detector_process
 from evetac_cli.stages.grasp.controller_process import OVER, ControllerEnded, ControllerSettings, GripperReady
 from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, DetectorSettings, SliceBatch
 from evetac_cli.stages.grasp.loop import TrialBuffer
-from evetac_cli.stages.session import INTERRUPTED, lost_datasets, spread
+from evetac_cli.stages.session import INTERRUPTED, OPENED, lost_datasets, signals_held, spread
 from evetac_cli.store.segments import RecordingWriter
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
+HANGS_S = 0.5  # a controller without a sign of life for so long, or some times the watchdog's time, is ended
+HANGS_WATCHDOGS = 4
+OPENING_S = 2.0  # so much longer while it opens the gripper
 LOAD_S = 120.0  # in which both must be ready, compiling included
 OPEN_S = 30.0  # in which the camera must run
 LAST_S = 0.5  # for the one to end by itself, once the other has ended
 END_S = 3.0
 POLL_S = 0.05
+ALIVE_S = 0.005  # the loop that records gives a sign of life as often as this
 ALIVE = "it is still running"
 FELL = "the object fell"
 _T = TypeVar("_T")
@@ -52,6 +60,10 @@ class GraspProcesses:
         """Start both; they load, and wait for `begin`."""
         context = multiprocessing.get_context("spawn")
         self.status = SharedStatus()
+        self._settings = controller
+        self._clock = controller.time.now_s
+        self._hangs_us = 1e6 * max(HANGS_S, HANGS_WATCHDOGS * 1e-3 * controller.watchdog_ms)
+        self._began_us = math.inf
         self._orders = []  # to the detector and to the controller
         theirs = []
         for _ in range(2):
@@ -85,18 +97,46 @@ class GraspProcesses:
         Nothing moves before `go`. signals: grows when Ctrl-C is pressed.
         """
         self._wait_for(str, self.slices, self.detector, LOAD_S, signals)
-        self._orders[1].send("begin")
+        self._order(1, "begin")
         gripper = self._wait_for(GripperReady, self.steps, self.controller, LOAD_S, signals)
-        self._orders[0].send("begin")
+        self._order(0, "begin")
         return self._wait_for(CameraReady, self.slices, self.detector, OPEN_S, signals), gripper
 
     def go(self) -> None:
-        """Let the detector begin, upon which the controller moves the gripper."""
-        with contextlib.suppress(OSError):  # it has died, which `record` finds out
-            self._orders[0].send("go")
+        """Let the detector begin, upon which the controller moves the gripper; from now on it needs signs of life."""
+        self.give_sign_of_life()
+        self._began_us = self._clock() * 1e6
+        self._order(0, "go")
 
-    @staticmethod
-    def _wait_for(kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
+    def _order(self, whom: int, order: str) -> None:
+        with contextlib.suppress(OSError):  # it has died, which whoever waits for its answer finds out
+            self._orders[whom].send(order)
+
+    def give_sign_of_life(self) -> None:
+        """For the loop that records: it is alive."""
+        self.status.recorder_lives(self._clock() * 1e6)
+
+    def end_hanging_controller(self) -> str:
+        """End a controller that gives no sign of life; for how long it did not, in words, "" if it does."""
+        patience_us = self._hangs_us + 1e6 * OPENING_S * self.status.opening
+        silent_us = self._clock() * 1e6 - max(self.status.controller_us, self._began_us)
+        if not silent_us > patience_us:
+            return ""
+        self.controller.kill()
+        return f"the controller hangs: no sign of life for {silent_us * 1e-6:.1f} s"
+
+    def switch_off(self) -> str:
+        """Torque off, once the controller has ended without saying what torque is; in words, what was read back.
+
+        The port is free once the process has ended.
+        """
+        self.controller.kill()
+        self.controller.join(END_S)
+        settings, gripper = self._settings, self._settings.gripper
+        watchdog_ms, answer_ms = gripper.watchdog_ms, gripper.answer_ms
+        return release(settings.port, settings.baud, id_=gripper.id, watchdog_ms=watchdog_ms, answer_ms=answer_ms)
+
+    def _wait_for(self, kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
         """The first message of a kind; what went wrong before it comes is raised."""
         until_s = time.monotonic() + most_s
         while time.monotonic() < until_s and not signals:
@@ -107,13 +147,18 @@ class GraspProcesses:
                 if isinstance(message, (DetectorEnded, ControllerEnded)) and message.error is not None:
                     raise message.error
             if inbox.ended:
-                raise DeviceError(f"{process.name} died while it started", found=exit_words(process))
+                torque = f"; {self.switch_off()}" if process is self.controller else ""
+                raise DeviceError(f"{process.name} died while it started{torque}", found=exit_words(process))
         if signals:
             raise KeyboardInterrupt("interrupted: nothing was recorded")
         raise DeviceError(f"{process.name} did not come up", expected=f"within {most_s:g} s")
 
     def close(self) -> None:
-        """End both; torque is off afterwards, or the servo's watchdog sees to it."""
+        """End both; torque is off afterwards, or the servo's watchdog sees to it. Signals wait until then."""
+        with signals_held():
+            self._close()
+
+    def _close(self) -> None:
         self.status.stop()
         for orders in self._orders:
             orders.close()
@@ -122,6 +167,11 @@ class GraspProcesses:
             if process.is_alive():
                 process.kill()
                 process.join()
+
+    def last_words(self) -> str:
+        """What torque is once both were closed; for whoever broke off recording."""
+        ended = [message for message in self.steps.take() if isinstance(message, ControllerEnded)]
+        return ended[-1].torque if ended else self.switch_off()
 
 
 def exit_words(process: Any) -> str:
@@ -152,6 +202,8 @@ class RecordedGrasp:
     detector_died: bool = False
     detector: DetectorEnded | None = None  # what each said at its end
     controller: ControllerEnded | None = None
+    controller_hung: str = ""  # in words
+    torque: str = ""  # what it was at the end, in words
 
     @property
     def has_steps(self) -> bool:
@@ -221,19 +273,24 @@ class RecordedGrasp:
             return True
         if self.detector_died or (self.detector is not None and self.detector.error is not None):
             return True
-        return bool(self.ended)
+        return bool(self.ended) and self.ended != OPENED  # then the controller ends by itself
 
     def conclude(self, processes: GraspProcesses) -> None:
         """Find out why it ended, from what both said at their end, or from that they said nothing."""
         detector, controller = self.detector, self.controller
+        if controller is not None:
+            self.torque = controller.torque
         if controller is None:
-            exit_ = exit_words(processes.controller)
-            self.error = DeviceError(f"the controller died ({exit_}); the servo's own watchdog switches torque off")
+            why = self.controller_hung or f"the controller died ({exit_words(processes.controller)})"
+            self.error = DeviceError(f"{why}; {self.torque}")
         elif detector is None and (exit_ := exit_words(processes.detector)) != ALIVE:
-            self.error = DeviceError(f"the detector died ({exit_}); torque is off")
+            self.error = DeviceError(f"the detector died ({exit_}); {self.torque}")
         else:
             self.error = (detector and detector.error) or controller.error
-        if self.ended in (INTERRUPTED, FELL):
+            if isinstance(self.error, EvetacError) and "torque" not in str(self.error):
+                self.error.message += f"; {self.torque}"
+        opened = controller is not None and self.ended == OPENED == controller.ended
+        if opened or (controller is not None and self.ended in (INTERRUPTED, FELL)):
             self.error = None
         else:
             self.ended = str(self.error).splitlines()[0] if self.error or controller is None else controller.ended
@@ -258,11 +315,12 @@ def record(
     writer: RecordingWriter,
     end_ms: int,
     signals: list[int],
+    key: EmergencyKey,
     progress: Callable[[int], None],
 ) -> RecordedGrasp:
     """Write until both have ended; what failed is in the result.
 
-    signals: grows when Ctrl-C is pressed.
+    signals: grows when Ctrl-C is pressed; key: opens the gripper.
     """
     recorded = RecordedGrasp(end_ms)
     truths = None if world is None else world.truths
@@ -271,7 +329,8 @@ def record(
         inboxes = [
             inbox for inbox in (processes.slices, processes.steps, truths) if inbox is not None and not inbox.ended
         ]
-        select.select(inboxes, [], [], POLL_S)
+        select.select(inboxes, [], [], ALIVE_S)
+        processes.give_sign_of_life()
         for message in truths.take() if truths is not None else ():
             recorded.take_truth(message)
         for message in processes.slices.take():
@@ -280,6 +339,7 @@ def record(
                 progress(recorded.slices)
             else:
                 recorded.detector = message
+        processes.give_sign_of_life()  # a segment may have been written, which takes a while
         for message in processes.steps.take():
             if isinstance(message, list):
                 recorded.take_steps(message, writer)
@@ -291,6 +351,14 @@ def record(
         recorded.detector_died = processes.slices.ended and recorded.detector is None
         if signals and not recorded.ended:
             recorded.ended = INTERRUPTED
+        if key.pressed and not recorded.ended:
+            recorded.ended = OPENED
+            processes.status.open_gripper()
+        if recorded.controller is None and not recorded.torque:
+            if not processes.steps.ended:
+                recorded.controller_hung = processes.end_hanging_controller()
+            if processes.steps.ended or recorded.controller_hung:
+                recorded.torque = processes.switch_off()
         if stopped_s == math.inf and (recorded.must_stop() or now_s > first_end_s + LAST_S):
             processes.status.stop()
             stopped_s = now_s

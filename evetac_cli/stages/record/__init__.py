@@ -6,6 +6,7 @@ ImportJob (imported.py). With --live, live_view.py shows what the camera of a tr
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from evetac_cli.devices import cameras as named_cameras
@@ -25,6 +26,8 @@ from evetac_cli.stages.unused_options import refuse_unused_of_record
 from evetac_cli.store.files import output_path, up_to_date
 
 METHOD = simulated.METHOD
+DRIVERS_WATCHDOG_MS = 100  # of a gripper that is not asked for another; a virtual one has more
+WATCHDOG_STEP_MS = 20  # unit of the register Bus Watchdog
 SCENE_KINDS = ("ramp", "hold", "press", "rub", "tone")  # lift scenes are grasped
 
 
@@ -46,6 +49,15 @@ def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
     """The devices that are named; InputError for names that there are not, and for flags that do not fit them."""
     cameras = tuple(map(named_cameras.parse, re.split(",(?=sim|virtual|dvxplorer|dv|replay:)", params.camera)))
     gripper = named_grippers.parse(params.gripper if params.gripper is not None else cameras[0].own_gripper)
+    if params.watchdog_ms != DRIVERS_WATCHDOG_MS:
+        if params.watchdog_ms % WATCHDOG_STEP_MS:
+            raise InputError(
+                "not a time of the watchdog",
+                where="--watchdog-ms",
+                expected="a multiple of 20 ms",
+                found=str(params.watchdog_ms),
+            )
+        gripper = replace(gripper, watchdog_ms=params.watchdog_ms)
     if any(camera.is_stepped != gripper.is_stepped for camera in cameras):
         raise InputError(
             "a simulated camera and a real gripper (or the other way round) cannot be combined",

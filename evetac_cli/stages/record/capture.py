@@ -30,6 +30,8 @@ from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.params import Record
+from evetac_cli.realtime.emergency_key import EmergencyKey
+from evetac_cli.realtime.processes import raised_priority
 from evetac_cli.stages import session
 from evetac_cli.stages.record.capture_plan import asked_holding_ma, check, is_done, make_hold, settings
 from evetac_cli.stages.record.current_ramp import GripperLoop, Hold, start, step
@@ -139,7 +141,11 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
     rng = np.random.default_rng(seeds.spawn(1)[0])
     if trial.cameras[0].is_hardware and not params.resume:
         session.wait_for_object(trial)
-    with ExitStack() as opened:
+    with ExitStack() as opened, ExitStack() as priority:
+        opened.enter_context(session.signals_interrupt())
+        # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
+        held = trial.gripper.is_hardware and not any(camera.simulates_scene for camera in trial.cameras)
+        priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
         recordings: list[CameraRecording] = []
         opened.push(lambda kind, error, trace: _discard_empty(recordings, failed=error is not None))
         trajectory = {"trajectory": uuid4().hex} if len(trial.cameras) > 1 else {}
@@ -150,10 +156,13 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
             for note in getattr(rig.camera, "notes", ()):
                 console.say(note)
             recordings.append(_begin(trial, params, rig, place, trajectory))
-        with session.signals_counted() as signals:
-            _write(recordings, _hold(trial, params, recordings[0].rig), rng, params, signals, progress)
+        moves = recordings[0].rig.gripper is not None
+        with session.signals_counted() as signals, session.gripper_key(moves=moves) as key:
+            _write(recordings, _hold(trial, params, recordings[0].rig), rng, params, signals, key, progress)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
-            _release(recordings)
+            with session.signals_held():
+                _release(recordings)
+            priority.close()
             _finish(recordings, datasets)
     return _result(trial, recordings, datasets)
 
@@ -262,6 +271,7 @@ def _write(
     rng: np.random.Generator,
     params: Record,
     signals: list[int],
+    key: EmergencyKey,
     progress: Progress,
 ) -> None:
     """Follow the cameras until something ends the recording; a device that failed is in the result."""
@@ -273,7 +283,8 @@ def _write(
             target_ma = step(state, law, reading, rng)
             return target_ma, state.ended
 
-        first.loop = GripperLoop(first.rig.gripper, act, first.rig.clock.now_us, camera_time(first.rig.camera))
+        pace, watchdog_ms = camera_time(first.rig.camera), first.rig.watchdog_ms
+        first.loop = GripperLoop(first.rig.gripper, act, first.rig.clock.now_us, pace, watchdog_ms, key)
     for recording in recordings[1:]:
         recording.thread = SliceThread(recording.rig.camera)
     most = round(1000 * params.seconds) if params.seconds is not None else None
@@ -355,7 +366,8 @@ def _result(
     simulated = any(recording.recipe.simulated for recording in recordings)
     result = Outcome([_row(trial, recording, rows) for recording, rows in saved], simulated)
     first = recordings[0]
-    session.raise_end(first.error, first.ended, files or "nothing was recorded", result)
+    torque = getattr(first.rig.gripper, "release_words", "")
+    session.raise_end(first.error, first.ended, files or "nothing was recorded", result, torque)
     return result
 
 

@@ -2,7 +2,8 @@
 
 import math
 import multiprocessing
-from collections.abc import Callable, Iterator
+import signal
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -34,6 +35,7 @@ from evetac_cli.stages.grasp.controller_process import (
     shift_us,
 )
 from evetac_cli.stages.grasp.loop import Timing
+from evetac_cli.stages.session import OPENED
 
 PERIOD_S = 0.002
 READ_S, WRITE_S = 400e-6, 100e-6
@@ -103,17 +105,31 @@ def test_steps_follow_the_status(age_us: float) -> None:
 
 
 def test_watch() -> None:
-    """Assert that silence of detector and camera are distinguished, and that time counts only while it runs."""
+    """Assert that silence of detector, camera and recorder are told apart, within the watchdog's time or 75 ms."""
     watch = Watch(60)
     status = DetectorStatus(SlipSignal(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
-    assert watch.fault(status, 1.059e6)[0] == ""
-    reason, alive_us = watch.fault(status, 1.061e6)
+    assert watch.fault(status, 1e6, 1.044e6)[0] == ""
+    reason, alive_us = watch.fault(status, 1.04e6, 1.046e6)
     assert ("detector" in reason, alive_us) == (True, 1e6)
-    reason, alive_us = watch.fault(status._replace(at_us=1.06e6), 1.061e6)
+    reason, alive_us = watch.fault(status._replace(at_us=1.04e6), 1.04e6, 1.046e6)
     assert ("camera" in reason, alive_us) == (True, 1e6)
-    watch.slept_until(1.2e6)
-    assert watch.fault(status, 1.25e6)[0] == ""
-    assert "detector" in watch.fault(status, 1.261e6)[0]
+    later = status._replace(at_us=1.07e6, heard_us=1.07e6)
+    assert watch.fault(later, 1e6, 1.074e6)[0] == ""
+    reason, alive_us = watch.fault(later, 1e6, 1.076e6)
+    assert ("recorder" in reason, alive_us) == (True, 1e6)
+    assert Watch(200).fault(later._replace(at_us=1.14e6, heard_us=1.14e6), 1e6, 1.149e6)[0] == ""
+    assert "recorder" in watch.fault(status, -math.inf, 1.001e6)[0]  # it never gave a sign of life
+
+
+def test_watch_counts_only_while_it_runs_but_not_for_ever() -> None:
+    """Assert that who was stopped with the controller has time to go on, but no more than that time."""
+    watch = Watch(60)
+    status = DetectorStatus(SlipSignal(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
+    watch.slept_until(1.04e6)
+    assert watch.fault(status, 1e6, 1.084e6)[0] == ""
+    assert "detector" in watch.fault(status, 1e6, 1.086e6)[0]
+    watch.slept_until(1.09e6)
+    assert "detector" in watch.fault(status, 1e6, 1.091e6)[0]
 
 
 class Hand:
@@ -124,15 +140,18 @@ class Hand:
         self.goals: list[int] = []
         self.position = 400
         self.closed_s: float | None = None
+        self.opened_s: float | None = None
+        self.release_words = "torque is on"
         self.fails_at = 10**9
         self.frozen_at = 10**9
+        self.frozen_s = 0.1
         self._clock = clock
 
     def read(self) -> GripperReading:
         assert self.closed_s is None
         if len(self.goals) == self.fails_at:
             raise DeviceError("no answer", where="gripper")
-        self._clock.sleep(READ_S if len(self.goals) != self.frozen_at else 0.1)
+        self._clock.sleep(READ_S if len(self.goals) != self.frozen_at else self.frozen_s)
         return GripperReading(5.0, self.position)
 
     def write_current(self, current_ma: int) -> None:
@@ -144,8 +163,14 @@ class Hand:
         self.goals.append(goal_ticks)
         self.position += (goal_ticks > self.position) - (goal_ticks < self.position)
 
+    def emergency_open(self) -> None:
+        assert self.closed_s is None
+        self.opened_s = self._clock.now_s
+        self.close()
+
     def close(self) -> None:
         self.closed_s = self.closed_s or self._clock.now_s
+        self.release_words = "torque is off (read back)"
 
 
 class Bench:
@@ -155,7 +180,7 @@ class Bench:
         self.clock = Clock()
         self.shared, self.hand = SharedStatus(), Hand(self.clock)
         self.zero_s = self.clock.now_s
-        self.dies_at = self.silent_at = self.stops_at = 10**9
+        self.dies_at = self.silent_at = self.stops_at = self.recorder_dies_at = self.key_at = 10**9
         self._slips, self._slices, self._known, self._events_us = slips, 0, list[float](), 0.0
         self.clock.passing = self._publish
         self._reading, self._writing = multiprocessing.Pipe(duplex=False)
@@ -175,13 +200,17 @@ class Bench:
                     signal, self._slices, at_us, self._events_us, self.zero_s * 1e6, tuple(self._known[-20:])
                 )
             )
+            if slice_ < self.recorder_dies_at:
+                self.shared.recorder_lives(at_us)
             if slice_ == self.stops_at:
                 self.shared.stop()
+            if slice_ == self.key_at:
+                self.shared.open_gripper()
 
-    def run(self, **changed: Any) -> tuple[ControllerEnded, list[dict[str, Any]]]:
+    def run(self, ending: Sequence[int] = (), **changed: Any) -> tuple[ControllerEnded, list[dict[str, Any]]]:
         settings = replace(self.settings, **changed)
         outbox = MessageWriter(self._writing)
-        ended = command_grasp(self.hand, self.shared, settings, outbox, self.clock, self.clock.sleep)
+        ended = command_grasp(self.hand, self.shared, settings, outbox, self.clock, self.clock.sleep, ending=ending)
         assert outbox.flush(1.0)
         return ended, [row for rows in MessageReader(self._reading).take() for row in rows]
 
@@ -239,16 +268,23 @@ def test_latency_is_from_the_event_to_the_last_byte(bench: Callable[..., Bench])
     assert (latency[new] <= least_us + PERIOD_S * 1e6 + 0.01).all()
 
 
-@pytest.mark.parametrize(("dies_at", "silent_at", "what"), [(250, 10**9, "detector"), (10**9, 250, "camera")])
-def test_silence_ends_with_torque_off(bench: Callable[..., Bench], dies_at: int, silent_at: int, what: str) -> None:
-    """Assert that a dead detector and a silent camera end the grasp within watchdog and one step, and it says why."""
+@pytest.mark.parametrize(
+    ("silent", "what", "after_ms"),
+    [("dies_at", "detector", 45), ("silent_at", "camera", 45), ("recorder_dies_at", "recorder", 75)],
+)
+def test_silence_ends_with_torque_off(bench: Callable[..., Bench], silent: str, what: str, after_ms: int) -> None:
+    """Assert that a hanging detector or recorder, or a silent camera, ends the grasp within the watchdog's time."""
     at = bench()
-    at.dies_at, at.silent_at = dies_at, silent_at
+    setattr(at, silent, 250)
+    if silent == "dies_at":  # the clock of this bench is the detector's; the recorder lives on
+        passing = at.clock.passing
+        at.clock.passing = lambda: (passing(), at.shared.recorder_lives(at.clock.now_s * 1e6))[0]
     ended, _ = at.run()
     assert what in ended.ended
     assert isinstance(ended.error, DeviceError)
-    assert "torque is off" in str(ended.error)
-    assert 60_000.0 < ended.released_us - ended.alive_us < 63_000.0
+    assert "; torque is off (read back)" in str(ended.error)
+    assert ended.torque == "torque is off (read back)"
+    assert 0.0 < ended.released_us - ended.alive_us - 1e3 * after_ms < 3_000.0
     assert at.hand.closed_s == pytest.approx(ended.released_us * 1e-6)
 
 
@@ -265,13 +301,50 @@ def test_a_bus_that_fails(bench: Callable[..., Bench]) -> None:
 
 
 def test_a_computer_that_stops_everything(bench: Callable[..., Bench]) -> None:
-    """Assert that 0.1 s in which no process ran is no death of the detector, and that its deadlines are counted."""
+    """Assert that 0.05 s in which no process ran is no death of the detector, and that its deadlines are counted."""
     at = bench()
-    at.hand.frozen_at = 60
+    at.hand.frozen_at, at.hand.frozen_s = 60, 0.05
     ended, rows = at.run()
     assert ended.ended == OVER
-    assert ended.missed == pytest.approx(50, abs=1)
+    assert ended.missed == pytest.approx(25, abs=1)
     assert sum(row["control/missed"] for row in rows) == ended.missed
+
+
+@pytest.mark.parametrize("frozen_s", [0.065, 0.1, 10.0])
+def test_a_controller_that_was_stopped_does_not_grip_again(bench: Callable[..., Bench], frozen_s: float) -> None:
+    """Assert that a stop longer than the watchdog's time ends with torque off, before another goal is written."""
+    at = bench()
+    at.hand.frozen_at, at.hand.frozen_s = 60, frozen_s
+    ended, _ = at.run(most_s=1e3, timing=Timing(100, 200, 100_000))
+    assert "the controller was stopped for" in ended.ended
+    assert "; torque is off (read back)" in str(ended.error)
+    assert len(at.hand.goals) == 60
+    assert at.hand.closed_s is not None
+
+
+def test_the_emergency_key_opens(bench: Callable[..., Bench]) -> None:
+    """Assert that it opens within a step, ends with its own word and no error, and commands nothing afterwards."""
+    at = bench()
+    at.key_at = 120
+    ended, _ = at.run()
+    assert (ended.ended, ended.error) == (OPENED, None)
+    assert at.hand.opened_s == pytest.approx(at.zero_s + 0.121 + FELT_S, abs=2 * PERIOD_S)
+    assert ended.torque == "torque is off (read back)"
+
+
+def test_a_signal_to_the_controller_ends_in_words(bench: Callable[..., Bench]) -> None:
+    """Assert that a signal ends it at the next step, torque off, and is named; before the first slice too."""
+    at = bench()
+    came: list[int] = []
+    passing = at.clock.passing
+    at.clock.passing = lambda: (passing(), came.append(signal.SIGTERM) if at.clock.now_s > at.zero_s + 0.1 else None)[0]
+    ended, _ = at.run(ending=came)
+    assert str(ended.error) == "the controller was ended by SIGTERM; torque is off (read back)"
+    at = bench()
+    at.clock.passing = lambda: None
+    ended, rows = at.run(ending=[signal.SIGUSR1])
+    assert ended.ended == "the controller was ended by SIGUSR1"
+    assert not at.hand.goals
 
 
 def test_stop_and_too_long(bench: Callable[..., Bench]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.devices import GripperReading
-from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.errors import DeviceError, InputError, attached_outcome
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
@@ -174,6 +174,9 @@ class GraspProcesses:
     def close(self) -> None:
         GraspProcesses.closed += 1
 
+    def last_words(self) -> str:
+        return "torque is off (read back)"
+
 
 @pytest.fixture
 def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
@@ -197,7 +200,11 @@ def some(writer: RecordingWriter, ended: str, error: Exception | None = None, st
     late = {"control/late_us": 5.0, "control/missed": 1, "control/latency_us": 2500.0, "control/slices_processed": 1}
     recorded.take_steps([{**row, **late}] * steps, writer)
     cycle_us = array("d", [700.0] * steps)
-    recorded.controller = ControllerEnded(ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, {"answers_lost": 4})
+    counted = {"answers_lost": 4}
+    recorded.controller = ControllerEnded(
+        ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, counted, "torque is off"
+    )
+    recorded.torque = "torque is off"
     recorded.detector = DetectorEnded({"late_events": 3}, None)
     return recorded
 
@@ -238,6 +245,24 @@ def test_a_failure_says_what_was_saved(armed: tuple[Grasp, DeviceTrial], recorde
     with open_recording(armed[1].output) as file:
         assert file.read("capture/ended") == "the camera is silent"
         assert float(file.read("capture/released_us")) == pytest.approx(70_000.0)
+
+
+def test_m2_a_dead_controller_leaves_a_file_and_words(
+    armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]
+) -> None:
+    """Assert that a controller that died without a word ends in words of torque, and a file without its figures."""
+
+    def dies(processes: Any, world: Any, writer: RecordingWriter, *more: Any) -> RecordedGrasp:
+        died = DeviceError("the controller died (signal 9); torque is off (read back)")
+        recorded = some(writer, "the controller died (signal 9)", died)
+        recorded.controller = None
+        return recorded
+
+    recorder_is(dies)
+    with pytest.raises(DeviceError, match=r"died(.|\n)*torque is off(.|\n)*kept: .*1 slices in") as failed:
+        grasp.run(armed[1], armed[0])
+    assert attached_outcome(failed.value).rows[0]["command_misses"] is None
+    assert validate.run([armed[1].output]).rows[0]["faults"] is None
 
 
 def test_interrupted(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:

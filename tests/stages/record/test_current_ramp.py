@@ -1,6 +1,9 @@
 """What a gripper does in a recording from devices: phases, the paper's ramp, and a loop that keeps every command."""
 
+import math
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ from evetac_cli.stages.record.current_ramp import (
     start,
     step,
 )
+from evetac_cli.stages.session import OPENED
 
 HOLD = Hold(closing_ma=10, holding_ma=40.0, hold_s=0.02, lowest_ma=-50.0)
 STILL = ClosingSettings().still_cycles
@@ -158,3 +162,122 @@ def test_loop_can_be_stopped_before_it_starts() -> None:
     loop = GripperLoop(LoggingGripper(), lambda reading: (0.0, ""), lambda: 0)
     loop.stop()
     assert loop.rows() == []
+
+
+class Clock:
+    """Time that passes only in the sleeps of the loop; what a test puts in `passing` happens in each."""
+
+    def __init__(self) -> None:
+        self.s = 100.0
+        self.passing: Callable[[], None] = lambda: None
+
+    def now_s(self) -> float:
+        return self.s
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(0)
+        self.s += max(seconds, 1e-6)
+        self.passing()
+
+    def slices_read_until(self, now_s: float) -> None:
+        pass
+
+
+class WatchedGripper(LoggingGripper):
+    """A gripper that says when it was let go of or opened, by a test's clock; nothing may be written after."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self._clock = clock
+        self.closed_s = self.opened_s = math.nan
+        self.release_words = "torque is on"
+        self.stops_at, self.stopped_s = 10**9, 0.0
+
+    def read(self) -> GripperReading:
+        if len(self.written) == self.stops_at:
+            self._clock.s += self.stopped_s
+        return super().read()
+
+    def write_current(self, current_ma: int) -> None:
+        assert math.isnan(self.closed_s)
+        super().write_current(current_ma)
+
+    def emergency_open(self) -> None:
+        self.opened_s = self._clock.s
+        self.close()
+
+    def close(self) -> None:
+        if math.isnan(self.closed_s):
+            self.closed_s = self._clock.s
+        self.release_words = "torque is off (read back)"
+
+
+def run_watched(gripper: WatchedGripper, clock: Clock, **more: Any) -> GripperLoop:
+    """Run a loop on a test's clock until it ends by itself."""
+    loop = GripperLoop(gripper, lambda reading: (20.0, ""), lambda: 0, clock, 100.0, **more)
+    loop.start()
+    until_s = time.monotonic() + 60.0
+    while not loop.ended and loop.error is None:
+        assert time.monotonic() < until_s
+        time.sleep(0.001)
+    loop.stop()
+    return loop
+
+
+def test_a_recorder_that_hangs_ends_with_torque_off() -> None:
+    """Assert that nobody fetching rows for three quarters of the watchdog's time is torque off, in words."""
+    clock = Clock()
+    gripper = WatchedGripper(clock)
+    loop = run_watched(gripper, clock)
+    assert str(loop.error).startswith("the recorder hangs: no sign of life for ")
+    assert "; torque is off (read back)" in str(loop.error)
+    assert gripper.closed_s == pytest.approx(100.075, abs=0.003)
+
+
+def test_rows_that_are_fetched_are_a_sign_of_life() -> None:
+    """Assert that the loop goes on for as long as rows are fetched, and not much longer."""
+    clock = Clock()
+    gripper = WatchedGripper(clock)
+    loops: list[GripperLoop] = []
+    clock.passing = lambda: loops[0].rows() and None if loops and clock.s < 101.0 else None
+    loop = GripperLoop(gripper, lambda reading: (20.0, ""), lambda: 0, clock, 100.0)
+    loops.append(loop)
+    loop.start()
+    until_s = time.monotonic() + 60.0
+    while loop.error is None:
+        assert time.monotonic() < until_s
+        time.sleep(0.001)
+    assert gripper.closed_s == pytest.approx(101.075, abs=0.005)
+
+
+@pytest.mark.parametrize("stopped_s", [0.11, 1.0, 60.0])
+def test_a_loop_that_was_stopped_does_not_grip_again(stopped_s: float) -> None:
+    """Assert that a program stopped for longer than the watchdog's time lets go before it commands anything."""
+    clock = Clock()
+    gripper = WatchedGripper(clock)
+    gripper.stops_at, gripper.stopped_s = 5, stopped_s
+    loop = run_watched(gripper, clock)
+    assert str(loop.error).startswith("the program was stopped for ")
+    assert "; torque is off (read back)" in str(loop.error)
+    assert len(gripper.written) == 5
+
+
+class Key:
+    """An emergency key that is pressed at a time."""
+
+    def __init__(self, clock: Clock, at_s: float) -> None:
+        self._clock, self._at_s = clock, at_s
+
+    @property
+    def pressed(self) -> bool:
+        return self._clock.s >= self._at_s
+
+
+def test_the_emergency_key_opens() -> None:
+    """Assert that it opens at the next command and ends the loop with its own word, and no error."""
+    clock = Clock()
+    gripper = WatchedGripper(clock)
+    loop = run_watched(gripper, clock, key=Key(clock, 100.03))
+    assert (loop.ended, loop.error) == (OPENED, None)
+    assert gripper.opened_s == pytest.approx(100.03, abs=0.003)
+    assert gripper.release_words == "torque is off (read back)"
