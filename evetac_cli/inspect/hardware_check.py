@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli import console
+from evetac_cli.console import print_text
 from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
