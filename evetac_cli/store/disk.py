@@ -94,12 +94,20 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
 
 def _temporary(path: Path, ending: str) -> Path:
     """The name beside `path` under which this process writes; those of processes that no longer live are removed."""
-    start = f".{path.name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
-    for left in path.parent.glob(f"{escape(start)}*.tmp{escape(ending)}"):
-        if not _lives(left.name.removeprefix(start).partition(".")[0]):
+    remove_unfinished(path, ending)
+    return path.with_name(f"{_start(path)}{os.getpid()}.tmp{ending}")
+
+
+def remove_unfinished(path: Path, ending: str = "") -> None:
+    """Remove what processes that no longer live left beside `path` while they wrote it."""
+    for left in path.parent.glob(f"{escape(_start(path))}*.tmp{escape(ending)}"):
+        if not _lives(left.name.removeprefix(_start(path)).partition(".")[0]):
             with suppress(OSError):
                 left.unlink()
-    return path.with_name(f"{start}{os.getpid()}.tmp{ending}")
+
+
+def _start(path: Path) -> str:
+    return f".{path.name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
 
 
 def _lives(process: str) -> bool:
