@@ -35,10 +35,10 @@ def spawned(process: int) -> list[int]:
 
 
 def plant_files(process: int) -> Iterator[str]:
-    """Files of a virtual plant that a process has mapped."""
-    for line in Path(f"/proc/{process}/maps").read_text().splitlines():
-        if "evetac-plant-" in line:
-            yield line.split()[-1]
+    """Files of a virtual plant that a process has open; they have no name of their own."""
+    for handle in Path(f"/proc/{process}/fd").iterdir():
+        if "evetac-plant" in os.readlink(handle):
+            yield str(handle)
 
 
 def one(out: Path, how: signal.Signals, watchdog_ms: int, after_s: float) -> float:
