@@ -135,16 +135,28 @@ def new_file(path: Path) -> Iterator[h5py.File]:
                 raise disk.error
 
 
+_came: list[int] = []  # SIGINT and SIGTERM, while a file is being written
+
+
 @contextmanager
 def _interrupts_wait() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # signals come up in the main thread only
         yield
         return
-    came: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    handlers = [signal.signal(number, lambda number, frame: _came.append(number)) for number in numbers]
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in zip(numbers, handlers, strict=True):
+            signal.signal(number, handler)
+        came = _came[:1]
+        _came.clear()
         if came:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(came[0])
+
+
+def leave_if_interrupted() -> None:
+    """KeyboardInterrupt if Ctrl-C or SIGTERM waits for the file that is being written: for whoever writes for long."""
+    if _came:
+        raise KeyboardInterrupt
