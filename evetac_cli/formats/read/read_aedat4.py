@@ -194,10 +194,11 @@ def _walk(handle: BinaryIO, header: Header, number: int) -> Packets:
 
 def _listed(handle: BinaryIO, header: Header, number: int) -> list[Span] | None:
     """The packets of one stream as the packet table lists them, None where there is no table or it is damaged."""
-    if not header.size <= header.table < handle.seek(0, 2):
+    size = handle.seek(0, 2)
+    if not header.size <= header.table < size:
         return None
     handle.seek(header.table)
-    table = handle.read(TABLE_LIMIT_BYTES)
+    table = handle.read(min(size - header.table, TABLE_LIMIT_BYTES))
     spans: list[Span] = []
     end = header.size
     with tempfile.TemporaryDirectory() as folder:
