@@ -81,7 +81,8 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         arrays["events_total"] = np.diff(recording.starts).astype(np.int32)
         arrays["dot_shape"] = np.array(rest_xy_px.shape[:2], np.int32)
         blocks = _blocks(recording, tracks, rest_xy_px.reshape(-1, 2), window, params.images, progress)
-        write_stage(job.output, recipe, arrays, blocks, dict.fromkeys(COLUMNS, slices))
+        lengths = dict.fromkeys(COLUMNS, slices) | ({"image/start": slices + 1} if params.images else {})
+        write_stage(job.output, recipe, arrays, blocks, lengths)
     onset = int(arrays.get("onset_slice", -1))  # a slice is a millisecond
     return outcome(
         job,
