@@ -18,7 +18,7 @@ import pytest
 
 from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import files
+from evetac_cli.store import disk, files
 from evetac_cli.store.files import StageFile, output_path, put, put_header, replacing, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.schema import KINDS
@@ -672,3 +672,19 @@ def test_output_path() -> None:
     assert output_path(source, "tracks", Path("out")) == Path("out/a.tracks.h5")
     assert output_path(source, "tracks", Path("out/x.h5")) == Path("out/x.h5")
     assert output_path(source, "tracks", Path("v1.5")) == Path("v1.5/a.tracks.h5")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
+def test_m9_leftovers_are_removed_though_another_process_has_the_number_now(tmp_path: Path) -> None:
+    """Assert that a number that was given away again does not keep what a dead process left, but a live one does."""
+    path = tmp_path / "a.labels.h5"
+    with replacing(path):
+        (temporary,) = tmp_path.iterdir()
+        started = temporary.name.split(".")[-2].partition("-")[2]
+        assert started
+        other = temporary.with_name(temporary.name.replace(f"-{started}", f"-{int(started) + 1}"))
+        other.touch()
+        taken = disk._temporary(path, "")
+        assert taken == temporary
+        assert temporary.exists()
+        assert not other.exists()
