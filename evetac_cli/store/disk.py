@@ -95,7 +95,8 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
 def _temporary(path: Path, ending: str) -> Path:
     """The name beside `path` under which this process writes; those of processes that no longer live are removed."""
     remove_unfinished(path, ending)
-    return path.with_name(f"{_start(path)}{os.getpid()}.tmp{ending}")
+    process = os.getpid()
+    return path.with_name(f"{_start(path)}{process}-{_started(process)}.tmp{ending}")
 
 
 def remove_unfinished(path: Path, ending: str = "") -> None:
@@ -110,10 +111,20 @@ def _start(path: Path) -> str:
     return f".{path.name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
 
 
-def _lives(process: str) -> bool:
-    with suppress(OSError):  # one whose parent has not waited for it still has its number
-        if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX":
-            return False
+def _started(process: int | str) -> str:
+    """When a process started, in the words of Linux, as numbers are given away again; empty where that is unknown."""
+    try:
+        state, *more = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return ""
+    return "dead" if state in "ZX" else more[18]  # one whose parent has not waited for it still has its number
+
+
+def _lives(name: str) -> bool:
+    """Whether the process of a temporary file, its number and when it started, still runs."""
+    process, _, started = name.partition("-")
+    if (now := _started(process)) and (now == "dead" or started not in ("", now)):
+        return False
     try:
         os.kill(int(process), 0)
     except ProcessLookupError:
