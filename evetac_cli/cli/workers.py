@@ -54,7 +54,8 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
     """Run one job of a stage; an error in words is its result."""
     try:
         stage = importlib.import_module(f"evetac_cli.{module}")
-        result: Outcome = stage.run(job, chosen, force=force, progress=progress)
+        noticed = progress if job.exclusive else _noticing_interrupts(progress)  # devices end in order of their own
+        result: Outcome = stage.run(job, chosen, force=force, progress=noticed)
     except EvetacError as error:
         return error
     except Exception:
@@ -66,6 +67,17 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
     return result
 
 
+def _noticing_interrupts(progress: Progress) -> Progress:
+    """The same progress, at which an interrupt that was swallowed comes up."""
+
+    def told(done: int, total: int) -> None:
+        if _came:
+            raise KeyboardInterrupt
+        progress(done, total)
+
+    return told
+
+
 def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | EvetacError | None:
     """As run_one, but Ctrl-C ends the job quietly: the parent process reports it. Nothing is begun after it."""
     if _came:
@@ -73,18 +85,12 @@ def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | Eve
     _catch(every=False)  # Ctrl-C comes from the terminal, and from the parent too
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)  # one that came while the process started, comes up now
-        return run_one(module, job, chosen, force, _stop_if_interrupted)
+        return run_one(module, job, chosen, force)
     except KeyboardInterrupt as error:
         finished: Outcome | None = attached_outcome(error)
         return finished
     finally:
         signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
-
-
-def _stop_if_interrupted(done: int, total: int) -> None:
-    """The progress of a job in a worker: nobody sees it, but an interrupt that was swallowed comes up here."""
-    if _came:
-        raise KeyboardInterrupt
 
 
 def _work(pipe: "Connection", module: str, chosen: Any, force: bool) -> None:
