@@ -5,8 +5,8 @@
 
 The end of a simulated trial, some 300,000 events a second, is repeated with the times that follow each other, and the
 file says so: a load for memory and disk, and no touch that anybody would see. With --check, every stage, validate,
-repair, trim, export and import run on it; a table says how long each took and how much memory (largest resident set).
-Exit code 1 if one failed or took more than the limit.
+repair, trim, export and import run on it; a table says how long each took and how much memory (largest resident set, no
+less than this program's own). Exit code 1 if one failed or took more than the limit.
 """
 
 import argparse
@@ -162,18 +162,21 @@ def simulated_trial(folder: Path) -> Path:
     return next(iter(sorted(folder.glob("*.recording.h5"))))
 
 
-def check(folder: Path, repeated: Repeated, slices: int, limit_mb: float) -> bool:
-    """Run every command on a long recording in a folder and print what it took; whether all were well."""
+def check(folder: Path, repeated: Repeated, slices: int, limit_mb: float, only: frozenset[str] = frozenset()) -> bool:
+    """Run every command, or some, on a long recording in a folder and print what it took; whether all were well."""
     began_s = time.monotonic()
     if not (folder / "long.recording.h5").exists():
         repeated.write(folder / "long.recording.h5", slices)
-    repeated.leave_segments(folder / "broken.recording.h5", slices)
+    if not only or "repair" in only:
+        repeated.leave_segments(folder / "broken.recording.h5", slices)
     own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
     print(f"{slices} slices, {repeated.ms_to_idx(slices)[-1]} events (simulated, repeated)")
     print(f"{'exit':>4} {'time_s':>8} {'memory_mb':>9}  command")
     print(f"{'-':>4} {time.monotonic() - began_s:8.1f} {own_mb:9.0f}  (writing both)", flush=True)
     well = own_mb <= limit_mb
     for command in commands(folder, slices):
+        if only and command[0] not in only:
+            continue
         code, seconds, memory_mb = run(command)
         shown = " ".join(Path(part).name if part.startswith(str(folder)) else part for part in command)
         over = f"  more than {limit_mb:g} MB" if memory_mb > limit_mb else ""
@@ -191,6 +194,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--limit-mb", type=float, default=1000.0)
+    parser.add_argument("--only", default="", help="with --check: only these commands, separated by commas")
     parser.add_argument("--trial", type=Path, help="a recording to repeat instead of a new one")
     chosen = parser.parse_args()
     slices = round(chosen.minutes * 60_000)
@@ -203,7 +207,8 @@ def main() -> int:
         repeated.write(chosen.out, slices)
         return 0
     chosen.out.mkdir(parents=True, exist_ok=True)
-    return 0 if check(chosen.out, repeated, slices, chosen.limit_mb) else 1
+    only = frozenset(filter(None, chosen.only.split(",")))
+    return 0 if check(chosen.out, repeated, slices, chosen.limit_mb, only) else 1
 
 
 if __name__ == "__main__":
