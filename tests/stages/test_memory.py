@@ -11,6 +11,7 @@ from evetac_cli import params, stages
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import events_on_disk, read_dsec
 from evetac_cli.formats.write import pieces
+from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.stages import featurize, label, record, track, track_rgb, trim
 from evetac_cli.store import read
@@ -18,7 +19,7 @@ from evetac_cli.store.read import open_recording
 from scripts.long_recording import Repeated
 from tests.conftest import Made
 
-SHORT, LONG = 1500, 4500  # slices
+SHORT, LONG = 1000, 3000  # slices
 MOST_BYTES_A_SLICE = 200  # a number or two for every slice, such as ms_to_idx; all else is some 1,000 bytes
 
 
@@ -32,6 +33,7 @@ def folders(made: Made, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
         repeated.write(folder / "a.recording.h5", slices)
         _run(track, params.Track(), folder)
         export(folder / "a.recording.h5", "dsec", folder / "a.dsec.h5")
+        _import("a.dsec.h5")(folder, folder / "imported.recording.h5")
     return both
 
 
@@ -58,6 +60,7 @@ BLOCKS = (
     (trim, "PIECE_ROWS", 1 << 13),
     (events_on_disk, "BLOCK_EVENTS", 1 << 13),
     (read_dsec, "BATCH_ROWS", 1 << 13),
+    (validate, "BLOCK", 1 << 13),
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "trim": lambda folder, out: _run(trim, params.Trim(from_ms=100), folder, out),
@@ -67,6 +70,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "label": lambda folder, out: _run(label, params.Label(), folder, out),
     "import": _import("a.dsec.h5"),
     "import --sort": _import("a.dsec.h5", sort=True),
+    "validate": lambda folder, out: _validate(folder / "imported.recording.h5", folder / "a.tracks.h5"),
     "export dsec": lambda folder, out: _export(folder, "dsec", out),
     "export aedat4": lambda folder, out: _export(folder, "aedat4", out),
 }
@@ -74,6 +78,10 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
 
 def _export(folder: Path, format_: str, out: Path) -> None:
     export(folder / "a.recording.h5", format_, out.with_suffix(".out"))
+
+
+def _validate(*files: Path) -> None:
+    assert [row["faults"] for row in validate.run([*files]).rows] == [None] * len(files)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
