@@ -70,12 +70,12 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
 def _noticing_interrupts(progress: Progress) -> Progress:
     """The same progress, at which an interrupt that was swallowed comes up."""
 
-    def told(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         if _came:
             raise KeyboardInterrupt
         progress(done, total)
 
-    return told
+    return report
 
 
 def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | EvetacError | None:

@@ -52,8 +52,8 @@ if __name__ == "__main__":
         workers.run_parallel("standing", jobs, None, False, int(sys.argv[1]), silent, results)
     except KeyboardInterrupt:
         interrupted = True
-    told = {path.stem: str(result) if isinstance(result, EvetacError) else "made" for path, result in results.items()}
-    print(json.dumps({"interrupted": interrupted, "told": told}))
+    jobs = {path.stem: str(result) if isinstance(result, EvetacError) else "made" for path, result in results.items()}
+    print(json.dumps({"interrupted": interrupted, "jobs": jobs}))
 """
 
 
@@ -80,10 +80,10 @@ class Jobs:
         return [int(file.read_text()) for file in files]
 
     def ended(self) -> dict[str, dict[str, str]]:
-        """What the parent told at its end."""
+        """What the parent reported at its end."""
         output, _ = self.parent.communicate(timeout=PATIENCE_S)
-        told: dict[str, dict[str, str]] = json.loads(output)
-        return told
+        reported: dict[str, dict[str, str]] = json.loads(output)
+        return reported
 
     def end(self) -> None:
         """End whatever a failed test leaves."""
@@ -149,7 +149,7 @@ def test_m9_a_signal_to_the_parent_alone_stops_the_work(
     run = start(jobs, tmp_path, 2, "quick-1", job, "quick-2", "long-2", "long-3")
     processes = run.started(job, "long-2")
     run.parent.send_signal(number)
-    assert run.ended() == {"interrupted": True, "told": {"quick-1": "made", "quick-2": "made"}}
+    assert run.ended() == {"interrupted": True, "jobs": {"quick-1": "made", "quick-2": "made"}}
     assert not any(map(lives, processes))
     assert not (tmp_path / "long-3.pid").exists()
     assert not list(tmp_path.glob(".*.tmp"))
@@ -159,9 +159,9 @@ def test_m9_a_signal_to_the_parent_alone_stops_the_work(
 def test_a_worker_that_is_killed_is_said_in_words_and_others_go_on(tmp_path: Path, jobs: list[Jobs]) -> None:
     """Assert that each killed worker costs its own job only, also where all of the first ones are killed."""
     run = start(jobs, tmp_path, 2, "killed-1", "killed-2", "quick-1", "quick-2", "quick-3")
-    told = run.ended()
-    assert not told["interrupted"]
-    assert {name for name, result in told["told"].items() if result == "made"} == {"quick-1", "quick-2", "quick-3"}
+    reported = run.ended()
+    assert not reported["interrupted"]
+    assert {name for name, result in reported["jobs"].items() if result == "made"} == {"quick-1", "quick-2", "quick-3"}
     for name in ("killed-1", "killed-2"):
-        assert "the process that worked on it died" in told["told"][name]
-        assert f"{name}.h5" in told["told"][name]
+        assert "the process that worked on it died" in reported["jobs"][name]
+        assert f"{name}.h5" in reported["jobs"][name]
