@@ -67,8 +67,7 @@ def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = sil
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
         piece = _Piece(recording, first, end)
-        write_stage(job.output, recipe, piece.whole, piece.blocks(), piece.lengths)
-        progress(end - first, end - first)
+        write_stage(job.output, recipe, piece.whole, piece.blocks(progress), piece.lengths)
     events = int(piece.whole["ms_to_idx"][-1])
     return outcome(job, made=True, simulated=simulated, slices=end - first, events=events)
 
@@ -104,15 +103,19 @@ class _Piece:
                 self.whole[name] = recording.read(name)
         self.whole |= _lost(recording, first, end)
 
-    def blocks(self) -> Iterator[dict[str, NDArray[Any]]]:
-        """One dataset after the other."""
+    def blocks(self, progress: Progress) -> Iterator[dict[str, NDArray[Any]]]:
+        """One dataset after the other; as progress count all rows, in slices."""
         shift_us = self._slices[0] * SLICE_US
+        slices = self._slices[1] - self._slices[0]
+        done, total = 0, sum(stop - start for start, stop, _ in self._ranges.values())
         for name, (start, stop, clock) in self._ranges.items():
             for first, last in row_blocks(stop - start, PIECE_ROWS if name.startswith("events/") else None):
                 rows = self._recording.read(name, start + first, start + last)
                 if clock:
                     rows = rows[self._rows(clock, first, last)]
                 yield {name: rows - shift_us if name == "events/t" or name in CLOCKS.values() else rows}
+                done += last - first
+                progress(done * slices // max(total, 1), slices)
 
     def _within(self, clock: str) -> int:
         """How many rows have a time within the slices."""
