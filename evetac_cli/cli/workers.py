@@ -2,29 +2,49 @@
 
 Why so: KeyboardInterrupt may come up inside a callback of the compiler that numba uses, where it is swallowed or turned
 into another error. So it is remembered too, and looked at after every job. SIGTERM is treated as Ctrl-C.
+
+Why no pool of the standard library: there a worker that is killed takes the jobs of all others along, and one that was
+only told to end finishes its job first. Here each worker has a pipe of its own, which closes when either end dies.
 """
 
 import importlib
 import os
 import signal
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 
+if TYPE_CHECKING:  # `evetac --help` loads none of it
+    from multiprocessing.connection import Connection
+    from multiprocessing.context import SpawnContext
+
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
+GRACE_S = 1.2  # in which workers that were told to stop may clean up; then they are killed
 _came = False
 
 
 def catch_interrupts() -> None:
     """From now on SIGINT and SIGTERM raise KeyboardInterrupt, and are remembered."""
+    _catch(every=True)
+
+
+def _catch(*, every: bool) -> None:
+    """As catch_interrupts; unless `every` one, only the first raises, and what is then cleaned up is not disturbed."""
 
     def remember(number: int, frame: FrameType | None) -> None:
-        global _came  # noqa: PLW0603 - a signal handler has nowhere else to put it
-        _came = True
-        raise KeyboardInterrupt
+        global _came  # a signal handler has nowhere else to put it
+        first, _came = not _came, True
+        if first or every:
+            raise KeyboardInterrupt
 
     for number in _INTERRUPTS:
         signal.signal(number, remember)
@@ -34,7 +54,8 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
     """Run one job of a stage; an error in words is its result."""
     try:
         stage = importlib.import_module(f"evetac_cli.{module}")
-        result: Outcome = stage.run(job, chosen, force=force, progress=progress)
+        noticed = progress if job.exclusive else _noticing_interrupts(progress)  # devices end in order of their own
+        result: Outcome = stage.run(job, chosen, force=force, progress=noticed)
     except EvetacError as error:
         return error
     except Exception:
@@ -46,11 +67,22 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
     return result
 
 
+def _noticing_interrupts(progress: Progress) -> Progress:
+    """The same progress, at which an interrupt that was swallowed comes up."""
+
+    def report(done: int, total: int) -> None:
+        if _came:
+            raise KeyboardInterrupt
+        progress(done, total)
+
+    return report
+
+
 def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | EvetacError | None:
     """As run_one, but Ctrl-C ends the job quietly: the parent process reports it. Nothing is begun after it."""
     if _came:
         return None
-    catch_interrupts()
+    _catch(every=False)  # Ctrl-C comes from the terminal, and from the parent too
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)  # one that came while the process started, comes up now
         return run_one(module, job, chosen, force)
@@ -59,6 +91,79 @@ def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | Eve
         return finished
     finally:
         signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
+
+
+def _work(pipe: "Connection", module: str, chosen: Any, force: bool) -> None:
+    """What a worker process does: job after job from the pipe, until it closes; at once ended if the parent dies."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            job: Job = pipe.recv()
+        except EOFError:
+            return
+        try:
+            pipe.send(_in_worker(module, job, chosen, force))
+        except Exception as error:  # a defect: shown by the parent, as it would be without workers
+            error.add_note(traceback.format_exc())
+            pipe.send(error)
+
+
+def _end_with_parent() -> None:
+    """Wait until the parent process is gone, whatever ended it, and end this one hard: nobody wants its result.
+
+    The sentinel is a pipe that the parent holds open. What is left on disk is removed by the next run.
+    """
+    import multiprocessing
+    from multiprocessing.connection import wait
+
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+class _Worker:
+    """A worker process, its pipe, and the job that it is at."""
+
+    def __init__(self, context: "SpawnContext", module: str, chosen: Any, force: bool) -> None:
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_work, args=(theirs, module, chosen, force))
+        self.process.start()
+        theirs.close()
+        self.job: Job | None = None
+
+    def begin(self, job: Job) -> None:
+        """Hand over a job; a worker that died meanwhile is noticed when its result is asked for."""
+        self.job = job
+        with suppress(OSError):
+            self.pipe.send(job)
+
+    def result(self) -> Any:
+        """What came of the job, None if it was broken off; EvetacError where the process died."""
+        assert self.job is not None
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            return EvetacError(
+                "the process that worked on it died",
+                where=str(self.job.output),
+                found=f"killed by signal {-(self.process.exitcode or 0)}" if (self.process.exitcode or 0) < 0 else "",
+                hint="out of memory? use fewer --jobs",
+            )
+
+    def interrupt(self) -> None:
+        """Tell it to stop."""
+        assert self.process.pid is not None
+        with suppress(ProcessLookupError):
+            os.kill(self.process.pid, signal.SIGINT)
+
+    def end(self) -> None:
+        """End it: at once if it waits, hard if it does not."""
+        self.pipe.close()
+        if self.job is not None:
+            self.process.kill()
+        self.process.join()
 
 
 def run_parallel(
@@ -70,37 +175,87 @@ def run_parallel(
     progress: Progress,
     results: dict[Path, Outcome | EvetacError],
 ) -> None:
-    """Run jobs in `at_once` processes; what came of each goes into `results`, by its output, also on Ctrl-C."""
+    """Run jobs in `at_once` processes; what came of each goes into `results`, by its output, also on Ctrl-C.
+
+    After Ctrl-C workers have GRACE_S to stop, and are killed then. A worker that dies costs its own job only.
+    """
     import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from concurrent.futures.process import BrokenProcessPool
 
     # Each worker computes on one core: threads of numerical libraries would fight over the cores. Spawned, not forked:
     # HDF5 and a fork do not mix.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    with ProcessPoolExecutor(at_once, mp_context=multiprocessing.get_context("spawn")) as pool:
-        signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)  # workers inherit this, and lift it while they work
-        interrupted = False
-        futures = [pool.submit(_in_worker, module, job, chosen, force) for job in jobs]
-        try:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
-            progress(0, len(jobs))
-            for done, _ in enumerate(as_completed(futures), start=1):
-                progress(done, len(jobs))
-        except KeyboardInterrupt:
-            interrupted = True
-            pool.shutdown(wait=True, cancel_futures=True)
-        for job, future in zip(jobs, futures, strict=True):
-            try:
-                result = None if future.cancelled() else future.result()
-            except BrokenProcessPool:
-                result = EvetacError(
-                    "the process that worked on it died", where=str(job.output), hint="out of memory? use fewer --jobs"
-                )
-            if result is None:
-                interrupted = True
-            else:
-                results[job.output] = result
+    context = multiprocessing.get_context("spawn")
+    waiting = deque(jobs)
+    workers: list[_Worker] = []
+    interrupted = False
+    # Workers inherit this, and lift it while they work; here interrupts come up only where nothing is half done.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
+    try:
+        progress(0, len(jobs))
+        while waiting or any(worker.job for worker in workers):
+            missing = min(at_once - len(workers), len(waiting))
+            workers.extend(_Worker(context, module, chosen, force) for _ in range(missing))
+            for worker in workers:
+                if worker.job is None and waiting:
+                    worker.begin(waiting.popleft())
+            for worker in _ready(workers):
+                interrupted |= _take(worker, workers, results)
+                progress(len(results), len(jobs))
+    except KeyboardInterrupt:
+        interrupted = True
+        _stop(workers, results)
+    finally:
+        broken_off = [worker.job.output for worker in workers if worker.job is not None]
+        for worker in workers:
+            worker.end()
+        _remove_unfinished(broken_off)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     if interrupted:
         raise KeyboardInterrupt
+
+
+def _ready(workers: Sequence[_Worker], timeout_s: float | None = None) -> list[_Worker]:
+    """Wait for workers that have a result, or died; without a timeout, SIGINT and SIGTERM come up here."""
+    from multiprocessing.connection import wait
+
+    busy = {worker.pipe: worker for worker in workers if worker.job is not None}
+    if timeout_s is None:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
+    try:
+        return [busy[pipe] for pipe in wait(list(busy), timeout_s)]  # type: ignore[index]
+    finally:
+        signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
+
+
+def _take(worker: _Worker, workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) -> bool:
+    """Note the result of a worker, and let go of one that died; whether its job was interrupted."""
+    result = worker.result()
+    assert worker.job is not None
+    output, worker.job = worker.job.output, None
+    if worker.process.exitcode is not None:
+        workers.remove(worker)
+        worker.end()
+        _remove_unfinished([output])
+    if isinstance(result, Exception) and not isinstance(result, EvetacError):
+        raise result
+    if result is not None:
+        results[output] = result
+    return result is None
+
+
+def _stop(workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) -> None:
+    """Tell all workers to stop and wait a little for them; what they finished goes into `results`."""
+    for worker in workers:
+        worker.interrupt()
+    end_s = time.monotonic() + GRACE_S
+    while any(worker.job for worker in workers) and (left_s := end_s - time.monotonic()) > 0:
+        for worker in _ready(workers, left_s):
+            _take(worker, workers, results)
+
+
+def _remove_unfinished(outputs: Sequence[Path]) -> None:
+    """Remove the temporary files that processes that were killed left beside these outputs."""
+    disk = importlib.import_module("evetac_cli.store.disk")
+    for output in outputs:
+        disk.remove_unfinished(output)

@@ -12,6 +12,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.read import read_prophesee, read_rosbag
 from evetac_cli.formats.read.event_validation import Foreign, Normal, normalise
+from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.read_dsec import open_hdf5
 from evetac_cli.formats.read.read_prophesee import open_prophesee
@@ -64,7 +65,7 @@ OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
 class Imported:
     """The events of another program's file, in our columns."""
 
-    events: Events  # the first one at t = 0, unless the file says when its recording began
+    stored: EventsOnDisk  # the first one at t = 0, unless the file says when its recording began
     frame_px: tuple[int, int]  # width, height
     t_offset_us: int  # where t = 0 is in the file's own clock
     slices: int  # up to and with the slice of the last event; 0 without events; more where an export of ours had more
@@ -74,6 +75,11 @@ class Imported:
     notes: list[str]  # what the user should know: other streams, losses, ...
     simulated: bool = False  # an export of ours says that its events come from a simulation
 
+    @property
+    def events(self) -> Events:
+        """All events, in memory; `stored.blocks()` gives them in blocks."""
+        return self.stored.all()
+
 
 def read_events(
     path: str | Path,
@@ -81,9 +87,11 @@ def read_events(
     frame_px: tuple[int, int] | None = None,
     sort: bool = False,
     stream: str | None = None,
+    folder: Path | None = None,
 ) -> Imported:
     """Read another program's event file: all of it or an InputError; of a damaged AEDAT4 file what is intact.
 
+    folder: on whose disk the events wait; the one for temporary files otherwise.
     frame_px: (width, height), needed where the file does not say it (text, HDF5), refused if it contradicts the file.
     path: a file, or the folder of a ROS 2 bag.
     sort: put events whose time goes backwards in order (stable) instead of refusing them.
@@ -105,6 +113,7 @@ def read_events(
                 start_us=note.start_us if note else None,
                 may_be_empty=note is not None and not note.events,
                 where=where,
+                folder=folder,
             )
         finally:
             if isinstance(foreign.batches, Generator):  # a refusal leaves it with its file open
@@ -113,15 +122,15 @@ def read_events(
         raise InputError("cannot be read", where=where, found=error.strerror or str(error)) from error
     except MemoryError as error:
         raise InputError("does not fit in memory", where=where, hint="import it in parts") from error
-    events = normal.events
+    events = normal.stored
     notes = [*foreign.notes, *_losses(foreign, normal)]
     if normal.sorted:
         notes.append(f"time went backwards: {normal.sorted} events were put back in order")
-    slices = int(events.t[-1]) // SLICE_US + 1 if events.size else 0
+    slices = (events.last_us - normal.first_us) // SLICE_US + 1 if events.size else 0
     if note and not foreign.cut_short and not _lacks_events(foreign, normal):
         slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
     return Imported(
-        events=events,
+        stored=events,
         frame_px=foreign.frame_px,
         t_offset_us=normal.first_us + foreign.clock_us if events.size or note else 0,
         slices=slices,
@@ -136,15 +145,15 @@ def read_events(
 def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
     """Whether an export of ours has fewer events than were written into it."""
     written = foreign.note.events if foreign.note else None
-    return written is not None and normal.events.size + sum(normal.dropped.values()) < written
+    return written is not None and normal.stored.size + sum(normal.dropped.values()) < written
 
 
 def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
     """What is missing and was not said by the reader, in words; of dropped events only where they are many."""
     if foreign.note and not foreign.cut_short and _lacks_events(foreign, normal):
-        yield f"cut short: {normal.events.size} events of the {foreign.note.events} that were exported"
+        yield f"cut short: {normal.stored.size} events of the {foreign.note.events} that were exported"
     dropped = normal.dropped
-    read = normal.events.size + sum(dropped.values())
+    read = normal.stored.size + sum(dropped.values())
     if dropped["out_of_frame"] > LARGE_LOSS * read:
         frame = "{}x{}".format(*foreign.frame_px)
         share = f"{dropped['out_of_frame'] / read:.0%}"

@@ -5,12 +5,14 @@ A stage has OUTPUT (a kind of file), METHOD (raised when its numbers change) and
 The jobs of `record` and `grasp` are trials (trials.py); those with devices share a session (session.py).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
+
+BLOCK_ROWS = 1000  # of a file that are in memory together: memory does not grow with the length of a recording
 
 
 def per_file(files: list[Path], kind: str, out: Path | None) -> list[Job]:
@@ -19,6 +21,13 @@ def per_file(files: list[Path], kind: str, out: Path | None) -> list[Job]:
 
     one_file(files, out)
     return [Job((file,), output_path(file, kind, out)) for file in files]
+
+
+def row_blocks(rows: int, most: int | None = None) -> Iterator[tuple[int, int]]:
+    """The ranges [first, stop) of rows that are worked on together; one empty range if there are no rows at all."""
+    most = most or BLOCK_ROWS
+    for first in range(0, max(rows, 1), most):
+        yield first, min(first + most, rows)
 
 
 def one_file(outputs: Sequence[Any], out: Path | None) -> None:

@@ -4,24 +4,28 @@ Reads the recording, its tracks, and its labels where there are any; they lie be
 may be a folder. Event images, which only the image baselines need, are added on request: they are half of the file.
 """
 
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.params import Featurize, recipe_of
-from evetac_cli.stages import one_file
+from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "features"
 METHOD = 2
+COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # a row for every slice
 
 
 def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
@@ -47,7 +51,8 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
 def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Displacement and events of every dot, events outside the window, and the labels if there are any."""
     recording_path, tracks_path, *labels_path = job.inputs
-    with open_recording(recording_path) as recording:
+    with ExitStack() as opened:
+        recording = opened.enter_context(open_recording(recording_path))
         if not tracks_path.exists():
             raise InputError(
                 "the tracks of this recording are missing",
@@ -57,12 +62,11 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
             )
         parents = [recording.header]
         arrays: dict[str, Any] = {}
-        with StageFile(tracks_path, "tracks") as tracks:
-            check_made_from(tracks, recording)
-            parents.append(tracks.header)
-            dot_xy_px, events_per_dot = tracks.read("dot_xy_px"), tracks.read("events_per_dot")
-            rest_xy_px = tracks.read("sensor/dot_xy_px")
-            window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
+        tracks = opened.enter_context(StageFile(tracks_path, "tracks"))
+        check_made_from(tracks, recording)
+        parents.append(tracks.header)
+        rest_xy_px = tracks.read("sensor/dot_xy_px")
+        window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
         for path in labels_path:
             with StageFile(path, "labels") as labels:
                 check_made_from(labels, recording)
@@ -74,35 +78,11 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
         slices = len(recording)
-        rest = rest_xy_px.reshape(-1, 2)
-        displacement = np.empty((slices, len(rest)), np.float32)
-        displacement_xy = np.empty((slices, len(rest), 2), np.float32)
-        blank = np.zeros(GEL_PX[::-1], np.int8)
-        images = []
-        outside = np.empty(slices, np.int32)
-        for index, events in enumerate(recording):
-            displacement[index] = features.displacement(dot_xy_px[index], rest)
-            displacement_xy[index] = features.displacement_xy(dot_xy_px[index], rest)
-            if params.images:
-                images.append(features.gel_image(events.x, events.y, events.p, window, blank))
-            outside[index] = features.events_outside(events.x, events.y, window) if window is not None else events.size
-            if index % 100 == 0:
-                progress(index, slices)
-        arrays |= {
-            "displacement_px": displacement,
-            "displacement_xy_px": displacement_xy,
-            "events_per_dot": events_per_dot,
-            "events_total": np.diff(recording.starts).astype(np.int32),
-            "events_outside": outside,
-            "dot_shape": np.array(rest_xy_px.shape[:2], np.int32),
-        }
-        if params.images:
-            arrays |= {
-                "image/start": np.cumsum([0, *(len(pixel) for pixel, _ in images)]),
-                "image/pixel": np.concatenate([np.empty(0, np.uint32), *(pixel for pixel, _ in images)]),
-                "image/sign": np.concatenate([np.empty(0, np.int8), *(sign for _, sign in images)]),
-            }
-    write_stage(job.output, recipe, arrays)
+        arrays["events_total"] = np.diff(recording.starts).astype(np.int32)
+        arrays["dot_shape"] = np.array(rest_xy_px.shape[:2], np.int32)
+        blocks = _blocks(recording, tracks, rest_xy_px.reshape(-1, 2), window, params.images, progress)
+        lengths = dict.fromkeys(COLUMNS, slices) | ({"image/start": slices + 1} if params.images else {})
+        write_stage(job.output, recipe, arrays, blocks, lengths)
     onset = int(arrays.get("onset_slice", -1))  # a slice is a millisecond
     return outcome(
         job,
@@ -112,6 +92,43 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         labelled="label" in arrays,
         onset_ms=onset if onset >= 0 else None,
     )
+
+
+def _blocks(
+    recording: Recording, tracks: StageFile, rest_xy_px: NDArray[Any], window: Any, images: bool, progress: Progress
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """The features in blocks of slices; `images` grow with the pixels that had events."""
+    slices = len(recording)
+    blank = np.zeros(GEL_PX[::-1], np.int8)
+    pixels = 0
+    for first, stop in row_blocks(slices):
+        dot_xy_px = tracks.read("dot_xy_px", first, stop)
+        outside = np.empty(stop - first, np.int32)
+        drawn = []
+        for index in range(first, stop):
+            events = recording[index]
+            if images:
+                drawn.append(features.gel_image(events.x, events.y, events.p, window, blank))
+            outside[index - first] = (
+                features.events_outside(events.x, events.y, window) if window is not None else events.size
+            )
+            if index % 100 == 0:
+                progress(index, slices)
+        block = {
+            "displacement_px": features.displacement(dot_xy_px, rest_xy_px),
+            "displacement_xy_px": features.displacement_xy(dot_xy_px, rest_xy_px),
+            "events_per_dot": tracks.read("events_per_dot", first, stop),
+            "events_outside": outside,
+        }
+        if images:
+            ends = pixels + np.cumsum([len(pixel) for pixel, _ in drawn], dtype=np.int64)
+            block |= {
+                "image/start": np.concatenate([np.zeros(int(not first), np.int64), ends]),
+                "image/pixel": np.concatenate([np.empty(0, np.uint32), *(pixel for pixel, _ in drawn)]),
+                "image/sign": np.concatenate([np.empty(0, np.int8), *(sign for _, sign in drawn)]),
+            }
+            pixels += len(block["image/pixel"])
+        yield block
 
 
 def _named(recording: Path, kind: str, given: Path | None) -> Path:

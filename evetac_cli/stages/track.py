@@ -1,16 +1,18 @@
 """track: where every dot is, slice by slice (paper, "Signal Processing - Dot Tracking")."""
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params import Track
-from evetac_cli.stages import per_file
+from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.store.calibration import Calibration, read_calibration
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -18,6 +20,7 @@ from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "tracks"
 METHOD = 4
+COLUMNS = ("dot_xy_px", "events_per_dot", "lost")  # a row for every slice
 
 
 def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
@@ -63,35 +66,48 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
         except ValueError as error:
             raise InputError(f"the dots cannot be tracked: {error}", where=str(recording.path)) from error
         slices, dots = len(recording), rows * columns
-        dot_xy_px = np.empty((slices, dots, 2), np.float32)
-        events_per_dot = np.empty((slices, dots), np.int32)
-        lost = np.empty((slices, dots), np.uint8)
-        for index, events in enumerate(recording):
-            tracker.step(state, events.x, events.y, events.p)
-            dot_xy_px[index] = state.dot_xy_px
-            events_per_dot[index] = state.events_per_dot
-            lost[index] = state.lost
-            if index % 100 == 0:
-                progress(index, slices)
         arrays = {
-            "dot_xy_px": dot_xy_px,
-            "events_per_dot": events_per_dot,
-            "lost": lost,
             "sensor/frame_px": recording.read("sensor/frame_px"),
             "sensor/name": recording.read("sensor/name"),
             **calibration.arrays(),
         }
-    write_stage(job.output, recipe, arrays)
-    moved = np.linalg.norm(dot_xy_px - state.rest_xy_px.astype(np.float32), axis=2)
+        farthest_px = np.float32(np.nan if slices and dots else 0.0)
+
+        def tracked() -> Iterator[dict[str, NDArray[Any]]]:
+            nonlocal farthest_px
+            for block in _tracked(recording, state, dots, progress):
+                moved = np.linalg.norm(block["dot_xy_px"] - state.rest_xy_px.astype(np.float32), axis=2)
+                farthest_px = np.fmax(farthest_px, np.fmax.reduce(moved, axis=None, initial=np.nan))
+                yield block
+
+        write_stage(job.output, recipe, arrays, tracked(), dict.fromkeys(COLUMNS, slices))
     return outcome(
         job,
         made=True,
         simulated=simulated,
         slices=slices,
         dots=dots,
-        max_displacement_px=float(np.nanmax(moved)) if moved.size else 0.0,
-        dots_lost=int(lost[-1].sum()) if slices else 0,
+        max_displacement_px=float(farthest_px),
+        dots_lost=int(state.lost.sum()) if slices else 0,
     )
+
+
+def _tracked(recording: Recording, state: Any, dots: int, progress: Progress) -> Iterator[dict[str, NDArray[Any]]]:
+    """Where the dots are in every slice, in blocks of slices; the state of the tracker goes along."""
+    slices = len(recording)
+    for first, stop in row_blocks(slices):
+        dot_xy_px = np.empty((stop - first, dots, 2), np.float32)
+        events_per_dot = np.empty((stop - first, dots), np.int32)
+        lost = np.empty((stop - first, dots), np.uint8)
+        for index in range(first, stop):
+            events = recording[index]
+            tracker.step(state, events.x, events.y, events.p)
+            dot_xy_px[index - first] = state.dot_xy_px
+            events_per_dot[index - first] = state.events_per_dot
+            lost[index - first] = state.lost
+            if index % 100 == 0:
+                progress(index, slices)
+        yield dict(zip(COLUMNS, (dot_xy_px, events_per_dot, lost), strict=True))
 
 
 def _calibration(recording: Recording, given: Path | None) -> Calibration:

@@ -7,16 +7,20 @@ Without `-o` they go to the folder `rgb` beside the recording, because tracks fr
 """
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.tracking import frame_tracker
 from evetac_cli.params import TrackRgb, recipe_of
 from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
-from evetac_cli.stages import per_file
+from evetac_cli.stages import per_file, row_blocks
+from evetac_cli.stages.track import COLUMNS
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import open_recording
@@ -24,6 +28,7 @@ from evetac_cli.store.read import open_recording
 OUTPUT = "tracks"
 METHOD = 2
 PRESET = "rgb"
+FRAMES = 25  # whose truth is read together
 NOISE_SEED = 32452843  # keeps the noise of frames apart from what is drawn for the recording
 SENSOR = ("sensor/frame_px", "sensor/name", "sensor/dot_xy_px", "sensor/dot_radius_px", "sensor/window_px")
 
@@ -61,35 +66,45 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
             )
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=True)
-        true_px = recording.read("truth/dot_xy_px").astype(float)
         arrays = {name: recording.read(name) for name in SENSOR if recording.has(name)}
-    slices, dots = true_px.shape[:2]
-    scale = np.array(camera.frame_px) / arrays["sensor/frame_px"]
-    radius_px = float(arrays["sensor/dot_radius_px"]) * float(scale.mean())
-    rng = np.random.default_rng(noise_seeds(params.seed, recipe.parents[0]))
+        slices, dots = len(recording), arrays["sensor/dot_xy_px"].size // 2
+        scale = np.array(camera.frame_px) / arrays["sensor/frame_px"]
+        radius_px = float(arrays["sensor/dot_radius_px"]) * float(scale.mean())
+        rng = np.random.default_rng(noise_seeds(params.seed, recipe.parents[0]))
 
-    def render(dot_xy_px: np.ndarray) -> np.ndarray:  # pixels are counted from their centres
-        return frame(camera, (dot_xy_px + 0.5) * scale - 0.5, radius_px, rng)
+        def render(dot_xy_px: NDArray[Any]) -> NDArray[Any]:  # pixels are counted from their centres
+            return frame(camera, (dot_xy_px + 0.5) * scale - 0.5, radius_px, rng)
 
-    rest_px = arrays["sensor/dot_xy_px"].reshape(-1, 2)
-    followed = np.empty((slices, dots, 2), np.float32)
-    lost = np.empty((slices, dots), np.uint8)
-    state = frame_tracker.start(render(rest_px), (rest_px + 0.5) * scale - 0.5)
-    for first in range(0, slices, camera.frame_ms):
-        frame_tracker.step(state, render(true_px[first]))
-        shown = slice(first, first + camera.frame_ms)
-        followed[shown] = (state.dot_xy_px + 0.5) / scale - 0.5
-        lost[shown] = state.lost
-        progress(first // camera.frame_ms, -(-slices // camera.frame_ms))
-    arrays |= {"dot_xy_px": followed, "events_per_dot": np.zeros((slices, dots), np.int32), "lost": lost}
-    write_stage(job.output, recipe, arrays)
-    moved = np.linalg.norm(followed - rest_px.astype(np.float32), axis=2)
+        rest_px = arrays["sensor/dot_xy_px"].reshape(-1, 2)
+        state = frame_tracker.start(render(rest_px), (rest_px + 0.5) * scale - 0.5)
+        farthest_px = 0.0
+
+        def followed() -> Iterator[dict[str, NDArray[Any]]]:
+            nonlocal farthest_px
+            for first, stop in row_blocks(slices, FRAMES * camera.frame_ms):
+                true_px = recording.read("truth/dot_xy_px", first, stop).astype(float)
+                dot_xy_px = np.empty((stop - first, dots, 2), np.float32)
+                lost = np.empty((stop - first, dots), np.uint8)
+                for at in range(0, stop - first, camera.frame_ms):
+                    frame_tracker.step(state, render(true_px[at]))
+                    dot_xy_px[at : at + camera.frame_ms] = (state.dot_xy_px + 0.5) / scale - 0.5
+                    lost[at : at + camera.frame_ms] = state.lost
+                    progress((first + at) // camera.frame_ms, -(-slices // camera.frame_ms))
+                moved = np.linalg.norm(dot_xy_px - rest_px.astype(np.float32), axis=2)
+                farthest_px = float(moved.max(initial=farthest_px))
+                yield {
+                    "dot_xy_px": dot_xy_px,
+                    "events_per_dot": np.zeros((stop - first, dots), np.int32),
+                    "lost": lost,
+                }
+
+        write_stage(job.output, recipe, arrays, followed(), dict.fromkeys(COLUMNS, slices))
     return outcome(
         job,
         made=True,
         simulated=True,
         frames=-(-slices // camera.frame_ms),
         dots=dots,
-        max_displacement_px=float(moved.max(initial=0.0)),
-        dots_lost=int(lost[-1].sum()) if slices else 0,
+        max_displacement_px=farthest_px,
+        dots_lost=int(state.lost.sum()) if slices else 0,
     )

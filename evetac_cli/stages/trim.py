@@ -8,6 +8,7 @@ Tracks and features of a piece from slice 0 on are the first rows of those of th
 depend on no later slice. In a piece that begins later the tracker starts with dots at rest, as in every recording.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.params import Trim
-from evetac_cli.stages import one_file
+from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.store import schema
 from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -26,6 +27,7 @@ from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "recording"
 METHOD = 1
+PIECE_ROWS = 1 << 18  # events that are in memory together
 CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us"}  # dims whose rows have times of their own
 
 
@@ -64,44 +66,66 @@ def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = sil
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,))
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
-        arrays = _piece(recording, first, end)
-        progress(end - first, end - first)
-    write_stage(job.output, recipe, arrays)
-    events = int(arrays["ms_to_idx"][-1])
+        piece = _Piece(recording, first, end)
+        write_stage(job.output, recipe, piece.whole, piece.blocks(progress), piece.lengths)
+    events = int(piece.whole["ms_to_idx"][-1])
     return outcome(job, made=True, simulated=simulated, slices=end - first, events=events)
 
 
-def _piece(recording: Recording, first: int, end: int) -> dict[str, Any]:
-    """The datasets of a recording, cut to the slices [first, end)."""
-    shift_us = first * SLICE_US
-    begin, stop = int(recording.starts[first]), int(recording.starts[end])
-    rows = {dim: _rows(recording.read(clock), first, end) for dim, clock in CLOCKS.items() if recording.has(clock)}
-    piece: dict[str, Any] = {
-        "ms_to_idx": recording.starts[first : end + 1] - begin,
-        "t_offset": np.int64(recording.read("t_offset") + shift_us),
-    }
-    table = schema.load(OUTPUT)
-    for name in recording.contents():
-        described = table.find(name)
-        dim = described.dims[0] if described is not None and described.dims else ""
-        if name in piece or (name.startswith("capture/") and name != "capture/ended"):
-            continue
-        if dim == "events":
-            piece[name] = recording.read(name, begin, stop)
-        elif dim == "slices":
-            piece[name] = recording.read(name, first, end)
-        elif dim in rows:
-            piece[name] = recording.read(name)[rows[str(dim)]]
-        else:
-            piece[name] = recording.read(name)
-        if name == "events/t" or name in CLOCKS.values():
-            piece[name] = piece[name] - shift_us
-    return piece | _lost(recording, first, end)
+class _Piece:
+    """The datasets of a recording, cut to the slices [first, end): small ones whole, those with rows block by block."""
 
+    def __init__(self, recording: Recording, first: int, end: int) -> None:
+        self._recording = recording
+        self._slices = first, end
+        begin, stop = int(recording.starts[first]), int(recording.starts[end])
+        self.whole: dict[str, Any] = {
+            "ms_to_idx": recording.starts[first : end + 1] - begin,
+            "t_offset": np.int64(recording.read("t_offset") + first * SLICE_US),
+        }
+        self.lengths: dict[str, int] = {}
+        self._ranges: dict[str, tuple[int, int, str]] = {}  # of each dataset the rows, and the clock that picks some
+        kept = {dim: self._within(clock) for dim, clock in CLOCKS.items() if recording.has(clock)}
+        table = schema.load(OUTPUT)
+        for name in recording.contents():
+            described = table.find(name)
+            dim = described.dims[0] if described is not None and described.dims else ""
+            if name in self.whole or (name.startswith("capture/") and name != "capture/ended"):
+                continue
+            if dim in ("events", "slices"):
+                rows = (begin, stop) if dim == "events" else (first, end)
+                self._ranges[name] = (*rows, "")
+                self.lengths[name] = rows[1] - rows[0]
+            elif dim in kept:
+                self._ranges[name] = (0, recording.length(name), CLOCKS[str(dim)])
+                self.lengths[name] = kept[str(dim)]
+            else:
+                self.whole[name] = recording.read(name)
+        self.whole |= _lost(recording, first, end)
 
-def _rows(t_us: NDArray[np.int64], first: int, end: int) -> NDArray[np.bool_]:
-    """Which times lie within the slices [first, end)."""
-    return (t_us >= first * SLICE_US) & (t_us < end * SLICE_US)
+    def blocks(self, progress: Progress) -> Iterator[dict[str, NDArray[Any]]]:
+        """One dataset after the other; as progress count all rows, in slices."""
+        shift_us = self._slices[0] * SLICE_US
+        slices = self._slices[1] - self._slices[0]
+        done, total = 0, sum(stop - start for start, stop, _ in self._ranges.values())
+        for name, (start, stop, clock) in self._ranges.items():
+            for first, last in row_blocks(stop - start, PIECE_ROWS if name.startswith("events/") else None):
+                rows = self._recording.read(name, start + first, start + last)
+                if clock:
+                    rows = rows[self._rows(clock, first, last)]
+                yield {name: rows - shift_us if name == "events/t" or name in CLOCKS.values() else rows}
+                done += last - first
+                progress(done * slices // max(total, 1), slices)
+
+    def _within(self, clock: str) -> int:
+        """How many rows have a time within the slices."""
+        blocks = row_blocks(self._recording.length(clock))
+        return sum(int(np.count_nonzero(self._rows(clock, first, stop))) for first, stop in blocks)
+
+    def _rows(self, clock: str, first: int, stop: int) -> NDArray[np.bool_]:
+        """Which of the rows [first, stop) have a time within the slices."""
+        t_us = self._recording.read(clock, first, stop)
+        return np.asarray((t_us >= self._slices[0] * SLICE_US) & (t_us < self._slices[1] * SLICE_US))
 
 
 def _lost(recording: Recording, first: int, end: int) -> dict[str, Any]:

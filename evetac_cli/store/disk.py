@@ -96,18 +96,37 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
 
 def _temporary(path: Path, ending: str) -> Path:
     """The name beside `path` under which this process writes; those of processes that no longer live are removed."""
-    start = f".{path.name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
-    for left in path.parent.glob(f"{escape(start)}*.tmp{escape(ending)}"):
-        if not _lives(left.name.removeprefix(start).partition(".")[0]):
+    remove_unfinished(path, ending)
+    process = os.getpid()
+    return path.with_name(f"{_start(path)}{process}-{_started(process)}.tmp{ending}")
+
+
+def remove_unfinished(path: Path, ending: str = "") -> None:
+    """Remove what processes that no longer live left beside `path` while they wrote it."""
+    for left in path.parent.glob(f"{escape(_start(path))}*.tmp{escape(ending)}"):
+        if not _lives(left.name.removeprefix(_start(path)).partition(".")[0]):
             with suppress(OSError):
                 left.unlink()
-    return path.with_name(f"{start}{os.getpid()}.tmp{ending}")
 
 
-def _lives(process: str) -> bool:
-    with suppress(OSError):  # one whose parent has not waited for it still has its number
-        if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX":
-            return False
+def _start(path: Path) -> str:
+    return f".{path.name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
+
+
+def _started(process: int | str) -> str:
+    """When a process started, in the words of Linux, as numbers are given away again; empty where that is unknown."""
+    try:
+        state, *more = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return ""
+    return "dead" if state in "ZX" else more[18]  # one whose parent has not waited for it still has its number
+
+
+def _lives(name: str) -> bool:
+    """Whether the process of a temporary file, its number and when it started, still runs."""
+    process, _, started = name.partition("-")
+    if (now := _started(process)) and (now == "dead" or started not in ("", now)):
+        return False
     try:
         os.kill(int(process), 0)
     except ProcessLookupError:
@@ -141,16 +160,28 @@ def new_file(path: Path) -> Iterator[h5py.File]:
                 raise disk.error
 
 
+_came: list[int] = []  # SIGINT and SIGTERM, while a file is being written
+
+
 @contextmanager
 def _interrupts_wait() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # signals come up in the main thread only
         yield
         return
-    came: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    handlers = [signal.signal(number, lambda number, frame: _came.append(number)) for number in numbers]
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in zip(numbers, handlers, strict=True):
+            signal.signal(number, handler)
+        came = _came[:1]
+        _came.clear()
         if came:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(came[0])
+
+
+def leave_if_interrupted() -> None:
+    """KeyboardInterrupt if Ctrl-C or SIGTERM waits for the file that is being written: for whoever writes for long."""
+    if _came:
+        raise KeyboardInterrupt

@@ -9,7 +9,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import NoneType, TracebackType
@@ -21,12 +21,13 @@ import numpy as np
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
-from evetac_cli.store.disk import existing_folder, new_file, taking_the_place_of
+from evetac_cli.store.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
 from evetac_cli.store.limited_json import read_json
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, recompute_id
 
 CHUNK_ROWS = 65536
 CHUNK_BYTES = 1 << 20
+FEW = 64  # numbers that are not worth a chunk
 
 
 class StageFile:
@@ -251,15 +252,61 @@ def replacing(path: Path) -> Iterator[h5py.File]:
         yield h5
 
 
-def write_stage(path: Path, recipe: Recipe, arrays: Mapping[str, Any]) -> Header:
-    """Check arrays against the schema of the kind and write them with their header, all or nothing."""
-    schema.check(recipe.kind, arrays)
+def write_stage(
+    path: Path,
+    recipe: Recipe,
+    arrays: Mapping[str, Any],
+    blocks: Iterable[Mapping[str, Any]] = (),
+    lengths: Mapping[str, int] | None = None,
+) -> Header:
+    """Check arrays against the schema of the kind and write them with their header, all or nothing.
+
+    blocks: the next rows of further datasets, for results that do not fit in memory. Each of these datasets is in some
+    block, if only with no rows. lengths: how many rows each will have; one that is not named grows.
+    """
+    stored = {name: schema.describe(value) for name, value in arrays.items()}
+    if lengths is None:
+        schema.check(recipe.kind, arrays)
     header = recipe.header()
     with replacing(path) as h5:
         for name, value in arrays.items():
             put(h5, name, value)
+        stored |= _put_blocks(h5, blocks, lengths or {})
+        schema.refuse(recipe.kind, schema.problems(schema.load(recipe.kind), stored))
         put_header(h5, header)
     return header
+
+
+def _put_blocks(
+    h5: h5py.File, blocks: Iterable[Mapping[str, Any]], lengths: Mapping[str, int]
+) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Write datasets block by block; returns the dtype and shape of each. Ctrl-C is heard between two blocks."""
+    filled: dict[str, int] = {}
+    for block in blocks:
+        leave_if_interrupted()
+        for name, rows in block.items():
+            first = filled.get(name, 0)
+            filled[name] = first + len(rows)
+            if name not in h5:
+                _create_for(h5, name, rows, lengths.get(name))
+            if name not in lengths:
+                h5[name].resize(filled[name], axis=0)
+            h5[name][first : filled[name]] = rows
+    short = [name for name, length in lengths.items() if filled.get(name) != length]
+    if short:
+        raise ValueError(f"blocks: expected all rows of {', '.join(short)}, found others")
+    return {name: (schema.describe_stored(h5[name]), h5[name].shape) for name in filled}
+
+
+def _create_for(h5: h5py.File, name: str, rows: Any, length: int | None) -> None:
+    """The dataset of which these are the first rows: as `put` makes it, if its length is known."""
+    row_shape = rows.shape[1:]
+    if length is None:
+        create(h5, name, rows.dtype, row_shape, rows=0, grows=True)
+    elif length * int(np.prod(row_shape)) < FEW:
+        h5.create_dataset(name, shape=(length, *row_shape), dtype=rows.dtype, track_times=False)
+    else:
+        create(h5, name, rows.dtype, row_shape, rows=length)
 
 
 def put_header(h5: h5py.File, header: Header) -> None:
@@ -277,7 +324,7 @@ def put(h5: h5py.File, name: str, value: Any) -> None:
         h5.create_dataset(name, data=value, dtype=h5py.string_dtype(), track_times=False)
         return
     array = np.asarray(value)
-    if array.size < 64:
+    if array.size < FEW:
         h5.create_dataset(name, data=array, track_times=False)
         return
     create(h5, name, array.dtype, array.shape[1:], rows=len(array))[...] = array

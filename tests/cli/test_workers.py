@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.cli import workers
-from evetac_cli.jobs import Job, Outcome
+from evetac_cli.jobs import Job, Outcome, Progress
 
 JOB = Job((), Path("a.recording.h5"))
 
@@ -47,3 +47,23 @@ def test_what_was_finished_when_it_came_is_told(stage_is: Any, monkeypatch: pyte
     monkeypatch.setattr(workers, "_came", False)
     stage_is(broken_off)
     assert workers._in_worker("record", JOB, None, False) is None
+
+
+def test_m9_an_interrupt_that_was_swallowed_comes_up_with_the_next_progress(
+    stage_is: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a job goes on no longer than until it tells its progress, and one with devices ends by itself."""
+
+    class WithDevices(Job):
+        exclusive = True
+
+    def run(job: Job, chosen: Any, *, force: bool, progress: Progress) -> Outcome:
+        monkeypatch.setattr(workers, "_came", True)  # and nothing came up, as in a callback of the compiler
+        progress(1, 2)
+        monkeypatch.setattr(workers, "_came", False)
+        return Outcome([{"output": "a"}], True)
+
+    stage_is(run)
+    with pytest.raises(KeyboardInterrupt):
+        workers.run_one("record", JOB, None, False)
+    assert isinstance(workers.run_one("record", WithDevices((), Path("a")), None, False), Outcome)

@@ -18,7 +18,7 @@ import pytest
 
 from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import files
+from evetac_cli.store import disk, files
 from evetac_cli.store.files import StageFile, output_path, put, put_header, replacing, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.schema import KINDS
@@ -670,3 +670,19 @@ def test_more_than_fits_is_not_read_at_once(made: Path, monkeypatch: pytest.Monk
             file.read("relative_flow_px")
         blocks = [file.read("relative_flow_px", start, start + 1000) for start in range(0, SLICES, 1000)]
     np.testing.assert_array_equal(np.concatenate(blocks), labels()["relative_flow_px"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
+def test_m9_leftovers_are_removed_though_another_process_has_the_number_now(tmp_path: Path) -> None:
+    """Assert that a number that was given away again does not keep what a dead process left, but a live one does."""
+    path = tmp_path / "a.labels.h5"
+    with replacing(path):
+        (temporary,) = tmp_path.iterdir()
+        started = temporary.name.split(".")[-2].partition("-")[2]
+        assert started
+        other = temporary.with_name(temporary.name.replace(f"-{started}", f"-{int(started) + 1}"))
+        other.touch()
+        taken = disk._temporary(path, "")
+        assert taken == temporary
+        assert temporary.exists()
+        assert not other.exists()

@@ -8,6 +8,7 @@ encoder is not its business. All of it is simulated.
 import math
 import mmap
 import os
+import sys
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -132,8 +133,11 @@ class SharedPlant:
     """The gripper of a world that another process steps, in a block of shared memory.
 
     The servo passes its goals (`advance`) and the world reads them (`goals`); the world shows how its gripper moved
-    (`show`) and the servo reads that. Whoever makes it without a path owns the block and removes it on close; others
-    attach to its path. It may be pickled: the copy is attached. `time` is the time of that world.
+    (`show`) and the servo reads that. Whoever makes it without a path owns the block; others attach to its path, as
+    long as the owner has not closed it. It may be pickled: the copy is attached. `time` is the time of that world.
+
+    Why so: on Linux the block is a file without a name, which its owner's folder in /proc leads to. It is gone with the
+    last process that has it open, whatever ended them.
     """
 
     _GOALS_AT, _MOTION_AT, _TIME_AT = 0, 128, 256
@@ -141,15 +145,17 @@ class SharedPlant:
 
     def __init__(self, path: Path | str | None = None) -> None:
         self._owner = path is None
-        if path is None:
-            shared = Path("/dev/shm")
-            handle, path = tempfile.mkstemp(prefix="evetac-plant-", dir=shared if shared.is_dir() else None)
-            os.ftruncate(handle, self._SIZE)
+        if path is not None:
+            self._handle = os.open(path, os.O_RDWR)
+        elif sys.platform == "linux":
+            self._handle = os.memfd_create("evetac-plant")
+            path = f"/proc/{os.getpid()}/fd/{self._handle}"
         else:
-            handle = os.open(path, os.O_RDWR)
+            self._handle, path = tempfile.mkstemp(prefix="evetac-plant-")
+        if self._owner:
+            os.ftruncate(self._handle, self._SIZE)
         self.path = Path(path)
-        self._memory = mmap.mmap(handle, self._SIZE)
-        os.close(handle)
+        self._memory = mmap.mmap(self._handle, self._SIZE)
         self._goals = SharedRow(self._memory, self._GOALS_AT, "6q")
         self._motion = SharedRow(self._memory, self._MOTION_AT, "dqd")
         self.time = SharedTime(self.path, self._TIME_AT)
@@ -182,8 +188,14 @@ class SharedPlant:
         self._motion.write(*motion)
 
     def close(self) -> None:
-        """Let go of the memory, and remove it if it was made here; a second call does nothing."""
+        """Let go of the memory, and end it if it was made here; a second call does nothing."""
         if not self._memory.closed:
             self._memory.close()
+            os.close(self._handle)
             if self._owner:
-                self.path.unlink(missing_ok=True)
+                self.remove()
+
+    def remove(self) -> None:
+        """Take its name away, where it has one; it lasts as long as some process has it open."""
+        if sys.platform != "linux":
+            self.path.unlink(missing_ok=True)

@@ -201,7 +201,7 @@ def _run_world(
     try:
         orders.send(reply)
     except OSError:  # the recorder did not wait
-        plant.path.unlink(missing_ok=True)
+        plant.remove()
         return
     if running_world is None:
         return
@@ -213,7 +213,7 @@ def _run_world(
                 running_world.run(orders.recv())
             running_world.tick()
         except (EOFError, OSError):  # the recorder is gone, perhaps without having been asked
-            plant.path.unlink(missing_ok=True)
+            plant.remove()
             return
 
 

@@ -4,17 +4,19 @@ Readers differ in everything (unsigned times, polarity -1/+1, floats), so none o
 hand over batches of raw columns, which are checked and converted here.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, concatenate, empty
+from evetac_cli.events import Events
 from evetac_cli.formats.note import CLOCK_LIMIT_US as CLOCK_LIMIT_US
 from evetac_cli.formats.note import Note
+from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 
 # Every millisecond costs a row of the slice index, so one broken time stamp must not make billions of empty slices.
 SPAN_LIMIT_US = 24 * 3600 * 1_000_000
@@ -53,10 +55,15 @@ def at_index(start: int, row: int) -> str:
 class Normal(NamedTuple):
     """Events that passed every check, and what became of the others."""
 
-    events: Events  # the first one at t = 0, unless the file says when its recording began
+    stored: EventsOnDisk
     first_us: int  # where t = 0 is in the file's clock; 0 without events
     dropped: dict[str, int]  # events left out, by reason
     sorted: int  # events put back in order: those that came after a later one
+
+    @property
+    def events(self) -> Events:
+        """All of them, in memory."""
+        return self.stored.all()
 
 
 def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tuple[int, int]:
@@ -101,54 +108,26 @@ def normalise(
     start_us: int | None = None,
     may_be_empty: bool = False,
     where: str = "",
+    folder: Path | None = None,
 ) -> Normal:
     """Turn raw batches into one stream of events that starts at t = 0: with its first event, or at `start_us`.
 
-    Events outside the frame and events that are no numbers are dropped and counted. Raises InputError where columns
+    Events outside the frame and events that are no numbers are dropped and counted; the others wait on the disk of
+    `folder`. Raises InputError where columns
     differ in length, a coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond
     2^53 us or before `start_us`, time goes backwards and sort is off, the events span more than 24 h, none of them can
     be used, or the file holds none at all and that was not expected (`may_be_empty`).
     """
-    dropped = {"not_a_number": 0, "out_of_frame": 0}
-    parts = [empty()]
-    total = late = 0
-    first_late = ""
-    latest_us = -CLOCK_LIMIT_US
-    negative = zero = False
-    for given in batches:
-        check_lengths([len(column) for column in given[:4]], where)
-        total += len(given.t)
-        rows = _finite_rows(given)
-        dropped["not_a_number"] += len(given.t) - len(rows)
-        batch = _at(given, rows) if len(rows) < len(given.t) else given
-        _check_values(batch, where)
-        t, x, y, p, place = batch
-        negative = negative or bool(np.any(p == -1))
-        zero = zero or bool(np.any(p == 0))
-
-        inside = (x >= 0) & (x < frame_px[0]) & (y >= 0) & (y < frame_px[1])
-        dropped["out_of_frame"] += len(t) - int(np.count_nonzero(inside))
-        part = Events(
-            (np.rint(t) if t.dtype.kind == "f" else t)[inside].astype(np.int64),
-            x[inside].astype(np.uint16),
-            y[inside].astype(np.uint16),
-            (p[inside] > 0).astype(np.uint8),
-        )
-        if part.size:
-            latest_so_far = np.maximum(np.maximum.accumulate(part.t), latest_us)
-            latest_us = int(latest_so_far[-1])
-            is_late = part.t < latest_so_far
-            if not late and is_late.any():
-                first_late = place(int(np.flatnonzero(inside)[is_late][0]))
-            late += int(np.count_nonzero(is_late))
-        parts.append(part)
-
-    if not total and not may_be_empty:
+    seen = _Seen()
+    events = EventsOnDisk(folder)
+    for part in _checked(batches, frame_px, seen, where):
+        events.append(part)
+    dropped, late = seen.dropped, seen.late
+    if not seen.total and not may_be_empty:
         raise no_events(where)
-    if negative and zero:
+    if seen.negative and seen.zero:
         raise InputError("polarity mixes two codes", where=where, expected="0 and 1, or -1 and 1", found="-1 and 0")
-    events = concatenate(parts)
-    if total and not events.size:
+    if seen.total and not events.size:
         raise InputError(
             "none of the events can be used",
             where=where,
@@ -161,14 +140,56 @@ def normalise(
             "time goes backwards",
             where=where,
             expected="events in the order of their time",
-            found=f"{late} of {total} events come after a later one, first {first_late}",
+            found=f"{late} of {seen.total} events come after a later one, first {seen.first_late}",
             hint="--sort puts them back in order",
         )
-    if late:
-        order = np.argsort(events.t, kind="stable")
-        events = Events(events.t[order], events.x[order], events.y[order], events.p[order])
-    events, first_us = _from_zero(events, start_us, where)
-    return Normal(events, first_us, dropped, late)
+    events.shift_us = _start(events, start_us, where)
+    events.sorted = not late
+    return Normal(events, events.shift_us, dropped, late)
+
+
+@dataclass
+class _Seen:
+    """What was noticed so far of a stream of batches."""
+
+    dropped: dict[str, int] = field(default_factory=lambda: {"not_a_number": 0, "out_of_frame": 0})
+    total: int = 0
+    late: int = 0  # events that came after a later one
+    first_late: str = ""
+    latest_us: int = -CLOCK_LIMIT_US
+    negative: bool = False
+    zero: bool = False
+
+
+def _checked(batches: Iterable[Columns], frame_px: tuple[int, int], seen: _Seen, where: str) -> Iterator[Events]:
+    """The events of each batch that can be used, in our types."""
+    for given in batches:
+        check_lengths([len(column) for column in given[:4]], where)
+        seen.total += len(given.t)
+        rows = _finite_rows(given)
+        seen.dropped["not_a_number"] += len(given.t) - len(rows)
+        batch = _at(given, rows) if len(rows) < len(given.t) else given
+        _check_values(batch, where)
+        t, x, y, p, place = batch
+        seen.negative = seen.negative or bool(np.any(p == -1))
+        seen.zero = seen.zero or bool(np.any(p == 0))
+
+        inside = (x >= 0) & (x < frame_px[0]) & (y >= 0) & (y < frame_px[1])
+        seen.dropped["out_of_frame"] += len(t) - int(np.count_nonzero(inside))
+        part = Events(
+            (np.rint(t) if t.dtype.kind == "f" else t)[inside].astype(np.int64),
+            x[inside].astype(np.uint16),
+            y[inside].astype(np.uint16),
+            (p[inside] > 0).astype(np.uint8),
+        )
+        if part.size:
+            latest_so_far = np.maximum(np.maximum.accumulate(part.t), seen.latest_us)
+            seen.latest_us = int(latest_so_far[-1])
+            is_late = part.t < latest_so_far
+            if not seen.late and is_late.any():
+                seen.first_late = place(int(np.flatnonzero(inside)[is_late][0]))
+            seen.late += int(np.count_nonzero(is_late))
+        yield part
 
 
 def no_events(where: str) -> InputError:
@@ -218,19 +239,19 @@ def _check_values(batch: Columns, where: str) -> None:
     refuse(far, t, "time out of range", "microseconds within 285 years of 0", "is the unit of time right?")
 
 
-def _from_zero(events: Events, start_us: int | None, where: str) -> tuple[Events, int]:
-    """Shift the start, or without one the first event, to t = 0; returns its time too."""
+def _start(events: EventsOnDisk, start_us: int | None, where: str) -> int:
+    """The time that becomes 0: the start of the recording, or without one the first event."""
     if not events.size:
-        return events, start_us or 0
-    first_us = int(events.t[0]) if start_us is None else start_us
-    if events.t[0] < first_us:
+        return start_us or 0
+    first_us = events.first_us if start_us is None else start_us
+    if events.first_us < first_us:
         raise InputError(
             "an event lies before the start of the recording that the file's own note says",
             where=where,
             expected=f"times from {first_us} us on",
-            found=f"{events.t[0]} us",
+            found=f"{events.first_us} us",
         )
-    span_us = int(events.t[-1]) - first_us
+    span_us = events.last_us - first_us
     if span_us > SPAN_LIMIT_US:
         raise InputError(
             "the events span too long a time",
@@ -239,4 +260,4 @@ def _from_zero(events: Events, start_us: int | None, where: str) -> tuple[Events
             found=f"{span_us / 3.6e9:.1f} h",
             hint="a broken time stamp, or the wrong unit (a first line `t_us x y p` or `t_s x y p` names it in text)",
         )
-    return events._replace(t=events.t - first_us), first_us
+    return first_us

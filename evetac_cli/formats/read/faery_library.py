@@ -1,6 +1,11 @@
-"""The library faery, the extra `convert`: loading it, and telling its refusals from errors that are not its own."""
+"""The library faery, the extra `convert`: loading it, files for it, and telling its refusals from other errors."""
 
-from typing import Any
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
 
 from evetac_cli.errors import InputError
 
@@ -13,6 +18,20 @@ def load_faery(what: str, where: str) -> Any:
         hint = "pip install '.[convert]'"
         raise InputError(f"{what} faery", where=where, found=str(error), hint=hint) from None
     return faery
+
+
+@contextmanager
+def scratch_file(ending: str = "") -> Iterator[tuple[Path, IO[bytes]]]:
+    """An empty file while the block lasts, by path and open, because faery reads only what has a path.
+
+    On Linux it has no name but the process's own for it: nothing is left of it, whatever ends the process.
+    """
+    if sys.platform == "linux":
+        with tempfile.TemporaryFile() as file:
+            yield Path(f"/proc/self/fd/{file.fileno()}"), file
+    else:
+        with tempfile.NamedTemporaryFile(suffix=ending) as named:
+            yield Path(named.name), named.file
 
 
 def refusal_text(error: BaseException) -> str:

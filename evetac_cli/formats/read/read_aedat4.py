@@ -19,7 +19,6 @@ other events, and where their times are impossible the whole file is refused.
 """
 
 import struct
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -34,7 +33,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, read_note
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
-from evetac_cli.formats.read.faery_library import load_faery, refusal_text
+from evetac_cli.formats.read.faery_library import load_faery, refusal_text, scratch_file
 
 EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as faery reads and writes them
 MAGIC = b"#!AER-DAT4.0\r\n"
@@ -194,17 +193,17 @@ def _walk(handle: BinaryIO, header: Header, number: int) -> Packets:
 
 def _listed(handle: BinaryIO, header: Header, number: int) -> list[Span] | None:
     """The packets of one stream as the packet table lists them, None where there is no table or it is damaged."""
-    if not header.size <= header.table < handle.seek(0, 2):
+    size = handle.seek(0, 2)
+    if not header.size <= header.table < size:
         return None
     handle.seek(header.table)
-    table = handle.read(TABLE_LIMIT_BYTES)
+    table = handle.read(min(size - header.table, TABLE_LIMIT_BYTES))
     spans: list[Span] = []
     end = header.size
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "table.aedat4"
+    with scratch_file(".aedat4") as (copy, file):
         start = _start(copy, header.compression)
         position = len(start).to_bytes(8, "little")
-        copy.write_bytes(start.replace(NO_TABLE, position, 1) + table)
+        _replace(file, start.replace(NO_TABLE, position, 1) + table)
         try:
             with _aedat().Decoder(copy) as decoder:
                 rows = decoder.file_data_definitions()
@@ -230,14 +229,14 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
     total = intact = 0
     trouble = ""
     load_faery("AEDAT4 needs", where)
-    with path.open("rb") as handle, tempfile.NamedTemporaryFile(suffix=".aedat4") as copy:
+    with path.open("rb") as handle, scratch_file(".aedat4") as (copy, file):
         listed = _listed(handle, header, number)
-        start = _start(Path(copy.name), header.compression)
+        start = _start(copy, header.compression)
         led_past = listed is not None and len(listed) > len(packets.spans)
         spans = listed if listed is not None and led_past else packets.spans
         for span in spans:
             handle.seek(span.start)
-            events = _decode(start, handle.read(span.stop - span.start), copy)
+            events = _decode(start, handle.read(span.stop - span.start), copy, file)
             if isinstance(events, str):
                 trouble = trouble or events
                 continue
@@ -278,14 +277,19 @@ def _damage(
         yield f"the packet table is damaged: read all {intact} packets without it"
 
 
-def _decode(start: bytes, payload: bytes, copy: IO[bytes]) -> NDArray[Any] | str:
-    """The events of a packet, or why it cannot be decoded; `copy` is the file that faery reads it from."""
-    copy.seek(0)
-    copy.write(start + struct.pack("<ii", 0, len(payload)) + payload)
-    copy.truncate()
-    copy.flush()
+def _replace(file: IO[bytes], content: bytes) -> None:
+    """Write a file anew."""
+    file.seek(0)
+    file.write(content)
+    file.truncate()
+    file.flush()
+
+
+def _decode(start: bytes, payload: bytes, copy: Path, file: IO[bytes]) -> NDArray[Any] | str:
+    """The events of a packet, or why it cannot be decoded; `copy` is the `file` that faery reads it from."""
+    _replace(file, start + struct.pack("<ii", 0, len(payload)) + payload)
     try:
-        with _aedat().Decoder(copy.name) as decoder:
+        with _aedat().Decoder(copy) as decoder:
             for _, events in decoder:
                 return np.asarray(events)
         return "the decoder stopped"

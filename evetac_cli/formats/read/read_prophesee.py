@@ -7,7 +7,6 @@ to begin seconds too early. So what comes before that word is left out, as the m
 """
 
 import re
-import tempfile
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
-from evetac_cli.formats.read.faery_library import load_faery, refusal_text
+from evetac_cli.formats.read.faery_library import load_faery, refusal_text, scratch_file
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
 HEAD_LIMIT_BYTES = 1 << 20
@@ -113,13 +112,12 @@ def untimed_bytes(path: Path, head: Head) -> int:
 
 def _trimmed(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Iterator[Columns]:
     """Decode a copy without the words that have no time."""
-    with tempfile.TemporaryDirectory() as folder, path.open("rb") as source:
-        copy = Path(folder) / "timed.raw"
-        with copy.open("wb") as target:
-            target.write(raw_header(head.kind, frame))
-            source.seek(head.size + skipped)
-            while block := source.read(HEAD_LIMIT_BYTES):
-                target.write(block)
+    with scratch_file(".raw") as (copy, target), path.open("rb") as source:
+        target.write(raw_header(head.kind, frame))
+        source.seek(head.size + skipped)
+        while block := source.read(HEAD_LIMIT_BYTES):
+            target.write(block)
+        target.flush()
         yield from decode(copy, head.kind, frame, str(path))
 
 

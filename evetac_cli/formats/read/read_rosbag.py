@@ -5,7 +5,6 @@ definitions of its messages, and those of other topics do not matter. Where a RO
 definition that its messages have another layout under the same name, it is refused.
 """
 
-import tempfile
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from functools import partial
@@ -15,6 +14,7 @@ from typing import Any
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read import read_prophesee
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
+from evetac_cli.formats.read.faery_library import scratch_file
 from evetac_cli.formats.read.ros_messages import Fields, Packet, Part, decoder, event_array, event_packet, evetac_image
 from evetac_cli.text_files import open_regular, read_bytes
 
@@ -129,13 +129,12 @@ def _place(number: int, row: int) -> str:
 def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
     """The words of all messages as one RAW file, decoded by read_prophesee."""
     where = f"{path}: {topic}"
-    with tempfile.TemporaryDirectory() as folder:
-        raw = Path(folder) / "topic.raw"
-        with raw.open("wb") as file:
-            file.write(read_prophesee.raw_header(encoding, foreign.frame_px))
-            with closing(_contents(path, topic, kind, foreign, encoding)) as packets:
-                for _, packet in packets:
-                    file.write(packet.content)
+    with scratch_file(".raw") as (raw, file):
+        file.write(read_prophesee.raw_header(encoding, foreign.frame_px))
+        with closing(_contents(path, topic, kind, foreign, encoding)) as packets:
+            for _, packet in packets:
+                file.write(packet.content)
+        file.flush()
         try:
             inner = read_prophesee.open_prophesee(raw, None)
             foreign.notes += inner.notes

@@ -29,7 +29,7 @@ holding corner lies there, and one that turns, of which every part slips for sho
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -86,10 +86,10 @@ class EventFlowConstants:
 
 
 class Motion(NamedTuple):
-    """Motion up to the start of every slice, and after the last, as measured by the events."""
+    """Motion up to the start of every slice of a block, and after its last, as measured by the events."""
 
     dot_px: Floats  # (slices + 1, dots, 2) displacement of every dot from its place at rest
-    window_events: NDArray[np.int64]  # (slices + 1,) events of the window, counted from the start
+    window_events: NDArray[np.int64]  # (slices + 1,) events of the window, counted from the start of the recording
 
 
 def label(
@@ -111,31 +111,25 @@ def label(
     dots = np.ascontiguousarray(dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)], np.float64)
     if not len(dots) or not 0.0 < dot_radius_px < math.inf:
         raise ValueError(f"dots: expected some with a radius > 0, found {len(dots)} of radius {dot_radius_px}")
-    motion = follow(between, slices, window, gel, dots, dot_radius_px, constants.edge_events)
-    away = np.hypot(motion.dot_px[..., 0], motion.dot_px[..., 1])
-    noise = noise_rate(motion.window_events) * np.arange(slices + 1)
-    moved = np.maximum.accumulate(motion.window_events - noise)
-    fresh = events_per_px(moved, away, constants.events_per_px, constants.fading_px)
-    dragged = float(_leading(away).max(initial=0.0))
+    part = pixel_parts(between, slices, window, gel, dots)
+    given = between, slices, part, dots, dot_radius_px, constants.edge_events
+    window_events = np.zeros(slices + 1, np.int64)
+    leading = [0.0]
+    dragged = 0.0
+    for first, motion in follow(*given):
+        window_events[first : first + len(motion.window_events)] = motion.window_events
+        led = _leading(_away(motion))
+        leading += led[1:][(first + 1 + np.arange(len(led) - 1)) % STEP_MS == 0].tolist()
+        dragged = max(dragged, float(led.max()))
+    moved = np.maximum.accumulate(window_events - noise_rate(window_events) * np.arange(slices + 1))
+    fresh = events_per_px(moved, np.array(leading), constants.events_per_px, constants.fading_px)
     if dragged > TRAVEL_PX and fresh[-1] < constants.least_events_per_px:
         raise ValueError(
             f"texture: expected at least {constants.least_events_per_px:g} events a pixel of motion in the window, "
             f"found {fresh[-1]:.1f} while the gel was dragged by {dragged:.1f} px"
         )
     object_px = travel(moved, np.maximum(fresh, constants.least_events_per_px), constants.fading_px)
-    onset, slips, relative_px = _search(
-        object_px,
-        away,
-        start,
-        constants.slip_distance_px,
-        constants.look_ahead_ms,
-        constants.follow_ms,
-        constants.follow_share,
-        constants.least_px_ms,
-        constants.back_px_ms,
-        constants.hidden_px,
-        constants.pause_ms,
-    )
+    onset, slips, relative_px = _find(object_px, follow(*given), len(dots), start, constants)
     labels = np.zeros(slices, np.int8)
     labels[:start] = -1
     confidence = float("nan")
@@ -144,17 +138,11 @@ def label(
         labels[onset:stop] = slips[onset:stop]
         labels[stop:] = -1
         confidence = float(slips[onset:stop].mean())
-    return Labels(labels, relative_px.astype(np.float32), onset, confidence, 0)
+    return Labels(labels, relative_px, onset, confidence, 0)
 
 
-def follow(
-    between: Between, slices: int, window: Region, gel: Region, dots: Floats, radius_px: float, edge_events: float
-) -> Motion:
-    """Follow every dot by the polarity of its rim's events, and count the window's; hot pixels left out.
-
-    A dark dot that moves along e gets brighter at its rear and darker in front, with `edge_events` events at every
-    rim pixel: the sum of -polarity * normal over its events is pi * radius * edge_events a pixel of motion.
-    """
+def pixel_parts(between: Between, slices: int, window: Region, gel: Region, dots: Floats) -> NDArray[np.int16]:
+    """For each pixel (height, width) the index of its dot, WINDOW or NOTHING; hot pixels, too, belong to nothing."""
     height, width = max(window[3], gel[3]), max(window[2], gel[2])
     last = np.full((height, width), -1, np.int64)
     busy = np.zeros((height, width), np.int64)
@@ -162,16 +150,79 @@ def follow(
         events = between(first, min(first + BLOCK_SLICES, slices))
         _count_blocks(events.t, events.x, events.y, last, busy)
     hot = busy > max(HOT_SHARE * slices * SLICE_US / HOT_BLOCK_US, 2.0)
-    part = _parts(hot, dots, window, gel)
+    return _parts(hot, dots, window, gel)
+
+
+def follow(
+    between: Between, slices: int, part: NDArray[np.int16], dots: Floats, radius_px: float, edge_events: float
+) -> Iterator[tuple[int, Motion]]:
+    """Follow every dot by the polarity of its rim's events, and count the window's: first slice and motion of blocks.
+
+    A dark dot that moves along e gets brighter at its rear and darker in front, with `edge_events` events at every
+    rim pixel: the sum of -polarity * normal over its events is pi * radius * edge_events a pixel of motion.
+    """
     centre = dots.copy()
-    dot_px = np.zeros((slices + 1, len(dots), 2))
-    window_events = np.zeros(slices + 1, np.int64)
+    step = 1.0 / (math.pi * radius_px * edge_events)
+    counted = 0
     for first in range(0, slices, BLOCK_SLICES):
         stop = min(first + BLOCK_SLICES, slices)
-        events = between(first, stop)
-        step = 1.0 / (math.pi * radius_px * edge_events)
-        _follow(*events, part, dots, centre, radius_px, step, first, stop, dot_px, window_events)
-    return Motion(dot_px, np.cumsum(window_events))
+        dot_px = np.empty((stop - first + 1, len(dots), 2))
+        dot_px[0] = centre - dots
+        window_events = np.zeros(stop - first + 1, np.int64)
+        _follow(*between(first, stop), part, dots, centre, radius_px, step, first, stop, dot_px, window_events)
+        window_events = counted + np.cumsum(window_events)
+        counted = int(window_events[-1])
+        yield first, Motion(dot_px, window_events)
+
+
+def _away(motion: Motion) -> Floats:
+    """How far the dots are from rest, (slices + 1, dots)."""
+    return np.hypot(motion.dot_px[..., 0], motion.dot_px[..., 1])
+
+
+def _find(
+    object_px: Floats,
+    blocks: Iterator[tuple[int, Motion]],
+    dots: int,
+    start: int,
+    constants: EventFlowConstants,
+) -> tuple[int, NDArray[np.bool_], NDArray[np.float32]]:
+    """The onset, slice or -1, and what `_search` says of every slice; the motion of the dots comes in blocks."""
+    slices = len(object_px) - 1
+    slips = np.zeros(slices, np.bool_)
+    relative_px = np.empty(slices, np.float32)
+    since_back_px = np.full(dots, np.inf)
+    counts = np.array([0.0, 0.0, -1.0])
+    away = np.zeros((1, dots))
+    base = searched = 0  # away begins at row `base`; slices before `searched` are done
+    for first, motion in blocks:
+        away = np.concatenate([away, _away(motion)[1:]])
+        known = first + len(motion.dot_px) - 1
+        until = known if known == slices else max(known - constants.look_ahead_ms + 1, searched)
+        _search(
+            object_px,
+            away,
+            base,
+            searched,
+            until,
+            start,
+            constants.slip_distance_px,
+            constants.look_ahead_ms,
+            constants.follow_ms,
+            constants.follow_share,
+            constants.least_px_ms,
+            constants.back_px_ms,
+            constants.hidden_px,
+            constants.pause_ms,
+            since_back_px,
+            counts,
+            slips,
+            relative_px,
+        )
+        searched = until
+        keep = max(searched + 1 - constants.follow_ms, 0)
+        away, base = away[max(keep - base, 0) :], max(keep, base)
+    return int(counts[2]), slips, relative_px
 
 
 def noise_rate(window_events: NDArray[np.int64]) -> float:
@@ -180,15 +231,14 @@ def noise_rate(window_events: NDArray[np.int64]) -> float:
     return float(np.diff(steps).min() / STEP_MS) if len(steps) > 1 else 0.0
 
 
-def events_per_px(moved: Floats, away: Floats, assumed: float, fading_px: float) -> Floats:
+def events_per_px(moved: Floats, leading: Floats, assumed: float, fading_px: float) -> Floats:
     """The events a pixel of motion that the window made before it moved, as known in every slice: (slices,).
 
-    `moved` (slices + 1,) counts events without noise, `away` (slices + 1, dots) is how far the dots are from rest. Of
-    all earlier steps the median, weighted by how far the leading dots went; `assumed` before.
+    `moved` (slices + 1,) counts events without noise, `leading` is how far the leading dots are from rest, every
+    STEP_MS slices. Of all earlier steps the median, weighted by how far these dots went; `assumed` before.
     """
     slices = len(moved) - 1
     known = np.full(slices, assumed)
-    leading = _leading(away[::STEP_MS])
     gone = np.diff(leading)
     seen = np.diff(moved[::STEP_MS]) * (1.0 + 0.5 * (leading[1:] + leading[:-1]) / fading_px)
     steps: list[tuple[float, float]] = []  # events a pixel, weight
@@ -260,7 +310,7 @@ def _parts(hot: NDArray[np.bool_], dots: Floats, window: Region, gel: Region) ->
     return part
 
 
-# Why so many arguments: called once for a whole recording, from one place, it gains nothing from groups of them.
+# Why so many arguments: called from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _follow(
     t: NDArray[np.int64],
@@ -291,7 +341,7 @@ def _follow(
                 continue
             dot = part[row, column]
             if dot == WINDOW:
-                window_events[slice_ + 1] += 1
+                window_events[slice_ + 1 - first] += 1
             if dot < 0:
                 continue
             right = column - centre[dot, 0]
@@ -302,14 +352,17 @@ def _follow(
             moved = -step if brighter else step
             centre[dot, 0] += moved * right / distance
             centre[dot, 1] += moved * down / distance
-        dot_px[slice_ + 1] = centre - rest
+        dot_px[slice_ + 1 - first] = centre - rest
 
 
-# Why so many arguments: called once for a whole recording, from one place, it gains nothing from groups of them.
+# Why so many arguments: called from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _search(
     object_px: Floats,
     away_px: Floats,
+    base: int,
+    first: int,
+    stop: int,
     start: int,
     slip_distance_px: float,
     look_ahead_ms: int,
@@ -319,21 +372,23 @@ def _search(
     back_px_ms: float,
     hidden_px: float,
     pause_ms: int,
-) -> tuple[int, NDArray[np.bool_], Floats]:
-    """Search for the onset: its slice or -1, and two arrays (slices,).
+    since_back_px: Floats,
+    counts: Floats,
+    slips: NDArray[np.bool_],
+    relative_px: NDArray[np.float32],
+) -> None:
+    """Go on with the search for the onset over the slices [first, stop), of which `away_px` holds the rows from `base`.
 
-    The first says in which slices no dot follows the object; the second how far the object slips, over the look-ahead,
-    past the dot that follows it best, in px.
+    Fills in, for each slice, in `slips` whether no dot follows the object, and in `relative_px` how far the object
+    slips, over the look-ahead, past the dot that follows it best. From block to block go `since_back_px` (dots,) and
+    `counts`: px slid, ms paused, and the slice of the onset or -1.
     """
     slices = len(object_px) - 1
     dots = away_px.shape[1]
-    slips = np.zeros(slices, np.bool_)
-    relative_px = np.full(slices, np.inf)
-    since_back_px = np.full(dots, np.inf)
-    slid_px = 0.0
-    paused_ms = 0
-    onset = -1
-    for slice_ in range(slices):
+    slid_px = counts[0]
+    paused_ms = int(counts[1])
+    onset = int(counts[2])
+    for slice_ in range(first, stop):
         end_slice = min(slice_ + look_ahead_ms, slices)
         begin = max(slice_ + 1 - follow_ms, 0)
         span = end_slice - slice_
@@ -341,10 +396,11 @@ def _search(
         object_px_ms = (object_px[end_slice] - object_px[slice_]) / span
         recent_px_ms = (object_px[slice_ + 1] - object_px[begin]) / follow_span
         closest = np.inf
+        best_px = np.inf
         for dot in range(dots):
-            dot_px_ms = (away_px[end_slice, dot] - away_px[slice_, dot]) / span
-            relative_px[slice_] = min(relative_px[slice_], (object_px_ms - dot_px_ms) * span)
-            behind = recent_px_ms - (away_px[slice_ + 1, dot] - away_px[begin, dot]) / follow_span
+            dot_px_ms = (away_px[end_slice - base, dot] - away_px[slice_ - base, dot]) / span
+            best_px = min(best_px, (object_px_ms - dot_px_ms) * span)
+            behind = recent_px_ms - (away_px[slice_ + 1 - base, dot] - away_px[begin - base, dot]) / follow_span
             if dot_px_ms < -back_px_ms:
                 since_back_px[dot] = 0.0
             else:
@@ -352,11 +408,12 @@ def _search(
                 if since_back_px[dot] < hidden_px:
                     behind = 0.0
             closest = min(closest, behind)
+        relative_px[slice_] = best_px
         slips[slice_] = closest > max(least_px_ms, follow_share * recent_px_ms)
         if slice_ < start or onset >= 0:
             continue
         if slips[slice_]:
-            slid_px += relative_px[slice_] / span
+            slid_px += best_px / span
             paused_ms = 0
         else:
             paused_ms += 1
@@ -364,4 +421,6 @@ def _search(
                 slid_px = 0.0
         if slid_px > slip_distance_px:
             onset = slice_
-    return onset, slips, relative_px
+    counts[0] = slid_px
+    counts[1] = paused_ms
+    counts[2] = onset

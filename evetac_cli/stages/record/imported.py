@@ -1,19 +1,24 @@
 """Import a foreign event file as a recording."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, slice_starts
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, outcome
 from evetac_cli.params import Record
 from evetac_cli.stages.trials import OUTPUT
 from evetac_cli.store.calibration import read_calibration
+from evetac_cli.store.disk import existing_folder
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.provenance import ContentDigest, Recipe
+
+if TYPE_CHECKING:  # with the libraries of its format
+    from evetac_cli.formats.imports import Imported
 
 METHOD = 2
 
@@ -27,17 +32,32 @@ def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
     """Import an event file of another program as a recording."""
     from evetac_cli.formats.imports import read_events  # with the libraries of its format
 
-    imported = read_events(job.inputs[0], frame_px=_frame(params.frame_size), sort=params.sort, stream=params.stream)
-    events = imported.events
+    imported = read_events(
+        job.inputs[0],
+        frame_px=_frame(params.frame_size),
+        sort=params.sort,
+        stream=params.stream,
+        folder=existing_folder(job.output.parent),
+    )
+    digest = ContentDigest()
+    counts = np.zeros(imported.slices, np.int64)
+    for block in _blocks(imported):
+        for name, rows in block.items():
+            digest.update(name, rows)
+        in_slice = block["events/t"] // SLICE_US
+        if len(in_slice):
+            some = np.bincount(in_slice - in_slice[0])
+            counts[in_slice[0] : in_slice[0] + len(some)] += some
     arrays: dict[str, Any] = {
-        **{f"events/{column}": getattr(events, column) for column in Events._fields},
-        "ms_to_idx": slice_starts(events.t, imported.slices),
+        "ms_to_idx": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         "t_offset": np.int64(imported.t_offset_us),
         "sensor/frame_px": np.array(imported.frame_px, np.int32),
         "sensor/name": "unknown",
     }
     if params.calibration is not None:
         arrays |= read_calibration(params.calibration, imported.frame_px).arrays()
+    for name, value in arrays.items():
+        digest.update(name, value)
     notes = list(imported.notes)
     lost = sum(imported.counts.values())
     parameters = {
@@ -47,19 +67,26 @@ def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
         "dropped": dict(imported.counts),
         "notes": notes,
     }
-    recipe = Recipe(OUTPUT, METHOD, parameters, content=content_digest(arrays), simulated_source=imported.simulated)
+    recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=imported.simulated)
     made = not up_to_date(job.output, recipe, force=force)
     if made:
-        write_stage(job.output, recipe, arrays)
+        lengths = dict.fromkeys((f"events/{column}" for column in Events._fields), imported.stored.size)
+        write_stage(job.output, recipe, arrays, _blocks(imported), lengths)
     return outcome(
         job,
         made=made,
         simulated=imported.simulated,
         slices=imported.slices,
-        events=events.size,
+        events=imported.stored.size,
         dropped=lost,
         notes="; ".join(notes) or None,
     )
+
+
+def _blocks(imported: "Imported") -> Iterator[dict[str, Any]]:
+    """The events in blocks, as the datasets of a recording."""
+    for events in imported.stored.blocks():
+        yield {f"events/{column}": getattr(events, column) for column in Events._fields}
 
 
 def _frame(text: str | None) -> tuple[int, int] | None:

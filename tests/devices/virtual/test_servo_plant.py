@@ -1,6 +1,9 @@
 """What a virtual servo moves: the drive alone, and a world in shared memory."""
 
+import os
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -78,6 +81,18 @@ def test_shared_plant_passes_goals_and_motion() -> None:
     servo_end.close()
     servo_end.close()
     assert not path.exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it is a file with a name")
+def test_m9_a_plant_whose_processes_are_killed_leaves_nothing() -> None:
+    """Assert that the memory has no name from the start, so that whatever kills its processes, nothing stays behind."""
+    named = set(Path("/dev/shm").glob("evetac-*"))
+    plant = SharedPlant()
+    attached = SharedPlant(plant.path)
+    assert set(Path("/dev/shm").glob("evetac-*")) <= named
+    assert os.stat(plant.path).st_nlink == 0
+    attached.close()
+    plant.close()
 
 
 def test_rows_in_shared_memory_are_never_torn() -> None:

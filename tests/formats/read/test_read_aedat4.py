@@ -1,7 +1,10 @@
 """AEDAT4 files: whole ones are read as they are, of damaged ones what is intact, and nothing hangs."""
 
+import multiprocessing.process
 import struct
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +81,47 @@ def test_cut_aedat4_keeps_what_arrived(aedat4: tuple[Path, Events], spans: Any, 
     for length in (1, 11, 14, 17, 18, spans[0][0] // 2, spans[0][0] - 1, spans[0][0], spans[0][0] + 8, spans[0][1] - 1):
         cut.write_bytes(whole[:length])
         refusal(cut)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere files have names")
+@pytest.mark.parametrize("intact", [True, False])
+def test_m9_decoding_leaves_no_file_whatever_ends_it(
+    aedat4: tuple[Path, Events], spans: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, intact: bool
+) -> None:
+    """Assert that at no moment of decoding there is a temporary file that a killed process would leave."""
+    data = bytearray(aedat4[0].read_bytes())
+    if not intact:
+        data[spans[2][0] + 20 : spans[2][0] + 60] = bytes(40)
+    path = tmp_path / "a.aedat4"
+    path.write_bytes(data)
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    decode, seen = read_aedat4._decode, []
+
+    def looking(*given: Any) -> Any:
+        seen.append(list(temporary.iterdir()))
+        return decode(*given)
+
+    monkeypatch.setattr(read_aedat4, "_decode", looking)
+    assert read_events(path).events.size >= 3000
+    assert seen == [[]] * 5
+
+
+def test_damage_is_met_once_and_needs_no_other_process(
+    aedat4: tuple[Path, Events], spans: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a damaged packet is decoded once, in this process: no time-out has to end anything."""
+    data = bytearray(aedat4[0].read_bytes())
+    data[spans[2][0] + 20 : spans[2][0] + 60] = bytes(40)
+    path = tmp_path / "a.aedat4"
+    path.write_bytes(data)
+    decode, payloads = read_aedat4._decode, []
+    monkeypatch.setattr(read_aedat4, "_decode", lambda *given: payloads.append(given[1]) or decode(*given))
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("another process"))
+    monkeypatch.setattr(multiprocessing.process.BaseProcess, "start", lambda *_: pytest.fail("another process"))
+    read_events(path)
+    assert len(payloads) == len(set(payloads)) == 5
 
 
 def test_aedat4_that_was_never_closed_is_read(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:

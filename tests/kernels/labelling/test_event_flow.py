@@ -59,6 +59,18 @@ def slide(creep_px_ms: float, slide_px_ms: float, onset: int, slices: int, angle
     return np.repeat(along[:, None, None] * direction, len(DOTS), axis=1), object_px
 
 
+def followed(between: flow.Between, slices: int) -> event_flow.Motion:
+    """The motion of all slices, in one."""
+    part = event_flow.pixel_parts(between, slices, WINDOW, GEL, DOTS)
+    given = between, slices, part, DOTS, RADIUS_PX, CONSTANTS.edge_events
+    blocks = [motion for _, motion in event_flow.follow(*given)]
+    first = [blocks[0].dot_px[:1], blocks[0].window_events[:1]]
+    return event_flow.Motion(
+        np.concatenate([first[0], *(block.dot_px[1:] for block in blocks)]),
+        np.concatenate([first[1], *(block.window_events[1:] for block in blocks)]),
+    )
+
+
 def labels(dot_px: np.ndarray, object_px: Sequence[float], start: int = LOAD_MS, **how: float) -> flow.Labels:
     between = scene(dot_px, object_px, **how)
     return event_flow.label(between, len(object_px) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS, start)
@@ -71,12 +83,22 @@ def test_dots_are_followed_both_ways(path_px: tuple[float, float]) -> None:
     path = np.concatenate([out, out[-2::-1]])
     dot_px = np.repeat(path[:, None], len(DOTS), axis=1)
     between = scene(dot_px, np.zeros(len(path)))
-    motion = event_flow.follow(between, len(path) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS.edge_events)
+    motion = followed(between, len(path) - 1)
     error = np.hypot(*(motion.dot_px - dot_px).transpose(2, 0, 1))
     per_px = np.pi * RADIUS_PX * CONSTANTS.edge_events
     assert error[100].mean() < 0.05 * np.hypot(*path_px) + 2 * np.sqrt(np.hypot(*path_px) / per_px)
     assert error[-1].mean() < 2 * np.sqrt(2 * np.hypot(*path_px) / per_px)
     assert motion.window_events.max() == 0
+
+
+@pytest.mark.parametrize("block", [1, 3, 7, 650, 1000])
+def test_blocks_do_not_change_a_bit(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that labels are the same however few slices are looked at together."""
+    dot_px, object_px = slide(0.02, 0.1, 600, 650)
+    whole = labels(dot_px, object_px)
+    monkeypatch.setattr(event_flow, "BLOCK_SLICES", block)
+    for one, other in zip(labels(dot_px, object_px), whole, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.1, 0.3])
@@ -159,9 +181,8 @@ def test_hot_pixels_change_nothing() -> None:
         order = np.argsort(joined[0], kind="stable")
         return Events(*(c[order].astype(d) for c, d in zip(joined, (np.int64, "u2", "u2", "u1"), strict=True)))
 
-    given = (len(object_px) - 1, WINDOW, GEL, DOTS, RADIUS_PX)
-    plain = event_flow.follow(quiet, *given, CONSTANTS.edge_events)
-    noisy = event_flow.follow(hot, *given, CONSTANTS.edge_events)
+    plain = followed(quiet, len(object_px) - 1)
+    noisy = followed(hot, len(object_px) - 1)
     assert abs(int(noisy.window_events[-1]) - int(plain.window_events[-1])) < 5
     assert np.abs(noisy.dot_px - plain.dot_px).max() < 0.2
 

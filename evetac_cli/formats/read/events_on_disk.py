@@ -1,0 +1,143 @@
+"""Events of an import while it is not yet known whether they can be used: on disk, so that memory does not grow.
+
+They are in a file without a name, which is gone with the process, whatever ends it. Where they came in disorder they
+are given out in the order of their time, those of one time as they came.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events, concatenate, empty
+
+BLOCK_EVENTS = 1 << 18  # some 3 MB
+SAMPLED = 256  # of so many events of a block one time is kept in memory, to divide all events by time
+TYPES = (np.int64, np.uint16, np.uint16, np.uint8)
+EVENT_BYTES = sum(np.dtype(type_).itemsize for type_ in TYPES)
+
+
+class _Block(NamedTuple):
+    """Where a block of events is in the file, and from when to when they are."""
+
+    at: int
+    size: int
+    first_us: int
+    last_us: int
+
+
+class EventsOnDisk:
+    """Events that are appended in any pieces, and given out in blocks, as often as asked for."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """folder: whose disk is used; the one for temporary files where that cannot be written to."""
+        self.size = 0
+        self.sorted = True  # they came in the order of their time
+        self.shift_us = 0  # taken from every time that is given out
+        self._file = _unnamed(folder)
+        self._blocks: list[_Block] = []
+        self._samples: list[NDArray[np.int64]] = []
+        self._waiting: list[Events] = []
+        self._waiting_events = 0
+
+    def __del__(self) -> None:
+        """Close the file, and with that remove it."""
+        if hasattr(self, "_file"):
+            self._file.close()
+
+    @property
+    def first_us(self) -> int:
+        """The earliest time, as it was appended."""
+        self._write()
+        return min(block.first_us for block in self._blocks)
+
+    @property
+    def last_us(self) -> int:
+        """The latest time, as it was appended."""
+        self._write()
+        return max(block.last_us for block in self._blocks)
+
+    def append(self, events: Events) -> None:
+        """Add events; InputError if the disk is full."""
+        for first in range(0, events.size, BLOCK_EVENTS):
+            part = events.part(first, first + BLOCK_EVENTS)
+            self._waiting.append(part)
+            self._waiting_events += part.size
+            if self._waiting_events >= BLOCK_EVENTS:
+                self._write()
+        self.size += events.size
+
+    def blocks(self) -> Iterator[Events]:
+        """All events in order, some at a time; at least one block, if only an empty one."""
+        self._write()
+        if not self._blocks:
+            yield empty()
+        elif self.sorted:
+            yield from (self._shifted(self._read(block)) for block in self._blocks)
+        else:
+            yield from map(self._shifted, self._by_time())
+
+    def all(self) -> Events:
+        """All events, in memory."""
+        return concatenate(list(self.blocks()))
+
+    def _by_time(self) -> Iterator[Events]:
+        """Events in the order of their time: of one part of time after the other, from the blocks that have some."""
+        samples = np.sort(np.concatenate(self._samples))
+        edges = np.unique(samples[:: BLOCK_EVENTS // SAMPLED])
+        for from_us, to_us in zip(edges, [*edges[1:], self.last_us + 1], strict=True):
+            parts = []
+            for block in self._blocks:
+                if block.first_us < to_us and block.last_us >= from_us:
+                    events = self._read(block)
+                    rows = (events.t >= from_us) & (events.t < to_us)
+                    parts.append(_some(events, rows))
+            events = concatenate(parts)
+            yield _some(events, np.argsort(events.t, kind="stable"))
+
+    def _shifted(self, events: Events) -> Events:
+        return events._replace(t=events.t - self.shift_us)
+
+    def _read(self, block: _Block) -> Events:
+        self._file.seek(block.at)
+        data = self._file.read(block.size * EVENT_BYTES)
+        starts = [0, *np.cumsum([block.size * np.dtype(type_).itemsize for type_ in TYPES]).tolist()]
+        columns: list[Any] = [
+            np.frombuffer(data, type_, block.size, at) for type_, at in zip(TYPES, starts[:-1], strict=True)
+        ]
+        return Events(*columns)
+
+    def _write(self) -> None:
+        """Write what waits as a block."""
+        if not self._waiting_events:
+            return
+        events = concatenate(self._waiting)
+        self._waiting, self._waiting_events = [], 0
+        try:
+            at = self._file.seek(0, 2)
+            for column in events:
+                self._file.write(np.ascontiguousarray(column).data)
+            self._file.flush()
+        except OSError as error:
+            raise InputError(
+                f"the events cannot be kept while they are imported: {error.strerror or error}",
+                hint=f"an import needs {EVENT_BYTES} bytes an event beside its output until it ends",
+            ) from error
+        times = np.sort(events.t)
+        self._blocks.append(_Block(at, events.size, int(times[0]), int(times[-1])))
+        self._samples.append(times[::SAMPLED].copy())
+
+
+def _some(events: Events, rows: NDArray[Any]) -> Events:
+    return Events(events.t[rows], events.x[rows], events.y[rows], events.p[rows])
+
+
+def _unnamed(folder: Path | None) -> IO[bytes]:
+    try:
+        return tempfile.TemporaryFile(dir=folder)
+    except OSError:
+        return tempfile.TemporaryFile()

@@ -1,0 +1,105 @@
+"""Memory does not grow with the length of a recording."""
+
+import gc
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from evetac_cli import params, stages
+from evetac_cli.formats.exports import export
+from evetac_cli.formats.read import events_on_disk, read_dsec
+from evetac_cli.formats.write import pieces
+from evetac_cli.inspect import validate
+from evetac_cli.kernels.labelling import event_flow
+from evetac_cli.stages import featurize, label, record, track, track_rgb, trim
+from evetac_cli.store import read
+from evetac_cli.store.read import open_recording
+from scripts.long_recording import Repeated
+from tests.conftest import Made
+
+SHORT, LONG = 1000, 3000  # slices
+MOST_BYTES_A_SLICE = 200  # a number or two for every slice, such as ms_to_idx; all else is some 1,000 bytes
+
+
+@pytest.fixture(scope="module")
+def folders(made: Made, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A folder with a short recording, and one with a longer one, each with its tracks."""
+    both = tmp_path_factory.mktemp("short"), tmp_path_factory.mktemp("long")
+    with open_recording(made.recordings[0]) as trial:
+        repeated = Repeated(trial, 50.0)
+    for folder, slices in zip(both, (SHORT, LONG), strict=True):
+        repeated.write(folder / "a.recording.h5", slices)
+        _run(track, params.Track(), folder)
+        export(folder / "a.recording.h5", "dsec", folder / "a.dsec.h5")
+        _import("a.dsec.h5")(folder, folder / "imported.recording.h5")
+    return both
+
+
+def _run(stage: object, chosen: object, folder: Path, out: Path | None = None) -> None:
+    (job,) = stage.jobs([folder / "a.recording.h5"], chosen, out)  # type: ignore[attr-defined]
+    stage.run(job, chosen)  # type: ignore[attr-defined]
+
+
+def _import(source: str, **options: object) -> Callable[[Path, Path], None]:
+    def run(folder: Path, out: Path) -> None:
+        chosen = params.Record(source=folder / source, **options)  # type: ignore[arg-type]
+        (job,) = record.jobs([], chosen, out)
+        record.run(job, chosen)
+
+    return run
+
+
+BLOCKS = (
+    (stages, "BLOCK_ROWS", 100),
+    (track_rgb, "FRAMES", 2),
+    (read, "BLOCK_SLICES", 100),
+    (event_flow, "BLOCK_SLICES", 100),
+    (pieces, "PIECE_EVENTS", 1 << 13),
+    (trim, "PIECE_ROWS", 1 << 13),
+    (events_on_disk, "BLOCK_EVENTS", 1 << 13),
+    (read_dsec, "BATCH_ROWS", 1 << 13),
+    (validate, "BLOCK", 1 << 13),
+)
+COMMANDS: dict[str, Callable[[Path, Path], None]] = {
+    "trim": lambda folder, out: _run(trim, params.Trim(from_ms=100), folder, out),
+    "track": lambda folder, out: _run(track, params.Track(), folder, out),
+    "featurize": lambda folder, out: _run(featurize, params.Featurize(images=True), folder, out),
+    "track-rgb": lambda folder, out: _run(track_rgb, params.TrackRgb(), folder, out),
+    "label": lambda folder, out: _run(label, params.Label(), folder, out),
+    "import": _import("a.dsec.h5"),
+    "import --sort": _import("a.dsec.h5", sort=True),
+    "validate": lambda folder, out: _validate(folder / "imported.recording.h5", folder / "a.tracks.h5"),
+    "export dsec": lambda folder, out: _export(folder, "dsec", out),
+    "export aedat4": lambda folder, out: _export(folder, "aedat4", out),
+}
+
+
+def _export(folder: Path, format_: str, out: Path) -> None:
+    export(folder / "a.recording.h5", format_, out.with_suffix(".out"))
+
+
+def _validate(*files: Path) -> None:
+    assert [row["faults"] for row in validate.run([*files]).rows] == [None] * len(files)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_m11_memory_does_not_grow_with_length(
+    command: str, folders: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that more than twice the slices take hardly more memory at any moment of a command."""
+    for module, name, size in BLOCKS:  # blocks are as large as what a short recording holds: smaller ones show more
+        monkeypatch.setattr(module, name, size)
+    peaks = []
+    for number, folder in enumerate((folders[0], *folders)):  # once before it counts: to compile and to import
+        out = tmp_path / str(number)
+        out.mkdir()
+        gc.collect()
+        tracemalloc.start()
+        try:
+            COMMANDS[command](folder, out / "a.h5")
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+    assert peaks[2] - peaks[1] < MOST_BYTES_A_SLICE * (LONG - SHORT)
