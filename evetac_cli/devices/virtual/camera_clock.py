@@ -1,4 +1,4 @@
-"""The clock of a virtual camera that jumps or runs at another rate: event words with other times, otherwise the same."""
+"""The clock of a virtual camera that jumps or runs at another rate: the same event words at other times."""
 
 import numpy as np
 from numpy.typing import NDArray

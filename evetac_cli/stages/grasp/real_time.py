@@ -301,6 +301,6 @@ def _row(
         command_misses=int(datasets["capture/command_misses"]),
         latencies=len(recorded.latency_us),
         scheduling=datasets["capture/scheduling"],
-        lost=session.lost_words(datasets),
+        **session.lost_columns(datasets),
         **grasp_outcome,
     )

@@ -11,6 +11,7 @@ The first camera leads: it gives the number of slices, and its file has the grip
 
 import sys
 import threading
+import time
 from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,6 +26,7 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.devices import EventCamera, GripperReading, Rig, camera_time
 from evetac_cli.devices.grippers import NoGripper
+from evetac_cli.devices.losses import LossNews
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.events import SLICE_US, Events
@@ -40,6 +42,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe, first_difference
 from evetac_cli.store.segments import RecordingWriter
 
+NEWS_SLICES = 100  # after so many slices it is asked what was lost, and said
 METHOD = 1  # of recordings from devices
 SWITCH_S = 5e-4  # the interpreter's threads take turns so often: a command waits no longer for the camera's thread
 OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "sampled_holding_ma")  # of each trial
@@ -308,6 +311,7 @@ def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: li
     """Read and write slice by slice until something ends the recording, and say what; a failure is raised."""
     first = recordings[0]
     loop = first.loop
+    news = [LossNews() for _ in recordings]
     for recording in recordings[1:]:
         assert recording.thread is not None
         recording.thread.start()
@@ -329,9 +333,17 @@ def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: li
         if signals:
             first.ended = INTERRUPTED
             return
-        if first.slices % 100 == 0:
+        if first.slices % NEWS_SLICES == 0:
             progress(first.slices, most or first.slices)
+            _tell(recordings, news)
     first.ended = "after the seconds asked for"
+
+
+def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews]) -> None:
+    """Say what was lost since the last time; a second camera by the name of its file."""
+    for recording, each in zip(recordings, news, strict=True):
+        for sentence in each.of(recording.rig.counted(), time.monotonic()):
+            console.say(sentence if len(recordings) == 1 else f"{recording.output.name}: {sentence}")
 
 
 def _fetch(recordings: Sequence[CameraRecording]) -> None:
@@ -373,7 +385,7 @@ def _row(trial: DeviceTrial, recording: CameraRecording, datasets: Mapping[str, 
         ended=recording.ended,
         slices_per_s=_plain(datasets.get("capture/slices_per_s")),
         slice_late_us_p99=_plain(late_us[1]),
-        lost=session.lost_words(datasets),
+        **session.lost_columns(datasets),
         commands=loop.commands if loop is not None else None,
         command_misses=loop.misses if loop is not None else None,
         command_us_median=_plain(command_us[0]),

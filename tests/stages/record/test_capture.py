@@ -134,7 +134,7 @@ def test_after_the_seconds(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     assert header["content"] is not None
     assert header["parameters"]["setup"] == rig.setup
     row = made.rows[0]
-    assert (row["slices"], row["events"], row["lost"]) == (500, 5000, "camera.late_events 3")
+    assert (row["slices"], row["events"], row["lost"], row["lost_why"]) == (500, 5000, 3, "camera.late_events 3")
     json.dumps(made.rows)
     assert rig.camera.closed
 
