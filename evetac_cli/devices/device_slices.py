@@ -67,6 +67,7 @@ class DeviceSlices:
         self._latest_us = 0  # of the packets so far
         self._due = 0  # slices that are over
         self._closed = 0
+        self._told = 0  # slices that were closed when the camera last gave a time
         self._far_since_us: float | None = None  # host time since which device time has been far from the host's
         self.waiting_events = 0  # of slices that are not closed
         self.late_events = 0
@@ -101,8 +102,7 @@ class DeviceSlices:
     @property
     def ms_without_time(self) -> int:
         """How many ms were closed by the host's clock since the camera last gave a time."""
-        told_ms = 0 if self._origin_us is None else (self._now_us - self._origin_us) // SLICE_US
-        return max(0, self._closed - told_ms)
+        return self._closed - self._told
 
     def push(self, events: Events, first_us: int, now_us: int, arrived_us: float) -> list[Events]:
         """Take events that arrived; return slices that are closed now.
@@ -112,6 +112,10 @@ class DeviceSlices:
         if self._origin_us is None:
             self._origin_us = SLICE_US * (first_us // SLICE_US - self._closed)
             self._now_us = first_us - 1
+        in_order = events.t == np.maximum.accumulate(events.t)
+        if not in_order.all():  # of a library; our own decoder never goes back
+            self.late_events += int(events.size - in_order.sum())
+            events = Events(*(column[in_order] for column in events))
         self._keep_near_host(now_us, arrived_us)
         possible_us = self._origin_us + int(self.most_us(arrived_us))
         early = events.size - int(np.searchsorted(events.t, possible_us, side="right"))
@@ -121,6 +125,7 @@ class DeviceSlices:
             self._now_us = now_us
             self._offset.add(arrived_us, now_us)
             closed += self.close_until((now_us - self._origin_us) // SLICE_US)
+            self._told = self._closed
         return closed
 
     def over(self, begun_us: float) -> int:

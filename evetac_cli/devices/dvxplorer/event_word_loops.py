@@ -78,6 +78,15 @@ def _is_possible(word: int) -> bool:
 
 
 @njit(cache=True)
+def sound_words(words: NDArray[np.uint32]) -> int:
+    """Number of words before the first that no camera sends."""
+    for place in range(words.shape[0]):
+        if not _is_possible(np.int64(words[place])):
+            return place
+    return int(words.shape[0])
+
+
+@njit(cache=True)
 def _plausible_events(words: NDArray[np.uint32], place: int) -> int:
     """Number of events of a GROUP word; 0 where it, or a word beside it, is none that a camera sends."""
     for k in range(max(0, place - 1), min(place + 2, words.shape[0])):
@@ -157,11 +166,13 @@ def _timestamp(ref: int, host_ms: int, most_ms: int, registers: NDArray[np.int64
             if registers[REFUSALS] < REFUSED_IN_A_ROW:
                 registers[WHERE] = LOST
                 return
-            counts[_RESTARTS] += 1
+            step_ms = max(1, host_ms - registers[MS])
             if most_ms >= 0:
-                step_ms = max(0, min(host_ms, registers[FIRST_MS] + most_ms) - registers[MS])
-            else:
-                step_ms = max(1, host_ms - registers[MS])
+                step_ms = min(step_ms, registers[FIRST_MS] + most_ms - registers[MS])
+            if step_ms < 1:
+                registers[WHERE] = LOST
+                return
+            counts[_RESTARTS] += 1
         if step_ms > 0:  # else it is repeated, and its frames go on
             registers[MS] += step_ms
             registers[LAST_US] = -1

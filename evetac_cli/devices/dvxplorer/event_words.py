@@ -27,10 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.devices.dvxplorer import event_word_loops as loops
-from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
+from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
 
 LOSSES = loops.LOSSES
 QUIET_MS = loops.QUIET_MS
+WORD_BYTES = 4
+LOOK_WORDS = 64  # behind damage, in which the byte is looked for at which words begin
 
 
 @dataclass
@@ -77,16 +79,27 @@ def step(
     believed. Without both, as with words from a file, every TIMESTAMP is that is ahead by less than half the range.
     All events of a frame have one time; they come by column, in a column as the words do.
     """
-    stream = decoder.rest + bytes(data)
-    if decoder.rest or decoder.registers[loops.DAMAGED]:
-        skipped = loops.torn_bytes(np.frombuffer(stream, np.uint8))
-        if skipped:
-            decoder.counts[LOSSES.index("torn_bytes")] += skipped
-            _distrust(decoder)
-        stream = stream[skipped:]
-    whole = len(stream) // 4
-    decoder.rest = stream[4 * whole :]
-    words = np.frombuffer(stream, "<u4", whole)
+    suspicious = bool(decoder.rest) or bool(decoder.registers[loops.DAMAGED])
+    stream = memoryview(decoder.rest + bytes(data))
+    parts = []
+    while len(stream) >= WORD_BYTES:
+        if suspicious:
+            skipped = loops.torn_bytes(np.frombuffer(stream[: LOOK_WORDS * WORD_BYTES], np.uint8))
+            if skipped:
+                decoder.counts[LOSSES.index("torn_bytes")] += skipped
+                _distrust(decoder)
+            stream = stream[skipped:]
+        words = np.frombuffer(stream, "<u4", len(stream) // WORD_BYTES)
+        count = max(loops.sound_words(words), min(LOOK_WORDS, len(words)) if suspicious else 0)
+        parts.append(_decode(decoder, words[:count], host_ms, most_ms))
+        stream = stream[count * WORD_BYTES :]
+        suspicious = True
+    decoder.rest = bytes(stream)
+    return parts[0] if len(parts) == 1 else concatenate(parts)
+
+
+def _decode(decoder: Decoder, words: NDArray[np.uint32], host_ms: int | None, most_ms: int | None) -> Events:
+    """Events of the frames that these words complete."""
     most = decoder.frame.size + loops.events_in(words)
     events = Events(
         np.empty(most, np.int64), np.empty(most, np.uint16), np.empty(most, np.uint16), np.empty(most, np.uint8)

@@ -468,7 +468,8 @@ def test_reader_too_slow() -> None:
     expected = decoded(words)
     device = VirtualDvxplorer(PreparedWords(words))
     with closing(DvxplorerCamera(backend=device, queue_bytes=100_000)) as camera:
-        time.sleep(0.35)
+        while camera.counted["events_in_full_queue"] <= 20_000:
+            time.sleep(0.01)
         parts = [camera.read() for _ in range(330)]
         missing = lost(camera)
     got = concatenate([part for part in parts if part is not None])
