@@ -16,6 +16,7 @@ from tests.devices.dvxplorer.test_camera import Nothing
 
 BLOCK_US = 1000.0  # of the host's time from one read to the next
 AHEAD_MS = 25  # that slices may be ahead of the host's time
+KINDS = (np.int64, np.uint16, np.uint16, np.uint8)  # of the columns of events
 
 
 def prepared(seconds: float, events_per_s: float = 200_000) -> NDArray[np.uint32]:
@@ -163,3 +164,36 @@ def test_m8_random_words_hold_no_events_to_count() -> None:
     for data in random_words()[:50]:
         event_words.step(decoder, data, 100)
     assert sum(count for name, count in decoder.counted.items() if name.startswith("events")) < 0.02 * 50 * 16384
+
+
+@pytest.mark.parametrize("flood", ["padding", "frames of one time"])
+def test_h2_a_flood_without_time_does_not_stop_the_slices(flood: str) -> None:
+    """Assert that slices go on by the host's clock though every read is full, and none brings a time."""
+    frame = event_words.encode(Events(*(np.zeros(1, kind) for kind in KINDS)))[1:]
+    data = bytes(65536) if flood == "padding" else np.tile(frame, 8000).tobytes()
+    slices = WordSlices(2000.0)
+    slices.start(0.0)
+    closed = 0
+    for ms in range(2000):
+        closed += len(slices.push_words(data, 1e3 * ms, 1e3 * (ms + 1), emptied=False))
+    assert closed >= 1400
+
+
+def test_an_hour_without_the_program_is_handed_out_in_pieces() -> None:
+    """Assert that slices of a program that was stopped come a thousand at a time, each with its events, and all do."""
+    slices = WordSlices(2000.0)
+    slices.start(0.0)
+    first, later = (
+        in_reads(prepared(0.1))[0],
+        event_words.encode(Events(*(np.zeros(1, kind) for kind in KINDS)), 60_000),
+    )
+    slices.push_words(first, 0.0, 1e3, emptied=True)
+    sizes = [part.size for part in slices.push_words(later.tobytes(), 60e6, 60e6, emptied=True)]
+    sizes += [
+        part.size for part in slices.push_words(event_words.timestamp(60_100).tobytes(), 60.2e6, 60.2e6, emptied=True)
+    ]
+    while closed := slices.more():
+        assert len(closed) <= 1000
+        sizes += [part.size for part in closed]
+    assert len(sizes) == 60_099
+    assert [k for k, size in enumerate(sizes) if size] == [0, 59_999]

@@ -658,3 +658,22 @@ def test_full_disk(tmp_path: Path) -> None:
 def test_gripper_of_a_name_that_is_not_given() -> None:
     """Assert that a camera alone moves no gripper."""
     assert record.devices(Record(camera="dvxplorer"))[1] == NoGripper()
+
+
+def test_h2_ctrl_c_while_the_file_is_joined_keeps_the_segments(
+    rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that the first Ctrl-C works, too, once the recording is over, and repair makes its file."""
+
+    def interrupted(*given: Any, **more: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(10)
+        pytest.fail("Ctrl-C was only counted")
+
+    rig = rig_is(Camera())
+    with monkeypatch.context() as joining:
+        joining.setattr(segments, "join", interrupted)
+        with pytest.raises(KeyboardInterrupt, match="for `evetac repair`"):
+            recording(tmp_path, seconds=0.1)
+    assert rig.camera.closed
+    assert repair.run([tmp_path]).rows[0]["slices_kept"] == 100
