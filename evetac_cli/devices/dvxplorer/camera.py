@@ -16,7 +16,7 @@ import numpy as np
 import usb.core
 import usb.util
 
-from evetac_cli.devices.device_slices import DeviceSlices
+from evetac_cli.devices.device_slices import FAR_US, DeviceSlices
 from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings, Generation
 from evetac_cli.devices.dvxplorer.usb_errors import (
@@ -94,6 +94,9 @@ class WordSlices(DeviceSlices):
         super().__init__(patience_us)
         event_words.step(event_words.start(), bytes(4))  # loads or compiles it before there is a clock to keep
         self._decoder = event_words.start()
+        self._flooded_since_us: float | None = (
+            None  # host time since which every read was full, and none brought a time
+        )
 
     @property
     def counted(self) -> Mapping[str, int]:
@@ -123,8 +126,13 @@ class WordSlices(DeviceSlices):
         closed = []
         if self._decoder.first_ms is not None and data:
             closed = self.push(events, SLICE_US * self._decoder.first_ms, self._decoder.now_us, ended_us)
-        if emptied and self._decoder.now_us == before_us:
-            slices = self.over(begun_us)
+        if emptied or self._decoder.now_us != before_us:
+            self._flooded_since_us = None
+        elif self._flooded_since_us is None:
+            self._flooded_since_us = ended_us
+        is_flooded = self._flooded_since_us is not None and ended_us - self._flooded_since_us > FAR_US
+        if self._decoder.now_us == before_us and (emptied or is_flooded):
+            slices = self.over(begun_us if emptied else ended_us - FAR_US)
             closed += self.take(event_words.flush(self._decoder)) + self.close_until(slices)
         return closed
 

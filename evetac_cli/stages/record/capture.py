@@ -157,6 +157,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
             _write(recordings, _hold(trial, params, recordings[0].rig), rng, params, signals, progress)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             _release(recordings)
+            signals.append(0)  # from here on a single Ctrl-C breaks off: the devices are let go of, the segments stay
             _finish(recordings, datasets)
     return _result(trial, recordings, datasets)
 
