@@ -67,7 +67,7 @@ class DeviceSlices:
         self._latest_us = 0  # of the packets so far
         self._due = 0  # slices that are over
         self._closed = 0
-        self._told = 0  # slices that were closed when the camera last gave a time
+        self._told = 0  # slices that were over when the camera last gave a time
         self._far_since_us: float | None = None  # host time since which device time has been far from the host's
         self.waiting_events = 0  # of slices that are not closed
         self.late_events = 0
@@ -102,7 +102,7 @@ class DeviceSlices:
     @property
     def ms_without_time(self) -> int:
         """How many ms were closed by the host's clock since the camera last gave a time."""
-        return self._closed - self._told
+        return max(0, self._closed - self._told)
 
     def push(self, events: Events, first_us: int, now_us: int, arrived_us: float) -> list[Events]:
         """Take events that arrived; return slices that are closed now.
@@ -125,7 +125,7 @@ class DeviceSlices:
             self._now_us = now_us
             self._offset.add(arrived_us, now_us)
             closed += self.close_until((now_us - self._origin_us) // SLICE_US)
-            self._told = self._closed
+            self._told = max(self._closed, self._due)
         return closed
 
     def over(self, begun_us: float) -> int:

@@ -69,7 +69,8 @@ class Ending:
         least = self.host_ms - 3 * FAR_US / SLICE_US  # behind for so long, for so long, and read that much later
         if not least <= self.slices <= most:
             wrong.append(f"{self.slices} slices in {self.host_ms:.0f} ms")
-        tolerance = SHARE * self.seen + IN_FLIGHT_S * events_s
+        behind_s = max(0.0, self.host_ms - self.slices) * 1e-3  # what was seen then is behind the last slice
+        tolerance = SHARE * self.seen + (IN_FLIGHT_S + behind_s) * events_s
         said = int(str(self.said).rpartition(" ")[2].replace(",", ""))
         is_number = isinstance(self.said, int)
         if said > self.lost + tolerance:
