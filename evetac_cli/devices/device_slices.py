@@ -68,6 +68,8 @@ class DeviceSlices:
         self._due = 0  # slices that are over
         self._closed = 0
         self._told = 0  # slices that were over when the camera last gave a time
+        self._told_us = 0.0  # and the host's time then
+        self._asked_us = 0.0  # host time at which the latest read was begun that found nothing
         self._far_since_us: float | None = None  # host time since which device time has been far from the host's
         self.waiting_events = 0  # of slices that are not closed
         self.late_events = 0
@@ -76,7 +78,7 @@ class DeviceSlices:
 
     def start(self, host_us: float) -> None:
         """The camera was started at this host time, or later."""
-        self._started_us = host_us
+        self._started_us = self._told_us = host_us
 
     def host_us(self, recording_us: float) -> float:
         """Host time at which the camera's clock showed a time of the recording."""
@@ -101,8 +103,8 @@ class DeviceSlices:
 
     @property
     def ms_without_time(self) -> int:
-        """How many ms were closed by the host's clock since the camera last gave a time."""
-        return max(0, self._closed - self._told)
+        """How many ms were closed by the host's clock since the camera last gave a time, as far as it was asked."""
+        return max(0, min(self._closed - self._told, int(self._asked_us - self._told_us) // SLICE_US))
 
     def push(self, events: Events, first_us: int, now_us: int, arrived_us: float) -> list[Events]:
         """Take events that arrived; return slices that are closed now.
@@ -125,11 +127,12 @@ class DeviceSlices:
             self._now_us = now_us
             self._offset.add(arrived_us, now_us)
             closed += self.close_until((now_us - self._origin_us) // SLICE_US)
-            self._told = max(self._closed, self._due)
+            self._told, self._told_us = max(self._closed, self._due), arrived_us
         return closed
 
     def over(self, begun_us: float) -> int:
         """How many slices are over, given that a read begun at this host time found the camera empty."""
+        self._asked_us = begun_us
         if self._origin_us is None and begun_us < self._started_us + FIRST_EVENTS_US:
             return 0
         passed_us = min(self.recording_us(begun_us), self.most_us(begun_us))
