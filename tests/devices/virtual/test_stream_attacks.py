@@ -34,5 +34,5 @@ def test_the_driver_outlasts_every_attack(attacked: Attack) -> None:
 )
 def test_what_is_wrong_with_an_ending(ending: Ending, countable: bool, wrong: list[str] | None) -> None:
     """Assert that slices beyond the host's time and counts that are not the camera's are found."""
-    found = ending.faults(Attack("any", countable), EVENTS_S)
-    assert found == wrong if wrong is not None else found
+    faults = ending.faults(Attack("any", countable), EVENTS_S)
+    assert faults == wrong if wrong is not None else faults
