@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 NAMES = "sim, virtual, dvxplorer[:SERIAL], dv[:SERIAL] or replay:FILE"
 PREPARED_EVENTS_S = 1_000_000
 PREPARED_S = 30  # how long prepared words are played; then the camera is silent
-TIMESTAMP_CODE = 2  # of an event word: bits 26 up
 FIRMWARE = 10
 
 
@@ -283,10 +282,7 @@ def prepared_words(events_s: float, seeds: np.random.SeedSequence) -> "PreparedW
     from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 
     second = random_event_words(events_s, 1.0, np.random.default_rng(seeds))
-    stamps = second >> 26 == TIMESTAMP_CODE
-    return PreparedWords(
-        np.concatenate([np.where(stamps, second + np.uint32(1000 * played), second) for played in range(PREPARED_S)])
-    )
+    return PreparedWords(second, times=PREPARED_S, period_ms=1000)
 
 
 def _open_dvxplorer(name: str, serial: str | None, settings: CameraSettings, backend: Any) -> OpenedCamera:

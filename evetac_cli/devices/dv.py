@@ -1,7 +1,8 @@
 """A DVXplorer Mini through the maker's library dv-processing (firmware 10 only): an alternative to our driver.
 
 The library finds, reads and decodes; slices are cut here as for our own driver (device_slices.py). Its times are those
-of the camera plus the host's time of day at the start.
+of the camera plus the host's time of day at the start. What it drops it does not say, nor whether a camera without
+events still sends the time: a second without an event is counted as such.
 """
 
 import time
@@ -18,6 +19,7 @@ from evetac_cli.errors import DeviceError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 
 POLL_S = 0.0005
+QUIET_MS = 1000  # without an event: a sensor in the dark still has noise
 PATIENCE_US = 10_000  # on top of the flush time: two threads of the library, which gives no word of an empty camera
 
 
@@ -55,15 +57,26 @@ class DvCamera:
         self._slices.start(_now_us())
         self._first_us: int | None = None
         self._ready: deque[Events] = deque()
+        self._quiet_ms = 0  # in all silences that are over
 
     @property
     def counted(self) -> Mapping[str, int]:
         """What was lost so far, by reason; the library does not report its own."""
-        return {"late_events": self._slices.late_events}
+        slices = self._slices
+        quiet_ms = slices.ms_without_time if slices.ms_without_time > QUIET_MS else 0
+        return {
+            "late_events": slices.late_events,
+            "early_events": slices.early_events,
+            "clock_restarts": slices.clock_restarts,
+            "ms_without_events": self._quiet_ms + quiet_ms,
+        }
 
     def read(self) -> Events | None:
         """The next slice, once it is closed; None after close; DeviceError once the camera is gone."""
         while self._camera is not None and not self._ready:
+            self._ready += self._slices.more()
+            if self._ready:
+                break
             begun_us = _now_us()
             batch = self._camera.getNextEventBatch()
             if batch is not None and batch.size():
@@ -97,6 +110,8 @@ class DvCamera:
         events = Events(t_us, *columns)
         if self._first_us is None:
             self._first_us = int(t_us[0])
+        if self._slices.ms_without_time > QUIET_MS:
+            self._quiet_ms += self._slices.ms_without_time
         self._ready += self._slices.push(events, self._first_us, int(t_us[-1]), _now_us())
 
     def _set_up(self, library: Any) -> None:

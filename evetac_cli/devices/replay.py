@@ -1,6 +1,7 @@
 """A recording, handed out slice by slice as if it were a camera.
 
-Events are read in packets of a fixed number and cut into slices by their time, as a driver does with USB packets.
+Events are read in packets of a bounded number and cut into slices by their time, as a driver does with USB packets;
+an hour without events is cut a second at a time.
 Paced, a slice comes when as much time has passed since the first as in the recording: a stand-in for a device.
 """
 
@@ -11,11 +12,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, Slicer
 from evetac_cli.store.provenance import Header
 from evetac_cli.store.read import open_recording
 
 PACKET_EVENTS = 8192
+BLOCK_SLICES = 1000  # that are cut at once
 
 
 class ReplayCamera:
@@ -29,7 +32,8 @@ class ReplayCamera:
         self.sensor: Mapping[str, Any] = self._recording.sensor_datasets()
         self._slicer = Slicer()
         self._ready: deque[Events] = deque()
-        self._read = 0
+        self._read = 0  # events
+        self._cut = 0  # slices
         self._handed_out = 0
         self._open = True
         self._paced = paced
@@ -38,12 +42,13 @@ class ReplayCamera:
     def read(self) -> Events | None:
         """The next slice, or None after the last one; paced, not before its time."""
         while self._open and not self._ready and self._handed_out < len(self._recording):
-            if self._read < self._recording.event_count:
-                stop = min(self._read + PACKET_EVENTS, self._recording.event_count)
-                self._ready += self._slicer.push(self._recording.events(self._read, stop))
-                self._read = stop
-            else:
-                self._ready += self._slicer.close_until(len(self._recording))
+            end = min(self._cut + BLOCK_SLICES, len(self._recording))
+            last = int(self._recording.starts[end])
+            if self._read < last:
+                self._ready += self._slices_of(min(self._read + PACKET_EVENTS, last), end)
+            if self._read == last:
+                self._ready += self._slicer.close_until(end)
+                self._cut = end
         if not self._open or not self._ready:
             return None
         if self._paced:
@@ -51,6 +56,22 @@ class ReplayCamera:
             time.sleep(max(0.0, self.host_us((self._handed_out + 1) * SLICE_US) - _host_us()) * 1e-6)
         self._handed_out += 1
         return self._ready.popleft()
+
+    def _slices_of(self, stop: int, end: int) -> list[Events]:
+        """Slices that the events up to `stop` end; InputError where they go back, or belong behind `end`."""
+        packet = self._recording.events(self._read, stop)
+        self._read = stop
+        try:
+            if int(packet.t.max()) >= end * SLICE_US or int(packet.t[0]) < 0:
+                raise ValueError(f"expected events before {end} ms, found one at {int(packet.t.max()) // SLICE_US} ms")
+            return self._slicer.push(packet)
+        except ValueError as error:
+            raise InputError(
+                "the events are not in the slices that ms_to_idx names",
+                where=str(self._recording.path),
+                found=str(error),
+                hint="evetac validate says what is wrong with the file",
+            ) from None
 
     def now_us(self) -> int:
         """End of the slice that was read last."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.console import format_value, print_table, print_text
+from evetac_cli.devices import losses
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import StageFile
@@ -139,7 +140,8 @@ def _capture(file: StageFile) -> dict[str, Any]:
 
     figures = {
         "ended": file.read("capture/ended"),
-        "lost": "; ".join(f"{name} {count}" for name, count in counted.items() if count) or "nothing",
+        "lost": losses.events_lost(counted) or "nothing",
+        "lost_why": losses.reasons(counted),
         "slices_lost": int(np.sum(gaps[:, 1] - gaps[:, 0])),
         "slices_per_s": figure("slices_per_s"),
         "slice_late_us_p99": late_us("slice_late_us"),

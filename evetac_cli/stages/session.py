@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli import console
+from evetac_cli.devices import losses
 from evetac_cli.errors import DeviceError, EvetacError, InputError, attach_outcome
 from evetac_cli.jobs import Outcome
 from evetac_cli.realtime.emergency_key import KEY_NAME, EmergencyKey, emergency_key
@@ -186,10 +187,10 @@ def lost_datasets(counts: Mapping[str, int]) -> dict[str, Any]:
     return {LOST + reason: np.int64(count) for reason, count in counts.items()}
 
 
-def lost_words(datasets: Mapping[str, Any]) -> str | None:
-    """What was lost, as a column of the table; None for nothing."""
+def lost_columns(datasets: Mapping[str, Any]) -> dict[str, Any]:
+    """What was lost, as columns of the table: how many events, as far as that is known, and why; None for nothing."""
     counts = {name.removeprefix(LOST): int(count) for name, count in datasets.items() if name.startswith(LOST)}
-    return "; ".join(f"{reason} {count}" for reason, count in counts.items() if count) or None
+    return {"lost": losses.events_lost(counts), "lost_why": losses.reasons(counts)}
 
 
 def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.devices import Clock, EventCamera
+from evetac_cli.devices import Clock, EventCamera, dv
 from evetac_cli.devices.dv import DvCamera
 from evetac_cli.devices.dvxplorer.protocol import READOUT_RATES, DvxplorerSettings
 from evetac_cli.errors import DeviceError
@@ -111,10 +111,67 @@ def test_slices_and_clock() -> None:
     mini.batches.append(batch([5000, 5001, 10**7]))
     while mini.batches:  # on a busy machine several slices may have been closed already
         camera.read()
-    assert camera.counted == {"late_events": 2}
+    assert {name: count for name, count in camera.counted.items() if count} == {"late_events": 2, "early_events": 1}
     camera.close()
     camera.close()
     assert camera.read() is None
+
+
+class Times:
+    """A clock of the host that goes on by as much as is asked for."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_us = 1e9
+        monkeypatch.setattr(dv, "_now_us", lambda: self.now_us)
+        monkeypatch.setattr(dv.time, "sleep", self.sleep)
+
+    def sleep(self, seconds: float) -> None:
+        self.now_us += seconds * 1e6
+
+
+@pytest.mark.parametrize("jump_us", [5_000_000, -5_000_000, 10**15])
+def test_h2_a_clock_that_jumps_makes_no_more_slices_than_the_hosts_time(
+    jump_us: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert slices of the host's time, whatever the library's clock says, and events again a second after the jump."""
+    times = Times(monkeypatch)
+    began_us = times.now_us
+    sizes = []
+    with closing(DvCamera(library=library())) as camera:
+        mini = FakeMini.latest
+        for ms in range(3000):
+            times.now_us = max(times.now_us, began_us + 1000.0 * (ms + 1))
+            device_us = 10_000_000 + 1000 * ms + (jump_us if ms >= 500 else 0)
+            mini.batches.append(batch([device_us + 100, device_us + 900]))
+            while mini.batches or camera._ready:
+                part = camera.read()
+                assert part is not None
+                sizes.append(part.size)
+                assert len(sizes) <= (times.now_us - began_us) * 1e-3 + 30
+        counts = camera.counted
+    assert counts["clock_restarts"] == 1
+    assert len(sizes) >= 2900
+    assert sum(sizes[:490]) >= 2 * 480
+    assert sum(sizes[-1000:]) >= 2 * 900
+    assert sum(sizes) + counts["late_events"] + counts["early_events"] >= 6000 - 100
+
+
+def test_m8_a_library_without_events_is_news(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that seconds without an event are counted, also once events come again, and a short pause is not."""
+    times = Times(monkeypatch)
+    with closing(DvCamera(library=library())) as camera:
+        mini = FakeMini.latest
+        mini.batches.append(batch([300]))
+        for _ in range(900):
+            camera.read()
+        assert camera.counted["ms_without_events"] == 0
+        for _ in range(2000):
+            camera.read()
+        quiet_ms = camera.counted["ms_without_events"]
+        assert 2850 <= quiet_ms <= 2950
+        mini.batches.append(batch([int(times.now_us - 1e9) + 500]))
+        camera.read()
+        assert 2850 <= camera.counted["ms_without_events"] <= 2950
 
 
 def test_silent_from_the_start() -> None:

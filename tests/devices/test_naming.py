@@ -164,7 +164,7 @@ def test_prepared_words_hold_the_rate() -> None:
     from evetac_cli.devices.dvxplorer import event_words
 
     source = cameras.prepared_words(20_000, np.random.SeedSequence(3))
-    data = bytes(source._data)
+    data = source._between(0, 4 * source.left)
     decoder = event_words.start()
     events = event_words.step(decoder, data)
     more = event_words.flush(decoder)

@@ -55,7 +55,7 @@ def test_how_a_recording_from_devices_went(tmp_path: Path, capsys: pytest.Captur
     lines = shown(path, capsys)
     for line in (
         "ended camera DXM00042: is no longer on the bus",
-        "lost usb_errors 2",
+        "lost_why usb_errors 2",
         "slices_lost 2",
         "slices_per_s 998.5",
         "slice_late_us_p99 667,300",

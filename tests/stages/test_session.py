@@ -40,8 +40,9 @@ def test_losses_are_datasets_and_words() -> None:
     """Assert that every loss is a dataset, also one that did not happen, and that only what was lost is in the row."""
     datasets = session.lost_datasets({"camera.late_events": 3, "gripper.answers_lost": 0})
     assert datasets == {"capture/lost/camera.late_events": 3, "capture/lost/gripper.answers_lost": 0}
-    assert session.lost_words({**datasets, "capture/ended": "the end"}) == "camera.late_events 3"
-    assert session.lost_words({}) is None
+    why = "camera.late_events 3"
+    assert session.lost_columns({**datasets, "capture/ended": "the end"}) == {"lost": 3, "lost_why": why}
+    assert session.lost_columns({}) == {"lost": 0, "lost_why": None}
 
 
 def test_spread() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import usb.core
 import usb.util
 
-from evetac_cli.devices.device_slices import DeviceSlices
+from evetac_cli.devices.device_slices import FAR_US, DeviceSlices
 from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings, Generation
 from evetac_cli.devices.dvxplorer.usb_errors import (
@@ -32,6 +32,7 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 CONTROL_TIMEOUT_MS = 1000
+STOP_TIMEOUT_MS = 250  # of a request to a camera that is let go of: it may hang, and Ctrl-C waits for it
 DRAIN_READS = 50
 PATIENCE_US = 1000  # on top of the flush time: readout, transfer, drift of the clock
 HOLDING_BACK_US = 20_000  # firmware 9 has no flush time; how long a quiet Mini holds events back is not known
@@ -93,11 +94,18 @@ class WordSlices(DeviceSlices):
         super().__init__(patience_us)
         event_words.step(event_words.start(), bytes(4))  # loads or compiles it before there is a clock to keep
         self._decoder = event_words.start()
+        self._flooded_since_us: float | None = (
+            None  # host time since which every read was full, and none brought a time
+        )
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """Losses so far by reason: events, words, timestamps, bytes."""
-        return {**self._decoder.counted, "late_events": self.late_events}
+        """Losses so far by reason: events, words, timestamps, bytes, time."""
+        counts = dict(self._decoder.counted)
+        counts["clock_restarts"] += self.clock_restarts
+        if self.ms_without_time > event_words.QUIET_MS:  # until now; an earlier one was counted by the decoder
+            counts["ms_without_time"] += self.ms_without_time
+        return {**counts, "late_events": self.late_events, "early_events": self.early_events}
 
     @property
     def open_events(self) -> int:
@@ -107,21 +115,32 @@ class WordSlices(DeviceSlices):
     def push_words(
         self, data: bytes, begun_us: float, ended_us: float, *, emptied: bool, gap: bool = False
     ) -> list[Events]:
-        """Take what a read from begun_us to ended_us brought; return the slices that are closed now.
+        """Take what a read from begun_us to ended_us brought; return slices that are closed now.
 
         emptied: whether the read left nothing in the camera; gap: whether earlier bytes were lost on the way.
         """
         if gap:
             event_words.bytes_were_lost(self._decoder)
         before_us = self._decoder.now_us
-        events = event_words.step(self._decoder, data, self.device_ms(ended_us))
+        events = event_words.step(self._decoder, data, self.device_ms(ended_us), self._most_ms(ended_us))
         closed = []
-        if self._decoder.first_ms is not None:
+        if self._decoder.first_ms is not None and data:
             closed = self.push(events, SLICE_US * self._decoder.first_ms, self._decoder.now_us, ended_us)
-        if emptied and self._decoder.now_us == before_us:
-            slices = self.over(begun_us)
+        if emptied or self._decoder.now_us != before_us:
+            self._flooded_since_us = None
+        elif self._flooded_since_us is None:
+            self._flooded_since_us = ended_us
+        is_flooded = self._flooded_since_us is not None and ended_us - self._flooded_since_us > FAR_US
+        if self._decoder.now_us == before_us and (emptied or is_flooded):
+            slices = self.over(begun_us if emptied else ended_us - FAR_US)
             closed += self.take(event_words.flush(self._decoder)) + self.close_until(slices)
         return closed
+
+    def _most_ms(self, host_us: float) -> int:
+        """How many ms can have passed since the first TIMESTAMP."""
+        origin_us, first_ms = self._origin_us, self._decoder.first_ms
+        before_ms = self._closed if origin_us is None or first_ms is None else first_ms - origin_us // SLICE_US
+        return int(self.most_us(host_us)) // SLICE_US - before_ms
 
 
 class DvxplorerCamera:
@@ -164,8 +183,8 @@ class DvxplorerCamera:
             held_us = self.settings.flush_us if self._generation is Generation.PARAMETERS else HOLDING_BACK_US
             self._slices = WordSlices(held_us + patience_us)
             self._reader.start()
+            self._slices.start(self._now_us())  # before RUN, so that no time of its stream is earlier
             self._send(protocol.run(self._generation))
-            self._slices.start(self._now_us())
         except BaseException as error:
             self.close()
             if isinstance(error, usb.core.USBError):
@@ -180,7 +199,7 @@ class DvxplorerCamera:
     @property
     def counted(self) -> Mapping[str, int]:
         """Losses so far by reason: events, words, timestamps, bytes."""
-        own = {name: self._reader.lost[name] for name in ("events_in_full_queue", "usb_errors")}
+        own = {name: self._reader.lost[name] for name in ("events_in_full_queue", "usb_errors", "failed_transfers")}
         return {**self._slices.counted, **own, "events_after_last_slice": self._left}
 
     @property
@@ -191,6 +210,9 @@ class DvxplorerCamera:
     def read(self) -> Events | None:
         """The next slice, once it is closed; None after close; DeviceError once the camera has failed."""
         while self._open and not self._ready:
+            self._ready += self._slices.more()
+            if self._ready:
+                break
             block = self._reader.take()
             if block is None:
                 if self._reader.failure is not None and self._open:
@@ -225,7 +247,7 @@ class DvxplorerCamera:
         try:
             self._reader.end()
             if self._claimed:  # else another program may have it, and we would stop its stream
-                self._send(protocol.stop(self._generation))
+                self._send(protocol.stop(self._generation), STOP_TIMEOUT_MS)
         except usb.core.USBError:
             pass  # it is gone
         finally:
@@ -283,13 +305,11 @@ class DvxplorerCamera:
         answer = self._device.ctrl_transfer(protocol.READ, protocol.CONFIG, module, parameter, size, CONTROL_TIMEOUT_MS)
         return int.from_bytes(bytes(answer), "big")
 
-    def _send(self, orders: Iterable[protocol.Order]) -> None:
+    def _send(self, orders: Iterable[protocol.Order], timeout_ms: int = CONTROL_TIMEOUT_MS) -> None:
         for order in orders:
             value = order.value if isinstance(order, protocol.Write) else self._changed_bits(order)
             data = value.to_bytes(self._generation.value, "big")
-            self._device.ctrl_transfer(
-                protocol.WRITE, protocol.CONFIG, order.module, order.parameter, data, CONTROL_TIMEOUT_MS
-            )
+            self._device.ctrl_transfer(protocol.WRITE, protocol.CONFIG, order.module, order.parameter, data, timeout_ms)
 
     def _changed_bits(self, order: protocol.Change) -> int:
         return self._read(order.module, order.parameter) & ~order.clear | order.set

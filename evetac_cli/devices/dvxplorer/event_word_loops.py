@@ -14,8 +14,10 @@ from evetac_cli.events import FRAME_PX, SLICE_US
 WIDTH = FRAME_PX[0]
 GROUPS = FRAME_PX[1] // 8
 REF_MASK = (1 << 22) - 1  # of the milliseconds in a TIMESTAMP
-JUMP_MS = 1000  # a TIMESTAMP this far ahead of the last one needs no other witness
+JUMP_MS = 100  # a TIMESTAMP less than this ahead of the last one needs no other witness
+QUIET_MS = 100  # without a TIMESTAMP: the stream stood still. The slowest readout sends one in 10 ms, event or not
 HOST_SLACK_MS = 20  # how far device time may be ahead of the host's estimate of it
+TRUSTED = 20  # TIMESTAMPs since the last damage: then the latest one is sure
 REFUSED_IN_A_ROW = 20  # so many refused TIMESTAMPs: the camera's clock was started anew
 
 # What is counted as lost. The first two are events, the others occurrences of their reasons.
@@ -29,11 +31,13 @@ LOSSES = (
     "refused_timestamps",
     "clock_restarts",
     "torn_bytes",  # of words whose other part is missing
+    "ms_without_time",  # device time that passed without a TIMESTAMP where there was more than QUIET_MS of it
 )
-_EVENTS, _BEFORE, _UNKNOWN, _MISSING, _OUTSIDE, _REPEATED, _REFUSED, _RESTARTS, _ = range(len(LOSSES))
+_EVENTS, _BEFORE, _UNKNOWN, _MISSING, _OUTSIDE, _REPEATED, _REFUSED, _RESTARTS, _, _NO_TIME = range(len(LOSSES))
 
-# Registers of a decoder.
-MS, REF, LAST_US, WHERE, FRAME_T, COLUMN, ROWS, REFUSALS, DAMAGED, FIRST_MS = range(10)
+# Registers of a decoder. GAP: whether bytes were lost on the way since the last TIMESTAMP, so that there may be none.
+# TRUST: TIMESTAMPs since damage; SURE_MS, SURE_REF: the last one of which there is no doubt.
+MS, REF, LAST_US, WHERE, FRAME_T, COLUMN, ROWS, REFUSALS, DAMAGED, FIRST_MS, GAP, TRUST, SURE_MS, SURE_REF = range(14)
 # Values of register WHERE: in a frame; before one; in one that is dropped; not knowing the time.
 INSIDE, BEFORE, DROPPING, LOST = range(4)
 
@@ -43,9 +47,10 @@ _ROWS_OF = np.array([([row for row in range(8) if byte >> row & 1] + [0] * 8)[:8
 
 def new_registers() -> NDArray[np.int64]:
     """Registers of a decoder that has seen no word yet."""
-    registers = np.zeros(10, np.int64)
+    registers = np.zeros(14, np.int64)
     registers[[MS, LAST_US, COLUMN, FIRST_MS]] = -1
     registers[WHERE] = LOST
+    registers[TRUST] = TRUSTED
     return registers
 
 
@@ -73,6 +78,36 @@ def _is_possible(word: int) -> bool:
 
 
 @njit(cache=True)
+def sound_words(words: NDArray[np.uint32]) -> int:
+    """Number of words before the first that no camera sends."""
+    for place in range(words.shape[0]):
+        if not _is_possible(np.int64(words[place])):
+            return place
+    return int(words.shape[0])
+
+
+@njit(cache=True)
+def _plausible_events(words: NDArray[np.uint32], place: int) -> int:
+    """Number of events of a GROUP word; 0 where it, or a word beside it, is none that a camera sends."""
+    for k in range(max(0, place - 1), min(place + 2, words.shape[0])):
+        if not _is_possible(np.int64(words[k])):
+            return 0
+    word = words[place]
+    events: int = _BITS[word & np.uint32(0xFF)] + _BITS[(word >> np.uint32(8)) & np.uint32(0xFF)]
+    return events
+
+
+@njit(cache=True)
+def plausible_events(words: NDArray[np.uint32]) -> int:
+    """Number of events in words that may be damaged: those of GROUP words that stand among others that make sense."""
+    events = 0
+    for place in range(words.shape[0]):
+        if words[place] >> np.uint32(31):
+            events += _plausible_events(words, place)
+    return events
+
+
+@njit(cache=True)
 def torn_bytes(data: NDArray[np.uint8]) -> int:
     """How many bytes (0 to 3) to skip so that words begin where they make sense: 0 unless another speaks clearly."""
     best = 0
@@ -96,39 +131,68 @@ def torn_bytes(data: NDArray[np.uint8]) -> int:
 
 
 @njit(cache=True)
-def _timestamp(ref: int, host_ms: int, registers: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
-    """Take the milliseconds of a TIMESTAMP word, unless they cannot be."""
+def _timestamp(ref: int, host_ms: int, most_ms: int, registers: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+    """Take the milliseconds of a TIMESTAMP word, unless they cannot be.
+
+    After damage words that only look like a TIMESTAMP may have been believed: time is counted from the last sure one.
+    """
     registers[WHERE] = BEFORE
     if registers[MS] < 0:
         registers[MS] = ref
         registers[FIRST_MS] = ref
         registers[LAST_US] = -1
     else:
-        step_ms = (ref - registers[REF]) & REF_MASK
+        sure = registers[TRUST] >= TRUSTED or (host_ms < 0 and most_ms < 0)
+        if sure:
+            step_ms = (ref - registers[REF]) & REF_MASK
+        else:
+            step_ms = registers[SURE_MS] + ((ref - registers[SURE_REF]) & REF_MASK) - registers[MS]
+        if most_ms >= 0 and host_ms < 0:
+            host_ms = registers[FIRST_MS] + most_ms
+        if -JUMP_MS < step_ms < 0:  # one that was believed was ahead: time goes on once it is past that
+            counts[_REFUSED] += 1
+            registers[WHERE] = LOST
+            return
         if host_ms < 0:
             refused = step_ms > REF_MASK // 2
         else:
-            refused = step_ms > JUMP_MS and registers[MS] + step_ms > host_ms + HOST_SLACK_MS
+            refused = (step_ms > JUMP_MS or not sure) and registers[MS] + step_ms > host_ms + HOST_SLACK_MS
+        refused = refused or step_ms < 0
+        if most_ms >= 0:
+            refused = refused or registers[MS] + step_ms > registers[FIRST_MS] + most_ms
         if refused:
             counts[_REFUSED] += 1
             registers[REFUSALS] += 1
             if registers[REFUSALS] < REFUSED_IN_A_ROW:
                 registers[WHERE] = LOST
                 return
-            counts[_RESTARTS] += 1
             step_ms = max(1, host_ms - registers[MS])
+            if most_ms >= 0:
+                step_ms = min(step_ms, registers[FIRST_MS] + most_ms - registers[MS])
+            if step_ms < 1:
+                registers[WHERE] = LOST
+                return
+            counts[_RESTARTS] += 1
         if step_ms > 0:  # else it is repeated, and its frames go on
             registers[MS] += step_ms
             registers[LAST_US] = -1
+        if step_ms > QUIET_MS and not registers[GAP]:
+            counts[_NO_TIME] += step_ms
+        registers[TRUST] = TRUSTED if refused else min(registers[TRUST] + 1, TRUSTED)  # refused: a new clock
+    if registers[TRUST] >= TRUSTED:
+        registers[SURE_MS] = registers[MS]
+        registers[SURE_REF] = ref
+    registers[GAP] = 0
     registers[REF] = ref
     registers[REFUSALS] = 0
 
 
-# Why nine arguments: the four columns stay apart, as a tuple of them costs 0.25 us more in each packet.
+# Why ten arguments: the four columns stay apart, as a tuple of them costs 0.25 us more in each packet.
 @njit(cache=True)
 def decode(
     words: NDArray[np.uint32],
     host_ms: int,
+    most_ms: int,
     registers: NDArray[np.int64],
     counts: NDArray[np.int64],
     count: int,
@@ -139,6 +203,7 @@ def decode(
 ) -> tuple[int, int]:
     """Write the events of all words behind the `count` of the open frame; return how many (in whole frames, in all)."""
     complete = 0
+    doubtful = 0  # events of the open frame whose words have bits that a camera does not set
     where = registers[WHERE]
     frame_t = registers[FRAME_T]
     column = registers[COLUMN]
@@ -151,7 +216,7 @@ def decode(
             bits1 = word & 0xFF
             bits2 = word >> 8 & 0xFF
             if where != INSIDE:
-                counts[_BEFORE if registers[MS] < 0 else _EVENTS] += _BITS[bits1] + _BITS[bits2]
+                counts[_BEFORE if registers[MS] < 0 else _EVENTS] += _plausible_events(words, k)
                 if where == BEFORE:
                     counts[_MISSING] += 1
                     where = LOST
@@ -166,6 +231,8 @@ def decode(
                 wrong = _REPEATED
             else:
                 rows |= row1 | row2
+                if word >> 24 & 3:
+                    doubtful += _BITS[bits1] + _BITS[bits2]
                 darker = word >> 16
                 for bit in range(_BITS[bits1]):
                     t[count] = frame_t
@@ -186,6 +253,7 @@ def decode(
                 if where == LOST:
                     continue
                 complete = count
+                doubtful = 0
                 if us <= registers[LAST_US]:
                     wrong = _MISSING
                 elif us >= SLICE_US or next_column >= WIDTH:
@@ -206,18 +274,22 @@ def decode(
             rows = 0
         elif word >> 26 == 2:
             complete = count
-            _timestamp(word & REF_MASK, host_ms, registers, counts)
+            doubtful = 0
+            _timestamp(word & REF_MASK, host_ms, most_ms, registers, counts)
             where = registers[WHERE]
         elif word != 0:
             registers[DAMAGED] = 1
+            registers[TRUST] = 0
             if where == LOST:
                 counts[_UNKNOWN] += 1
                 continue
             wrong = _UNKNOWN
         if wrong >= 0:
             registers[DAMAGED] = 1
+            registers[TRUST] = 0
             counts[wrong] += 1
-            counts[_EVENTS] += count - complete
+            counts[_EVENTS] += count - complete - doubtful
+            doubtful = 0
             count = complete
             where = DROPPING if wrong == _OUTSIDE else LOST
     registers[WHERE] = where

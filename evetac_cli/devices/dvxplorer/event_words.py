@@ -10,9 +10,14 @@ since one may be among them; where only a row or a column is impossible, nothing
 parser (dv-processing 2.0.4, run beside this one) makes the same of sound streams; of damaged ones it also hands out
 pixels outside the frame and frames with unknown words in them.
 
-Why so: a TIMESTAMP counts milliseconds modulo 2**22, so that a single damaged one would read as up to 70 minutes. One
-that is far ahead is believed only as far as the host's clock allows; from many refused in a row the decoder concludes
-that the camera started its clock anew, and goes on from the host's time.
+Why so: a TIMESTAMP counts milliseconds modulo 2**22, so that a single damaged one would read as up to 70 minutes. None
+is believed that the host's clock does not allow, since the first one or, of one that is far ahead of the last, by its
+estimate of device time; from many refused in a row the decoder concludes that the camera started its clock anew, and
+goes on from the host's time.
+
+What is counted as lost events is never more than there were: of words that are damaged, or stand beside such that are,
+the bits say nothing. How the format shows that bytes are missing: hardly one in ten words that begin at a wrong byte is
+one that a camera sends, so that words are looked for at the other three places (torn_bytes).
 """
 
 from collections.abc import Mapping
@@ -22,9 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.devices.dvxplorer import event_word_loops as loops
-from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
+from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
 
 LOSSES = loops.LOSSES
+QUIET_MS = loops.QUIET_MS
+WORD_BYTES = 4
+LOOK_WORDS = 64  # behind damage, in which the byte is looked for at which words begin
+MOST_LOOK_WORDS = 4096  # where the damage goes on: four times as many each time
 
 
 @dataclass
@@ -58,23 +67,42 @@ def start() -> Decoder:
     return Decoder()
 
 
-def step(decoder: Decoder, data: bytes | bytearray | memoryview, host_ms: int | None = None) -> Events:
+def step(
+    decoder: Decoder,
+    data: bytes | bytearray | memoryview,
+    host_ms: int | None = None,
+    most_ms: int | None = None,
+) -> Events:
     """Events of the frames that the next bytes complete; t in us, int64, never decreasing.
 
     host_ms: device time by the host's clock, as far as known: a TIMESTAMP more than loops.JUMP_MS ahead of the last
-    is believed only up to there. Without it, as with words from a file, every TIMESTAMP is that is ahead by less than
-    half the range. All events of a frame have one time; they come by column, in a column as the words do.
+    is believed only up to there. most_ms: so much can have passed since the first TIMESTAMP, and no later one is
+    believed. Without both, as with words from a file, every TIMESTAMP is that is ahead by less than half the range.
+    All events of a frame have one time; they come by column, in a column as the words do.
     """
-    stream = decoder.rest + bytes(data)
-    if decoder.rest or decoder.registers[loops.DAMAGED]:
-        skipped = loops.torn_bytes(np.frombuffer(stream, np.uint8))
-        if skipped:
-            decoder.counts[LOSSES.index("torn_bytes")] += skipped
-            _distrust(decoder)
-        stream = stream[skipped:]
-    whole = len(stream) // 4
-    decoder.rest = stream[4 * whole :]
-    words = np.frombuffer(stream, "<u4", whole)
+    suspicious = bool(decoder.rest) or bool(decoder.registers[loops.DAMAGED])
+    stream = memoryview(decoder.rest + bytes(data))
+    parts = []
+    look = LOOK_WORDS
+    while len(stream) >= WORD_BYTES:
+        if suspicious:
+            skipped = loops.torn_bytes(np.frombuffer(stream[: look * WORD_BYTES], np.uint8))
+            if skipped:
+                decoder.counts[LOSSES.index("torn_bytes")] += skipped
+                _distrust(decoder)
+            stream = stream[skipped:]
+        words = np.frombuffer(stream, "<u4", len(stream) // WORD_BYTES)
+        count = max(loops.sound_words(words), min(look, len(words)) if suspicious else 0)
+        parts.append(_decode(decoder, words[:count], host_ms, most_ms))
+        stream = stream[count * WORD_BYTES :]
+        look = min(4 * look, MOST_LOOK_WORDS) if suspicious else look
+        suspicious = True
+    decoder.rest = bytes(stream)
+    return parts[0] if len(parts) == 1 else concatenate(parts)
+
+
+def _decode(decoder: Decoder, words: NDArray[np.uint32], host_ms: int | None, most_ms: int | None) -> Events:
+    """Events of the frames that these words complete."""
     most = decoder.frame.size + loops.events_in(words)
     events = Events(
         np.empty(most, np.int64), np.empty(most, np.uint16), np.empty(most, np.uint16), np.empty(most, np.uint8)
@@ -83,7 +111,13 @@ def step(decoder: Decoder, data: bytes | bytearray | memoryview, host_ms: int | 
     if before:
         events.t[:before], events.x[:before], events.y[:before], events.p[:before] = decoder.frame
     complete, total = loops.decode(
-        words, -1 if host_ms is None else host_ms, decoder.registers, decoder.counts, before, *events
+        words,
+        -1 if host_ms is None else host_ms,
+        -1 if most_ms is None else max(0, most_ms),
+        decoder.registers,
+        decoder.counts,
+        before,
+        *events,
     )
     frame = events.part(complete, total)
     decoder.frame = Events(frame.t.copy(), frame.x.copy(), frame.y.copy(), frame.p.copy())
@@ -101,6 +135,7 @@ def bytes_were_lost(decoder: Decoder) -> None:
     """Say that bytes are missing between the last and the next step."""
     decoder.counts[LOSSES.index("torn_bytes")] += len(decoder.rest)
     decoder.rest = b""
+    decoder.registers[loops.GAP] = 1
     _distrust(decoder)
 
 
@@ -109,6 +144,7 @@ def _distrust(decoder: Decoder) -> None:
     decoder.counts[LOSSES.index("events_in_dropped_frames")] += decoder.frame.size
     decoder.frame = empty()
     decoder.registers[loops.WHERE] = loops.LOST
+    decoder.registers[loops.TRUST] = 0
 
 
 def timestamp(ms: int) -> NDArray[np.uint32]:

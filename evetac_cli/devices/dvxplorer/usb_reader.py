@@ -2,7 +2,7 @@
 
 Why so: pyusb has one blocking transfer at a time, and the camera loses what nobody fetches; so nothing may keep the
 thread from its next transfer. If whoever empties the queue is too slow, the oldest buffers go, and their events are
-counted.
+counted, as far as their words make sense.
 """
 
 import errno
@@ -16,13 +16,14 @@ import numpy as np
 import usb.core
 
 from evetac_cli.devices.dvxplorer import protocol
-from evetac_cli.devices.dvxplorer.event_word_loops import events_in
+from evetac_cli.devices.dvxplorer.event_word_loops import plausible_events
 from evetac_cli.devices.dvxplorer.usb_errors import device_error, gone
 from evetac_cli.errors import DeviceError
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 READ_TIMEOUT_MS = 2  # how long a read waits for a silent camera; slices are closed this much later then
 READ_BYTES = 65536
+BLOCK_BYTES = 256  # that a block takes beside its data: many short ones fill memory too
 QUEUE_BYTES = 64 << 20  # a second and a half of the worst case, 10 million single events a second
 ERRORS_IN_A_ROW = 5
 LOG_EVERY_S = 0.5
@@ -62,7 +63,7 @@ class UsbReader(Thread):
             if not self._blocks:
                 return None
             block = self._blocks.popleft()
-            self._waiting_bytes -= len(block.data)
+            self._waiting_bytes -= len(block.data) + BLOCK_BYTES
             return block
 
     def end(self) -> None:
@@ -103,7 +104,9 @@ class UsbReader(Thread):
                 self.lost["usb_errors"] += 1
                 if not self._recovered(error, failures):
                     return
-                gap |= error.errno != errno.EPIPE  # what a halted endpoint holds is not lost
+                if error.errno != errno.EPIPE:  # what a halted endpoint holds is not lost
+                    self.lost["failed_transfers"] += 1
+                    gap = True
                 continue
             self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, self._clock.now_s() * 1e6, gap))
             gap = False
@@ -115,14 +118,15 @@ class UsbReader(Thread):
         with self._changed:
             if not block.data and self._blocks and not self._blocks[-1].data:
                 before = self._blocks.pop()  # of two empty reads in a row the later one is enough
+                self._waiting_bytes -= BLOCK_BYTES
                 block = block._replace(gap=block.gap or before.gap)
             self._blocks.append(block)
-            self._waiting_bytes += len(block.data)
+            self._waiting_bytes += len(block.data) + BLOCK_BYTES
             while self._waiting_bytes > self._queue_bytes and len(self._blocks) > 1:
                 dropped = self._blocks.popleft().data
-                self._waiting_bytes -= len(dropped)
+                self._waiting_bytes -= len(dropped) + BLOCK_BYTES
                 self._blocks[0] = self._blocks[0]._replace(gap=True)
-                self.lost["events_in_full_queue"] += events_in(np.frombuffer(dropped, "<u4", len(dropped) // 4))
+                self.lost["events_in_full_queue"] += plausible_events(np.frombuffer(dropped, "<u4", len(dropped) // 4))
             self._changed.notify_all()
 
     def _recovered(self, error: Any, failures: int) -> bool:

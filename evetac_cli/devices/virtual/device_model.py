@@ -11,13 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.devices.dvxplorer import event_words, protocol
+from evetac_cli.devices.dvxplorer.event_word_loops import events_in
 from evetac_cli.devices.dvxplorer.protocol import Generation
+from evetac_cli.devices.virtual.camera_clock import CameraClock
 from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, camera_fault
 from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.realtime.shared_time import TimeSource
 
 DEFAULT_FLUSH_US = 2000
-_DAMAGED_SHARE = 0.02
+_DAMAGED_SHARE = {"damage": 0.02, "random": 1.0}
+_JUMP_US = {"jump-forward": 5_000_000, "jump-back": -5_000_000}
+_RATE = {"fast": (10, 1), "slow": (1, 10)}  # of the camera's clock, as a fraction
+_TORN_BYTES = 3
 _BURST_BYTES = 16  # zeros fill the last one of a transfer
 _LONGEST_WAIT_S = 0.05  # after which a waiting transfer checks whether the camera was unplugged
 
@@ -43,6 +48,7 @@ class DeviceModel:
         self.generation = protocol.generation(firmware)
         self.halted = False  # the data endpoint
         self.overflowed = 0  # words that nobody fetched in time
+        self.events_seen = 0  # by the sensor while it ran, whatever became of them
         self._source = source
         self._faults = [camera_fault(text) for text in faults]
         self._done: set[str] = set()  # faults that happen once, and did
@@ -50,6 +56,7 @@ class DeviceModel:
         self._registers = _registers(self.generation)
         self._fifo = bytearray()
         self._fifo_bytes = fifo_bytes
+        self._clock = CameraClock()
         self._part = b""  # of a word that the source has not sent whole
         self._ran_s: float | None = None  # time of the first RUN
         self._runs = False
@@ -124,8 +131,9 @@ class DeviceModel:
         sent = bytes(self._fifo[:most])
         del self._fifo[:most]
         self._sent_s = time.monotonic()
-        if len(sent) > 3 and self.once("torn"):
-            return sent[:-3]
+        if len(sent) > 2 * _TORN_BYTES and self._tears():
+            middle = len(sent) // 2
+            return sent[:middle] + sent[middle + _TORN_BYTES :]
         return sent if len(sent) % 4 else sent + bytes(min(-len(sent) % _BURST_BYTES, most - len(sent)))
 
     @property
@@ -153,20 +161,35 @@ class DeviceModel:
         data = self._part + self._source.take(self._fifo_bytes, timeout_s)
         whole = len(data) // 4 * 4
         self._part = data[whole:]
+        words = self._retimed(np.frombuffer(data, "<u4", whole // 4))
+        self.events_seen += events_in(words)
         if not whole or self._hits("silence"):
             return whole > 0
-        words = np.frombuffer(data, "<u4", whole // 4)
         if self._hits("lost-timestamps"):
             words = words[words >> 26 != 2]
-        if self._hits("damage"):
-            hit = self._random.random(len(words)) < _DAMAGED_SHARE
-            words = np.where(hit, self._random.integers(0, 1 << 32, len(words), np.uint32), words)
+        for name, share in _DAMAGED_SHARE.items():
+            if self._hits(name):
+                hit = self._random.random(len(words)) < share
+                words = np.where(hit, self._random.integers(0, 1 << 32, len(words), np.uint32), words)
         self._fifo += self._altered(words).astype("<u4", copy=False).tobytes()
         over = (len(self._fifo) - self._fifo_bytes + 3) // 4
         if over > 0:
             self.overflowed += over
             del self._fifo[: 4 * over]
         return True
+
+    def _tears(self) -> bool:
+        """Whether bytes are missing inside the transfer that is due."""
+        lasting = any(each.name == "torn" and each.duration_s for each in self._faults)
+        return self._hits("torn") if lasting else self.once("torn")
+
+    def _retimed(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """The words with the times of a clock that jumps, or runs at another rate."""
+        if not any(each.name in (*_JUMP_US, *_RATE) for each in self._faults):
+            return words
+        jump_us = sum(jump for name, jump in _JUMP_US.items() if self.once(name))
+        rate = next((rate for name, rate in _RATE.items() if self.has(name)), (1, 1))
+        return self._clock.retimed(words, rate, jump_us)
 
     def _altered(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """Words of what is left after crop, flip and flatten, as the registers of firmware 10 say."""

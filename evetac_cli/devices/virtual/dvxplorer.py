@@ -70,6 +70,11 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         """Words that were lost because nobody fetched them in time."""
         return self._model.overflowed
 
+    @property
+    def events_seen(self) -> int:
+        """Events that its sensor saw while it ran, whatever became of them: what a recording is measured by."""
+        return self._model.events_seen
+
     # What pyusb asks of a bus.
 
     def enumerate_devices(self) -> Iterator[Any]:

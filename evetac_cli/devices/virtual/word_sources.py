@@ -27,11 +27,15 @@ class PreparedWords:
 
     patient = False
 
-    def __init__(self, words: NDArray[np.uint32], *, paced: bool = True) -> None:
-        self._data = memoryview(words.astype("<u4").tobytes())
+    def __init__(self, words: NDArray[np.uint32], *, paced: bool = True, times: int = 1, period_ms: int = 0) -> None:
+        """times: how often the words are sent, each time with TIMESTAMPs that are period_ms later."""
+        self._words = words.astype("<u4")
+        self._is_stamp = words >> 26 == 2
+        self._times, self._period_ms = times, period_ms
         self._due_us = due_us(words) if paced else None
         self._time = SharedTime() if paced and self.patient else HOST_TIME
         self._at = 0  # bytes taken
+        self._bytes = 4 * len(words) * times
         self._ran_us = 0.0  # before the last run
         self._began_s: float | None = None  # of this run
         self._changed = Condition()
@@ -44,7 +48,7 @@ class PreparedWords:
     @property
     def left(self) -> int:
         """Number of words that were not taken yet."""
-        return (len(self._data) - self._at) // 4
+        return (self._bytes - self._at) // 4
 
     def run(self, on: bool) -> None:
         """Let time pass (True), or stand still."""
@@ -69,12 +73,24 @@ class PreparedWords:
                 self._limit_time()
             start = self._at
             self._at = min(start + most, self._due())
-            return bytes(self._data[start : self._at])
+            return self._between(start, self._at)
+
+    def _between(self, start: int, end: int) -> bytes:
+        """The bytes [start, end) of all that is sent."""
+        parts = []
+        length = 4 * len(self._words)
+        for turn in range(start // length, -(-end // length)):
+            first, last = max(start - turn * length, 0), min(end - turn * length, length)
+            chosen = slice(first // 4, -(-last // 4))
+            later = np.where(self._is_stamp[chosen], np.uint32(turn * self._period_ms), np.uint32(0))
+            words = (self._words[chosen] + later).astype("<u4").tobytes()
+            parts.append(words[first % 4 : first % 4 + last - first])
+        return b"".join(parts)
 
     def _limit_time(self) -> None:
         """Let time go on as far as the reader of the slices has come."""
         if isinstance(self._time, SharedTime):
-            ends = self._began_s is None or self._at == len(self._data)
+            ends = self._began_s is None or self._at == self._bytes
             self._time.limit(math.inf if ends else self._time.reader_s + READER_S)
 
     def _due(self) -> int:
@@ -82,18 +98,21 @@ class PreparedWords:
         if self._began_s is None:
             return self._at
         if self._due_us is None:
-            return len(self._data)
+            return self._bytes
         passed_us = int(self._ran_us + 1e6 * (self._time.now_s() - self._began_s))
-        return 4 * int(np.searchsorted(self._due_us, passed_us, side="right"))
+        turn = min(passed_us // (SLICE_US * self._period_ms), self._times - 1) if self._times > 1 else 0
+        within_us = passed_us - turn * SLICE_US * self._period_ms
+        return 4 * (turn * len(self._words) + int(np.searchsorted(self._due_us, within_us, side="right")))
 
     def _wait_s(self, waited_for: bool) -> float | None:
         """Until something is due: 0 if it is, None if nothing will be."""
         if self._due() > self._at and (waited_for or self._due_us is not None):
             return 0.0
-        if self._began_s is None or self._due_us is None or self._at == len(self._data):
+        if self._began_s is None or self._due_us is None or self._at == self._bytes:
             return None
-        due_s = self._began_s + 1e-6 * float(self._due_us[self._at // 4] - self._ran_us)
-        return max(1e-6, due_s - self._time.now_s())
+        turn, place = divmod(self._at // 4, len(self._words))
+        next_us = float(self._due_us[place]) + turn * SLICE_US * self._period_ms
+        return max(1e-6, self._began_s + 1e-6 * (next_us - self._ran_us) - self._time.now_s())
 
 
 def due_us(words: NDArray[np.uint32]) -> NDArray[np.int64]:

@@ -304,7 +304,7 @@ def _row(
         command_misses=_whole(datasets.get("capture/command_misses")),
         latencies=len(recorded.latency_us),
         scheduling=datasets["capture/scheduling"],
-        lost=session.lost_words(datasets),
+        **session.lost_columns(datasets),
         **grasp_outcome,
     )
 

@@ -11,6 +11,7 @@ The first camera leads: it gives the number of slices, and its file has the grip
 
 import sys
 import threading
+import time
 from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,6 +26,7 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.devices import EventCamera, GripperReading, Rig, camera_time
 from evetac_cli.devices.grippers import NoGripper
+from evetac_cli.devices.losses import LossNews
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.events import SLICE_US, Events
@@ -42,7 +44,13 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe, first_difference
 from evetac_cli.store.segments import RecordingWriter
 
+NEWS_SLICES = 100  # after so many slices it is asked what was lost, and said
 METHOD = 1  # of recordings from devices
+WAITING_EVENTS, WAITING_SLICES = (
+    4_000_000,
+    60_000,
+)  # of another camera; beyond them its driver drops, and counts, events
+MOST_DELAYS = 1 << 20  # that are kept, 8 MB; of longer recordings every second one, every fourth, ...
 SWITCH_S = 5e-4  # the interpreter's threads take turns so often: a command waits no longer for the camera's thread
 OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "sampled_holding_ma")  # of each trial
 
@@ -50,12 +58,14 @@ OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "
 class SliceThread:
     """Reads another camera of the same trial, so that no camera waits for the other.
 
-    Slices are kept, each with the time (s) at which it came, until they are taken.
+    Slices are kept, each with the time (s) at which it came, until they are taken; not more than a bounded number.
     """
 
     def __init__(self, camera: EventCamera) -> None:
         self._camera = camera
         self._slices: deque[tuple[Events, float]] = deque()
+        self._waiting = 0  # events
+        self._lock = threading.Lock()
         self._running = True
         self._thread = threading.Thread(target=self._run, name="slices", daemon=True)
         self.error: Exception | None = None
@@ -66,7 +76,11 @@ class SliceThread:
 
     def take(self) -> list[tuple[Events, float]]:
         """The slices that came since the last call, oldest first."""
-        return [self._slices.popleft() for _ in range(len(self._slices))]
+        with self._lock:
+            taken = list(self._slices)
+            self._slices.clear()
+            self._waiting = 0
+        return taken
 
     def stop(self) -> None:
         """End after the slice that is awaited; the camera is not read after this returns."""
@@ -77,9 +91,41 @@ class SliceThread:
     def _run(self) -> None:
         try:
             while self._running and (events := self._camera.read()) is not None:
-                self._slices.append((events, camera_time(self._camera).now_s()))
+                with self._lock:
+                    self._slices.append((events, camera_time(self._camera).now_s()))
+                    self._waiting += events.size
+                while self._running and (self._waiting > WAITING_EVENTS or len(self._slices) > WAITING_SLICES):
+                    time.sleep(1e-3)
         except Exception as error:  # raised by the thread that records
             self.error = error
+
+
+class Delays:
+    """How late slices came, in us: a bounded number of values, evenly spread over the recording, and the largest."""
+
+    def __init__(self) -> None:
+        self._values = array("d")
+        self._most = 0.0
+        self._seen = 0
+        self._step = 1
+
+    def add(self, late_us: float) -> None:
+        """Take one value."""
+        self._most = max(self._most, late_us) if self._seen else late_us
+        if self._seen % self._step == 0:
+            self._values.append(late_us)
+            if len(self._values) >= MOST_DELAYS:
+                self._values = self._values[::2]
+                self._step *= 2
+        self._seen += 1
+
+    def spread(self) -> Any:
+        """Median, 99th percentile and most; None without a value."""
+        if not self._values:
+            return None
+        spread = session.spread(self._values)
+        spread[2] = self._most
+        return spread
 
 
 @dataclass
@@ -96,7 +142,7 @@ class CameraRecording:
     error: Exception | None = None
     first_s: float = 0.0  # when the first and the last slice came
     last_s: float = 0.0
-    late_us: "array[float]" = field(default_factory=lambda: array("d"))
+    delays: Delays = field(default_factory=Delays)
     loop: GripperLoop | None = None  # commands the gripper, if there is one
     thread: SliceThread | None = None  # reads the camera, if it is not the first
 
@@ -108,7 +154,7 @@ class CameraRecording:
         self.events += events.size
         host_us = getattr(self.rig.camera, "host_us", None)
         if host_us is not None:
-            self.late_us.append(came_s * 1e6 - host_us(self.slices * SLICE_US))
+            self.delays.add(came_s * 1e6 - host_us(self.slices * SLICE_US))
         self.writer.append(events)
 
     def datasets(self, first: Rig) -> dict[str, Any]:
@@ -118,8 +164,9 @@ class CameraRecording:
         if seconds > 0:
             rows["capture/slices_per_s"] = np.float64((self.slices - 1) / seconds)
         rows |= session.lost_datasets(self.rig.counted())
-        if self.late_us:
-            rows["capture/slice_late_us"] = session.spread(self.late_us)
+        late_us = self.delays.spread()
+        if late_us is not None:
+            rows["capture/slice_late_us"] = late_us
         if self.loop is not None and self.loop.commands:
             if seconds > 0:
                 rows["capture/commands_per_s"] = np.float64(self.loop.commands / seconds)
@@ -163,6 +210,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
             with session.signals_held():
                 _release(recordings)
             priority.close()
+            signals.append(0)  # from here on a single Ctrl-C breaks off: the devices are let go of, the segments stay
             _finish(recordings, datasets)
     return _result(trial, recordings, datasets)
 
@@ -319,6 +367,7 @@ def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: li
     """Read and write slice by slice until something ends the recording, and say what; a failure is raised."""
     first = recordings[0]
     loop = first.loop
+    news = [LossNews() for _ in recordings]
     for recording in recordings[1:]:
         assert recording.thread is not None
         recording.thread.start()
@@ -340,9 +389,17 @@ def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: li
         if signals:
             first.ended = INTERRUPTED
             return
-        if first.slices % 100 == 0:
+        if first.slices % NEWS_SLICES == 0:
             progress(first.slices, most or first.slices)
+            _tell(recordings, news)
     first.ended = "after the seconds asked for"
+
+
+def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews]) -> None:
+    """Say what was lost since the last time; a second camera by the name of its file."""
+    for recording, each in zip(recordings, news, strict=True):
+        for sentence in each.of(recording.rig.counted(), time.monotonic()):
+            console.say(sentence if len(recordings) == 1 else f"{recording.output.name}: {sentence}")
 
 
 def _fetch(recordings: Sequence[CameraRecording]) -> None:
@@ -385,7 +442,7 @@ def _row(trial: DeviceTrial, recording: CameraRecording, datasets: Mapping[str, 
         ended=recording.ended,
         slices_per_s=_plain(datasets.get("capture/slices_per_s")),
         slice_late_us_p99=_plain(late_us[1]),
-        lost=session.lost_words(datasets),
+        **session.lost_columns(datasets),
         commands=loop.commands if loop is not None else None,
         command_misses=loop.misses if loop is not None else None,
         command_us_median=_plain(command_us[0]),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli import console
-from evetac_cli.devices import Rig, cameras
+from evetac_cli.devices import Rig, cameras, losses
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.events import Events
@@ -59,15 +59,16 @@ def _watch(rig: Rig, most: int | None, *, paced: bool) -> dict[str, Any]:
         "events": total,
         "events_per_s": total / (slices * 1e-3) if slices else None,
         "slices_per_s": slices / passed_s,
-        "lost": "; ".join(f"{name} {count}" for name, count in rig.counted().items() if count) or None,
+        "lost": losses.events_lost(rig.counted()),
+        "lost_why": losses.reasons(rig.counted()),
     }
 
 
 def _headline(rig: Rig, latest: deque[Events], slices: int, began_s: float) -> str:
     events_s = sum(events.size for events in latest) / (len(latest) * 1e-3)
     slices_s = slices / (time.monotonic() - began_s)
-    lost = sum(rig.counted().values())
-    return f"{slices * 1e-3:8.1f} s   {slices_s:6.0f} slices/s   {events_s:11,.0f} events/s   lost {lost:,}"
+    lost = losses.events_lost(rig.counted())
+    return f"{slices * 1e-3:8.1f} s   {slices_s:6.0f} slices/s   {events_s:11,.0f} events/s   lost: {lost}"
 
 
 def picture(parts: list[Events], frame_px: tuple[int, ...]) -> str:

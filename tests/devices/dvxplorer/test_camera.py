@@ -149,7 +149,7 @@ def test_a_silent_sensor_has_slices() -> None:
         began_s = time.monotonic()
         assert read(camera, 200).size == 0
         assert time.monotonic() - began_s > 0.15
-        assert lost(camera) == {}
+        assert lost(camera).keys() == {"ms_without_time"}
 
 
 def test_close_ends_a_read() -> None:
@@ -420,7 +420,7 @@ def test_a_bad_transfer_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     with closing(DvxplorerCamera(backend=device)) as camera:
         events = read(camera, 300)
         missing = lost(camera)
-    assert missing.pop("usb_errors") == 1
+    assert missing.pop("usb_errors") == missing.pop("failed_transfers") == 1
     assert missing.keys() <= {"events_in_dropped_frames", "missing_words"}
     expected = decoded(words)
     rows = set(zip(*(column.tolist() for column in expected), strict=True))
@@ -468,13 +468,14 @@ def test_reader_too_slow() -> None:
     expected = decoded(words)
     device = VirtualDvxplorer(PreparedWords(words))
     with closing(DvxplorerCamera(backend=device, queue_bytes=100_000)) as camera:
-        time.sleep(0.35)
-        parts = [camera.read() for _ in range(280)]
+        while camera.counted["events_in_full_queue"] <= 20_000:
+            time.sleep(0.01)
+        parts = [camera.read() for _ in range(330)]
         missing = lost(camera)
     got = concatenate([part for part in parts if part is not None])
     dropped = missing.pop("events_in_full_queue")
     # besides: the frame that the gap cut, and what came before the next TIMESTAMP
     cut = sum(missing.pop(name, 0) for name in ("events_in_dropped_frames", "events_before_first_timestamp"))
     assert dropped > 20_000
-    assert missing.keys() <= {"missing_words"}
+    assert missing.keys() <= {"missing_words", "ms_without_time"}  # the words are over before the last slice is
     assert expected.size == got.size + dropped + cut

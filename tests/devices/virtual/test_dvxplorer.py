@@ -308,6 +308,24 @@ def test_paced_words_come_in_time() -> None:
     assert source.take(4096, 0.01) == b""
 
 
+@pytest.mark.parametrize("most", [4, 1001, 1 << 20])
+def test_words_that_are_sent_again_and_again(most: int) -> None:
+    """Assert the words of all turns, with later TIMESTAMPs, however they are taken, and none before its time."""
+    words = prepared(0.02)
+    stamps = words >> 26 == 2
+    expected = np.concatenate([np.where(stamps, words + np.uint32(20 * turn), words) for turn in range(3)])
+    source = PreparedWords(words, times=3, period_ms=20)
+    due = due_us(expected)
+    began = source.time.now_s()
+    source.run(True)
+    data = b""
+    while source.left:
+        data += source.take(most, 1.0)
+        assert due[(len(data) - 1) // 4] <= 1e6 * (source.time.now_s() - began)
+    assert np.frombuffer(data, "<u4").tolist() == expected.tolist()
+    assert source.take(most, 0.01) == b""
+
+
 @given(st.floats(5e3, 2e6), st.integers(5, 100))
 @settings(max_examples=20, deadline=None)
 def test_rain_has_as_many_events_as_asked(events_per_s: float, frames: int) -> None:

@@ -226,7 +226,8 @@ def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, DeviceTrial], recorde
     row = grasp.run(armed[1], armed[0]).rows[0]
     assert GraspProcesses.closed
     assert (row["command_misses"], row["latency_us_median"], row["latencies"]) == (1, 2500.0, 2)
-    assert row["lost"] == "camera.late_events 3; gripper.answers_lost 4"
+    assert row["lost"] == 3
+    assert row["lost_why"] == "camera.late_events 3; gripper.answers_lost 4"
     with open_recording(armed[1].output) as file:
         assert file.read("capture/latency_us").tolist() == [2500.0] * 3
         assert file.read("capture/slice_late_us").tolist() == [600.0] * 3

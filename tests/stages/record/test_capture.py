@@ -136,7 +136,7 @@ def test_after_the_seconds(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     assert header["content"] is not None
     assert header["parameters"]["setup"] == rig.setup
     row = made.rows[0]
-    assert (row["slices"], row["events"], row["lost"]) == (500, 5000, "camera.late_events 3")
+    assert (row["slices"], row["events"], row["lost"], row["lost_why"]) == (500, 5000, 3, "camera.late_events 3")
     json.dumps(made.rows)
     assert rig.camera.closed
 
@@ -662,3 +662,76 @@ def test_full_disk(tmp_path: Path) -> None:
 def test_gripper_of_a_name_that_is_not_given() -> None:
     """Assert that a camera alone moves no gripper."""
     assert record.devices(Record(camera="dvxplorer"))[1] == NoGripper()
+
+
+def test_h2_ctrl_c_while_the_file_is_joined_keeps_the_segments(
+    rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that the first Ctrl-C works, too, once the recording is over, and repair makes its file."""
+
+    def interrupted(*given: Any, **more: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(10)
+        pytest.fail("Ctrl-C was only counted")
+
+    rig = rig_is(Camera())
+    with monkeypatch.context() as joining:
+        joining.setattr(segments, "join", interrupted)
+        with pytest.raises(KeyboardInterrupt, match="for `evetac repair`"):
+            recording(tmp_path, seconds=0.1)
+    assert rig.camera.closed
+    assert repair.run([tmp_path]).rows[0]["slices_kept"] == 100
+
+
+def test_thousands_of_slices_behind_schedule_and_a_full_disk(
+    rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that what was written before a disk was full is kept, and no more waits in memory than a segment holds."""
+    waiting: list[int] = []
+    write = segments.RecordingWriter._write
+
+    def until_full(path: Path, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> None:
+        if path.name == "000003.h5":
+            raise InputError("a segment cannot be written: No space left on device", where=str(path.parent))
+        waiting.append(len(arrays.get("events/t", ())))
+        write(path, arrays, about)
+
+    monkeypatch.setattr(segments.RecordingWriter, "_write", staticmethod(until_full))
+    monkeypatch.setattr(segments, "SEGMENT_EVENTS", 20_000)
+    monkeypatch.setattr(segments, "SEGMENT_S", 1e9)
+    camera = Camera()
+    monkeypatch.setattr(time, "sleep", lambda seconds: None)  # its slices come at once, as after a stop
+    rig_is(camera)
+    with pytest.raises(InputError, match="No space left(.|\n)*for `evetac repair`"):
+        recording(tmp_path, seconds=9.0)
+    assert waiting == [0, 20_000, 20_000, 20_000]
+    assert camera.closed
+    assert repair.run([tmp_path]).rows[0]["slices_kept"] == 6000
+
+
+def test_delays_of_a_long_recording_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that few values are kept of many, with their median and their largest."""
+    monkeypatch.setattr(capture, "MOST_DELAYS", 64)
+    delays = capture.Delays()
+    assert delays.spread() is None
+    for value in [*range(10_000), 77_777, *range(10_000)]:
+        delays.add(float(value))
+    median, _, most = delays.spread()
+    assert len(delays._values) < 64
+    assert median == pytest.approx(5000, abs=1000)
+    assert most == 77_777
+
+
+def test_slices_of_another_camera_wait_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a camera is not read while too many of its slices wait, and is again once they are taken."""
+    monkeypatch.setattr(capture, "WAITING_SLICES", 20)
+    thread = capture.SliceThread(Camera(slices=100))
+    thread.start()
+    taken = 0
+    while taken < 100:
+        got = thread.take()
+        assert len(got) <= 21
+        taken += len(got)
+        time.sleep(1e-3)
+    thread.stop()
+    assert thread.error is None

@@ -1,0 +1,96 @@
+"""What a camera lost, from what it counts: a number of events, or at least how many, and the words for the user.
+
+Reasons are named DEVICE.REASON, as in `capture/lost/camera.late_events`. Some are numbers of events, others occurrences
+of what costs an unknown number of them; the rest, such as lost answers of a gripper, cost none.
+"""
+
+from collections.abc import Mapping
+
+COUNTS_EVENTS = frozenset(
+    {
+        "events_in_dropped_frames",
+        "events_before_first_timestamp",
+        "events_in_full_queue",
+        "late_events",
+        "early_events",
+        "events_after_last_slice",
+    }
+)
+NUMBER_UNKNOWN = frozenset(
+    {
+        "unknown_words",
+        "missing_words",
+        "outside_frame",
+        "repeated_rows",
+        "torn_bytes",
+        "failed_transfers",
+        "ms_without_time",
+        "ms_without_events",
+        "slices_dropped",
+    }
+)
+SILENCES = {
+    "ms_without_time": "sends nothing, not even the time",
+    "ms_without_events": "sends no events",
+}
+AGAIN_S = 5.0  # after which more of the same is said again
+
+
+def _reason(name: str) -> str:
+    return name.rpartition(".")[2]
+
+
+def events_lost(counts: Mapping[str, int]) -> int | str:
+    """How many events were lost: a number, or `unknown, at least N` with N that are known."""
+    least = sum(count for name, count in counts.items() if _reason(name) in COUNTS_EVENTS)
+    if any(count for name, count in counts.items() if _reason(name) in NUMBER_UNKNOWN):
+        return f"unknown, at least {least:,}"
+    return least
+
+
+def reasons(counts: Mapping[str, int]) -> str | None:
+    """Every reason and how often it occurred; None where there is none."""
+    return "; ".join(f"{name} {count}" for name, count in counts.items() if count) or None
+
+
+class LossNews:
+    """What is to be said of losses while they happen: silence and damage when they begin, then every AGAIN_S."""
+
+    def __init__(self) -> None:
+        self._silent: dict[str, int] = {}  # name -> ms of silence before the present one
+        self._ms: dict[str, int] = {}  # name -> ms of silence when it was last asked
+        self._said: dict[str, float] = {}
+        self._lost: int | str = 0
+
+    def of(self, counts: Mapping[str, int], now_s: float) -> list[str]:
+        """Sentences for the user, given the counts of all devices at this time."""
+        news = []
+        for name, words in ((name, SILENCES[_reason(name)]) for name in counts if _reason(name) in SILENCES):
+            ms, before_ms = counts[name], self._ms.get(name, 0)
+            self._ms[name] = ms
+            device = name.rpartition(".")[0]
+            if ms > before_ms:
+                began_ms = self._silent.setdefault(name, before_ms)
+                if self._is_due(name, now_s):
+                    news.append(f"{device} {words}, for {(ms - began_ms) * 1e-3:.1f} s now: is it plugged in firmly?")
+            elif name in self._silent:
+                silent_s = (ms - self._silent.pop(name)) * 1e-3
+                self._said.pop(name, None)
+                news.append(f"{device} sends again, after {silent_s:.1f} s; what it saw meanwhile is lost")
+        others = {name: count for name, count in counts.items() if _reason(name) not in SILENCES}
+        lost = events_lost(others)
+        if lost != self._lost and self._is_due("events", now_s):
+            self._lost = lost
+            why = {name: count for name, count in others.items() if _reason(name) in COUNTS_EVENTS | NUMBER_UNKNOWN}
+            damaged = "the stream is damaged, " if isinstance(lost, str) else ""
+            news.append(
+                f"{damaged}events lost so far: {lost if isinstance(lost, str) else f'{lost:,}'} ({reasons(why)})"
+            )
+        return news
+
+    def _is_due(self, what: str, now_s: float) -> bool:
+        """Whether it was not said in the last AGAIN_S; then it is now."""
+        due = now_s - self._said.get(what, -AGAIN_S) >= AGAIN_S
+        if due:
+            self._said[what] = now_s
+        return due

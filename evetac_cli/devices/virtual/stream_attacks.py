@@ -1,0 +1,98 @@
+"""Attacks on the stream of a virtual camera: what each does to a recording, against the camera's own count of events.
+
+`ATTACKS` are faults of a virtual camera (faults.py) that a driver must outlast: it ends in time, makes no more slices
+than the host's time allows, and says how many events were lost, or at least how many.
+"""
+
+from contextlib import closing
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from evetac_cli.devices.device_slices import DRIFT, FAR_US, RESERVE_US
+from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
+from evetac_cli.devices.losses import events_lost
+from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
+from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
+from evetac_cli.events import SLICE_US
+
+SHARE = 0.01  # of all events by which a number of lost ones may differ from the camera's own
+IN_FLIGHT_S = 0.05  # of events that the camera sent, and that no slice was to hold any more when the recording ended
+
+
+class Attack(NamedTuple):
+    """A fault, and whether the protocol tells how many events it costs."""
+
+    fault: str
+    is_countable: bool
+
+
+ATTACKS = (
+    Attack("random@0:600", False),
+    Attack("random@0.5:0.5", False),
+    Attack("damage@0.2:600", False),
+    Attack("torn@0.5", False),
+    Attack("torn@0.2:600", False),
+    Attack("odd@0:600", True),
+    Attack("lost-timestamps@0.5:0.5", False),
+    Attack("jump-forward@0.5", True),
+    Attack("jump-back@0.5", True),
+    Attack("fast@0.2", True),
+    Attack("slow@0.2", True),
+    Attack("silence@0:600", False),
+    Attack("silence@0.5:0.3", False),
+    Attack("silence@0.5:600", False),
+    Attack("stall@0.5", True),
+)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a recording of an attacked stream ended."""
+
+    slices: int
+    host_ms: float  # from the camera's start to its last slice
+    events: int  # in the slices
+    seen: int  # by the camera's sensor until then
+    said: int | str  # how many were lost, as the driver says
+
+    @property
+    def lost(self) -> int:
+        """Events that the camera saw and no slice holds."""
+        return self.seen - self.events
+
+    def faults(self, attack: Attack, events_s: float) -> list[str]:
+        """What is wrong with this ending, in words; nothing if it is as it should be."""
+        wrong = []
+        most = (self.host_ms * (1.0 + DRIFT)) + RESERVE_US / SLICE_US
+        least = self.host_ms - 3 * FAR_US / SLICE_US  # behind for so long, for so long, and read that much later
+        if not least <= self.slices <= most:
+            wrong.append(f"{self.slices} slices in {self.host_ms:.0f} ms")
+        behind_s = max(0.0, self.host_ms - self.slices) * 1e-3  # what was seen then is behind the last slice
+        tolerance = SHARE * self.seen + (IN_FLIGHT_S + behind_s) * events_s
+        said = int(str(self.said).rpartition(" ")[2].replace(",", ""))
+        is_number = isinstance(self.said, int)
+        if said > self.lost + tolerance:
+            wrong.append(f"{said} events said to be lost, of {self.lost}")
+        if is_number and abs(said - self.lost) > tolerance:
+            wrong.append(f"{said} events said to be lost, {self.lost} were")
+        if attack.is_countable and not is_number:
+            wrong.append("the number is not known")
+        return wrong
+
+
+def attack(fault: str, seconds: float, events_s: float) -> Ending:
+    """Read so many seconds of a stream with a fault, by the real driver, as a recording does."""
+    words = random_event_words(events_s, 2.0 * seconds, np.random.default_rng(0))
+    source = PreparedWords(words)
+    device = VirtualDvxplorer(source, faults=(fault,))
+    slices = events = 0
+    with closing(DvxplorerCamera(backend=device)) as camera:
+        began_s = source.time.now_s()
+        while slices < round(1000 * seconds) and (part := camera.read()) is not None:
+            slices += 1
+            events += part.size
+        seen, said = device.events_seen, events_lost(camera.counted)
+        host_ms = 1e3 * (source.time.now_s() - began_s)
+    return Ending(slices, host_ms, events, seen, said)
