@@ -32,8 +32,8 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
 LOSSES = loops.LOSSES
 QUIET_MS = loops.QUIET_MS
 WORD_BYTES = 4
-LOOK_WORDS = 64  # behind damage, in which the byte is looked for at which words begin
-MOST_LOOK_WORDS = 4096  # where the damage goes on: four times as many each time
+SEARCH_WORDS = 64  # behind damage, in which the byte is looked for at which words begin
+MOST_SEARCH_WORDS = 4096  # where the damage goes on: four times as many each time
 
 
 @dataclass
@@ -83,19 +83,19 @@ def step(
     suspicious = bool(decoder.rest) or bool(decoder.registers[loops.DAMAGED])
     stream = memoryview(decoder.rest + bytes(data))
     parts = []
-    look = LOOK_WORDS
+    searched = SEARCH_WORDS
     while len(stream) >= WORD_BYTES:
         if suspicious:
-            skipped = loops.torn_bytes(np.frombuffer(stream[: look * WORD_BYTES], np.uint8))
+            skipped = loops.torn_bytes(np.frombuffer(stream[: searched * WORD_BYTES], np.uint8))
             if skipped:
                 decoder.counts[LOSSES.index("torn_bytes")] += skipped
                 _distrust(decoder)
             stream = stream[skipped:]
         words = np.frombuffer(stream, "<u4", len(stream) // WORD_BYTES)
-        count = max(loops.sound_words(words), min(look, len(words)) if suspicious else 0)
+        count = max(loops.sound_words(words), min(searched, len(words)) if suspicious else 0)
         parts.append(_decode(decoder, words[:count], host_ms, most_ms))
         stream = stream[count * WORD_BYTES :]
-        look = min(4 * look, MOST_LOOK_WORDS) if suspicious else look
+        searched = min(4 * searched, MOST_SEARCH_WORDS) if suspicious else searched
         suspicious = True
     decoder.rest = bytes(stream)
     return parts[0] if len(parts) == 1 else concatenate(parts)
