@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from evetac_cli import resources
@@ -191,3 +192,11 @@ def every_kind(folder: Path, *, lost_slices: bool = True) -> dict[str, Path]:
     report(paths["report"])
     shutil.copy(resources.MODEL, paths["model"])
     return paths
+
+
+def remove_dimensions(h5: h5py.File) -> None:
+    """Take the named dimensions out of a file, which then may hold datasets of other shapes."""
+    names: list[str] = []
+    h5.visititems(lambda name, item: names.append(name) if item.attrs.get("CLASS") == b"DIMENSION_SCALE" else None)
+    for name in names:
+        del h5[name]

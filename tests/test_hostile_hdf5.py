@@ -23,6 +23,7 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import RecordingWriter
 from tests.hostile_hdf5 import ANYWHERE, IN_HEADERS, IN_OUR_OWN, Change, X, rows_of
+from tests.small_files import every_kind
 
 EVENTS = 200
 STATIC: dict[str, Any] = {
@@ -183,18 +184,6 @@ def test_every_command_refuses_a_hostile_recording(
     assert sorted(tmp_path.iterdir()) == before
 
 
-def small(kind: str, folder: Path) -> Path:
-    """A file of a kind with a few zeros in each of its datasets, which only its schema has looked at."""
-    arrays: dict[str, Any] = {}
-    for row in schema.load(kind).datasets:
-        sizes = [size if isinstance(size, int) else 80 + ("+1" in size) for size in row.dims or ()]
-        name = row.path.replace("*", "any")
-        arrays[name] = "{}" if row.dtype == "utf8" else np.zeros(sizes or (), row.dtype)
-    path = folder / f"a.{kind}.h5"
-    write_stage(path, Recipe(kind, 1, {}), arrays)
-    return path
-
-
 # Commands that open files of the other kinds; {} stands for the file.
 ON_OTHERS = [
     ("labels", "evaluate labels"),
@@ -234,7 +223,10 @@ def test_every_command_refuses_hostile_files_of_other_kinds(
 ) -> None:
     """Assert that whatever a command reads, it does not read rows that were never written, nor another file."""
     monkeypatch.chdir(tmp_path)
-    path = small(kind, tmp_path)
+    path = every_kind(tmp_path)[kind]
+    for other in tmp_path.iterdir():
+        if other != path:
+            other.unlink()
     with StageFile(path) as file:
         name = next(name for name, (dtype, _) in file.contents().items())
     change(path, name)

@@ -103,7 +103,7 @@ def blocks(file: Contents, path: str, shape: tuple[int, ...]) -> Iterator[Any]:
         yield file.read(path)
         return
     rows = max(1, BLOCK_VALUES // max(1, int(np.prod(shape[1:]))))
-    for first in range(0, shape[0], rows):
+    for first in range(0, max(shape[0], 1), rows):  # one that is empty, too, is a piece
         yield file.read(path, first, min(first + rows, shape[0]))
 
 

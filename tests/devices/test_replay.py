@@ -55,8 +55,7 @@ def test_silence_is_cut_a_second_at_a_time(tmp_path: Path, monkeypatch: pytest.M
 def test_events_out_of_their_slices_are_refused(t: list[int], tmp_path: Path) -> None:
     """Assert words, and no memory, for events later than all slices, or times that go back."""
     path = recorded(tmp_path / "a.recording.h5", t, [0] + [len(t)] * 10)
-    camera = ReplayCamera(path)
-    with pytest.raises(InputError, match="not in the slices(.|\n)*evetac validate"):
+    with pytest.raises(InputError, match="ms_to_idx does not fit events/t|events/t is impossible"):
+        camera = ReplayCamera(path)
         while camera.read() is not None:
             pass
-    camera.close()

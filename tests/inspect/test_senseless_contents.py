@@ -52,6 +52,7 @@ class Change(NamedTuple):
                 dtype = stored.dtype
                 del h5[self.dataset]
                 h5[self.dataset] = np.asarray(self.value, dtype)
+                small_files.remove_dimensions(h5)
             else:
                 stored[self.index] = self.value
 
@@ -502,6 +503,7 @@ def test_m4_evaluate_tracking_with_the_truth_of_another_grid(small: dict[str, Pa
             h5[name] = rows
         del h5["sensor/dot_xy_px"]
         h5["sensor/dot_xy_px"] = GRID_OF_TWO_ROWS
+        small_files.remove_dimensions(h5)
     assert validate.run([small["tracks"]]).summary["invalid"] == 0
     with pytest.raises(InputError, match="another number of dots"):
         STAGES["evaluate tracking"][1](small["tracks"])

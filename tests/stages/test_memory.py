@@ -14,7 +14,7 @@ from evetac_cli.formats.write import pieces
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.stages import featurize, label, record, track, track_rgb, trim
-from evetac_cli.store import read
+from evetac_cli.store import contents, read
 from evetac_cli.store.read import open_recording
 from scripts.long_recording import Repeated
 from tests.conftest import Made
@@ -60,7 +60,7 @@ BLOCKS = (
     (trim, "PIECE_ROWS", 1 << 13),
     (events_on_disk, "BLOCK_EVENTS", 1 << 13),
     (read_dsec, "BATCH_ROWS", 1 << 13),
-    (validate, "BLOCK", 1 << 13),
+    (contents, "BLOCK_VALUES", 1 << 13),
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "trim": lambda folder, out: _run(trim, params.Trim(from_ms=100), folder, out),

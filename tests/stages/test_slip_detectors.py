@@ -32,7 +32,8 @@ def stored_graph(path: Path) -> Any:
 
 def store_graph(path: Path, graph: Any) -> None:
     with h5py.File(path, "r+") as h5:
-        del h5["onnx"], h5["checkpoint/onnx"]
+        for name in ("onnx", "checkpoint/onnx", "bytes"):  # `bytes` is their dimension
+            del h5[name]
         h5["onnx"] = np.frombuffer(graph.SerializeToString(), np.uint8)
 
 

@@ -19,7 +19,7 @@ from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, SimulatedTrial, d
     [
         (Record(), SimulatedTrial),
         (Record(camera="virtual"), DeviceTrial),
-        (Record(camera="dvxplorer", gripper="/dev/ttyUSB0"), DeviceTrial),
+        (Record(camera="dvxplorer", gripper="/dev/ttyUSB0", arm=True), DeviceTrial),
         (Record(source=Path("events.txt")), ImportJob),
         (Grasp(), SimulatedTrial),
         (Grasp(camera="virtual"), DeviceTrial),

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Literal, TypeVar
 
+from evetac_cli import console
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
@@ -376,7 +377,7 @@ def _close_all() -> None:
         with contextlib.suppress(EvetacError):
             gripper.close()
         with contextlib.suppress(OSError, ValueError, AttributeError):
-            print(f"gripper at {gripper.port}: {gripper.release_words}", file=sys.stderr)
+            console.say(f"gripper at {gripper.port}: {gripper.release_words}")
 
 
 def _end_in_order(number: int, frame: FrameType | None) -> None:
