@@ -20,6 +20,7 @@ MOST_JSON_BYTES = 1 << 22  # a calibration has 10 kB; this is one of ten thousan
 MOST_DEPTH = 32  # tables in tables, lists in lists, and dots of a key: ours have 4
 MOST_VALUES = 50_000  # entries of lists and tables: so many take milliseconds
 WHOLE_BITS = 64  # what TOML promises for a whole number, with its sign
+SEED_BITS = 129  # seeds of numpy have up to 128 bits, and a sign: in headers
 
 # Texts and comments, whose content is no structure. One that does not end runs to the end of its line, or of the file.
 _TOML_TEXT = re.compile(
@@ -100,24 +101,31 @@ def parse_toml(text: str) -> dict[str, Any]:
     return table
 
 
-def parse_json(text: str) -> Any:
-    """Parse JSON within the limits above, except for size; ValueError says in words what is wrong with it."""
-    _check_outline(_JSON_TEXT.sub("a", text))
+def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int = WHOLE_BITS) -> Any:
+    """Parse JSON within the limits above, except for size; ValueError says in words what is wrong with it.
+
+    NaN and infinities are no JSON. most_values: math.inf for the header and the rows of a file that is small enough.
+    """
+
+    def whole(digits: str) -> int:
+        if len(digits) <= whole_bits // 3:  # more are more bits, and int() takes its time for very many
+            number = int(digits)
+            if number.bit_length() < whole_bits:
+                return number
+        raise ValueError(f"a whole number of more than {whole_bits} bits")
+
+    _check_outline(_JSON_TEXT.sub("a", text), most_values)
     try:
-        return json.loads(text, parse_int=_whole)
+        return json.loads(text, parse_int=whole, parse_constant=_no_number)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
 
 
-def _whole(digits: str) -> int:
-    if len(digits) <= WHOLE_BITS // 3:  # more are more than 64 bits, and int() takes its time for very many
-        number = int(digits)
-        if number.bit_length() < WHOLE_BITS:
-            return number
-    raise ValueError(f"a whole number of more than {WHOLE_BITS} bits")
+def _no_number(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")
 
 
-def _check_outline(outline: str) -> None:
+def _check_outline(outline: str, most_values: float = MOST_VALUES) -> None:
     """Refuse text, without its strings, that is nested too deeply or has too many values."""
     depth = values = 0
     for match in _STRUCTURE.finditer(outline):
@@ -130,8 +138,8 @@ def _check_outline(outline: str) -> None:
             depth = max(0, depth - 1)
         else:
             values += 1
-            if values > MOST_VALUES:
-                raise ValueError(f"it has more than {MOST_VALUES:,} values")
+            if values > most_values:
+                raise ValueError(f"it has more than {most_values:,} values")
 
 
 def _values(value: Any) -> Iterator[Any]:

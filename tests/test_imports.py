@@ -20,7 +20,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "inspect": GROUND | {"stages", "devices", "formats", "store", "sim", "kernels"},
     "numerics": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "realtime", "kernels"},
-    "devices": frozenset({"errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
+    "devices": frozenset({"console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
     "formats": frozenset({"errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
     "store": frozenset({"errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
     "sim": frozenset({"errors", "events", "resources", "text_files", "kernels"}),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli import params
+from evetac_cli import params, text_files
 from evetac_cli.cli import config
 from evetac_cli.errors import InputError
 from evetac_cli.formats.imports import read_events
@@ -221,3 +221,25 @@ def test_a_flipped_centre_writes_no_calibration(tmp_path: Path) -> None:
             assert not out.exists()
         else:
             read_calibration(out)
+
+
+@pytest.mark.parametrize("value", [{"a": [1, 2.5, None, True, "x"]}, 2**128, -(2**128), "", [], 1e300])
+def test_json_is_read(value: object) -> None:
+    """Assert that ordinary values come back, whole numbers of a seed's length among them."""
+    assert text_files.parse_json(json.dumps(value), whole_bits=text_files.SEED_BITS + 1) == value
+
+
+@pytest.mark.parametrize("levels", [text_files.MOST_DEPTH + 1, 500, 100_000])
+def test_deep_json_is_refused(levels: int) -> None:
+    """Assert that the depth is limited alike for what Python's stack takes and what it does not."""
+    assert text_files.parse_json("[" * text_files.MOST_DEPTH + "]" * text_files.MOST_DEPTH) is not None
+    for text in ("[" * levels + "]" * levels, '{"a":' * levels + "1" + "}" * levels):
+        with pytest.raises(ValueError, match="nested more than"):
+            text_files.parse_json(text)
+
+
+@pytest.mark.parametrize("text", ["", "{", "NaN", "[Infinity]", str(2**64), "9" * 5000, "[1" + "0" * 100_000 + "]"])
+def test_what_is_no_json_is_refused(text: str) -> None:
+    """Assert that broken text, numbers that JSON does not have, and those of thousands of digits are refused."""
+    with pytest.raises(ValueError):
+        text_files.parse_json(text)

@@ -6,7 +6,6 @@ provenance  recipe, recipe id and header: the identity of a result
 disk        new files, all or nothing, also where the disk is full
 checked_hdf5  the one door to HDF5 files, ours and other people's: what is read was checked there first
 hdf5_text   texts of an HDF5 file, read from its bytes
-limited_json  JSON of limited size and depth
 files       open, check, skip and write files of all kinds
 segments    recordings that grow: closed segments, joined at the end
 recovery    what can be made of the segments of a recording that broke off

@@ -5,7 +5,7 @@ refuses, so a stage is never given a value that its schema forbids; opening a fi
 to the rules (`check_small`); `validate` reads the rest, block by block, in bounded memory (`faults`).
 """
 
-import json
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
@@ -17,6 +17,7 @@ from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, weight_shapes
 from evetac_cli.store import schema
 from evetac_cli.store.schema import Dataset, Limits
+from evetac_cli.text_files import parse_json
 
 SMALL_VALUES = 4096  # opening a file reads and checks datasets of no more values: 4 s of a trial, in a few ms
 BLOCK_VALUES = 1 << 20  # that validate reads together: 8 MiB
@@ -119,18 +120,14 @@ def _text_fault(limits: Limits, text: str) -> tuple[str, str] | None:
     if not limits.json:
         return None
     try:
-        value = json.loads(text, parse_constant=_no_constant)
-    except (ValueError, RecursionError):
+        value = parse_json(text, most_values=math.inf)
+    except ValueError:
         return f"a JSON {limits.json}", short
     rows = [value] if limits.json == "object" else value
     fine = isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
     if fine and limits.json != "object":
         fine = not any(isinstance(one, (dict, list)) for row in rows for one in row.values())
     return None if fine else (f"a JSON {limits.json}", short)
-
-
-def _no_constant(name: str) -> None:
-    raise ValueError(name)  # NaN and infinities are no JSON
 
 
 def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) -> tuple[str, str] | None:

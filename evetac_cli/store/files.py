@@ -22,8 +22,8 @@ from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
-from evetac_cli.store.limited_json import read_json
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, recompute_id
+from evetac_cli.text_files import SEED_BITS, parse_json
 
 CHUNK_ROWS = 65536
 CHUNK_BYTES = 1 << 20
@@ -142,7 +142,7 @@ def _read_header(file: CheckedHdf5) -> Header:
     if text is None:
         raise InputError("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
     try:
-        header = dict(read_json(text))
+        header = dict(parse_json(text, most_values=math.inf, whole_bits=SEED_BITS))
         canonical(header)
     except (ValueError, TypeError):
         raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None

@@ -22,9 +22,9 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.store import schema
 from evetac_cli.store.checked_hdf5 import DAMAGE, CheckedHdf5, row_blocks
 from evetac_cli.store.disk import open_lock
-from evetac_cli.store.limited_json import read_json
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, RECIPE, STATIC
+from evetac_cli.text_files import SEED_BITS, parse_json
 
 SUFFIX = ".part"
 SEGMENT = "([0-9]{6,})[.](h5|tmp)"  # .tmp: closed, perhaps, but not yet renamed
@@ -182,7 +182,7 @@ def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
             )
         if len(frame) != 2 or not all(1 <= size <= LARGEST_PX for size in frame):
             raise ValueError(f"sensor/frame_px is {frame or 'missing'}")
-        recipe = read_json(text)
+        recipe = parse_json(text, whole_bits=SEED_BITS)
         made = Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
         if made.kind != "recording" or made.header()["kind"] != "recording":  # the header shows that it can be made
             raise ValueError(f"the recipe is of another kind, {str(made.kind)[:60]!r}")
