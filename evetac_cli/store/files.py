@@ -22,7 +22,7 @@ from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
-from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, recompute_id
+from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, identity_fault
 from evetac_cli.text_files import SEED_BITS, parse_json
 
 CHUNK_ROWS = 65536
@@ -40,8 +40,9 @@ class StageFile:
         try:
             self.header = _read_header(self._file)
             _check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
-            if recompute_id(self.header) != self.header["id"]:
-                raise SchemaError("its header was edited: the recipe id does not fit it", where=str(self.path))
+            fault = identity_fault(self.header)
+            if fault:
+                raise SchemaError(fault, where=str(self.path))
             self._datasets = self._file.datasets()
             with damage_in_words(self.path, "its contents"):
                 stored = self.contents()

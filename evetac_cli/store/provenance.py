@@ -97,6 +97,17 @@ def recompute_id(header: Header) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def identity_fault(header: Header) -> str:
+    """What does not fit in the ids of a header and of its ancestors, in words; empty if all do."""
+    if recompute_id(header) != header["id"]:
+        return "its header was edited: the recipe id does not fit it"
+    for id_, ancestor in header["history"].items():
+        if not isinstance(ancestor, dict) or ancestor.get("id") != id_ or recompute_id(ancestor) != id_:
+            return f"the history of {id_[:12]} was edited"
+    missing = [str(parent)[:12] for parent in header["parents"] if parent not in header["history"]]
+    return f"the history lacks the parents {', '.join(missing)}" if missing else ""
+
+
 def made() -> dict[str, str]:
     """Time, host and versions: recorded, not part of the id."""
     libraries = {}

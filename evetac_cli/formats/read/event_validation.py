@@ -19,7 +19,7 @@ from evetac_cli.formats.note import Note
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 
 # Every millisecond costs a row of the slice index, so one broken time stamp must not make billions of empty slices.
-SPAN_LIMIT_US = 24 * 3600 * 1_000_000
+SPAN_LIMIT_US = 6 * 3600 * 1_000_000  # 8 bytes a millisecond, some copies at a time: below 1 GB
 # uint16 coordinates
 FRAME_LIMIT_PX = 2**16
 
@@ -115,7 +115,7 @@ def normalise(
     Events outside the frame and events that are no numbers are dropped and counted; the others wait on the disk of
     `folder`. Raises InputError where columns
     differ in length, a coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond
-    2^53 us or before `start_us`, time goes backwards and sort is off, the events span more than 24 h, none of them can
+    2^53 us or before `start_us`, time goes backwards and sort is off, the events span more than 6 h, none of them can
     be used, or the file holds none at all and that was not expected (`may_be_empty`).
     """
     seen = _Seen()
