@@ -169,7 +169,7 @@ def test_command(tmp_path: Path) -> None:
 def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path) -> None:
     """Assert that a device-like recording that was killed is repaired, and holds the first slices of what was played.
 
-    scripts/kill_recordings.py does this many times and measures the loss.
+    scripts/attack/kill_recordings.py does this many times and measures the loss.
     """
     output = tmp_path / "k.recording.h5"
     arguments = [

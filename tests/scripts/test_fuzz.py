@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FUZZ = ROOT / "scripts" / "fuzz"
+FUZZ = ROOT / "scripts" / "attack" / "fuzz"
 
 
 @pytest.fixture(autouse=True)

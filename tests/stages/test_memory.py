@@ -16,7 +16,7 @@ from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.stages import featurize, label, record, track, track_rgb, trim
 from evetac_cli.store import contents, read
 from evetac_cli.store.read import open_recording
-from scripts.long_recording import Repeated
+from scripts.attack.long_recording import Repeated
 from tests.conftest import Made
 
 SHORT, LONG = 1000, 3000  # slices

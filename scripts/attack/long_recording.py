@@ -1,7 +1,7 @@
 """Make a simulated recording of any length, and check that no command needs more memory for a longer one.
 
-    python scripts/long_recording.py OUT.recording.h5 --minutes 60
-    python scripts/long_recording.py FOLDER --minutes 60 --check [--limit-mb 1000]
+    python scripts/attack/long_recording.py OUT.recording.h5 --minutes 60
+    python scripts/attack/long_recording.py FOLDER --minutes 60 --check [--limit-mb 1000]
 
 The end of a simulated trial, some 300,000 events a second, is repeated with the times that follow each other, and the
 file says so: a load for memory and disk, and no touch that anybody would see. With --check, every stage, validate,

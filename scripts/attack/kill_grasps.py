@@ -1,6 +1,6 @@
 """Kill or stop a process of `grasp` or `record` at a random moment; how long does the motor keep its current?
 
-    python scripts/kill_grasps.py -o kills.jsonl [--count 200] [--how kill|stop] [--watchdog-ms 60] [--busy 4]
+    python scripts/attack/kill_grasps.py -o kills.jsonl [--count 200] [--how kill|stop] [--watchdog-ms 60] [--busy 4]
 
 The commands are real ones, with a camera that plays prepared words and a gripper at a port. At its other end is a
 virtual servo, in a process of its own that outlives the commands. It keeps its own log, by the clock by which

@@ -1,7 +1,7 @@
 """Mutated files in front of every command that reads them: no traceback, no crash, no hang, nothing half-written.
 
-    python scripts/fuzz/run.py OUT.jsonl --count 20000 --seed 17   # started again, it goes on
-    python scripts/fuzz/run.py OUT.jsonl --only 4711 --seed 17 --keep DIR   # one case again, its files kept in DIR
+    python scripts/attack/fuzz/run.py OUT.jsonl --count 20000 --seed 17   # started again, it goes on
+    python scripts/attack/fuzz/run.py OUT.jsonl --only 4711 --seed 17 --keep DIR   # one case, its files in DIR
 
 A case is one damaged file and up to three of the commands that read its kind. Each command runs in a process of its
 own, forked from one that has loaded all modules, so that a case takes a fraction of a second. What must never happen:

@@ -1,6 +1,6 @@
 """Kill recordings with SIGKILL at random times, repair what they left, and print how much was lost.
 
-    python scripts/kill_recordings.py [--count 100] [--busy 4] [--camera NAME] [--gripper none|virtual] [--seed 0]
+    python scripts/attack/kill_recordings.py [--count 100] [--busy 4] [--camera NAME] [--gripper none|virtual]
 
 The camera plays prepared words, unless --camera names another, such as replay:RECORDING. The loss is counted from the
 moment of the kill back to the last slice that was saved; what passed between the start of the recorder and the first

@@ -1,6 +1,6 @@
 """Attack the stream of a virtual camera while `evetac record` records it: one row for each fault, exit 1 if one fails.
 
-    python scripts/attack_streams.py --seconds 5 --events-per-s 300000
+    python scripts/attack/streams.py --seconds 5 --events-per-s 300000
 
 A fault fails if the recording does not end in time, needs more memory than --memory-mb, makes more slices than the
 host's time allows, or says another number of lost events than the camera itself counts (devices/virtual/
