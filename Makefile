@@ -9,11 +9,12 @@ SIZES ?=
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+LOWEST := .venv-lowest
 REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
-	data-rate force grasp-table results film test test-all check bench clean
+	data-rate force grasp-table results film test test-all test-lowest check bench clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -79,6 +80,15 @@ test: $(READY)  ## the test suite
 
 test-all: $(READY)  ## the test suite with its longer cases
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+
+test-lowest: $(LOWEST)/.ready  ## the test suite with the lowest versions that pyproject.toml allows, in .venv-lowest
+	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/numba $(LOWEST)/bin/python -m pytest --numprocesses 2 --dist loadfile -m 'not slow'
+
+$(LOWEST)/.ready: pyproject.toml scripts/lowest.py
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python scripts/lowest.py > $(LOWEST)/lowest.txt
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,convert,plot,dev]'
+	@touch $@
 
 check: $(READY)  ## ruff and mypy --strict
 	$(BIN)/ruff check .

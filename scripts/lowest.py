@@ -1,0 +1,36 @@
+"""Print the lowest versions that pyproject.toml allows, one `name==version` a line, as constraints for pip.
+
+`make test-lowest` installs exactly these and runs the tests with them, so that no bound promises what nobody tried.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
+BOUND = re.compile(r"([A-Za-z0-9._-]+)>=([0-9][0-9a-z.]*)")
+
+
+def lowest_versions(requirements: list[str]) -> list[str]:
+    """`name==version` for each `name>=version`; any other form of requirement is a ValueError."""
+    pins = []
+    for requirement in requirements:
+        match = BOUND.fullmatch(requirement)
+        if match is None:
+            raise ValueError(f"pyproject.toml: expected name>=version, found {requirement!r}")
+        pins.append(f"{match[1]}=={match[2]}")
+    return sorted(pins)
+
+
+def requirements_of(pyproject: Path) -> list[str]:
+    """What the package needs, with all of its extras."""
+    project = tomllib.loads(pyproject.read_text())["project"]
+    extras = project["optional-dependencies"].values()
+    return [*project["dependencies"], *(requirement for extra in extras for requirement in extra)]
+
+
+if __name__ == "__main__":
+    sys.stdout.write("\n".join(lowest_versions(requirements_of(PYPROJECT))) + "\n")
