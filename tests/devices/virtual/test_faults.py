@@ -131,7 +131,7 @@ def test_the_readme_names_every_fault_and_no_other() -> None:
 def test_no_page_shows_a_fault_that_is_none() -> None:
     """Assert that each fault in a command of README or docs is one."""
     pages = [PACKAGE.parent / "README.md", *(PACKAGE.parent / "docs").rglob("*.md")]
-    shown = re.findall("--(camera|gripper) virtual:([a-z][^ `|*]*)", "\n".join(page.read_text() for page in pages))
+    shown = re.findall("--(camera|gripper) virtual:([a-z][^\\s`|*]*)", "\n".join(page.read_text() for page in pages))
     assert shown
     read = {"camera": camera_fault, "gripper": gripper_fault}
     for device, text in shown:
