@@ -58,7 +58,7 @@ def existing_folder(folder: Path) -> Path:
 
 
 def missing_folders(folder: Path) -> list[Path]:
-    """This folder and those above it that do not exist, the innermost first."""
+    """The folder and those above it, as far as they do not exist, the innermost first."""
     return [one for one in (folder, *folder.parents) if not os.path.lexists(one)]
 
 
