@@ -18,6 +18,12 @@ AnyError = TypeVar("AnyError", bound=BaseException)
 INTERRUPTED = "interrupted: finished files are complete, the one in progress was left out"
 INTERNAL_ERROR = "internal error"  # how what nobody foresaw begins: programs that try evetac out look for it
 MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
+# Libraries that only some commands need: the extra that installs each, and what it is imported as.
+EXTRAS = {
+    "camera": ("dv_processing",),
+    "convert": ("rosbags", "faery", "hdf5plugin"),
+    "plot": ("matplotlib", "bokeh", "PIL"),
+}
 MOST_CHARACTERS = 600  # of a part of an error: what a file or flag holds is quoted, not repeated
 
 
@@ -78,6 +84,18 @@ class DeviceError(EvetacError):
 
 class DeviceTimeout(DeviceError, TimeoutError):
     """A device did not answer in time (exit code 3)."""
+
+
+def missing_library(error: BaseException | None) -> EvetacError | None:
+    """A library of somebody else's that is not installed, in words; None for every other error."""
+    if not isinstance(error, ModuleNotFoundError) or not error.name:
+        return None
+    name = error.name.partition(".")[0]
+    if name == __package__:
+        return None
+    extra = next((extra for extra, names in EXTRAS.items() if name in names), None)
+    hint = f"pip install '.[{extra}]'" if extra else "pip install ."
+    return EvetacError(f"the library {name} is not installed", hint=hint)
 
 
 def attach_outcome(error: AnyError, outcome: Any) -> AnyError:

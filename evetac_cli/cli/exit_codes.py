@@ -27,6 +27,7 @@ from evetac_cli.errors import (
     InputError,
     attached_outcome,
     error_dict,
+    missing_library,
     shortened,
 )
 from evetac_cli.jobs import Outcome
@@ -94,6 +95,7 @@ class CommandExit:
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        error = missing_library(error) or error
         if self.as_json and error is not None and not isinstance(error, (typer.Exit, OutputClosed, OutputError)):
             errors = self.errors()
             known = any(error is other for other in errors)

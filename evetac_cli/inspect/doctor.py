@@ -18,7 +18,7 @@ from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
 from evetac_cli.devices.probe import FTDI, Host
 from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
-from evetac_cli.errors import DeviceError
+from evetac_cli.errors import EXTRAS, DeviceError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Outcome
 from evetac_cli.params import Doctor
@@ -36,11 +36,6 @@ SPEEDS = {
     3: "USB 2, 480 Mbit/s",
     4: "USB 3, 5 Gbit/s",
     5: "USB 3, 10 Gbit/s",
-}
-EXTRAS = {
-    "camera": ("dv_processing",),
-    "convert": ("rosbags", "faery", "hdf5plugin"),
-    "plot": ("matplotlib", "bokeh", "PIL"),
 }
 OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
 

@@ -57,6 +57,18 @@ def existing_folder(folder: Path) -> Path:
     return folder
 
 
+def missing_folders(folder: Path) -> list[Path]:
+    """The folder and those above it, as far as they do not exist, the innermost first."""
+    return [one for one in (folder, *folder.parents) if not os.path.lexists(one)]
+
+
+def remove_empty(folders: list[Path]) -> None:
+    """Remove folders that were made for nothing, the innermost first; one that holds something stays."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
+
+
 def require_room(path: Path, needed_bytes: float, hint: str) -> None:
     """Refuse to begin what the disk of the folder `path` has no room for; InputError with figures.
 
@@ -81,10 +93,16 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
     ending: what the name has to end in, for libraries that go by it. InputError if the disk does not take the file.
     """
     temporary = _temporary(path, ending)
+    made = missing_folders(path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         temporary.replace(path)
+    except KeyboardInterrupt:  # only now: after an error, another job may be about to write there
+        with suppress(OSError):
+            temporary.unlink()
+        remove_empty(made)
+        raise
     except (FileExistsError, NotADirectoryError):
         raise InputError("the output folder is a file", where=str(path.parent)) from None
     except OSError as error:

@@ -25,7 +25,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.store import schema
 from evetac_cli.store.checked_hdf5 import CheckedHdf5, row_blocks
-from evetac_cli.store.disk import new_file, open_lock
+from evetac_cli.store.disk import missing_folders, new_file, open_lock, remove_empty
 from evetac_cli.store.files import create, put, put_header, replacing
 from evetac_cli.store.netcdf import describe_dataset
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
@@ -64,6 +64,7 @@ class RecordingWriter:
         """
         self.path = path
         self.folder = _part_folder(path)
+        self._made = missing_folders(path.parent)
         self._claim(discard_leftover)
         try:
             about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe), allow_nan=False)}
@@ -156,6 +157,7 @@ class RecordingWriter:
     def discard(self) -> None:
         """Throw the folder away: for a trial that can be made again, or is joined."""
         shutil.rmtree(self.folder, ignore_errors=True)  # before the lock is let go: the next may be waiting for it
+        remove_empty(self._made)
         self._lock.close()
 
     @staticmethod

@@ -307,8 +307,26 @@ ENDINGS += [
         2,
         {"kind": "PermissionError", "message": "Permission denied", "where": "x.h5"},
     ),
+    (
+        ModuleNotFoundError("No module named 'bokeh.embed'", name="bokeh.embed"),
+        1,
+        {"kind": "EvetacError", "message": "the library bokeh is not installed", "hint": "pip install '.[plot]'"},
+    ),
     (ZeroDivisionError("bug"), 1, {"kind": "InternalError", "message": "internal error: ZeroDivisionError: bug"}),
 ]
+
+
+def test_a_library_that_is_missing_is_said_with_the_extra_to_install(label_is: Any, files: list[str]) -> None:
+    """Assert words and no `internal error`; a module of our own that is missing stays a defect."""
+    label_is(raising(ModuleNotFoundError("No module named 'rosbags'", name="rosbags")))
+    result = evetac("label", files[0])
+    assert result.exit_code == 1
+    assert "error: the library rosbags is not installed" in result.stderr
+    assert "pip install '.[convert]'" in result.stderr
+    label_is(raising(ModuleNotFoundError("No module named 'h5py'", name="h5py")))
+    assert "pip install ." in evetac("label", files[0]).stderr
+    label_is(raising(ModuleNotFoundError("No module named 'evetac_cli.x'", name="evetac_cli.x")))
+    assert isinstance(evetac("label", files[0]).exception, ModuleNotFoundError)
 
 
 @pytest.mark.parametrize(("error", "code", "expected"), ENDINGS, ids=lambda value: type(value).__name__)

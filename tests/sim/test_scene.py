@@ -188,3 +188,13 @@ def test_m4_a_scene_that_cannot_be_simulated_is_said(name: str, key: str, value:
     (plan, *_) = scene.plan(str(path), "8", "evetac", ("ramp", "press", "tone"))
     with pytest.raises(SceneError, match=odd["name"]):
         rig(plan, np.random.SeedSequence(0))
+
+
+def test_an_edge_blurred_over_the_whole_view_is_refused(tmp_path: Path) -> None:
+    """Assert that a blur so wide that drawing the edge takes many seconds is refused with its place and its limit."""
+    odd = named("edge")
+    odd["rub"]["edge_blur_px"] = [1000.0, 1000.0]
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    with pytest.raises(SceneError, match=r"rub\.edge_blur_px.*maximum of 50"):
+        scene.load(str(path))

@@ -448,3 +448,12 @@ def test_lost_slices_are_empty(tmp_path: Path) -> None:
     with open_recording(writer.path) as recording:
         assert [events.size for events in recording] == [3, 3, 0, 0, 0, 0]
     writer.discard()
+
+
+def test_a_recording_thrown_away_leaves_no_folder_that_was_made_for_it(tmp_path: Path) -> None:
+    """Assert that folders made for a recording go with it, but not one that was there, nor one that holds a file."""
+    RecordingWriter(tmp_path / "new" / "inner" / "a.recording.h5", STATIC, discard_leftover=True).discard()
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "old").mkdir()
+    RecordingWriter(tmp_path / "old" / "a.recording.h5", STATIC, discard_leftover=True).discard()
+    assert [path.name for path in tmp_path.iterdir()] == ["old"]

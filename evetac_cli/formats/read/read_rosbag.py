@@ -16,6 +16,7 @@ from evetac_cli.formats.read import read_prophesee
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
 from evetac_cli.formats.read.faery_library import scratch_file
 from evetac_cli.formats.read.ros_messages import Fields, Packet, Part, decoder, event_array, event_packet, evetac_image
+from evetac_cli.formats.read.rosbag_unpacking import limit_unpacking
 from evetac_cli.text_files import open_regular, read_bytes
 
 SQLITE = b"SQLite format 3\x00"
@@ -210,7 +211,9 @@ def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
-    except ImportError as error:
+
+        limit_unpacking()
+    except (ImportError, AttributeError) as error:
         hint = "pip install '.[convert]'"
         raise InputError("ROS bags need rosbags", where=where, found=str(error), hint=hint) from None
     kind: Any = Reader2

@@ -14,7 +14,7 @@ from evetac_cli.inspect.view.page import render_page
 from evetac_cli.inspect.view.time_series import model_output, series_panels, slip_lanes, slip_onsets
 from evetac_cli.inspect.view.trial_files import Trial, open_trial
 from evetac_cli.inspect.view.view_data import ViewData
-from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.params import View
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
@@ -135,6 +135,7 @@ def _with_suffix(path: Path, suffix: str, flag: str) -> Path:
 
 
 def _check_free(path: Path, force: bool) -> None:
+    require_possible_name(path)
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
     if os.path.lexists(path) and not force:

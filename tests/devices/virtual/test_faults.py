@@ -1,5 +1,6 @@
 """Faults of virtual devices by name: one grammar, and two tables that say which parts a fault takes."""
 
+import re
 from dataclasses import fields
 
 import numpy as np
@@ -116,3 +117,24 @@ def test_the_page_on_safety_lists_every_fault_of_a_gripper() -> None:
     page = (PACKAGE.parent / "docs" / "safety.md").read_text()
     for name, kind in GRIPPER_FAULTS.items():
         assert f"| `{name}` | {kind.effect} |" in page
+
+
+def test_the_readme_names_every_fault_and_no_other() -> None:
+    """Assert that the README's table of faults is that of the code, for cameras and for grippers."""
+    table = (PACKAGE.parent / "README.md").read_text().split("| camera | | gripper | |\n")[1].split("\n\n")[0]
+    rows = [line.strip("|").split("|") for line in table.splitlines()[1:]]
+    for column, faults in ((0, CAMERA_FAULTS), (2, GRIPPER_FAULTS)):
+        named = {name for row in rows for name in re.findall("`([a-z][a-z0-9-]*)`", row[column])}
+        assert named == set(faults)
+
+
+def test_no_page_shows_a_fault_that_is_none() -> None:
+    """Assert that each fault in a command of README or docs is one."""
+    pages = [PACKAGE.parent / "README.md", *(PACKAGE.parent / "docs").rglob("*.md")]
+    shown = re.findall("--(camera|gripper) virtual:([a-z][^\\s`|*]*)", "\n".join(page.read_text() for page in pages))
+    assert shown
+    read = {"camera": camera_fault, "gripper": gripper_fault}
+    for device, text in shown:
+        for fault in text.rstrip(".,").split("+"):
+            if fault not in ("NAME", "prepared"):
+                read[device](fault)

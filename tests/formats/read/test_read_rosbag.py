@@ -20,6 +20,7 @@ from tests.importing import event_rows, refusal
 
 rosbags = pytest.importorskip("rosbags.rosbag1")
 from rosbags import rosbag1, rosbag2  # noqa: E402
+from rosbags.rosbag2 import writer as writer2  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
 FRAME = (640, 480)
@@ -103,7 +104,8 @@ def write(tmp_path: Path) -> Write:
             plugin = rosbag2.StoragePlugin.MCAP if bag == "mcap" else rosbag2.StoragePlugin.SQLITE3
             writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
             if options.get("compress"):
-                writer.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+                mode = rosbag2.CompressionMode[options.get("mode", "MESSAGE")]
+                writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
         with writer:
             for topic, messages in topics.items():
                 kind = messages[0].__msgtype__ if messages else "dvs_msgs/msg/EventArray"
@@ -481,3 +483,26 @@ def test_large_metadata_are_refused(tmp_path: Path) -> None:
         file.truncate(1 << 24)
     with pytest.raises(InputError, match="too large"):
         read_events(tmp_path)
+
+
+PACKED = [("ros1", "MESSAGE"), ("db3", "MESSAGE"), ("db3", "FILE"), ("mcap", "MESSAGE"), ("mcap", "STORAGE")]
+
+
+@pytest.mark.parametrize(("bag", "mode"), PACKED)
+def test_a_compressed_part_that_swells_is_refused(write: Write, bag: str, mode: str) -> None:
+    """Assert that a compressed message, chunk or file that unpacks to a thousand times its size is not unpacked."""
+    types = Types(bag)
+    messages = [types.array(listed(drawn(10)), frame="x" * (10 if mode == "FILE" else 70 << 20))]
+    path = write(bag, types, {"/e": messages}, compress=True, mode=mode)
+    for file in path.glob("*.zstd"):
+        file.write_bytes(writer2.zstd.compress(bytes(200 << 20)))
+    assert "unpacks to more than" in refusal(path)
+
+
+@pytest.mark.parametrize(("bag", "mode"), PACKED)
+def test_compressed_bags_are_read(write: Write, bag: str, mode: str) -> None:
+    """Assert that what is compressed in any of the ways that bags know gives every event."""
+    types = Types(bag)
+    events = drawn(3000)
+    path = write(bag, types, {"/e": [types.array(listed(events))]}, compress=True, mode=mode)
+    assert event_rows(read_events(path)) == shifted(events)

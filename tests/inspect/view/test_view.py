@@ -327,3 +327,15 @@ def test_film(trial: Path) -> None:
         image.seek(image.n_frames - 1)  # type: ignore[attr-defined]
         assert (np.asarray(image.convert("RGB")) != first).any(axis=2).mean() > 0.001
     assert outcome.rows[0]["film_bytes"] == film.stat().st_size
+
+
+@pytest.mark.parametrize("flag", ["page", "film"])
+def test_a_name_that_is_too_long_is_refused_before_the_work(
+    trial: Path, flag: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a page or an animation of a name that no file system takes is refused before anything is drawn."""
+    monkeypatch.setattr(view, "open_trial", lambda files: pytest.fail("worked"))
+    long = trial.with_name("a" * 240)
+    out, film = (long.with_suffix(".html"), None) if flag == "page" else (None, long.with_suffix(".gif"))
+    with pytest.raises(InputError, match="name is too long"):
+        view.run([trial], View(film=film), out)
