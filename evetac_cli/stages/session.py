@@ -108,10 +108,11 @@ def without_nan(value: Any) -> Any:
 
 
 @contextmanager
-def signals_counted() -> Iterator[list[int]]:
+def signals_counted(came: Sequence[int] = ()) -> Iterator[list[int]]:
     """Ctrl-C and other signals that end a program are counted at first, so that a recording ends between slices.
 
-    A second one breaks off. One that is ignored already, as SIGHUP under nohup, stays so.
+    A second one breaks off. One that is ignored already, as SIGHUP under nohup, stays so. came: those that came before,
+    and should have broken off: then nothing is begun.
     """
     signals: list[int] = []
     if threading.current_thread() is not threading.main_thread():
@@ -124,21 +125,33 @@ def signals_counted() -> Iterator[list[int]]:
             raise KeyboardInterrupt
 
     with _handled(count):
+        if came:
+            raise KeyboardInterrupt
         yield signals
 
 
 @contextmanager
-def signals_interrupt() -> Iterator[None]:
-    """Signals that would end the program without a word break off as Ctrl-C does; before anything is recorded."""
+def signals_interrupt() -> Iterator[list[int]]:
+    """Signals that would end the program without a word break off as Ctrl-C does; before anything is recorded.
+
+    They are counted, too, for `signals_counted`: what is raised while modules and compiled code are loaded may come up
+    inside a callback, which swallows it.
+    """
+    came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield came
         return
+    before = {number: signal.getsignal(number) for number in ENDS}
 
     def interrupt(number: int, frame: Any) -> None:
+        came.append(number)
+        handler = before[number]
+        if callable(handler):
+            handler(number, frame)
         raise KeyboardInterrupt
 
-    with _handled(interrupt, [number for number in ENDING if signal.getsignal(number) is signal.SIG_DFL]):
-        yield
+    with _handled(interrupt):
+        yield came
 
 
 @contextmanager

@@ -66,6 +66,7 @@ def test_m9_an_interrupt_that_was_swallowed_comes_up_with_the_next_progress(
     stage_is(run)
     with pytest.raises(KeyboardInterrupt):
         workers.run_one("record", JOB, None, False)
+    monkeypatch.setattr(workers, "_came", False)
     assert isinstance(workers.run_one("record", WithDevices((), Path("a")), None, False), Outcome)
 
 

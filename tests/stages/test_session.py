@@ -56,10 +56,10 @@ def test_the_second_signal_breaks_off() -> None:
     """Assert that a first Ctrl-C is counted, a second one raised, and that handlers are then what they were."""
     before = signal.getsignal(signal.SIGINT)
     with session.signals_counted() as signals:
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
         assert signals == [signal.SIGINT]
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
     assert signal.getsignal(signal.SIGINT) == before
 
 
@@ -153,7 +153,7 @@ def test_h2_a_swallowed_ctrl_c_still_ends_before_anything_is_recorded() -> None:
     before = signal.getsignal(signal.SIGINT)
     with session.signals_interrupt() as came:
         with suppress(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         assert came == [signal.SIGINT]
         with pytest.raises(KeyboardInterrupt), session.signals_counted(came):
             pytest.fail("a recording was begun")

@@ -143,12 +143,12 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
     if gripper.is_hardware:
         session.wait_for_object(trial)
     with ExitStack() as opened:
-        opened.enter_context(session.signals_interrupt())
+        came = opened.enter_context(session.signals_interrupt())
         durations = {"lift_s": params.lift_s, "balance_s": params.balance_s}
         world, servo = open_peers(
             camera, gripper, trial.plan, seeds, opened, armed=params.arm, tells_truth=True, **durations
         )
-        signals = opened.enter_context(session.signals_counted())  # until here Ctrl-C breaks off
+        signals = opened.enter_context(session.signals_counted(came))  # until here Ctrl-C breaks off
         sensor = _sensor(trial, params, world)
         detector = DetectorSettings(camera, seeds, sensor, setup.model_path_for(params), params.tracker, timing.end_ms)
         controller = ControllerSettings(

@@ -189,7 +189,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
     if trial.cameras[0].is_hardware and not params.resume:
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
-        opened.enter_context(session.signals_interrupt())
+        came = opened.enter_context(session.signals_interrupt())
         # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
         held = trial.gripper.is_hardware and not any(camera.simulates_scene for camera in trial.cameras)
         priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
@@ -204,7 +204,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
                 console.say(note)
             recordings.append(_begin(trial, params, rig, place, trajectory))
         moves = recordings[0].rig.gripper is not None
-        with session.signals_counted() as signals, session.gripper_key(moves=moves) as key:
+        with session.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
             _write(recordings, _hold(trial, params, recordings[0].rig), rng, params, signals, key, progress)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with session.signals_held():
