@@ -12,17 +12,22 @@ from typing import NoReturn
 
 def main() -> None:
     """Load the commands and run the one that was asked for."""
+    came: list[int] = []  # for an import may swallow what a signal raises
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        raise KeyboardInterrupt
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+        signal.signal(number, interrupt)
     try:
         from evetac_cli.cli.main import main as run
+
+        if came:
+            _end()
     except KeyboardInterrupt:
         _end()
     run()
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _end() -> NoReturn:

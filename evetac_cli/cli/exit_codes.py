@@ -128,6 +128,7 @@ def run(program: Callable[[], Any]) -> NoReturn:
         code = error.exit_code
     for number in (signal.SIGINT, signal.SIGTERM):  # all is done and said: from now on they only end what still runs
         signal.signal(number, signal.SIG_DFL)
+    exec("")  # Python ends by SIGINT if the last `exec` was left by Ctrl-C, as it may be while modules are loaded
     sys.exit(code)
 
 

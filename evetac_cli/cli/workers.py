@@ -54,6 +54,8 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
     """Run one job of a stage; an error in words is its result."""
     try:
         stage = importlib.import_module(f"evetac_cli.{module}")
+        if _came:  # swallowed while modules were loaded
+            raise KeyboardInterrupt
         noticed = progress if job.exclusive else _noticing_interrupts(progress)  # devices end in order of their own
         result: Outcome = stage.run(job, chosen, force=force, progress=noticed)
     except EvetacError as error:

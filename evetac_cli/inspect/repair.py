@@ -69,7 +69,7 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
                 where=str(output),
                 hint=f"move {output.name} away and repair again, or remove {folder.name}",
             )
-        late: dict[str, Any] = {"capture/ended": ENDED}
+        late: dict[str, Any] = {"capture/ended": ENDED, **left.late}
         if left.lost:
             late["capture/lost_slices"] = np.array(left.lost, np.int64)
         join(folder, output, left.recipe, late, left.parts, from_device=True)

@@ -10,6 +10,7 @@ import threading
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from evetac_cli.realtime.processes import ENDING
 from evetac_cli.stages.trials import OUTPUT, DeviceTrial, Trial
 from evetac_cli.store.disk import require_room
 from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.recovery import SUFFIX
 from evetac_cli.store.segments import RecordingWriter, refuse_leftover
 
 INTERRUPTED = "interrupted"
@@ -34,6 +36,8 @@ FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off
 RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
 ENDS = (signal.SIGINT, *ENDING)
 LOST = "capture/lost/"
+JOINED_AT_ONCE_EVENTS = 3_000_000  # joining takes half a second then; what is longer is left to repair after Ctrl-C
+SEGMENT_EVENTS = 50_000  # that take as long to join as opening a segment does
 BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
 
 
@@ -108,10 +112,11 @@ def without_nan(value: Any) -> Any:
 
 
 @contextmanager
-def signals_counted() -> Iterator[list[int]]:
+def signals_counted(came: Sequence[int] = ()) -> Iterator[list[int]]:
     """Ctrl-C and other signals that end a program are counted at first, so that a recording ends between slices.
 
-    A second one breaks off. One that is ignored already, as SIGHUP under nohup, stays so.
+    A second one breaks off. One that is ignored already, as SIGHUP under nohup, stays so. came: those that came before,
+    and should have broken off: then nothing is begun.
     """
     signals: list[int] = []
     if threading.current_thread() is not threading.main_thread():
@@ -124,21 +129,33 @@ def signals_counted() -> Iterator[list[int]]:
             raise KeyboardInterrupt
 
     with _handled(count):
+        if came:
+            raise KeyboardInterrupt
         yield signals
 
 
 @contextmanager
-def signals_interrupt() -> Iterator[None]:
-    """Signals that would end the program without a word break off as Ctrl-C does; before anything is recorded."""
+def signals_interrupt() -> Iterator[list[int]]:
+    """Signals that would end the program without a word break off as Ctrl-C does; before anything is recorded.
+
+    They are counted, too, for `signals_counted`: what is raised while modules and compiled code are loaded may come up
+    inside a callback, which swallows it.
+    """
+    came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield came
         return
+    before = {number: signal.getsignal(number) for number in ENDS}
 
     def interrupt(number: int, frame: Any) -> None:
+        came.append(number)
+        handler = before[number]
+        if callable(handler):
+            handler(number, frame)
         raise KeyboardInterrupt
 
-    with _handled(interrupt, [number for number in ENDING if signal.getsignal(number) is signal.SIG_DFL]):
-        yield
+    with _handled(interrupt):
+        yield came
 
 
 @contextmanager
@@ -193,10 +210,19 @@ def lost_columns(datasets: Mapping[str, Any]) -> dict[str, Any]:
     return {"lost": losses.events_lost(counts), "lost_why": losses.reasons(counts)}
 
 
-def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any]) -> None:
-    """Join the segments, with datasets that are known only now; whatever keeps it from that says where they are."""
+def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any], *, ended: str = "") -> Path:
+    """Join the segments, with datasets that are known only now; whatever keeps it from that says where they are.
+
+    ended: why the recording ended, in words. After Ctrl-C nobody waits long: what takes more than half a second to
+    join is left to `evetac repair`, complete. Returns the file, or the folder that is left.
+    """
+    size = writer.events + SEGMENT_EVENTS * writer.segments
     try:
+        if ended == INTERRUPTED and size > JOINED_AT_ONCE_EVENTS:
+            writer.leave_complete(datasets)
+            return writer.folder
         writer.finish(recipe, datasets, from_device=True)
+        return writer.path
     except BaseException as error:
         writer.leave()
         raise with_hint(error, writer) from None
@@ -206,12 +232,17 @@ def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
     """An error for the user, or Ctrl-C, that says too what is left for `evetac repair`; any other as it is."""
     if not writer.folder.exists():
         return error
-    left = f"{writer.folder}, for `evetac repair`"
+    left = place(writer.folder)
     if isinstance(error, EvetacError):
         error.kept = left
     if isinstance(error, KeyboardInterrupt):
         return KeyboardInterrupt(f"interrupted: what was recorded is in {left}")
     return error
+
+
+def place(saved: Path) -> str:
+    """Where a recording is, in words: a file, or a folder of segments."""
+    return f"{saved}, for `evetac repair`" if saved.suffix == SUFFIX else str(saved)
 
 
 def raise_end(error: Exception | None, ended: str, saved: str, result: Outcome | None, torque: str = "") -> None:

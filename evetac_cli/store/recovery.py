@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -23,7 +24,7 @@ from evetac_cli.store import schema
 from evetac_cli.store.checked_hdf5 import DAMAGE, CheckedHdf5, row_blocks
 from evetac_cli.store.disk import open_lock
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, RECIPE, STATIC
+from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, LATE, RECIPE, STATIC
 from evetac_cli.text_files import SEED_BITS, parse_json
 
 SUFFIX = ".part"
@@ -47,6 +48,7 @@ class Leftover:
     gripper_rows: int = 0
     unreadable: list[str] = field(default_factory=list)  # segments, and what is wrong with each
     left_out: int = 0  # whole segments after a gap that could not be bridged
+    late: dict[str, Any] = field(default_factory=dict)  # what was known only at the end, if nothing is missing
 
 
 def check_folder(path: Path) -> None:
@@ -119,7 +121,26 @@ def read_leftover(folder: Path) -> Leftover:
         leftover.slices = segment.first + segment.slices
         leftover.events += segment.events
         leftover.gripper_rows += segment.gripper_rows
+    if not leftover.unreadable and not leftover.lost and (folder / LATE).exists():
+        leftover.late = _known_at_end(folder / LATE)
     return leftover
+
+
+def _known_at_end(path: Path) -> dict[str, Any]:
+    """What a recorder knew at the end of a recording that it left to be joined; nothing if that cannot be read."""
+    known = schema.load("recording")
+    late: dict[str, Any] = {}
+    try:
+        with _opened(path) as file:
+            for name, dataset in file.datasets().items():
+                _check_bytes(file, name, dataset)
+                if known.find(name) is None:
+                    raise ValueError(f"{name} is unknown")
+                is_text = schema.describe_stored(dataset) == "utf8"
+                late[name] = file.text(name, dataset) if is_text else dataset[()]
+    except (InputError, *DAMAGE):
+        return {}
+    return late
 
 
 @dataclass(frozen=True)

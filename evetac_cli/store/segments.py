@@ -33,6 +33,7 @@ from evetac_cli.store.provenance import ContentDigest, Header, Recipe
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
 SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
 STATIC = "static.h5"
+LATE = "late.h5"  # what was known only at the end, of a recording that was left to be joined later
 JOINED = "joined"  # in a folder whose recording is complete, and which was only not removed
 COUNTS = "events_per_slice"
 STARTS = "ms_to_idx"
@@ -78,6 +79,7 @@ class RecordingWriter:
         self._waiting = 0
         self._segments = 0
         self._slices = 0
+        self.events = 0
         self._closed_at = time.monotonic()
 
     def _claim(self, discard_leftover: bool) -> None:
@@ -113,6 +115,7 @@ class RecordingWriter:
         self._events.append(events)
         self._counts.append(events.size)
         self._waiting += events.size
+        self.events += events.size
         self.append_rows(rows or {})
         if self._waiting >= SEGMENT_EVENTS or time.monotonic() - self._closed_at >= SEGMENT_S:
             self.close_segment()
@@ -148,11 +151,22 @@ class RecordingWriter:
         self.discard()
         return header
 
+    @property
+    def segments(self) -> int:
+        """How many were written."""
+        return self._segments
+
     def leave(self) -> None:
         """Let go of the folder: what is in it waits for `evetac repair`; without a segment it goes."""
         if self._segments == 0:
             self.discard()
         self._lock.close()
+
+    def leave_complete(self, late: Mapping[str, Any]) -> None:
+        """Close, and leave the folder with all that `evetac repair` needs to do what `finish` would have done."""
+        self.close_segment()
+        self._write(self.folder / LATE, late, {})
+        self.leave()
 
     def discard(self) -> None:
         """Throw the folder away: for a trial that can be made again, or is joined."""

@@ -202,3 +202,21 @@ def test_long_flags_are_not_repeated() -> None:
         result = CliRunner().invoke(app, [*arguments, "--json"])
         assert result.exit_code == 2
         assert len(result.output) < 4_000
+
+
+INTERRUPTED_WHILE_A_CLASS_IS_MADE = """
+from evetac_cli.cli import exit_codes
+
+def program():
+    exec("raise KeyboardInterrupt")  # as collections.namedtuple, dataclasses and numba make code
+
+exit_codes.run(program)
+"""
+
+
+def test_low_ctrl_c_inside_made_code_exits_130(tmp_path: Path) -> None:
+    """Assert that the exit code is 130, too, where Ctrl-C came inside `exec`, which Python remembers until its end."""
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED_WHILE_A_CLASS_IS_MADE)
+    paths = os.pathsep.join([str(tmp_path), os.getcwd()])
+    run = [sys.executable, "-m", "interrupted"]
+    assert subprocess.run(run, env={**os.environ, "PYTHONPATH": paths}, timeout=60, check=False).returncode == 130

@@ -66,4 +66,15 @@ def test_m9_an_interrupt_that_was_swallowed_comes_up_with_the_next_progress(
     stage_is(run)
     with pytest.raises(KeyboardInterrupt):
         workers.run_one("record", JOB, None, False)
+    monkeypatch.setattr(workers, "_came", False)
     assert isinstance(workers.run_one("record", WithDevices((), Path("a")), None, False), Outcome)
+
+
+def test_h2_an_interrupt_that_was_swallowed_while_a_stage_loads_begins_no_job(
+    stage_is: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a job with devices, which heeds no progress, is not begun after Ctrl-C."""
+    stage_is(lambda *_, **__: pytest.fail("begun"))
+    monkeypatch.setattr(workers, "_came", True)
+    with pytest.raises(KeyboardInterrupt):
+        workers.run_one("record", JOB, None, False)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from array import array
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -55,10 +56,10 @@ def test_the_second_signal_breaks_off() -> None:
     """Assert that a first Ctrl-C is counted, a second one raised, and that handlers are then what they were."""
     before = signal.getsignal(signal.SIGINT)
     with session.signals_counted() as signals:
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
         assert signals == [signal.SIGINT]
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
     assert signal.getsignal(signal.SIGINT) == before
 
 
@@ -142,3 +143,18 @@ def test_low_other_signals_interrupt_before_anything_is_recorded() -> None:
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
+
+
+def test_h2_a_swallowed_ctrl_c_still_ends_before_anything_is_recorded() -> None:
+    """Assert that Ctrl-C counts, too, where a callback of the compiler or an import swallowed what it raised.
+
+    Else a recording would begin, and run on, after somebody has ended it.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    with session.signals_interrupt() as came:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        assert came == [signal.SIGINT]
+        with pytest.raises(KeyboardInterrupt), session.signals_counted(came):
+            pytest.fail("a recording was begun")
+    assert signal.getsignal(signal.SIGINT) == before

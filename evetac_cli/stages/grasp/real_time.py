@@ -143,12 +143,12 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
     if gripper.is_hardware:
         session.wait_for_object(trial)
     with ExitStack() as opened:
-        opened.enter_context(session.signals_interrupt())
+        came = opened.enter_context(session.signals_interrupt())
         durations = {"lift_s": params.lift_s, "balance_s": params.balance_s}
         world, servo = open_peers(
             camera, gripper, trial.plan, seeds, opened, armed=params.arm, tells_truth=True, **durations
         )
-        signals = opened.enter_context(session.signals_counted())  # until here Ctrl-C breaks off
+        signals = opened.enter_context(session.signals_counted(came))  # until here Ctrl-C breaks off
         sensor = _sensor(trial, params, world)
         detector = DetectorSettings(camera, seeds, sensor, setup.model_path_for(params), params.tracker, timing.end_ms)
         controller = ControllerSettings(
@@ -197,8 +197,8 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         }
         if world is not None:
             datasets |= session.lost_datasets({f"world.{why}": count for why, count in world.counted.items()})
-        grasp_outcome = _finish(writer, recipe, recorded, datasets, world)
-    return _result(trial, recipe, recorded, datasets, grasp_outcome)
+        grasp_outcome, saved = _finish(writer, recipe, recorded, datasets, world)
+    return _result(trial, recipe, recorded, datasets, grasp_outcome, saved)
 
 
 def _sensor(trial: DeviceTrial, params: Grasp, world: "VirtualWorld | None") -> dict[str, Any]:
@@ -241,11 +241,14 @@ def _finish(
     recorded: RecordedGrasp,
     datasets: Mapping[str, Any],
     world: "VirtualWorld | None",
-) -> dict[str, Any]:
-    """Make the file; returns what became of the grasp, where truth is known. No file is made of one without a step."""
+) -> tuple[dict[str, Any], Path | None]:
+    """Make the file; returns what became of the grasp, where truth is known, and the file, or the folder that is left.
+
+    No file is made of one without a step.
+    """
     if not recorded.has_steps:
         writer.discard()
-        return {}
+        return {}, None
     late = dict(datasets)
     grasp_outcome = None
     if world is not None and (truth := recorded.truth_arrays()):
@@ -253,8 +256,8 @@ def _finish(
         grasp_outcome = recorded.outcome(recipe.parameters["sensor_row"]["mm_per_px"])
     if grasp_outcome is not None:
         late["control/outcome"] = json.dumps(grasp_outcome)
-    session.finish(writer, recipe, late)
-    return grasp_outcome or {}
+    saved = session.finish(writer, recipe, late, ended=recorded.ended)
+    return grasp_outcome or {}, saved
 
 
 def _result(
@@ -263,13 +266,14 @@ def _result(
     recorded: RecordedGrasp,
     datasets: Mapping[str, Any],
     grasp_outcome: Mapping[str, Any],
+    saved: Path | None,
 ) -> Outcome:
     """The row of a grasp; an error or Ctrl-C goes on from here, and says what was saved."""
-    saved, result = "nothing was recorded", None
+    result = None
     if recorded.has_steps:
-        saved = f"{recorded.slices:,} slices in {trial.output}"
         result = _row(trial, recipe, recorded, datasets, grasp_outcome)
-    session.raise_end(recorded.error, recorded.ended, saved, result, recorded.torque)
+    words = f"{recorded.slices:,} slices in {session.place(saved)}" if saved else "nothing was recorded"
+    session.raise_end(recorded.error, recorded.ended, words, result, recorded.torque)
     if result is None:
         raise DeviceError("the grasp ended before its first step", found=recorded.ended)
     return result

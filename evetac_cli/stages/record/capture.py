@@ -139,6 +139,7 @@ class CameraRecording:
     slices: int = 0
     events: int = 0
     ended: str = ""
+    saved: Path | None = None  # the file, or the folder that is left to repair
     error: Exception | None = None
     first_s: float = 0.0  # when the first and the last slice came
     last_s: float = 0.0
@@ -189,7 +190,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
     if trial.cameras[0].is_hardware and not params.resume:
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
-        opened.enter_context(session.signals_interrupt())
+        came = opened.enter_context(session.signals_interrupt())
         # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
         held = trial.gripper.is_hardware and not any(camera.simulates_scene for camera in trial.cameras)
         priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
@@ -204,7 +205,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
                 console.say(note)
             recordings.append(_begin(trial, params, rig, place, trajectory))
         moves = recordings[0].rig.gripper is not None
-        with session.signals_counted() as signals, session.gripper_key(moves=moves) as key:
+        with session.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
             _write(recordings, _hold(trial, params, recordings[0].rig), rng, params, signals, key, progress)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with session.signals_held():
@@ -301,7 +302,7 @@ def _finish(recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[st
             recording.writer.discard()
             continue
         try:
-            session.finish(recording.writer, recording.recipe, late)
+            recording.saved = session.finish(recording.writer, recording.recipe, late, ended=recording.ended)
         except EvetacError as error:
             errors.append(error)
     if errors:
@@ -419,7 +420,9 @@ def _result(
 ) -> Outcome:
     """A row for each file; an error or Ctrl-C goes on from here, and says what was saved."""
     saved = [(each, rows) for each, rows in zip(recordings, datasets, strict=True) if each.slices]
-    files = ", ".join(f"{recording.slices:,} slices in {recording.output}" for recording, _ in saved)
+    files = ", ".join(
+        f"{recording.slices:,} slices in {session.place(recording.saved)}" for recording, _ in saved if recording.saved
+    )
     simulated = any(recording.recipe.simulated for recording in recordings)
     result = Outcome([_row(trial, recording, rows) for recording, rows in saved], simulated)
     first = recordings[0]
@@ -434,7 +437,7 @@ def _row(trial: DeviceTrial, recording: CameraRecording, datasets: Mapping[str, 
     late_us, command_us = (datasets.get(f"capture/{name}", none) for name in ("slice_late_us", "command_us"))
     loop = recording.loop
     (row,) = outcome(
-        Job(trial.inputs, recording.output),
+        Job(trial.inputs, recording.saved or recording.output),
         made=True,
         simulated=recording.recipe.simulated,
         slices=recording.slices,

@@ -683,6 +683,44 @@ def test_h2_ctrl_c_while_the_file_is_joined_keeps_the_segments(
     assert repair.run([tmp_path]).rows[0]["slices_kept"] == 100
 
 
+class InterruptedCamera(Camera):
+    """A camera at whose 100th slice somebody presses Ctrl-C."""
+
+    def read(self) -> Events | None:
+        if self.k == 99:
+            signal.raise_signal(signal.SIGINT)
+        return super().read()
+
+
+def test_h2_ctrl_c_leaves_a_long_recording_to_repair_with_all_that_is_known_of_it(
+    rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that what takes long to join stays as segments, and that repair makes the file that joining had made."""
+    rig_is(InterruptedCamera())
+    with monkeypatch.context() as long, pytest.raises(KeyboardInterrupt, match="100 slices in .*for `evetac repair`"):
+        long.setattr(session, "JOINED_AT_ONCE_EVENTS", 999)
+        recording(tmp_path)
+    (folder,) = tmp_path.iterdir()
+    assert folder.name.endswith(".recording.part")
+    (row,) = repair.run([tmp_path]).rows
+    assert (row["status"], row["slices_kept"], row["slices_lost"], row["fault"]) == ("repaired", 100, 0, None)
+    (output,) = tmp_path.iterdir()
+    assert faults(output) is None
+    with open_recording(output) as file:
+        assert file.read("capture/ended") == session.INTERRUPTED
+        assert file.read("capture/lost/camera.late_events") == 3
+        assert file.read("capture/slices_per_s") > 0
+
+
+def test_h2_a_short_recording_is_joined_after_ctrl_c(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
+    """Assert that what is joined within a moment is a file at once."""
+    rig_is(InterruptedCamera())
+    with pytest.raises(KeyboardInterrupt, match="100 slices in .*[.]recording[.]h5$"):
+        recording(tmp_path)
+    (output,) = tmp_path.iterdir()
+    assert faults(output) is None
+
+
 def test_thousands_of_slices_behind_schedule_and_a_full_disk(
     rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
