@@ -702,16 +702,3 @@ def test_ctrl_c_removes_the_folders_that_were_made_for_a_file(tmp_path: Path) ->
     with replacing(tmp_path / "kept" / "a.labels.h5"):
         pass
     assert (tmp_path / "kept" / "a.labels.h5").exists()
-
-
-@pytest.mark.parametrize("in_blocks", [False, True])
-def test_what_validate_refuses_is_not_written(tmp_path: Path, in_blocks: bool) -> None:
-    """Assert that values that the schema forbids are refused before a file takes its place, in memory or in blocks."""
-    wrong = {**labels(), "label": np.full(SLICES, 7, np.int8)}
-    blocks: list[dict[str, Any]] = []
-    if in_blocks:
-        column = wrong.pop("label")
-        blocks = [{"label": column[:100]}, {"label": column[100:]}]
-    with pytest.raises(SchemaError, match="label is impossible"):
-        write_stage(tmp_path / "a.labels.h5", RECIPE, wrong, blocks, {"label": SLICES} if in_blocks else None)
-    assert list(tmp_path.iterdir()) == []
