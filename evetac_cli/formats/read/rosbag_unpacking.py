@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 MOST_UNPACKED_BYTES = 64 << 20  # of a message or chunk
 MOST_TIMES = 1000  # larger than compressed, of a whole file; beyond MOST_UNPACKED_BYTES
@@ -35,8 +35,10 @@ def unpack(new: Callable[[], Any], packed: bytes) -> bytes:
 
 def limit_unpacking() -> None:
     """Make rosbags unpack within limits, in this process from now on; AttributeError if this rosbags is another."""
-    names = ("rosbags.rosbag1.reader", "rosbags.rosbag2.reader", "rosbags.rosbag2.storage_mcap", "lz4.frame")
-    reader1, reader2, mcap, lz4 = (cast(Any, import_module(name)) for name in names)
+    reader1: Any = import_module("rosbags.rosbag1.reader")
+    reader2: Any = import_module("rosbags.rosbag2.reader")
+    mcap: Any = import_module("rosbags.rosbag2.storage_mcap")
+    lz4: Any = import_module("lz4.frame")
     if isinstance(reader2.zstd, _LimitedZstd):
         return
     zstd = _LimitedZstd(reader2.zstd)
