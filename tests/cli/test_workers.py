@@ -1,5 +1,7 @@
 """Worker processes after Ctrl-C: what is finished is told, and nothing is begun."""
 
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +15,7 @@ JOB = Job((), Path("a.recording.h5"))
 
 
 @pytest.fixture
-def stage_is(monkeypatch: pytest.MonkeyPatch) -> Any:
+def stage_is(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Let a function stand in for a stage's run, and let nothing catch signals."""
 
     def put(run: Any) -> None:
@@ -21,7 +23,12 @@ def stage_is(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     monkeypatch.setattr(workers, "catch_interrupts", lambda: None)
     monkeypatch.setattr(workers, "_came", False)
-    return put
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    mask, handlers = signal.pthread_sigmask(signal.SIG_BLOCK, ()), [signal.getsignal(number) for number in numbers]
+    yield put
+    for number, handler in zip(numbers, handlers, strict=True):
+        signal.signal(number, handler)
+    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def test_nothing_is_begun_after_an_interrupt(stage_is: Any, monkeypatch: pytest.MonkeyPatch) -> None:
