@@ -36,7 +36,7 @@ FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off
 RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
 ENDS = (signal.SIGINT, *ENDING)
 LOST = "capture/lost/"
-JOINED_AT_ONCE_EVENTS = 3_000_000  # joining takes half a second then; what is longer is left to repair after Ctrl-C
+JOINED_AT_ONCE_EVENTS = 300_000_000  # half a minute of joining, which another Ctrl-C ends; more is left to repair
 SEGMENT_EVENTS = 50_000  # that take as long to join as opening a segment does
 BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
 
@@ -213,8 +213,8 @@ def lost_columns(datasets: Mapping[str, Any]) -> dict[str, Any]:
 def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any], *, ended: str = "") -> Path:
     """Join the segments, with datasets that are known only now; whatever keeps it from that says where they are.
 
-    ended: why the recording ended, in words. After Ctrl-C nobody waits long: what takes more than half a second to
-    join is left to `evetac repair`, complete. Returns the file, or the folder that is left.
+    ended: why the recording ended, in words. After Ctrl-C nobody waits for minutes: what is that long is left to
+    `evetac repair`, complete. Returns the file, or the folder that is left.
     """
     size = writer.events + SEGMENT_EVENTS * writer.segments
     try:
