@@ -193,6 +193,16 @@ def _find(
     relative_px = np.empty(slices, np.float32)
     since_back_px = np.full(dots, np.inf)
     counts = np.array([0.0, 0.0, -1.0])
+    thresholds = (
+        constants.slip_distance_px,
+        constants.look_ahead_ms,
+        constants.follow_ms,
+        constants.follow_share,
+        constants.least_px_ms,
+        constants.back_px_ms,
+        constants.hidden_px,
+        constants.pause_ms,
+    )
     away = np.zeros((1, dots))
     base = searched = 0  # away begins at row `base`; slices before `searched` are done
     for first, motion in blocks:
@@ -206,18 +216,8 @@ def _find(
             searched,
             until,
             start,
-            constants.slip_distance_px,
-            constants.look_ahead_ms,
-            constants.follow_ms,
-            constants.follow_share,
-            constants.least_px_ms,
-            constants.back_px_ms,
-            constants.hidden_px,
-            constants.pause_ms,
-            since_back_px,
-            counts,
-            slips,
-            relative_px,
+            thresholds,
+            (since_back_px, counts, slips, relative_px),
         )
         searched = until
         keep = max(searched + 1 - constants.follow_ms, 0)
@@ -355,7 +355,6 @@ def _follow(
         dot_px[slice_ + 1 - first] = centre - rest
 
 
-# Why so many arguments: called from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _search(
     object_px: Floats,
@@ -364,25 +363,20 @@ def _search(
     first: int,
     stop: int,
     start: int,
-    slip_distance_px: float,
-    look_ahead_ms: int,
-    follow_ms: int,
-    follow_share: float,
-    least_px_ms: float,
-    back_px_ms: float,
-    hidden_px: float,
-    pause_ms: int,
-    since_back_px: Floats,
-    counts: Floats,
-    slips: NDArray[np.bool_],
-    relative_px: NDArray[np.float32],
+    thresholds: tuple[float, int, int, float, float, float, float, int],
+    result: tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.float32]],
 ) -> None:
     """Go on with the search for the onset over the slices [first, stop), of which `away_px` holds the rows from `base`.
 
     Fills in, for each slice, in `slips` whether no dot follows the object, and in `relative_px` how far the object
     slips, over the look-ahead, past the dot that follows it best. From block to block go `since_back_px` (dots,) and
     `counts`: px slid, ms paused, and the slice of the onset or -1.
+
+    thresholds: slip_distance_px, look_ahead_ms, follow_ms, follow_share, least_px_ms, back_px_ms, hidden_px, pause_ms.
+    result: since_back_px, counts, slips, relative_px.
     """
+    slip_distance_px, look_ahead_ms, follow_ms, follow_share, least_px_ms, back_px_ms, hidden_px, pause_ms = thresholds
+    since_back_px, counts, slips, relative_px = result
     slices = len(object_px) - 1
     dots = away_px.shape[1]
     slid_px = counts[0]
