@@ -90,7 +90,8 @@ def simulated_trials(
     They are named <prefix><scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
     """
     trials = []
-    for plan in scene.plan(params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones):
+    named = params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones
+    for plan in scene.plan(*named, solver=params.solver()):
         what = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
         what += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
         for number in range(params.count):

@@ -1,4 +1,10 @@
-"""One time step of the gel's arrays: the equation of the nodes is set up, balanced (see force_balance), and applied."""
+"""One time step of the gel's arrays: the equation of the nodes is set up, balanced (see force_balance), and applied.
+
+The bound of a node's friction is its coefficient at the time of the balance, at the slip speed that the balance has:
+it is refreshed before each of the first rounds of the search, then held. So the search ends with a convex problem,
+which always has a solution. A node that slides goes on sliding if it can, one that sticks sticks until its static
+coefficient is exceeded: where friction falls with speed both may be solutions.
+"""
 
 import math
 from typing import NamedTuple
@@ -7,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.sim.gel.friction import coefficient_after
 from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax
 
 Floats = NDArray[np.float64]
@@ -15,6 +22,10 @@ Flags = NDArray[np.bool_]
 # Sweeps between two Newton steps of the object: 1, 2 and 3 took 120, 94 and 81 us a step, on 24 x 18 nodes under a
 # tilted cylinder that begins to slip.
 SWEEPS_A_ROUND = 3
+# Rounds whose bounds are refreshed. More of them find no better balance, and without end they take up to 400 rounds.
+REFRESHES = 4
+TOO_LONG = 5  # what `step_nodes` returns where its step changes a coefficient of friction by more than allowed
+INFO_SIZE = 16
 
 
 class Layer(NamedTuple):
@@ -34,12 +45,16 @@ class Layer(NamedTuple):
 
 # The groups in which `step_nodes` takes its arguments. Why so: plain tuples, as named ones take 4 us more, of 9 for a
 # step of 14 x 10 nodes.
-# displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, stuck, pose, twist, inertia, nodes
-NodeArrays = tuple[Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats]
+# displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
+# twist, inertia, nodes
+NodeArrays = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats]
 # normal force of each node, force and moment on the object, whether its twist is prescribed, and the twist it has then
 Load = tuple[Floats, Floats, bool, Floats]
-FrictionLaw = tuple[float, float, float]  # static, kinetic, and the slip speed between them in m/s
-StepSettings = tuple[float, float, float, int]  # dt, theta, tolerance, max_sweeps
+# static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
+FrictionLaw = tuple[float, float, float, float]
+StepSettings = tuple[
+    float, float, float, int, float
+]  # dt, theta, tolerance, max_sweeps, the estimated error allowed in m
 LayerConstants = tuple[float, ...]  # a Layer
 
 
@@ -72,18 +87,18 @@ def step_nodes(
     constants: LayerConstants,
     info: Floats,
 ) -> int:
-    """One time step in place; returns 0, or the number of what is wrong, before anything is changed.
+    """One time step in place; returns 0, TOO_LONG, or the number of what is wrong, both before anything is changed.
 
     Fills `info`: sweeps, residual, and the rest of `gel.StepInfo` in its order.
     """
-    displacement, velocity, maxwell, mean, slip_speed, stuck, pose, twist, inertia, nodes = arrays
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, pose, twist, inertia, nodes = arrays
     nodal, force, prescribed, wanted = load
-    mu_static, mu_kinetic, stribeck_speed = friction
+    mu_static, mu_kinetic, stribeck_speed, memory = friction
     node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
     layer = Layer(
         node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
     )
-    dt, theta, tolerance, max_sweeps = settings
+    dt, theta, tolerance, max_sweeps, allowed = settings
     rows, columns = nodal.shape
     for axis in range(3):
         if not (math.isfinite(force[axis]) and math.isfinite(wanted[axis])):
@@ -118,6 +133,7 @@ def step_nodes(
         np.zeros((rows + 2, columns + 2)),
         np.empty((rows, columns, 2)),
     )
+    falls = mu_kinetic < mu_static
     spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.right)
     scale = abs(force[0]) + abs(force[1])
     square = 0.0
@@ -126,10 +142,10 @@ def step_nodes(
             normal = nodal[row, column]
             if not (normal >= 0.0 and normal < np.inf):
                 return 1
-            mu = mu_static
-            if slip_speed[row, column] > 0.0:
-                ratio = slip_speed[row, column] / stribeck_speed
-                mu = mu_kinetic + (mu_static - mu_kinetic) * math.exp(-ratio * ratio)
+            # one that never bore a load is infinite, and a law that changed under a load takes hold at once
+            mu = min(max(coefficient[row, column], mu_kinetic), mu_static)
+            if falls and normal > 0.0:
+                mu = _after(mu, slip_speed[row, column], h, friction)
             links_x = links(column, columns) * stencil.link_x
             links_y = links(row, rows) * stencil.link_y
             work.bound[row, column] = mu * normal
@@ -156,12 +172,17 @@ def step_nodes(
     body = wanted.copy()
     weight = inertia / h
     friction_wrench = np.zeros(3)
+    stuck_before = stuck.copy()
     sweeps = 0
+    rounds = 0
     while True:
         # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
             relax(work, stencil, body, stuck, factor)
             sweeps += 1
+        if falls and rounds < REFRESHES:
+            _refresh(work, nodal, coefficient, body, stuck, h, friction)
+        rounds += 1
         worst = imbalance(work, stencil, body, stuck, friction_wrench)
         inertial = weight * (body - twist) - force
         if not prescribed:
@@ -171,10 +192,33 @@ def step_nodes(
             break
         if not prescribed:
             move_object(work, stencil, body, weight, inertial, friction_wrench, stuck)
+    error = 0.0
+    if not prescribed:
+        # what the step differs by from one by the trapezoidal rule, of second order
+        ahead = dt * abs(1.0 - 0.5 / theta)
+        error = ahead * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
+    change = 0.0
+    if falls:
+        softest = 0.0
+        for row in range(rows):
+            for column in range(columns):
+                if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals it exactly
+                    mu = min(max(coefficient[row, column], mu_kinetic), mu_static)
+                    changed = abs(_after(mu, work.speed[row, column], dt, friction) - mu)
+                    change = max(change, changed)
+                    softest = max(softest, changed * nodal[row, column])
+        # what a gel would be displaced by, were friction taken at the start of the step
+        error = max(error, softest / layer.shear)
+    if error > allowed:
+        stuck[:] = stuck_before
+        return TOO_LONG
     info[:] = 0.0
     info[0] = sweeps
     info[1] = worst / scale
-    _advance(displacement, velocity, maxwell, mean, slip_speed, stuck, nodes, nodal, dt, theta, layer, work, info)
+    info[12] = change
+    info[15] = error
+    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes)
+    _advance(state, nodal, friction, dt, theta, layer, work, info)
     for axis in range(3):
         pose[axis] += dt * body[axis]
         twist[axis] = body[axis] if prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
@@ -182,15 +226,39 @@ def step_nodes(
 
 
 @njit(cache=True)
+def _after(mu: float, slip_speed: float, seconds: float, friction: FrictionLaw) -> float:
+    """A node's coefficient after so many seconds at a slip speed; at rest it is often static, and then stays so."""
+    static, kinetic, stribeck, memory = friction
+    if slip_speed == 0.0 and mu == static:
+        return mu
+    return float(coefficient_after(mu, slip_speed, seconds, static, kinetic, stribeck, memory))
+
+
+@njit(cache=True)
+def _refresh(
+    work: Work, nodal: Floats, coefficient: Floats, twist: Floats, stuck: Flags, h: float, friction: FrictionLaw
+) -> None:
+    """Set each loaded node's bound to what its slip speed of now makes of it at the time of the balance."""
+    static, kinetic, _, _ = friction
+    rows, columns = nodal.shape
+    for row in range(rows):
+        for column in range(columns):
+            normal = nodal[row, column]
+            if normal > 0.0:
+                speed = 0.0
+                if not stuck[row, column]:
+                    slip_x = work.velocity[row + 1, column + 1, 0] - twist[0] + twist[2] * work.lever[row, column, 1]
+                    slip_y = work.velocity[row + 1, column + 1, 1] - twist[1] - twist[2] * work.lever[row, column, 0]
+                    speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
+                mu = min(max(coefficient[row, column], kinetic), static)
+                work.bound[row, column] = normal * _after(mu, speed, h, friction)
+
+
+@njit(cache=True)
 def _advance(
-    displacement: Floats,
-    velocity: Floats,
-    maxwell: Floats,
-    mean: Floats,
-    slip_speed: Floats,
-    stuck: Flags,
-    nodes: Floats,
+    state: tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats],
     nodal: Floats,
+    friction: FrictionLaw,
     dt: float,
     theta: float,
     layer: Layer,
@@ -198,6 +266,8 @@ def _advance(
     info: Floats,
 ) -> None:
     """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes = state
+    static, kinetic, _, _ = friction
     rows, columns = nodal.shape
     mean[:] = work.velocity[1:-1, 1:-1]
     spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.search_direction)
@@ -214,8 +284,14 @@ def _advance(
             total += load
             if load > 0.0:
                 loaded += 1
+                mu = min(max(coefficient[row, column], kinetic), static)
+                coefficient[row, column] = _after(mu, speed, dt, friction)
+            else:
+                coefficient[row, column] = np.inf
             if load > 0.0 and not stuck[row, column]:
                 slipping += 1
+                info[13] += layer.pads * work.bound[row, column] * speed * dt
+                info[14] = max(info[14], load)
             push_x = work.pull[row, column, 0] if stuck[row, column] else 0.0
             push_y = work.pull[row, column, 1] if stuck[row, column] else 0.0
             if speed > 0.0:
