@@ -25,9 +25,9 @@ LONGER = 0.3  # steps get longer again where the error is below this share of th
 class Slice:
     """What the steps of one slice did together.
 
-    steps: how many there were. error_m: their estimated errors, summed. slip_m: how far the object slid against the
-    gel, (x, y), mean over the contact. friction_n: as of `gel.StepInfo`, mean over time. slip_fraction: of the last step;
-    least_slip_fraction: the least of all steps. slipping_force_n: the largest. converged: all steps.
+    steps: how many there were. error_m: the largest estimated error of one. slip_m: how far the object slid against the
+    gel, (x, y), mean over the contact. friction_n: as of `gel.StepInfo`, mean over time. slip_fraction: of the last
+    step; least_slip_fraction: the least of all steps. slipping_force_n: the largest. converged: all steps.
     """
 
     steps: int = 0
@@ -48,7 +48,7 @@ class Slice:
         self.sweeps += info.sweeps
         self.residual = max(self.residual, info.residual)
         self.converged &= info.converged
-        self.error_m += info.error_m
+        self.error_m = max(self.error_m, info.error_m)
         x, y = info.slip_velocity_m_s
         self.slip_m = (self.slip_m[0] + dt_s * x, self.slip_m[1] + dt_s * y)
         along, across, moment = self.friction_n

@@ -1,14 +1,14 @@
 """The law of friction of a node: its coefficient falls with slip speed, and follows over a memory length.
 
 At a steady slip speed s the coefficient is mu(s) = kinetic + (static - kinetic) exp(-(s / stribeck speed)^2). A node's
-own coefficient m follows it: dm/dt = (s + stribeck speed) / memory * (mu(s) - m). It forgets over the memory length when
-it slides and heals within memory / stribeck speed, 2 to 4 ms, at rest; without memory m is mu(s) at once.
+own coefficient m follows it: dm/dt = (s + stribeck speed) / memory * (mu(s) - m). It forgets over the memory length
+when it slides and heals within memory / stribeck speed, 2 to 4 ms, at rest; without memory m is mu(s) at once.
 
 Why so: a law of the speed alone is no law for a simulator. Nodes let go within 10 to 30 us, the step has several
-solutions, and the onset of slip does not converge on finer grids (by 0.8 ms from 24 x 18 to 48 x 36 nodes; with a memory
-of 20 um, by 0.02). Rough elastomers do follow laws of state and rate (Ronsin and Labastie Coeyrehourcq 2001), and one of
-the rate alone makes slow sliding unstable on every spring (Ruina 1983, Baumberger 2004). The memory length of this gel
-is not known: 20 um, a contact of two asperities, is a guess, and shifts onset (docs/simulator.md).
+solutions, and the onset of slip does not converge on finer grids. Rough elastomers do follow laws of state and rate
+(Ronsin and Labastie Coeyrehourcq 2001), and one of the rate alone makes slow sliding unstable on every spring (Ruina
+1983, Baumberger 2004). The memory length of this gel is not known: 20 um, a contact of two asperities, is a guess, and
+it shifts onset.
 """
 
 import math

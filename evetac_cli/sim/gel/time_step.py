@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.gel.friction import coefficient_after
 from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax
+from evetac_cli.sim.gel.friction import coefficient_after
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -61,7 +61,7 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
 
 
 class SolverTruth:
-    """How finely slices were simulated, and whether the grid of nodes resolves the slip that friction makes unstable."""
+    """How finely slices were simulated, and whether the nodes resolve the slip that friction makes unstable."""
 
     def __init__(self, pad_state: gel.GelState, friction: gel.Friction) -> None:
         self._gel = pad_state

@@ -89,7 +89,7 @@ def test_a_slider_grows_as_its_cubic_says(load_mn: float) -> None:
 
 
 def test_the_half_wavelength_is_where_growth_begins() -> None:
-    """Assert that at the half wavelength the stiffness equals what friction takes away; infinite where slip is stable."""
+    """Assert that at the half wavelength friction takes away what the gel resists; infinite where slip is stable."""
     shear_pa, height_m, pressure_pa, memory_m = 145e3, 4e-3, 22e3, 20e-6
     half_m = half_wavelength_m(0.16, pressure_pa, memory_m, shear_pa, height_m)
     k = math.pi / half_m

@@ -404,8 +404,8 @@ def test_trial_slips_and_turns(plain):
 def test_mirror(rows, friction):
     """Assert that a trial mirrored in y gives the mirrored motion.
 
-    With friction that falls with speed only on a grid whose nodes keep their turn in a sweep when it is mirrored: bounds
-    are refreshed in the first rounds alone, so what they are then depends a little on the order of the nodes.
+    With friction that falls with speed only on a grid whose nodes keep their turn in a sweep when it is mirrored:
+    bounds are refreshed in the first rounds alone, so what they are then depends a little on the order of the nodes.
     """
     nodes = pad(9, rows)
     shares = dome(nodes) * (1 + 30 * nodes[..., 0] - 20 * nodes[..., 1])
