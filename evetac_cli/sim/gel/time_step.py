@@ -48,6 +48,8 @@ class Layer(NamedTuple):
 # displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
 # twist, inertia, nodes
 NodeArrays = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats]
+# the first seven of these, and the nodes
+Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats]
 # normal force of each node, force and moment on the object, whether its twist is prescribed, and the twist it has then
 Load = tuple[Floats, Floats, bool, Floats]
 # static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
@@ -134,34 +136,19 @@ def step_nodes(
         np.empty((rows, columns, 2)),
     )
     falls = mu_kinetic < mu_static
-    spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.right)
-    scale = abs(force[0]) + abs(force[1])
-    square = 0.0
-    for row in range(rows):
-        for column in range(columns):
-            normal = nodal[row, column]
-            if not (normal >= 0.0 and normal < np.inf):
-                return 1
-            # one that never bore a load is infinite, and a law that changed under a load takes hold at once
-            mu = min(max(coefficient[row, column], mu_kinetic), mu_static)
-            if falls and normal > 0.0:
-                mu = _after(mu, slip_speed[row, column], h, friction)
-            links_x = links(column, columns) * stencil.link_x
-            links_y = links(row, rows) * stencil.link_y
-            work.bound[row, column] = mu * normal
-            work.diagonal[row, column] = stencil.own + links_x + links_y
-            scale += layer.pads * mu * normal
-            for axis in range(2):
-                momentum = layer.node_mass / h * velocity[row, column, axis]
-                right = momentum - work.right[row, column, axis] - keep * maxwell[row, column, axis]
-                if not math.isfinite(right):
-                    return 4
-                scale += layer.pads * abs(right)
-                work.right[row, column, axis] = right
-                lever = nodes[row, column, axis] - pose[axis]
-                square += lever * lever
-                work.lever[row, column, axis] = lever
-                work.velocity[row + 1, column + 1, axis] = mean[row, column, axis]
+    fault, scale, square = _set_up(
+        (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes),
+        nodal,
+        pose,
+        friction,
+        (h, layer.node_mass / h, keep),
+        layer,
+        stencil,
+        work,
+    )
+    if fault:
+        return int(fault)
+    scale += abs(force[0]) + abs(force[1])
     # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
     reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
     scale = max(scale + abs(force[2]) / reach, 1e-300)
@@ -226,6 +213,61 @@ def step_nodes(
 
 
 @njit(cache=True)
+def _set_up(
+    state: Fields,
+    nodal: Floats,
+    pose: Floats,
+    friction: FrictionLaw,
+    factors: tuple[float, float, float],
+    layer: Layer,
+    stencil: Stencil,
+    work: Work,
+) -> tuple[int, float, float]:
+    """Fill the equation of the nodes: right-hand side, diagonal, bounds, levers, and where the search starts.
+
+    factors: theta * dt, a node's mass over it, and what the Maxwell arm keeps of its force. Returns the number of what
+    is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their levers.
+    """
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes = state
+    static, kinetic, _, _ = friction
+    h, momentum, keep = factors
+    rows, columns = nodal.shape
+    falls = kinetic < static
+    scale = square = 0.0
+    spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.right)
+    right, moving, lagging = work.right.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
+    for entry in range(right.size):
+        right[entry] = momentum * moving[entry] - right[entry] - keep * lagging[entry]
+    work.velocity[1:-1, 1:-1] = mean
+    for row in range(rows):
+        links_y = links(row, rows) * stencil.link_y
+        for column in range(columns):
+            normal = nodal[row, column]
+            if not (normal >= 0.0 and normal < np.inf):
+                return 1, 0.0, 0.0
+            mu = static
+            if falls:
+                # one that never bore a load is infinite, and a law that changed under a load takes hold at once
+                mu = min(max(coefficient[row, column], kinetic), static)
+                if normal > 0.0:
+                    mu = _after(mu, slip_speed[row, column], h, friction)
+            work.bound[row, column] = mu * normal
+            work.diagonal[row, column] = stencil.own + links(column, columns) * stencil.link_x + links_y
+            scale += layer.pads * mu * normal
+            scale += layer.pads * abs(work.right[row, column, 0])
+            scale += layer.pads * abs(work.right[row, column, 1])
+            x = nodes[row, column, 0] - pose[0]
+            y = nodes[row, column, 1] - pose[1]
+            square += x * x
+            square += y * y
+            work.lever[row, column, 0] = x
+            work.lever[row, column, 1] = y
+    if not math.isfinite(scale):
+        return 4, 0.0, 0.0
+    return 0, scale, square
+
+
+@njit(cache=True)
 def _after(mu: float, slip_speed: float, seconds: float, friction: FrictionLaw) -> float:
     """A node's coefficient after so many seconds at a slip speed; at rest it is often static, and then stays so."""
     static, kinetic, stribeck, memory = friction
@@ -256,7 +298,7 @@ def _refresh(
 
 @njit(cache=True)
 def _advance(
-    state: tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats],
+    state: Fields,
     nodal: Floats,
     friction: FrictionLaw,
     dt: float,
@@ -273,7 +315,15 @@ def _advance(
     spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.search_direction)
     fade = math.exp(-dt / layer.maxwell_time)
     build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)
-    total = 0.0
+    moved, moving, lagging = displacement.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
+    here, pull = mean.reshape(-1), work.search_direction.reshape(-1)
+    for entry in range(moved.size):
+        moved[entry] += dt * here[entry]
+        lagging[entry] = fade * lagging[entry] + build * pull[entry]
+        moving[entry] += (here[entry] - moving[entry]) / theta
+    falls = kinetic < static
+    total = heat = pressed = 0.0
+    gel_x = gel_y = slip_x = slip_y = shift_x = shift_y = push_sum_x = push_sum_y = moment = 0.0
     loaded = 0
     slipping = 0
     for row in range(rows):
@@ -281,35 +331,40 @@ def _advance(
             load = nodal[row, column]
             speed = work.speed[row, column]
             slip_speed[row, column] = speed
-            total += load
-            if load > 0.0:
-                loaded += 1
-                mu = min(max(coefficient[row, column], kinetic), static)
-                coefficient[row, column] = _after(mu, speed, dt, friction)
-            else:
-                coefficient[row, column] = np.inf
-            if load > 0.0 and not stuck[row, column]:
-                slipping += 1
-                info[13] += layer.pads * work.bound[row, column] * speed * dt
-                info[14] = max(info[14], load)
-            push_x = work.pull[row, column, 0] if stuck[row, column] else 0.0
-            push_y = work.pull[row, column, 1] if stuck[row, column] else 0.0
+            if falls:
+                mu = np.inf
+                if load > 0.0:
+                    mu = min(max(coefficient[row, column], kinetic), static)
+                    mu = _after(mu, speed, dt, friction)
+                coefficient[row, column] = mu
             if speed > 0.0:
                 push_x = -work.bound[row, column] * (work.slip[row, column, 0] / speed)
                 push_y = -work.bound[row, column] * (work.slip[row, column, 1] / speed)
-            info[9] += push_x
-            info[10] += push_y
-            info[11] += nodes[row, column, 0] * push_y - nodes[row, column, 1] * push_x
-            for axis in range(2):
-                here = mean[row, column, axis]
-                displacement[row, column, axis] += dt * here
-                maxwell[row, column, axis] = (
-                    fade * maxwell[row, column, axis] + build * work.search_direction[row, column, axis]
-                )
-                velocity[row, column, axis] += (here - velocity[row, column, axis]) / theta
-                info[3 + axis] += load * here
-                info[5 + axis] -= load * work.slip[row, column, axis]
-                info[7 + axis] += load * displacement[row, column, axis]
+            elif stuck[row, column]:
+                push_x = work.pull[row, column, 0]
+                push_y = work.pull[row, column, 1]
+            else:
+                push_x = push_y = 0.0
+            push_sum_x += push_x
+            push_sum_y += push_y
+            moment += nodes[row, column, 0] * push_y - nodes[row, column, 1] * push_x
+            if load > 0.0:
+                total += load
+                loaded += 1
+                if not stuck[row, column]:
+                    slipping += 1
+                    heat += layer.pads * work.bound[row, column] * speed * dt
+                    pressed = max(pressed, load)
+                gel_x += load * mean[row, column, 0]
+                gel_y += load * mean[row, column, 1]
+                slip_x -= load * work.slip[row, column, 0]
+                slip_y -= load * work.slip[row, column, 1]
+                shift_x += load * displacement[row, column, 0]
+                shift_y += load * displacement[row, column, 1]
     info[2] = slipping / loaded if loaded > 0 else 1.0
-    for entry in range(3, 9):
-        info[entry] = info[entry] / total if total > 0.0 else 0.0
+    share = 1.0 / total if total > 0.0 else 0.0
+    info[3], info[4] = share * gel_x, share * gel_y
+    info[5], info[6] = share * slip_x, share * slip_y
+    info[7], info[8] = share * shift_x, share * shift_y
+    info[9], info[10], info[11] = push_sum_x, push_sum_y, moment
+    info[13], info[14] = heat, pressed
