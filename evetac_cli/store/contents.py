@@ -2,7 +2,8 @@
 
 Why so: there is one place for both and no second way around it. `StageFile.read` hands out nothing that `check_values`
 refuses, so a stage is never given a value that its schema forbids; opening a file reads all that is small, and holds it
-to the rules (`check_small`); `validate` reads the rest, block by block, in bounded memory (`faults`).
+to the rules (`check_small`); `validate` reads the rest, block by block, in bounded memory (`faults`). What a stage
+writes is held to the same before it takes its place (new_contents.py).
 """
 
 import math
@@ -29,7 +30,7 @@ Shapes = dict[str, tuple[str, tuple[int, ...]]]
 
 
 class Contents(Protocol):
-    """What is checked: a stage file."""
+    """What is checked: a stage file, or one that is being written."""
 
     @property
     def kind(self) -> str:
@@ -85,17 +86,29 @@ def check_small(file: Contents, shapes: Shapes) -> None:
 
 def faults(file: Contents) -> Iterator[str]:
     """Read every dataset, block by block; a line for each that cannot be read or makes no sense."""
-    table = schema.load(file.kind)
     for path, (_, shape) in file.contents().items():
-        row = table.find(path)
         try:
-            last: Any = None
-            for values in blocks(file, path, shape):
-                if row is not None and row.limits.increasing and last is not None:
-                    check_values(file, path, np.append(last, values.ravel()[:1]))
-                last = values.ravel()[-1:] if np.ndim(values) else None
+            check_dataset(file, path, shape)
         except InputError as error:
             yield " ".join(str(error).split())
+
+
+def check_dataset(file: Contents, path: str, shape: tuple[int, ...]) -> None:
+    """Read a dataset, block by block; SchemaError if it makes no sense."""
+    last: Any = None
+    for values in blocks(file, path, shape):
+        last = check_order(file, path, last, values)
+
+
+def check_order(file: Contents, path: str, last: Any, values: Any) -> Any:
+    """Hold the first of some values to the one before them, if any; returns the last, which the next values follow."""
+    row = schema.load(file.kind).find(path)
+    if row is None or not row.limits.increasing or not np.size(values):
+        return last
+    flat = np.ravel(values)
+    if last is not None:
+        check_values(file, path, np.append(last, flat[:1]))
+    return flat[-1:]
 
 
 def blocks(file: Contents, path: str, shape: tuple[int, ...]) -> Iterator[Any]:
