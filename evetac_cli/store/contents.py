@@ -152,10 +152,12 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
         value = str(part[place])[:SHORT]
         return f"{value} in row {first + place[0]}" if place else value
 
+    least, most = array.min(), array.max()
     if array.dtype.kind == "f":
-        has_nan = bool(np.isnan(array.min()))
-        extreme = (np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None))  # NaN where all are
-        if np.isinf(extreme).any() or (limits.finite is True and has_nan):
+        has_nan = bool(np.isnan(least))
+        if has_nan:
+            least, most = np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None)  # NaN where all are
+        if np.isinf((least, most)).any() or (limits.finite is True and has_nan):
             wrong = np.isinf(array) if limits.finite == "or NaN" else ~np.isfinite(array)
             return "finite values" + (" or NaN" if limits.finite == "or NaN" else ""), first_wrong(wrong)
         if limits.nan_where and has_nan:
@@ -164,12 +166,15 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
             if wrong.any():
                 return f"NaN only for dots that are missing in the grid {limits.nan_where}", first_wrong(wrong)
     for part, low, high, expected in _bounds(file, row, array):
-        if np.fmin.reduce(part, axis=None) < low or np.fmax.reduce(part, axis=None) > high:
+        beyond = least < low or most > high  # some value, which may be of another part
+        if beyond and (np.fmin.reduce(part, axis=None) < low or np.fmax.reduce(part, axis=None) > high):
             return expected, first_wrong((part < low) | (part > high), part)
     if limits.above is not None and not (array > limits.above).all():
         return f"more than {limits.above:g}", first_wrong(~(array > limits.above))
-    if limits.one_of and not np.isin(array, limits.one_of).all():
-        return f"one of {', '.join(map(str, limits.one_of))}", first_wrong(~np.isin(array, limits.one_of))
+    if limits.one_of:
+        known = np.logical_or.reduce([array == value for value in limits.one_of])
+        if not known.all():
+            return f"one of {', '.join(map(str, limits.one_of))}", first_wrong(~known)
     if limits.increasing:
         flat = array.ravel()
         back = flat[1:] <= flat[:-1] if limits.increasing == "strictly" else flat[1:] < flat[:-1]
