@@ -4,6 +4,7 @@ Each of them changes a file that is right before: a recording, a segment of one,
 """
 
 import json
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -135,6 +136,12 @@ def filtered(path: Path, *numbers: int, chunk: bytes | None = None, skipped: int
         h5[X].id.write_direct_chunk((0,), bytes(2 * rows) if chunk is None else chunk, skipped)
 
 
+def overfull(path: Path) -> None:
+    """A chunk that announces 1.5 MB, and unpacks to 9 MB."""
+    content = np.random.default_rng(0).bytes(1_200_000) + bytes(8_000_000)
+    filtered(path, 1, rows=750_000, chunk=zlib.compress(content, 1))
+
+
 def byte_patch(path: Path, where: int, content: bytes) -> None:
     data = bytearray(path.read_bytes())
     data[where : where + len(content)] = content
@@ -262,6 +269,11 @@ ANYWHERE: dict[str, tuple[Change, str]] = {
     "beyond the end": (beyond_the_end, "never written|invalid dataset size"),
     # is packed to harm
     "chunk of 256 MB": (lambda path: filtered(path, 1, rows=2**27, chunk=b"x" * 900), "chunks of events/x are too"),
+    "chunk that unpacks to more": (overfull, "is damaged|too large"),
+    "large nonsense": (
+        lambda path: filtered(path, 1, rows=2**20, chunk=b"x" * 1_300_000),
+        "is damaged|too large",
+    ),
     "chunk longer than it may be": (lambda path: filtered(path, 1, chunk=bytes(100_000)), "is damaged"),
     "chunk shorter than it is": (lambda path: filtered(path, chunk=b"ab"), "is damaged"),
     "unpacked chunk that is short": (lambda path: filtered(path, 1, chunk=b"ab", skipped=1), "is damaged"),

@@ -10,6 +10,7 @@ only told to end finishes its job first. Here each worker has a pipe of its own,
 import importlib
 import os
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -28,7 +29,7 @@ if TYPE_CHECKING:  # `evetac --help` loads none of it
     from multiprocessing.context import SpawnContext
 
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
-GRACE_S = 1.2  # in which workers that were told to stop may clean up; then they are killed
+GRACE_S = 0.5  # in which workers that were told to stop may clean up; then they are killed
 _came = False
 
 
@@ -48,6 +49,13 @@ def _catch(*, every: bool) -> None:
 
     for number in _INTERRUPTS:
         signal.signal(number, remember)
+    sys.unraisablehook = _tell_unless_interrupt
+
+
+def _tell_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
+    """Print what was raised where nobody could catch it, but for an interrupt, which is remembered."""
+    if not isinstance(swallowed.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(swallowed)
 
 
 def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
@@ -182,6 +190,7 @@ def run_parallel(
     After Ctrl-C workers have GRACE_S to stop, and are killed then. A worker that dies costs its own job only.
     """
     import multiprocessing
+    from multiprocessing import resource_tracker
 
     # Each worker computes on one core: threads of numerical libraries would fight over the cores. Spawned, not forked:
     # HDF5 and a fork do not mix.
@@ -191,6 +200,7 @@ def run_parallel(
     waiting = deque(jobs)
     workers: list[_Worker] = []
     interrupted = False
+    resource_tracker.ensure_running()  # or starting the first worker does so, and lets interrupts through again
     # Workers inherit this, and lift it while they work; here interrupts come up only where nothing is half done.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
     try:

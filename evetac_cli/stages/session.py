@@ -39,6 +39,7 @@ LOST = "capture/lost/"
 JOINED_AT_ONCE_EVENTS = 300_000_000  # half a minute of joining, which another Ctrl-C ends; more is left to repair
 SEGMENT_EVENTS = 50_000  # that take as long to join as opening a segment does
 BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
+MOST_TIMES = 1 << 20  # that are kept, 8 MB; of longer recordings every second one, every fourth, ...
 
 
 def refuse_taken(trial: DeviceTrial, *, again: str, hint: str, force: bool, resume: bool = False) -> None:
@@ -197,6 +198,34 @@ def _handled(handler: Callable[[int, Any], None], numbers: Sequence[int] = ENDS)
 def spread(values: "array[float]") -> Any:
     """Median, 99th percentile and most."""
     return np.percentile(np.frombuffer(values), [50, 99, 100])
+
+
+class TimeSample:
+    """Times of a recording of any length, in us: a bounded number of them, evenly spread over it, and the longest."""
+
+    def __init__(self) -> None:
+        self._values = array("d")
+        self._most = 0.0
+        self._seen = 0
+        self._step = 1
+
+    def add(self, time_us: float) -> None:
+        """Take one time."""
+        self._most = max(self._most, time_us) if self._seen else time_us
+        if self._seen % self._step == 0:
+            self._values.append(time_us)
+            if len(self._values) >= MOST_TIMES:
+                self._values = self._values[::2]
+                self._step *= 2
+        self._seen += 1
+
+    def spread(self) -> Any:
+        """Median, 99th percentile and most; None without a time."""
+        if not self._values:
+            return None
+        values = spread(self._values)
+        values[2] = self._most
+        return values
 
 
 def lost_datasets(counts: Mapping[str, int]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 schema      what a file of each kind holds; checks arrays and files
 contents    whether values make sense: limits of the schema, and rules across datasets
+new_contents  the same for a file that is being written
 provenance  recipe, recipe id and header: the identity of a result
 disk        new files, all or nothing, also where the disk is full
 checked_hdf5  the one door to HDF5 files, ours and other people's: what is read was checked there first

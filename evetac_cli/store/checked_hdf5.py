@@ -9,11 +9,11 @@ Other people's files may hold what we do not read; of their datasets only those 
 import importlib
 import math
 import os
+import zlib
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import h5py
 import numpy as np
@@ -24,7 +24,8 @@ from evetac_cli.store.hdf5_text import TextTooLong, attribute_text, dataset_text
 
 # Deflate makes at most 1,032 bytes of one (zlib's technical notes), and no part of a file is stored twice.
 MOST_EXPANSION = 1100
-# A chunk is unpacked whole, and a damaged one may unpack to MOST_EXPANSION times its size before HDF5 notices.
+# A chunk is unpacked whole, and one made to harm unpacks to MOST_EXPANSION times its size, of which HDF5 says nothing.
+# Of our own that is 1 GB at most; larger chunks, of other programs, are unpacked here first, as far as they may go.
 OUR_CHUNK_BYTES = 1 << 20
 MOST_CHUNK_BYTES = 128 << 20
 MOST_READ_BYTES = 4 << 30  # of one dataset at a time; what is longer is read in blocks
@@ -73,9 +74,7 @@ class CheckedHdf5:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -272,6 +271,9 @@ class CheckedHdf5:
             1 << i for i, number in enumerate(applied) if number not in (h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
         )
         most = whole + whole // 64 + 1024  # what cannot be packed grows a little
+        undone = [i for i in reversed(range(len(applied))) if applied[i] != h5z.FILTER_FLETCHER32]
+        gzip = 1 << undone[0] if undone and applied[undone[0]] == h5z.FILTER_DEFLATE else 0
+        large: list[tuple[int, ...]] = []
         stored, wrong = 0, ""
 
         def check_place(place: Any) -> None:
@@ -280,11 +282,24 @@ class CheckedHdf5:
             packed = packing & ~place.filter_mask
             if place.byte_offset + place.size > self.size or place.size > most or (not packed and place.size < whole):
                 wrong = f"a chunk of {place.size} bytes at byte {place.byte_offset}"
+            if gzip & ~place.filter_mask and place.size > OUR_CHUNK_BYTES + OUR_CHUNK_BYTES // 64 + 1024:
+                large.append(place.chunk_offset)
 
         item.chunk_iter(check_place)
         if wrong:
             self._refuse(f"{name} is damaged", wrong)
+        for place in large:
+            self._refuse_overfull(name, item.read_direct_chunk(place)[1], whole)
         return stored
+
+    def _refuse_overfull(self, name: str, packed: bytes, whole: int) -> None:
+        """Refuse a gzip chunk that unpacks to more than it has to hold; no more than that is unpacked to see it."""
+        try:
+            size = len(zlib.decompressobj().decompress(packed, whole + 1))
+        except zlib.error as error:
+            self._refuse(f"{name} is damaged", str(error))
+        if size > whole:
+            self._refuse(f"{name} is damaged", f"a chunk of {len(packed)} bytes that unpacks to more than {whole}")
 
     def _refuse_incomplete(self, name: str, shape: tuple[int, ...]) -> None:
         raise InputError(
@@ -295,7 +310,7 @@ class CheckedHdf5:
             hint="the program that wrote the file may have been stopped",
         )
 
-    def _refuse(self, message: str, what: str) -> None:
+    def _refuse(self, message: str, what: str) -> NoReturn:
         raise InputError(message, where=self.where, found=what)
 
 

@@ -2,7 +2,8 @@
 
 Why so: there is one place for both and no second way around it. `StageFile.read` hands out nothing that `check_values`
 refuses, so a stage is never given a value that its schema forbids; opening a file reads all that is small, and holds it
-to the rules (`check_small`); `validate` reads the rest, block by block, in bounded memory (`faults`).
+to the rules (`check_small`); `validate` reads the rest, block by block, in bounded memory (`faults`). What a stage
+writes is held to the same before it takes its place (new_contents.py).
 """
 
 import math
@@ -29,7 +30,7 @@ Shapes = dict[str, tuple[str, tuple[int, ...]]]
 
 
 class Contents(Protocol):
-    """What is checked: a stage file."""
+    """What is checked: a stage file, or one that is being written."""
 
     @property
     def kind(self) -> str:
@@ -85,17 +86,29 @@ def check_small(file: Contents, shapes: Shapes) -> None:
 
 def faults(file: Contents) -> Iterator[str]:
     """Read every dataset, block by block; a line for each that cannot be read or makes no sense."""
-    table = schema.load(file.kind)
     for path, (_, shape) in file.contents().items():
-        row = table.find(path)
         try:
-            last: Any = None
-            for values in blocks(file, path, shape):
-                if row is not None and row.limits.increasing and last is not None:
-                    check_values(file, path, np.append(last, values.ravel()[:1]))
-                last = values.ravel()[-1:] if np.ndim(values) else None
+            check_dataset(file, path, shape)
         except InputError as error:
             yield " ".join(str(error).split())
+
+
+def check_dataset(file: Contents, path: str, shape: tuple[int, ...]) -> None:
+    """Read a dataset, block by block; SchemaError if it makes no sense."""
+    last: Any = None
+    for values in blocks(file, path, shape):
+        last = check_order(file, path, last, values)
+
+
+def check_order(file: Contents, path: str, last: Any, values: Any) -> Any:
+    """Hold the first of some values to the one before them, if any; returns the last, which the next values follow."""
+    row = schema.load(file.kind).find(path)
+    if row is None or not row.limits.increasing or not np.size(values):
+        return last
+    flat = np.ravel(values)
+    if last is not None:
+        check_values(file, path, np.append(last, flat[:1]))
+    return flat[-1:]
 
 
 def blocks(file: Contents, path: str, shape: tuple[int, ...]) -> Iterator[Any]:
@@ -139,10 +152,12 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
         value = str(part[place])[:SHORT]
         return f"{value} in row {first + place[0]}" if place else value
 
+    least, most = array.min(), array.max()
     if array.dtype.kind == "f":
-        has_nan = bool(np.isnan(array.min()))
-        extreme = (np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None))  # NaN where all are
-        if np.isinf(extreme).any() or (limits.finite is True and has_nan):
+        has_nan = bool(np.isnan(least))
+        if has_nan:
+            least, most = np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None)  # NaN where all are
+        if np.isinf((least, most)).any() or (limits.finite is True and has_nan):
             wrong = np.isinf(array) if limits.finite == "or NaN" else ~np.isfinite(array)
             return "finite values" + (" or NaN" if limits.finite == "or NaN" else ""), first_wrong(wrong)
         if limits.nan_where and has_nan:
@@ -151,12 +166,15 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
             if wrong.any():
                 return f"NaN only for dots that are missing in the grid {limits.nan_where}", first_wrong(wrong)
     for part, low, high, expected in _bounds(file, row, array):
-        if np.fmin.reduce(part, axis=None) < low or np.fmax.reduce(part, axis=None) > high:
+        beyond = least < low or most > high  # some value, which may be of another part
+        if beyond and (np.fmin.reduce(part, axis=None) < low or np.fmax.reduce(part, axis=None) > high):
             return expected, first_wrong((part < low) | (part > high), part)
     if limits.above is not None and not (array > limits.above).all():
         return f"more than {limits.above:g}", first_wrong(~(array > limits.above))
-    if limits.one_of and not np.isin(array, limits.one_of).all():
-        return f"one of {', '.join(map(str, limits.one_of))}", first_wrong(~np.isin(array, limits.one_of))
+    if limits.one_of:
+        known = np.logical_or.reduce([array == value for value in limits.one_of])
+        if not known.all():
+            return f"one of {', '.join(map(str, limits.one_of))}", first_wrong(~known)
     if limits.increasing:
         flat = array.ravel()
         back = flat[1:] <= flat[:-1] if limits.increasing == "strictly" else flat[1:] < flat[:-1]

@@ -9,10 +9,10 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import NoneType, TracebackType
+from types import NoneType
 from typing import Any, Self
 
 import h5py
@@ -22,6 +22,7 @@ from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
+from evetac_cli.store.new_contents import NewContents
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, identity_fault
 from evetac_cli.text_files import SEED_BITS, parse_json
 
@@ -63,9 +64,7 @@ class StageFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -260,34 +259,41 @@ def write_stage(
     blocks: Iterable[Mapping[str, Any]] = (),
     lengths: Mapping[str, int] | None = None,
 ) -> Header:
-    """Check arrays against the schema of the kind and write them with their header, all or nothing.
+    """Check arrays against the schema of the kind, and its limits, and write them with their header, all or nothing.
 
     blocks: the next rows of further datasets, for results that do not fit in memory. Each of these datasets is in some
     block, if only with no rows. lengths: how many rows each will have; one that is not named grows.
     """
-    stored = {name: schema.describe(value) for name, value in arrays.items()}
+    new = NewContents(path, recipe.kind, arrays)
     if lengths is None:
         schema.check(recipe.kind, arrays)
+        new.check_rest()
     header = recipe.header()
     with replacing(path) as h5:
         for name, value in arrays.items():
             put(h5, name, value)
-        stored |= _put_blocks(h5, blocks, lengths or {})
-        schema.refuse(recipe.kind, schema.problems(schema.load(recipe.kind), stored))
+        if lengths is not None:
+            new.shapes |= _put_blocks(h5, blocks, lengths, new.check_block)
+            schema.refuse(recipe.kind, schema.problems(schema.load(recipe.kind), new.shapes))
+            new.check_rest(h5)
         put_header(h5, header)
     return header
 
 
 def _put_blocks(
-    h5: h5py.File, blocks: Iterable[Mapping[str, Any]], lengths: Mapping[str, int]
+    h5: h5py.File,
+    blocks: Iterable[Mapping[str, Any]],
+    lengths: Mapping[str, int],
+    check: Callable[[str, Any, int], None],
 ) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Write datasets block by block; returns the dtype and shape of each. Ctrl-C is heard between two blocks."""
+    """Check and write datasets block by block; returns the dtype and shape of each. Ctrl-C is heard between blocks."""
     filled: dict[str, int] = {}
     for block in blocks:
         leave_if_interrupted()
         for name, rows in block.items():
             first = filled.get(name, 0)
             filled[name] = first + len(rows)
+            check(name, rows, first)
             if name not in h5:
                 _create_for(h5, name, rows, lengths.get(name))
             if name not in lengths:

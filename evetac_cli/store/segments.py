@@ -18,7 +18,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from evetac_cli.errors import InputError
@@ -28,6 +27,7 @@ from evetac_cli.store.checked_hdf5 import CheckedHdf5, row_blocks
 from evetac_cli.store.disk import missing_folders, new_file, open_lock, remove_empty
 from evetac_cli.store.files import create, put, put_header, replacing
 from evetac_cli.store.netcdf import describe_dataset
+from evetac_cli.store.new_contents import NewContents
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
 
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
@@ -241,49 +241,72 @@ def join(
     """Join segments of NAME.part/ into one recording, block by block: memory does not grow with its length.
 
     parts: the segments in their order; a number stands for so many slices that were lost: they are empty, and what is
-    stored of every slice is NaN there.
+    stored of every slice is NaN there. SchemaError for values that make no sense, but only in what can be made again:
+    what devices gave is kept as it is.
     """
     per_slice = _float_of_every_slice(parts)
     digest = ContentDigest()
     events = 0
-    written: dict[str, tuple[str, tuple[int, ...]]] = {}
+    whole = {**_static(folder), **late}
+    new = NewContents(path, "recording", whole)
     with replacing(path) as h5:
-        with CheckedHdf5(folder / STATIC) as static:
-            for name, dataset in static.datasets().items():
-                is_text = schema.describe_stored(dataset) == "utf8"
-                value = static.text(name, dataset) if is_text else dataset[()]
-                _put_whole(h5, name, value, digest, written)
-        for name, value in late.items():
-            _put_whole(h5, name, value, digest, written)
-        _put_more(h5, STARTS, np.zeros(1, np.int64), digest, written)
+        for name, value in whole.items():
+            put(h5, name, value)
+            digest.update(name, value)
+
+        def put_more(name: str, rows: Any) -> None:
+            """Append rows to a dataset, which is made by the first."""
+            if name not in h5:
+                create(h5, name, rows.dtype, rows.shape[1:], rows=0, grows=True)
+            dataset = h5[name]
+            first = len(dataset)
+            if not from_device:
+                new.check_block(name, rows, first)
+            dataset.resize(first + len(rows), axis=0)
+            dataset[first:] = rows
+            digest.update(name, rows)
+            new.shapes[name] = (rows.dtype.name, dataset.shape)
+
+        put_more(STARTS, np.zeros(1, np.int64))
         for part in parts:
             if isinstance(part, int):
                 for count in _in_blocks(part):
-                    _put_more(h5, STARTS, np.full(count, events, np.int64), digest, written)
+                    put_more(STARTS, np.full(count, events, np.int64))
                     for name, (dtype, row_shape) in per_slice.items():
-                        _put_more(h5, name, np.full((count, *row_shape), np.nan, dtype), digest, written)
+                        put_more(name, np.full((count, *row_shape), np.nan, dtype))
                 continue
             with CheckedHdf5(part) as segment:
                 for name, dataset in segment.datasets().items():
                     for rows in row_blocks(dataset):
                         if name != COUNTS:
-                            _put_more(h5, name, rows, digest, written)
+                            put_more(name, rows)
                         else:
                             ends = events + np.cumsum(rows)
-                            _put_more(h5, STARTS, ends.astype(np.int64), digest, written)
+                            put_more(STARTS, ends.astype(np.int64))
                             events = int(ends[-1]) if len(ends) else events
         table = schema.load("recording")
         for column in Events._fields:  # a recording without a single slice still has its columns
             name = f"events/{column}"
             described = table.find(name)
             if name not in h5 and described is not None:
-                _put_whole(h5, name, np.empty(0, described.dtype), digest, written)
-        schema.refuse("recording", schema.problems(table, written), str(folder))
+                put_more(name, np.empty(0, described.dtype))
+        schema.refuse("recording", schema.problems(table, new.shapes), str(folder))
+        if not from_device:
+            new.check_rest(h5)
         if from_device:
             recipe = Recipe(**{**vars(recipe), "seed": None, "content": digest.hexdigest()})
         header = recipe.header()
         put_header(h5, header)
     return header
+
+
+def _static(folder: Path) -> dict[str, Any]:
+    """What was known of a recording at its start."""
+    with CheckedHdf5(folder / STATIC) as static:
+        return {
+            name: static.text(name, dataset) if schema.describe_stored(dataset) == "utf8" else dataset[()]
+            for name, dataset in static.datasets().items()
+        }
 
 
 def _in_blocks(count: int) -> Iterator[int]:
@@ -306,24 +329,3 @@ def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, t
         for name, row in described.items()
         if row is not None and row.dims and row.dims[0] == "slices" and row.dtype.startswith("float")
     }
-
-
-def _put_more(
-    h5: h5py.File, name: str, rows: Any, digest: ContentDigest, written: dict[str, tuple[str, tuple[int, ...]]]
-) -> None:
-    """Append rows to a dataset, which is made by the first."""
-    if name not in h5:
-        create(h5, name, rows.dtype, rows.shape[1:], rows=0, grows=True)
-    dataset = h5[name]
-    dataset.resize(len(dataset) + len(rows), axis=0)
-    dataset[len(dataset) - len(rows) :] = rows
-    digest.update(name, rows)
-    written[name] = (rows.dtype.name, dataset.shape)
-
-
-def _put_whole(
-    h5: h5py.File, name: str, value: Any, digest: ContentDigest, written: dict[str, tuple[str, tuple[int, ...]]]
-) -> None:
-    put(h5, name, value)
-    digest.update(name, value)
-    written[name] = schema.describe(value)

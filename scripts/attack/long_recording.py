@@ -4,9 +4,11 @@
     python scripts/attack/long_recording.py FOLDER --minutes 60 --check [--limit-mb 1000]
 
 The end of a simulated trial, some 300,000 events a second, is repeated with the times that follow each other, and the
-file says so: a load for memory and disk, and no touch that anybody would see. With --check, every stage, validate,
-repair, trim, export and import run on it; a table says how long each took and how much memory (largest resident set, no
-less than this program's own). Exit code 1 if one failed or took more than the limit.
+file says so: a load for memory and disk, and no touch that anybody would see. With --check, the stages, a grasp that is
+replayed, validate, repair, trim, export and import run on it; a table says how long each took and how much memory
+(largest resident set, no less than this program's own). Exit code 1 if one failed or took more than the limit.
+
+Why not `train`: it keeps the slices that it trains on in memory, and these are those of trials, not of hours.
 """
 
 import argparse
@@ -130,10 +132,14 @@ def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
     yield "validate", f"{long}"
     yield "info", f"{long}"
     yield "label", f"{long}"
+    yield "label", "--method", "farneback", f"{long}", "-o", f"{folder / 'farneback.labels.h5'}"
     yield "label", "--method", "truth", f"{long}", "-o", f"{folder / 'truth.labels.h5'}"
     yield "track", f"{long}"
     yield "featurize", f"{long}"
     yield "track-rgb", f"{long}"
+    yield from _force_model(folder / "trials", folder / "short.force-model.h5")
+    yield "predict-force", f"{folder / 'long.tracks.h5'}", "--model", f"{folder / 'short.force-model.h5'}"
+    yield "grasp", "--camera", f"replay:{long}", "-o", f"{folder / 'replayed.recording.h5'}"
     yield "evaluate", "data-rate", f"{long}", "-o", f"{folder / 'rate.report.h5'}"
     yield "trim", f"{long}", "--from-ms", "500", "-o", f"{folder / 'piece.recording.h5'}"
     yield "repair", f"{broken}"
@@ -141,9 +147,20 @@ def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
     yield "record", "--from", f"{folder / 'long.dsec.h5'}", "-o", f"{folder / 'imported.recording.h5'}"
     yield "trim", f"{long}", "--to-ms", f"{text_ms}", "-o", f"{folder / 'minutes.recording.h5'}"
     yield "export", "--format", "text", f"{folder / 'minutes.recording.h5'}"
-    made = ("long.labels", "long.tracks", "long.features", "piece.recording", "imported.recording")
-    for name in made:
+    derived = ("long.labels", "long.tracks", "long.features", "long.forces")
+    for name in (*derived, "piece.recording", "imported.recording", "replayed.recording"):
         yield "validate", f"{folder / name}.h5"
+
+
+def _force_model(trials: Path, model: Path) -> Iterator[tuple[str, ...]]:
+    """Commands that fit a force model to two trials: of the sensor of the long recording, but short."""
+    yield "record", "--scene", "slip", "--object", "2", "--count", "2", "--seed", "1", "-q", "-o", f"{trials}"
+    recordings = [str(path) for path in sorted(trials.glob("*.recording.h5"))]
+    if not recordings:  # `record` was not asked for
+        return
+    yield "track", *recordings
+    tracks = [str(path) for path in sorted(trials.glob("*.tracks.h5"))]
+    yield "train-force", *tracks, "--epochs", "1", "-o", f"{model}"
 
 
 def run(command: tuple[str, ...]) -> tuple[int, float, float]:

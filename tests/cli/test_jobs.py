@@ -39,6 +39,10 @@ def run(job, chosen, *, force, progress):
         time.sleep(600.0)
     return Outcome([{"output": name}], True)
 
+if __name__ == "__mp_main__":  # while a worker loads its modules
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    Path(f"{os.getpid()}.held").write_text(str({signal.SIGINT, signal.SIGTERM} <= held))
+
 stage = sys.modules["evetac_cli.standing"] = types.ModuleType("evetac_cli.standing")
 stage.run = run
 
@@ -165,3 +169,9 @@ def test_a_worker_that_is_killed_is_said_in_words_and_others_go_on(tmp_path: Pat
     for name in ("killed-1", "killed-2"):
         assert "the process that worked on it died" in reported["jobs"][name]
         assert f"{name}.h5" in reported["jobs"][name]
+
+
+def test_signals_wait_while_a_worker_loads_its_modules(tmp_path: Path, jobs: list[Jobs]) -> None:
+    """Assert that they are held back in every worker until it works: before, they would end it with a traceback."""
+    start(jobs, tmp_path, 2, "quick-1", "quick-2").ended()
+    assert [path.read_text() for path in tmp_path.glob("*.held")] == ["True", "True"]

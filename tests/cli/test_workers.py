@@ -1,6 +1,7 @@
 """Worker processes after Ctrl-C: what is finished is told, and nothing is begun."""
 
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +23,7 @@ def stage_is(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         monkeypatch.setattr(workers.importlib, "import_module", lambda name: SimpleNamespace(run=run))
 
     monkeypatch.setattr(workers, "catch_interrupts", lambda: None)
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)  # what is set while it runs, is undone
     monkeypatch.setattr(workers, "_came", False)
     numbers = (signal.SIGINT, signal.SIGTERM)
     mask, handlers = signal.pthread_sigmask(signal.SIG_BLOCK, ()), [signal.getsignal(number) for number in numbers]

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from evetac_cli import params, stages
+from evetac_cli.devices import replay
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import events_on_disk, read_dsec
 from evetac_cli.formats.write import pieces
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
-from evetac_cli.stages import featurize, label, record, track, track_rgb, trim
+from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, trim
 from evetac_cli.store import contents, read
 from evetac_cli.store.read import open_recording
 from scripts.attack.long_recording import Repeated
@@ -51,6 +52,12 @@ def _import(source: str, **options: object) -> Callable[[Path, Path], None]:
     return run
 
 
+def _replay(folder: Path, out: Path) -> None:
+    chosen = params.Grasp(camera=f"replay:{folder / 'a.recording.h5'}")
+    (job,) = grasp.jobs([], chosen, out)
+    grasp.run(job, chosen)
+
+
 BLOCKS = (
     (stages, "BLOCK_ROWS", 100),
     (track_rgb, "FRAMES", 2),
@@ -61,6 +68,8 @@ BLOCKS = (
     (events_on_disk, "BLOCK_EVENTS", 1 << 13),
     (read_dsec, "BATCH_ROWS", 1 << 13),
     (contents, "BLOCK_VALUES", 1 << 13),
+    (replay, "BLOCK_SLICES", 100),
+    (replay, "PACKET_EVENTS", 1 << 10),
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "trim": lambda folder, out: _run(trim, params.Trim(from_ms=100), folder, out),
@@ -68,6 +77,8 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "featurize": lambda folder, out: _run(featurize, params.Featurize(images=True), folder, out),
     "track-rgb": lambda folder, out: _run(track_rgb, params.TrackRgb(), folder, out),
     "label": lambda folder, out: _run(label, params.Label(), folder, out),
+    "label by flow": lambda folder, out: _run(label, params.Label(method="farneback"), folder, out),
+    "grasp again": _replay,
     "import": _import("a.dsec.h5"),
     "import --sort": _import("a.dsec.h5", sort=True),
     "validate": lambda folder, out: _validate(folder / "imported.recording.h5", folder / "a.tracks.h5"),

@@ -52,6 +52,23 @@ def test_spread() -> None:
     np.testing.assert_allclose(session.spread(values), [500.0, 990.0, 1000.0])
 
 
+def test_times_of_a_long_recording_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the spread of few times is exact, and that few of many are kept, with median and longest."""
+    monkeypatch.setattr(session, "MOST_TIMES", 64)
+    times = session.TimeSample()
+    assert times.spread() is None
+    few = np.random.default_rng(0).uniform(0.0, 900.0, 63)
+    for value in few:
+        times.add(float(value))
+    np.testing.assert_array_equal(times.spread(), np.percentile(few, [50, 99, 100]))
+    for value in [*range(10_000), 77_777, *range(10_000)]:
+        times.add(float(value))
+    median, _, most = times.spread()
+    assert len(times._values) < 64
+    assert median == pytest.approx(5000, abs=1000)
+    assert most == 77_777
+
+
 def test_the_second_signal_breaks_off() -> None:
     """Assert that a first Ctrl-C is counted, a second one raised, and that handlers are then what they were."""
     before = signal.getsignal(signal.SIGINT)

@@ -544,11 +544,12 @@ rng = np.random.default_rng(0)
 arrays = {"label": rng.integers(0, 2, 200000).astype(np.int8), "relative_flow_px": rng.random(200000, np.float32),
           "confidence": np.float64(1), "flow_pairs_computed": np.int64(1)}
 arrays["onset_slice"] = np.int64(arrays["label"].argmax())
+report = {"command": "x", "rows": "[" + "{}," * 300000 + "{}]", "summary": "{}"}
 said = []
 for room in (0, 1, 1000, 30000, 400000):
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
     for recipe, content in ((Recipe("labels", 1, {}), arrays),
-                            (Recipe("report", 1, {}), {"command": "x", "rows": "y" * 900000, "summary": "{}"})):
+                            (Recipe("report", 1, {}), report)):
         try:
             write_stage(Path(sys.argv[1]) / f"a.{recipe.kind}.h5", recipe, content)
         except InputError as error:

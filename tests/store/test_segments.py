@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import Events, concatenate, empty, slice_starts
+from evetac_cli.inspect import validate
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store import schema, segments
 from evetac_cli.store.files import StageFile
@@ -457,3 +458,23 @@ def test_a_recording_thrown_away_leaves_no_folder_that_was_made_for_it(tmp_path:
     (tmp_path / "old").mkdir()
     RecordingWriter(tmp_path / "old" / "a.recording.h5", STATIC, discard_leftover=True).discard()
     assert [path.name for path in tmp_path.iterdir()] == ["old"]
+
+
+@pytest.mark.parametrize("from_device", [False, True])
+def test_only_what_can_be_made_again_is_refused(tmp_path: Path, from_device: bool) -> None:
+    """Assert that impossible events of a simulation make no file, and those of a device are kept, and found later."""
+    path = tmp_path / "a.recording.h5"
+    writer = RecordingWriter(path, STATIC, discard_leftover=True)
+    writer.append(some_events(0, 9))
+    writer.close_segment()
+    events = some_events(1, 9)
+    events.x[4] = 640
+    writer.append(events)
+    if from_device:
+        writer.finish(RECIPE, from_device=True)
+        assert "events/x is impossible" in validate.run([path]).rows[0]["faults"]
+        return
+    with pytest.raises(SchemaError, match=r"events/x is impossible(.|\n)*640 in row 13"):
+        writer.finish(RECIPE)
+    writer.discard()
+    assert everything(tmp_path) == []

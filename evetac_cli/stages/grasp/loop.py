@@ -5,7 +5,7 @@ costs a third of writing it in segments.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -96,12 +96,15 @@ class TrialBuffer:
             arrays[name] = np.asarray(rows, dtype=described.dtype)
         return arrays
 
-    def arrays(self) -> dict[str, Any]:
-        """Events and rows as the datasets of a recording."""
+    def columns(self) -> dict[str, Any]:
+        """Events and rows as datasets, or as the next rows of these."""
         events = concatenate(self.events)
+        return {**{f"events/{name}": getattr(events, name) for name in Events._fields}, **self.row_arrays()}
+
+    def arrays(self) -> dict[str, Any]:
+        """All that was added as the datasets of a recording."""
         starts = np.concatenate([[0], np.cumsum([piece.size for piece in self.events])])
-        columns = {f"events/{name}": getattr(events, name) for name in Events._fields}
-        return {**columns, "ms_to_idx": starts.astype(np.int64), **self.row_arrays()}
+        return {**self.columns(), "ms_to_idx": starts.astype(np.int64)}
 
 
 def control_row(
@@ -120,6 +123,31 @@ def control_row(
     }
 
 
+def grasp_slices(
+    devices: Rig, detector: SlipDetector | None, control: Control, timing: Timing
+) -> Iterator[tuple[Events, dict[str, Any]]]:
+    """Read, detect, control, until the scene has ended; each slice with its rows."""
+    gripper = devices.gripper
+    assert gripper is not None
+    every_ms = timing.every_ms
+    signals: deque[SlipSignal] = deque([SlipSignal()] * timing.latency_ms, maxlen=timing.latency_ms + 1)
+    slice_ = 0
+    while (events := devices.camera.read()) is not None:
+        rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
+        rows["control/probability"] = float("nan") if detector is None else detector.step(events)
+        if detector is not None and (timing.latency_ms or slice_ % every_ms == 0):
+            signals.append(detector.signal)
+        if slice_ % every_ms == 0:
+            signal = signals[0] if signals else SlipSignal()
+            phase = timing.phase(slice_)
+            reading = gripper.read()
+            goal = control.step(phase, signal, reading.position_ticks)
+            gripper.write_position(goal)
+            rows |= control_row(control, phase, signal, reading, goal, devices.clock.now_us())
+        yield events, rows
+        slice_ += 1
+
+
 def run_grasp(
     devices: Rig,
     detector: SlipDetector | None,
@@ -128,27 +156,9 @@ def run_grasp(
     append: Callable[[Events, dict[str, Any]], None],
     progress: Callable[[int], None],
 ) -> int:
-    """Read, detect, control, until the scene has ended; returns how many slices it had.
-
-    append: takes each slice and its rows.
-    """
-    gripper = devices.gripper
-    assert gripper is not None
-    every_ms = timing.every_ms
-    signals: deque[SlipSignal] = deque([SlipSignal()] * timing.latency_ms, maxlen=timing.latency_ms + 1)
+    """Hand each slice of a grasp and its rows to `append`, until the scene has ended; returns how many there were."""
     slices = 0
-    while (events := devices.camera.read()) is not None:
-        rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
-        rows["control/probability"] = float("nan") if detector is None else detector.step(events)
-        if detector is not None and (timing.latency_ms or slices % every_ms == 0):
-            signals.append(detector.signal)
-        if slices % every_ms == 0:
-            signal = signals[0] if signals else SlipSignal()
-            phase = timing.phase(slices)
-            reading = gripper.read()
-            goal = control.step(phase, signal, reading.position_ticks)
-            gripper.write_position(goal)
-            rows |= control_row(control, phase, signal, reading, goal, devices.clock.now_us())
+    for events, rows in grasp_slices(devices, detector, control, timing):
         append(events, rows)
         slices += 1
         if slices % 100 == 0:

@@ -4,19 +4,23 @@ The gripper is where the recording says it was, if it says so, and no command mo
 slice is evaluated and every step made, however long they take, so that the same recording gives the same decisions.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import islice
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from evetac_cli.devices import Clock, GripperReading, Rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import InputError
+from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
+from evetac_cli.stages import row_blocks
 from evetac_cli.stages.grasp import setup
-from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, run_grasp
+from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, grasp_slices
 from evetac_cli.stages.grasp.online_detector import dots_for
 from evetac_cli.stages.trials import OUTPUT, ReplayTrial
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
@@ -98,25 +102,40 @@ def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -
         if model_path is not None:
             with StageFile(model_path, "model") as model:
                 detector = setup.open_detector(model, sensor, params.tracker)
+        slices = len(recording)
+        if not slices:
+            raise InputError("there is not a single slice", where=str(trial.inputs[0]))
         camera = ReplayCamera(trial.inputs[0])
         devices = Rig(camera, RecordedGripper(recording, camera), camera)
-        buffer = TrialBuffer()
+        steps = steps_with_slip = 0
+
+        def blocks() -> Iterator[dict[str, Any]]:
+            """What happened, in blocks of slices: an hour takes no more memory than a minute."""
+            nonlocal steps, steps_with_slip
+            happening = grasp_slices(devices, detector, control, timing)
+            for first, stop in row_blocks(slices):
+                buffer = TrialBuffer()
+                for index, (events, rows) in enumerate(islice(happening, stop - first), first):
+                    buffer.append(events, rows)
+                    if index % 100 == 0:
+                        progress(index, slices)
+                block = buffer.columns()
+                slips = block.get("control/slip", np.empty(0, np.uint8))
+                steps, steps_with_slip = steps + len(slips), steps_with_slip + int(slips.sum())
+                yield block
+
+        lengths = dict.fromkeys((f"events/{column}" for column in Events._fields), recording.event_count)
+        lengths["control/probability"] = slices
         try:
-            slices = run_grasp(
-                devices, detector, control, timing, buffer.append, lambda done: progress(done, len(recording))
-            )
+            write_stage(trial.output, recipe, {**sensor, "ms_to_idx": recording.starts}, blocks(), lengths)
         finally:
             devices.close()
-    if not slices:
-        raise InputError("there is not a single slice", where=str(trial.inputs[0]))
-    write_stage(trial.output, recipe, {**sensor, **buffer.arrays()})
-    steps = buffer.row_arrays()
     return outcome(
         trial,
         made=True,
         simulated=recipe.simulated,
         slices=slices,
         slices_with_slip=detector.count if detector is not None else 0,
-        steps=len(steps["control/slip"]),
-        steps_with_slip=int(steps["control/slip"].sum()),
+        steps=steps,
+        steps_with_slip=steps_with_slip,
     )

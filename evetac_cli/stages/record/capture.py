@@ -12,7 +12,6 @@ The first camera leads: it gives the number of slices, and its file has the grip
 import sys
 import threading
 import time
-from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -37,7 +36,7 @@ from evetac_cli.realtime.processes import raised_priority
 from evetac_cli.stages import session
 from evetac_cli.stages.record.capture_plan import asked_holding_ma, check, is_done, make_hold, settings
 from evetac_cli.stages.record.current_ramp import GripperLoop, Hold, start, step
-from evetac_cli.stages.session import INTERRUPTED
+from evetac_cli.stages.session import INTERRUPTED, TimeSample
 from evetac_cli.stages.trials import OUTPUT, DeviceTrial
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
@@ -50,7 +49,6 @@ WAITING_EVENTS, WAITING_SLICES = (
     4_000_000,
     60_000,
 )  # of another camera; beyond them its driver drops, and counts, events
-MOST_DELAYS = 1 << 20  # that are kept, 8 MB; of longer recordings every second one, every fourth, ...
 SWITCH_S = 5e-4  # the interpreter's threads take turns so often: a command waits no longer for the camera's thread
 OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "sampled_holding_ma")  # of each trial
 
@@ -100,34 +98,6 @@ class SliceThread:
             self.error = error
 
 
-class Delays:
-    """How late slices came, in us: a bounded number of values, evenly spread over the recording, and the largest."""
-
-    def __init__(self) -> None:
-        self._values = array("d")
-        self._most = 0.0
-        self._seen = 0
-        self._step = 1
-
-    def add(self, late_us: float) -> None:
-        """Take one value."""
-        self._most = max(self._most, late_us) if self._seen else late_us
-        if self._seen % self._step == 0:
-            self._values.append(late_us)
-            if len(self._values) >= MOST_DELAYS:
-                self._values = self._values[::2]
-                self._step *= 2
-        self._seen += 1
-
-    def spread(self) -> Any:
-        """Median, 99th percentile and most; None without a value."""
-        if not self._values:
-            return None
-        spread = session.spread(self._values)
-        spread[2] = self._most
-        return spread
-
-
 @dataclass
 class CameraRecording:
     """One camera of a trial, the file that it fills, and how that goes."""
@@ -143,7 +113,7 @@ class CameraRecording:
     error: Exception | None = None
     first_s: float = 0.0  # when the first and the last slice came
     last_s: float = 0.0
-    delays: Delays = field(default_factory=Delays)
+    delays: TimeSample = field(default_factory=TimeSample)
     loop: GripperLoop | None = None  # commands the gripper, if there is one
     thread: SliceThread | None = None  # reads the camera, if it is not the first
 
@@ -172,7 +142,9 @@ class CameraRecording:
             if seconds > 0:
                 rows["capture/commands_per_s"] = np.float64(self.loop.commands / seconds)
             rows["capture/command_misses"] = np.int64(self.loop.misses)
-            rows["capture/command_us"] = session.spread(self.loop.cycle_us)
+            command_us = self.loop.cycle_us.spread()
+            if command_us is not None:
+                rows["capture/command_us"] = command_us
         clocks = [getattr(rig.camera, "host_us", None) for rig in (self.rig, first)]
         if self.rig is not first and all(clocks):
             ours_us, theirs_us = (clock(0) for clock in clocks if clock)

@@ -9,7 +9,6 @@ simulated scene simulated.py commands in step with the scene's time instead.)
 
 import math
 import threading
-from array import array
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,7 +24,7 @@ from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSet
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.stages.session import FRESH, OPENED, OVERLOADED, RECORDER_MS
+from evetac_cli.stages.session import FRESH, OPENED, OVERLOADED, RECORDER_MS, TimeSample
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
 RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
@@ -129,7 +128,7 @@ class GripperLoop:
         self._error: Exception | None = None
         self.commands = 0
         self.misses = 0  # times at which no command was given, because the one before took too long
-        self.cycle_us = array("d")  # time that reading and commanding took
+        self.cycle_us = TimeSample()  # time that reading and commanding took
         self.ended = ""
 
     def start(self) -> None:
@@ -170,7 +169,7 @@ class GripperLoop:
                     return
                 self._command()
                 now = self._time.now_s()
-                self.cycle_us.append((now - started) * 1e6)
+                self.cycle_us.add((now - started) * 1e6)
                 due += COMMAND_MS * 1e-3
                 if now > due + COMMAND_MS * 1e-3:
                     missed = int((now - due) / (COMMAND_MS * 1e-3))

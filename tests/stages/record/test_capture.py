@@ -747,19 +747,6 @@ def test_thousands_of_slices_behind_schedule_and_a_full_disk(
     assert repair.run([tmp_path]).rows[0]["slices_kept"] == 6000
 
 
-def test_delays_of_a_long_recording_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that few values are kept of many, with their median and their largest."""
-    monkeypatch.setattr(capture, "MOST_DELAYS", 64)
-    delays = capture.Delays()
-    assert delays.spread() is None
-    for value in [*range(10_000), 77_777, *range(10_000)]:
-        delays.add(float(value))
-    median, _, most = delays.spread()
-    assert len(delays._values) < 64
-    assert median == pytest.approx(5000, abs=1000)
-    assert most == 77_777
-
-
 def test_slices_of_another_camera_wait_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a camera is not read while too many of its slices wait, and is again once they are taken."""
     monkeypatch.setattr(capture, "WAITING_SLICES", 20)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.devices.dvxplorer import event_words
-from evetac_cli.devices.virtual.camera_clock import CameraClock
+from evetac_cli.devices.virtual.device_model import CameraClock
 from evetac_cli.devices.virtual.word_sources import random_event_words
 from evetac_cli.events import Events, concatenate
 
