@@ -21,7 +21,8 @@ from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.shared import STEP_S, THETA, GroundTruthSlip, material, pad
+from evetac_cli.sim.scenes.shared import STEP_S, THETA, material, pad
+from evetac_cli.sim.scenes.true_slip import GroundTruthSlip
 
 GRAVITY_M_S2 = 9.81
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
@@ -64,7 +65,7 @@ class GraspSimulation:
         self.finished = False
         self._mass_kg = self.sampled.mass_kg
         self._lost_for = 0
-        self._slip = GroundTruthSlip(self.gel_camera.mm_per_px)
+        self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
         self._hand_m_s = 0.0
@@ -196,7 +197,7 @@ class GraspSimulation:
             info = self._solve(nodal_n, 0.0, held=True)  # something else still carries the object, or the floor does
         else:
             info = self._solve(nodal_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
-        self._slip.follow(info, self.finger.force_n, self._down)
+        self._slip.follow(self._gel, nodal_n, self.finger.force_n)
         self._shear_n = info.friction_n[:2]
 
     def _solve(self, nodal_n: NDArray[np.float64], force_n: float, *, held: bool = False, speed: float = 0.0) -> Any:
@@ -286,9 +287,7 @@ class GraspSimulation:
         row = {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": (moved_m * 1e3 / self.gel_camera.mm_per_px).astype(np.float32),
-            "truth/slid_px": self._slip.slid_px,
-            "truth/slip": self._slip.slips,
-            "truth/slip_fraction": self._slip.fraction,
+            **self._slip.truth(),
             "truth/normal_force_n": self.finger.force_n,
             "truth/shear_force_n": self._shear_n,
             "truth/closing_ticks": self.finger.closing_ticks,

@@ -18,7 +18,8 @@ from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.shared import STEP_S, THETA, GroundTruthSlip, material, pad
+from evetac_cli.sim.scenes.shared import STEP_S, THETA, material, pad
+from evetac_cli.sim.scenes.true_slip import GroundTruthSlip
 
 Floats = NDArray[np.float64]
 LONGEST_S = 24 * 3600.0  # as for any recording
@@ -77,7 +78,7 @@ class Pressing:
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
         self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
-        self._slip = GroundTruthSlip(self.gel_camera.mm_per_px)
+        self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._xy_m, self._force_n = self.timeline.at(0.0)
         self._shear_n = (0.0, 0.0)
         self.slices = 0
@@ -154,7 +155,7 @@ class Pressing:
             prescribed_twist=np.array([*velocity, 0.0]),
         )
         self._xy_m, self._force_n, self._shear_n = xy_m, force_n if covered > 0 else 0.0, info.friction_n[:2]
-        self._slip.follow(info, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
+        self._slip.follow(self._gel, nodal_n, self._force_n)
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated(weights)
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
         events = self.gel_camera.render(
@@ -188,9 +189,7 @@ class Pressing:
         return {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
-            "truth/slid_px": self._slip.slid_px,
-            "truth/slip": self._slip.slips,
-            "truth/slip_fraction": self._slip.fraction,
+            **self._slip.truth(),
             "truth/normal_force_n": self._force_n,
             "truth/shear_force_n": self._shear_n,
         }

@@ -1,4 +1,4 @@
-"""What scenes share: the time step, the pad of gel nodes, the gel of a sensor, and whether the object truly slips."""
+"""What scenes share: the time step, the pad of gel nodes, and the gel of a sensor."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,9 +12,6 @@ from evetac_cli.sim.gel import contact, gel
 
 STEP_S = 1e-3
 THETA = 0.55  # of the time step: second order but for a trace, and no ringing after a stick event
-SLIP_PX = 0.5  # an object that slid further than this in gross slip slips: the true onset
-EPISODE_MS = 3  # gross slip is over after so many slices with a stuck node
-CONTACT_N = 0.01
 LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
 PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
 
@@ -46,33 +43,3 @@ def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
     lost_in_arm = usual.maxwell_share * turn / (1 + turn**2)
     viscous_time_s = (float(sensor_row["loss_tangent"]) * stored - lost_in_arm) / omega
     return replace(usual, viscous_time_s=viscous_time_s)
-
-
-class GroundTruthSlip:
-    """Whether the object slips, and how far it slid: gross slip beyond half a pixel, in episodes."""
-
-    def __init__(self, mm_per_px: float) -> None:
-        self._mm_per_px = mm_per_px
-        self._slid_m = 0.0
-        self._since_gross = 0
-        self.slips = False
-        self.fraction = 0.0
-
-    def follow(self, info: gel.StepInfo, force_n: float, along: int) -> None:
-        """Count one step; an episode of gross slip ends after a few slices with a stuck node."""
-        speed = info.slip_velocity_m_s[along]
-        gross = info.slip_fraction >= 1.0 and force_n > CONTACT_N and abs(speed) > 1e-6
-        if gross:
-            self._slid_m += speed * STEP_S
-            self._since_gross = 0
-        else:
-            self._since_gross += 1
-            if self._since_gross > EPISODE_MS:
-                self._slid_m = 0.0
-        self.slips = gross and abs(self.slid_px) > SLIP_PX
-        self.fraction = info.slip_fraction
-
-    @property
-    def slid_px(self) -> float:
-        """Distance slid in the present episode."""
-        return self._slid_m * 1e3 / self._mm_per_px

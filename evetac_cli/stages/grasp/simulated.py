@@ -24,7 +24,7 @@ from evetac_cli.stages.trials import OUTPUT, SimulatedTrial
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 
-METHOD = 4
+METHOD = 5
 
 
 def make_recipe(trial: SimulatedTrial, params: Grasp) -> Recipe:
