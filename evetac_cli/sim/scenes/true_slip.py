@@ -64,10 +64,10 @@ class GroundTruthSlip:
         self._slips = False
         self._share = self._visible_share = 0.0
 
-    def follow(self, state: GelState, nodal_force_n: Floats, force_n: float) -> None:
-        """Take in one slice; nodal_force_n is the normal force of each node, force_n that of the finger."""
+    def follow(self, state: GelState, shares: Floats, force_n: float) -> None:
+        """Take in one slice; shares: the part of the normal force that each node bears; force_n: that of the finger in N."""
         arrays = (state.node_xy_m, state.displacement_m, self._displacement_m)
-        whole, seen = _relative_motion(arrays, state.pose, self._pose, nodal_force_n, self.visible, state.stuck)
+        whole, seen = _relative_motion(arrays, state.pose, self._pose, shares, self.visible, state.stuck)
         self._pose[:] = state.pose
         touches = force_n > CONTACT_N
         self._share, stuck, *mean_m = whole if touches else (0.0, 0.0, 0.0, 0.0)
