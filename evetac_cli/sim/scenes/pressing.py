@@ -18,6 +18,7 @@ from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.shared import STEP_S, THETA, GroundTruthSlip, material, pad
 
 Floats = NDArray[np.float64]
@@ -57,7 +58,7 @@ class Pressing:
     ) -> None:
         """Build what a plan names: scene, sensor_row. The camera sees the face's outline, if there is one."""
         self._scene = plan["scene"]
-        sensor_row = plan["sensor_row"]
+        sensor_row = sampling.sensor_with_gel(self._scene, plan["sensor_row"])
         self.gel_camera = GelCamera(
             sensor_row,
             cut=self._scene["gel"]["cut"],
@@ -66,6 +67,7 @@ class Pressing:
             readout=plan["readout"],
             outline=outline,
             outline_at_px=outline_at_px,
+            scene=self._scene,
         )
         self.sampled = sampling.sample_trial(self._scene, plan["object_row"], mechanics, sensor_row)
         nodes = pad(self._scene, sensor_row)
@@ -74,6 +76,7 @@ class Pressing:
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
         sampled = self.sampled
         self._friction = gel.Friction(sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s)
+        self._changing_friction = ChangingFriction(self._scene, self._friction)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
         self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
@@ -144,6 +147,7 @@ class Pressing:
         force_n, balance_n = borne * force_n, borne * balance_n
         nodal_n = weights * (balance_n / covered) if covered > 0 else np.zeros_like(weights)
         velocity = (xy_m - self._xy_m) / STEP_S
+        self._friction = self._changing_friction.at(self.slices)
         info = gel.step(
             self._gel,
             nodal_n,
