@@ -38,7 +38,7 @@ def listed(slices: list[Events]) -> FineEvents:
 
 def walk(slices: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Dots (slices + 1, dots, 2) that rest, creep, shake and jump."""
-    speeds = np.repeat(10.0 ** rng.uniform(-3.0, 0.5, (slices // 10, 2)), 10, axis=0)
+    speeds = np.repeat(10.0 ** rng.uniform(-2.3, 0.5, (slices // 10, 2)), 10, axis=0)
     speeds[rng.random((slices, 2)) < 0.3] = 0.0
     speeds[rng.random((slices, 2)) < 0.02] = 20.0
     angle = 2 * math.pi * rng.random((slices, 2))
