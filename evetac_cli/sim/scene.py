@@ -324,5 +324,9 @@ def _disturbances(resolved: dict[str, Any]) -> list[tuple[str, str, str]]:
             "none named",
         ),
         ("other stiffness of the gel", f"x {stiffness:g}" if stiffness != 1.0 else "", "as the sensor has it"),
-        ("other mass of the object", f"{resolved['object']['mass_g']:g} g" if "object" in resolved else "", "none named"),
+        (
+            "other mass of the object",
+            f"{resolved['object']['mass_g']:g} g" if "object" in resolved else "",
+            "none named",
+        ),
     ]

@@ -49,7 +49,7 @@ def test_friction_to_a_tenth_lets_go() -> None:
     for name in before:
         np.testing.assert_array_equal(before[name][:600], after[name][:600])
     assert not before["truth/slip"].any()
-    assert 600 < np.flatnonzero(after["truth/slip"])[0] < 620
+    assert 600 <= np.flatnonzero(after["truth/slip"])[0] < 620
     metres = after["truth/object_xy_px"][:, 0].astype(float) * plain.gel_camera.mm_per_px * 1e-3
     times = np.arange(700, 760)
     found = 2 * np.polyfit(times * 1e-3, metres[times], 2)[0]
@@ -106,7 +106,7 @@ def test_mass_of_the_object(mass_g: float) -> None:
     ratio = mass_g / plain["object_row"]["mass_g"]
     assert samples[1]["mass_kg"] == pytest.approx(samples[0]["mass_kg"] * ratio, rel=1e-12)
     assert {**samples[0], "mass_kg": 0} == {**samples[1], "mass_kg": 0}
-    hanging = held({"object": {"mass_g": mass_g}})
+    hanging = held({"object": {"mass_g": mass_g}, "gripper": {"start_factor": [1.2, 1.2]}})
     rows = run(hanging, 700)[0]
     assert not rows["truth/slip"].any()
     weight_n = hanging.sampled.mass_kg * GRAVITY_M_S2
@@ -118,7 +118,8 @@ def test_one_gear_friction() -> None:
     samples = [
         vars(sampling.sample_trial(plan["scene"], plan["object_row"], np.random.default_rng(5)))
         for plan in (
-            planned("slip", "ramp", {"gripper": {"friction_factor": factor}}) for factor in (0.7, [0.7, 0.7], [0.5, 1.5])
+            planned("slip", "ramp", {"gripper": {"friction_factor": factor}})
+            for factor in (0.7, [0.7, 0.7], [0.5, 1.5])
         )
     ]
     assert samples[0] == samples[1]
@@ -140,7 +141,7 @@ def test_a_calibration_that_is_off() -> None:
     changes = {"calibration": {"offset_px": [3.0, -1.0], "turned_deg": 1.0}}
     told, true = (rig(planned("slip", "ramp", c), np.random.SeedSequence(7)) for c in (changes, {}))
     at, expected = told.camera.sensor["sensor/dot_xy_px"], true.camera.sensor["sensor/dot_xy_px"]
-    turn = np.exp(-1j * np.deg2rad(1.0))
+    turn = np.exp(1j * np.deg2rad(1.0))
     from_middle = (expected[..., 0] - 320) + 1j * (expected[..., 1] - 240)
     np.testing.assert_allclose(at[..., 0] + 1j * at[..., 1], from_middle * turn + 320 + 240j + 3 - 1j, atol=1e-9)
     for _ in range(50):
@@ -194,10 +195,10 @@ def test_what_cannot_be_is_said() -> None:
 
 
 def test_flicker_reaches_the_camera() -> None:
-    """Assert that a deep flicker makes all pixels fire at its frequency: as many brighter as darker, in every period."""
+    """Assert that a deep flicker makes all pixels fire both ways in each of its periods, and equally in all."""
     lit = held({"light": {"flicker": {"frequency_hz": 100.0, "depth": 0.3}}})
     events = run(lit, 60)[1]
     sizes = np.array([[int(part.p.sum()), int((part.p == 0).sum())] for part in events[20:]])
     periods = sizes.reshape(4, 10, 2).sum(axis=1)
     assert (periods > 0.9 * 640 * 480).all()
-    assert np.abs(periods[:, 0] / periods[:, 1] - 1).max() < 0.01
+    assert np.ptp(periods, axis=0).max() == 0

@@ -217,9 +217,7 @@ def start(
         keys=np.empty(model.max_events, np.int64),
         release_us=np.zeros((height, width if blind else 0)),
         window_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
-        candidates=all_pixels(
-            (height, width), len(dots), profile, steady if light is None else light.candidate_light
-        ),
+        candidates=all_pixels((height, width), len(dots), profile, steady if light is None else light.candidate_light),
         candidate_runs=all_runs(window_reference.shape, pattern),
         contact_edges=contact_edges,
         light=light,

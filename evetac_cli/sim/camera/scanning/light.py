@@ -28,7 +28,14 @@ from evetac_cli.sim.camera.contact_edges import LineMotion
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.leak import LEAK_SLICES
 from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
-from evetac_cli.sim.camera.scanning.pixels import RUN_PX, CandidatePixels, GelPixels, WindowPixels, gel_pixels, window_pixels
+from evetac_cli.sim.camera.scanning.pixels import (
+    RUN_PX,
+    CandidatePixels,
+    GelPixels,
+    WindowPixels,
+    gel_pixels,
+    window_pixels,
+)
 
 # More than single precision costs the shifted references: a run is looked at when the light is this near to its bounds.
 ROUNDING = 1e-5
@@ -225,7 +232,9 @@ def _shine(
         if seen_object[axis] != window.seen_object[axis]:
             seen_object[axis] = window.seen_object[axis]
             window_high[:] = -np.inf
-    place = optics.texture_place(window.texture, window.first_x, window.first_y, seen_object[0], seen_object[1], seen_object[2])
+    place = optics.texture_place(
+        window.texture, window.first_x, window.first_y, seen_object[0], seen_object[1], seen_object[2]
+    )
     window.candidate_runs.travelled[0] += abs(change)
     for row in range(rows):
         own = window.reference[row]

@@ -137,9 +137,7 @@ def test_a_step_fires_the_closed_share(share: float) -> None:
     """
     model = dataclasses.replace(QUIET, frame_px=(400, 300), mismatch=0.0)
     change = LightChange(step_at_s=0.0045, step_factor=math.exp(share * model.threshold))
-    state = camera.start(
-        model, DOTS, None, (300, 0, 400, 300), TEXTURE, np.random.default_rng(0), light_change=change
-    )
+    state = camera.start(model, DOTS, None, (300, 0, 400, 300), TEXTURE, np.random.default_rng(0), light_change=change)
     parts = stand(state, 10)
     sizes = [part.size for part in parts]
     assert sizes[:4] == [0] * 4
