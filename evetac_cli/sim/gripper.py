@@ -9,8 +9,8 @@ goal are whole ticks, the commanded current whole mA. Because the gear rubs, the
 current falls by 2 (Fc + fl N) / kF, and x = goal does not mean letting go.
 
 Lost motion (backlash_ticks b, 0 unless a scene names it): the finger is where it was, moved no further than keeps it
-within b / 2 of the motor, whose place the encoder reads. After a reversal it stays, and with it the force that the motor
-feels, until the motor has gone b.
+within b / 2 of the motor, whose place the encoder reads. After a reversal it stays, and with it the force that the
+motor feels, until the motor has gone b.
 
 Why so: each step is solved implicitly for the speed, force and friction at the end of the step included. The equation
 is monotone in the speed, with lost motion too, so a bracketed Newton search always ends, for any stiffness, for no

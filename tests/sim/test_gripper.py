@@ -266,9 +266,9 @@ def test_start_refuses_places_out_of_reach(touch_ticks, closing_ticks):
 
 @pytest.mark.parametrize("backlash_ticks", [0.5, 3.0])
 def test_lost_motion(backlash_ticks):
-    """Assert N = (kF I - Fc) / (1 + fl) after closing; going back, N stays for b ticks of the motor, then is N(m + b/2).
+    """Assert that N stays for b ticks of the motor m after a reversal, and then is that of the curve at m + b / 2.
 
-    The encoder shows the motor: after closing it is b / 2 ahead of the finger.
+    Before, N = (kF I - Fc) / (1 + fl). The encoder shows the motor: after closing it is b / 2 ahead of the finger.
     """
     drive = dataclasses.replace(DRIVE, backlash_ticks=backlash_ticks)
     state = start(drive, CURVE, TOUCH_TICKS)

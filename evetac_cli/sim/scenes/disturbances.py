@@ -1,4 +1,4 @@
-"""What a scene may do to a trial on the way: friction that changes at a time, a hand that jerks. Both off by default."""
+"""What a scene may do to a trial on its way: friction that changes at a time, a hand that jerks. Off by default."""
 
 import math
 from collections.abc import Mapping

@@ -1,15 +1,17 @@
 """Light that flickers or steps: the brightness of all pixels of a scanning camera changes together.
 
-In log brightness a change of the light adds the same number to every level. It is taken off the references instead, once
-a slice, at its last scan, and the pixels that it takes past their threshold make events there. So the light is seen as a
-stair of 1 ms (ten steps a period at 100 Hz). A step of light comes in the first slice that lies after it.
+In log brightness a change of the light adds the same number to every level. It is taken off the references instead,
+once a slice, at its last scan, and the pixels that it takes past their threshold make events there. So the light is
+seen as a stair of 1 ms (ten steps a period at 100 Hz). A step of light comes in the first slice whose last scan lies
+after it.
 
-Why so: for each run of pixels there is a highest and a lowest level of the light up to which none of them fires; it holds
-until a dot, a line or leak has changed what the run sees. A slice costs the shift of the references, and those runs only
-that are crossed or have changed. Candidate pixels of moving dots hold for the whole range of a flicker (`candidate_light`).
+Why so: for each run of pixels there is a highest and a lowest level of the light up to which none of them fires; it
+holds until a dot, a line or leak has changed what the run sees. A slice costs the shift of the references, and those
+runs only that are crossed or have changed. Candidate pixels of moving dots hold for the whole range of a flicker
+(`candidate_light`).
 
-Left out: the bandwidth of the pixels (one of 300 Hz would take 5 % off a flicker of 100 Hz), the ideal camera, noise that
-grows as the light fades.
+Left out: the bandwidth of the pixels (one of 300 Hz would take 5 % off a flicker of 100 Hz), the ideal camera, noise
+that grows as the light fades. Where a rim and the light both pass a threshold in a last scan, a pixel has two events.
 """
 
 import math
@@ -31,8 +33,6 @@ from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
 from evetac_cli.sim.camera.scanning.pixels import (
     RUN_PX,
     CandidatePixels,
-    GelPixels,
-    WindowPixels,
     gel_pixels,
     window_pixels,
 )
@@ -133,7 +133,7 @@ class Light:
         gel: tuple[Any, ...],
         window: tuple[Any, ...],
         readout_us: NDArray[np.int64],
-        t0_us: int,
+        t0_us: float,
         refractory_us: float,
         keys: NDArray[np.int64],
         made: int,

@@ -24,8 +24,9 @@ class CandidatePixels(NamedTuple):
     not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `list_box` (dots, 4:
     centre and half sides, NaN without a list), only the first `list_length` pixels of its list `listed` may fire, with
     radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
-    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii. `light` (2,) is what a
-    flicker adds to all levels, less the middle of its range, and half that range (see light): radii hold throughout it.
+    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii. `light` (2,) is
+    what a flicker adds to all levels, less the middle of its range, and half that range (see light): radii hold
+    throughout it.
     """
 
     level_index: NDArray[np.int16]

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.events import Events
-from evetac_cli.sim.camera import contact_edges, optics
+from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.contact_edges import Place
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
