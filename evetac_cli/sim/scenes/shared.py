@@ -60,19 +60,19 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
 class SolverTruth:
     """How finely slices were simulated, and whether the nodes resolve the slip that friction makes unstable."""
 
-    def __init__(self, pad_state: gel.GelState, friction: gel.Friction) -> None:
+    def __init__(self, pad_state: gel.GelState) -> None:
         self._gel = pad_state
-        self._friction = friction
+        self._friction: gel.Friction | None = None
         self._last = Slice()
 
-    def follow(self, done: Slice) -> None:
+    def follow(self, done: Slice, friction: gel.Friction) -> None:
         """Take the steps of one slice."""
-        self._last = done
+        self._last, self._friction = done, friction
 
     def rows(self) -> dict[str, Any]:
         """What a recording keeps of a slice; schema paths."""
         half = math.inf
-        if self._last.slipping_force_n > 0.0:
+        if self._friction is not None and self._last.slipping_force_n > 0.0:
             half = gel.slip_half_wavelength_nodes(self._gel, self._friction, self._last.slipping_force_n)
         return {
             "truth/mechanical_steps": self._last.steps,
