@@ -78,13 +78,15 @@ class GroundTruthSlip:
         whole, seen = _relative_motion(arrays, state.pose, self._pose, shares, self.visible, state.stuck)
         self._pose[:] = state.pose
         touches = force_n > CONTACT_N
-        self._share, stuck, *mean_m = whole if touches else (0.0, 0.0, 0.0, 0.0)
-        self._every_node.follow(touches and stuck == 0.0 and math.hypot(*mean_m) > SLOWEST_M, *mean_m, 0.0)
-        self._visible_share, recent_share, rigid_share, radius_m, *motion = seen if touches else (0.0,) * 7
+        self._share, stuck, x_m, y_m = whole if touches else (0.0, 0.0, 0.0, 0.0)
+        self._every_node.follow(touches and stuck == 0.0 and math.hypot(x_m, y_m) > SLOWEST_M, x_m, y_m, 0.0)
+        self._visible_share, recent_share, rigid_share, radius_m, x_m, y_m, turn_rad = (
+            seen if touches else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        )
         if radius_m > 0.0:
             self._radius_m = radius_m
-        moves = max(rigid_share, recent_share) >= ONE_BODY and _distance(*motion, radius_m) > SLOWEST_M
-        self._as_one_body.follow(moves, *motion)
+        moves = max(rigid_share, recent_share) >= ONE_BODY and _distance(x_m, y_m, turn_rad, radius_m) > SLOWEST_M
+        self._as_one_body.follow(moves, x_m, y_m, turn_rad)
         self._slips = moves and self.slid_px > SLIP_PX
 
     @property
@@ -137,11 +139,15 @@ def _distance(x_m: float, y_m: float, turn_rad: float, radius_m: float) -> float
 def visible_nodes(node_xy_m: Floats, mm_per_px: float, window_px: tuple[int, int, int, int] | None) -> Flags:
     """Which nodes (rows, columns) the camera sees: those in the frame, and not in the window of a cut gel."""
     at_px = node_xy_m * 1e3 / mm_per_px + np.array(FRAME_PX) / 2
-    visible: Flags = ((at_px >= 0) & (at_px < np.array(FRAME_PX))).all(axis=-1)
+    visible: Flags = _inside(at_px, (0, 0), FRAME_PX)
     if window_px is not None:
-        low, high = np.array(window_px[:2]), np.array(window_px[2:])
-        visible &= ~((at_px >= low) & (at_px < high)).all(axis=-1)
+        visible &= ~_inside(at_px, window_px[:2], window_px[2:])
     return visible
+
+
+def _inside(at_px: Floats, low: tuple[int, int], high: tuple[int, int]) -> Flags:
+    inside: Flags = np.all((at_px >= np.array(low)) & (at_px < np.array(high)), axis=-1)
+    return inside
 
 
 @njit(cache=True)
