@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -78,6 +79,24 @@ def test_truth_is_what_the_simulation_knows(made: Made, tmp_path: Path) -> None:
         np.testing.assert_array_equal(labels.read("label")[start : onset + 15], slips[start : onset + 15])
         assert (labels.read("label")[onset + 15 :] == -1).all()
     assert row["onset_ms"] == onset
+
+
+def test_slip_before_the_ramp_is_no_onset(made: Made, tmp_path: Path) -> None:
+    """Assert that an object which slips while its weight is handed over has the onset that its ramp gives it."""
+    beside = tmp_path / made.recordings[0].name
+    beside.write_bytes(made.recordings[0].read_bytes())
+    with open_recording(beside) as recording:
+        onset = int(np.flatnonzero(recording.read("truth/slip"))[0])
+        early = label.ramp_start(recording) - 5
+    with h5py.File(beside, "a") as file:
+        file["truth/slip"][early] = 1
+        file["truth/every_node_slid_px"][early] = 1.0
+    output, row = run(beside, tmp_path, method="truth")
+    assert row["onset_ms"] == onset
+    (job,) = evaluate_labels.jobs([output], params.EvaluateLabels(), tmp_path)
+    (evaluated,) = evaluate_labels.run(job, params.EvaluateLabels()).rows
+    assert evaluated["t_s_ms"] == onset
+    assert evaluated["t_every_node_ms"] >= onset
 
 
 def test_reports_name_labels_from_truth(made: Made, tmp_path: Path) -> None:

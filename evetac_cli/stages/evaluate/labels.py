@@ -43,16 +43,16 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
             onset = int(labels.read("onset_slice"))
             true = true_onsets(recording)
             headers.append(labels.header)
-        found = onset >= 0
+        has_onset = onset >= 0
         t_s, gross = true["t_s_ms"], true["gross_slip_start_ms"]
         rows.append(
             {
                 "file": path.name,
                 "method": labels.header["parameters"].get("method", "farneback"),
-                "t_c_ms": onset if found else None,
+                "t_c_ms": onset if has_onset else None,
                 **true,
-                "onset_error_ms": onset - t_s if found and t_s is not None else None,
-                "onset_before_gross_slip_ms": gross - onset if found and gross is not None else None,
+                "onset_error_ms": onset - t_s if has_onset and t_s is not None else None,
+                "onset_before_gross_slip_ms": gross - onset if has_onset and gross is not None else None,
             }
         )
         progress(number + 1, len(job.inputs))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
-from evetac_cli.sim.scenes.true_slip import EPISODE_MS, SLIP_PX, GroundTruthSlip, visible_nodes
+from evetac_cli.sim.scenes.true_slip import EPISODE_MS, RECENT_MS, SLIP_PX, GroundTruthSlip, visible_nodes
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -131,6 +131,22 @@ def test_gel_that_lets_go_unevenly() -> None:
         truth = trial.move(NOTHING, 1.0)
     assert truth["slip"]
     assert truth["slid_px"] == pytest.approx(2 * 0.5, abs=0.1)  # half the gel is 2 px ahead, half 1 px behind
+
+
+@pytest.mark.parametrize(("turns", "slips"), [(2, True), (5, True), (RECENT_MS + 2, False)])
+def test_nodes_that_stick_and_let_go_in_turn(turns: int, slips: bool) -> None:
+    """Assert that an object slides as one body although its nodes slip one after the other, if often enough."""
+    trial = Trial(evenly())
+    column = np.broadcast_to(np.arange(NODES.shape[1]), NODES.shape[:2])
+    said = []
+    for slice_ in range(3 * turns):
+        truth = trial.move(column % turns != slice_ % turns, 1.0)
+        assert truth["every_node_slid_px"] == 0.0
+        said.append(truth["slip"])
+    assert all(said[turns + 1 :]) == slips
+    assert any(said) == slips
+    if slips:
+        assert truth["slid_px"] == pytest.approx((2 * turns + 1) / turns, rel=0.1)
 
 
 def test_stuck_gel_that_no_camera_sees() -> None:
