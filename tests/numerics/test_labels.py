@@ -14,7 +14,7 @@ from tests.conftest import Made
 @pytest.fixture
 def one_recording(monkeypatch: pytest.MonkeyPatch, made: Made) -> None:
     """Label one short recording instead of ten long ones."""
-    monkeypatch.setattr(labels, "_record", lambda chosen, folder: [made.recordings[0]])
+    monkeypatch.setattr(labels, "_record", lambda *_: [made.recordings[0]])
     monkeypatch.setattr(labels, "AROUND_MS", 20)
 
 

@@ -1,0 +1,234 @@
+"""Error against run time of the mechanics where friction falls with speed, as it does in every slip and lift scene.
+
+The trial of gel.trial, unloaded in two ways. `fast`: the weight drops on at once and bounces, the grip falls by 9 N/s.
+`slow`: the weight is handed over within 80 ms, then the grip falls by 2 N/s, which is the slip scene's rate near onset.
+Each with constant friction and at two corners of the scenes' ranges, with the same memory length everywhere: errors are
+those of the numbers, not of the law.
+
+Lines: a fixed time step, a tolerance that halves steps, the node pitch. Steps and tolerances are compared with a
+reference of much smaller steps on the same nodes, node pitches with a much finer grid at the same steps, so that the
+errors of one choice do not hide those of the other. Columns, over the trials:
+
+- error_ms_gross_slip: onset of gross slip, root mean square. Onset is when the object's surface has moved by SLID_M
+  (half a pixel) against the gel: root mean square over the contact, weighted by pressure, so that turning counts too;
+  between slices it is interpolated.
+- error_um_before, error_px_before: position of the object, sampled every ms up to the onset, root mean square.
+- error_um_gel_before: displacement of the gel at 8 x 7 places, likewise.
+- error_um_after: distance of the objects AFTER_MS after the onset, median: how far an error in time leads.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.numerics.gel.trial import PAD_M, Trial, draw_trial
+from evetac_cli.numerics.rows import Extent, Row, run_times
+from evetac_cli.numerics.settings import Setting, line
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.contact import pad_nodes
+
+Floats = NDArray[np.float64]
+
+SLID_M = 16.4e-6  # half a pixel
+MM_PER_PX = 0.0329
+AFTER_MS = 8
+SLICE_S = 1e-3
+STATIC = 0.8
+MEMORY_M = 20e-6  # as in the scenes
+
+TRIALS = Extent(quick=3, full=8)
+REFERENCE_STEP_MS = Extent(quick=0.02, full=0.01)
+REFERENCE_PITCH_MM = Extent(quick=0.5, full=0.4)
+STEPS_MS = Extent[tuple[float, ...]](quick=(1.0, 0.5, 0.25, 0.1), full=(1.0, 0.5, 0.25, 0.2, 0.1, 0.05))
+TOLERANCES = Extent[tuple[float, ...]](quick=(0.02, 0.005, 0.002, 0.0005), full=(0.05, 0.02, 0.01, 0.005, 0.002, 0.0005))
+PITCHES_MM = Extent[tuple[float, ...]](quick=(1.67, 1.25, 0.83), full=(2.5, 1.67, 1.25, 1.0, 0.83, 0.625))
+USUAL_STEP_MS = 0.25  # of the runs in which node pitches are compared
+
+
+class Solver(NamedTuple):
+    """How a slice is solved: with a fixed step, or else with the largest change of a coefficient in one step."""
+
+    step_ms: float | None = None
+    tolerance: float = 0.002
+    theta: float = 0.55
+    search: float = 1e-6  # the residual at which the search for the balance ends
+
+
+class Slide(NamedTuple):
+    """A solved trial, sampled after every ms.
+
+    pose: (samples, 3); gel_m: (samples, places, 2); slid_m: (samples,), of the object's surface against the gel.
+    slice_us: (samples,), run time.
+    """
+
+    pose: Floats
+    gel_m: Floats
+    slid_m: Floats
+    slice_us: Floats
+
+    @property
+    def onset_ms(self) -> float:
+        """When the object has slid by SLID_M; NaN where it never has."""
+        beyond = np.flatnonzero(self.slid_m > SLID_M)
+        if not len(beyond):
+            return math.nan
+        last = int(beyond[0])
+        before = self.slid_m[last - 1] if last else 0.0
+        return float(last + (SLID_M - before) / (self.slid_m[last] - before))
+
+
+def unloadings() -> dict[str, Callable[[Trial], Trial]]:
+    """The two ways to unload a trial, by name."""
+    slow: dict[str, Any] = {"first_n": 1.1, "last_n": 0.58, "seconds": 0.36, "begin_s": 0.1, "hang_s": 0.08}
+    return {"fast": lambda trial: trial, "slow": lambda trial: replace(trial, **slow)}
+
+
+def frictions() -> dict[str, gel.Friction]:
+    """Constant friction, and two corners of what the scenes draw: kinetic over static, Stribeck speed."""
+    memory = {"memory_m": MEMORY_M} if "memory_m" in {item.name for item in fields(gel.Friction)} else {}
+
+    def falling(share: float, speed_mm_s: float) -> gel.Friction:
+        given: dict[str, Any] = {"kinetic": share * STATIC, "stribeck_speed_m_s": 1e-3 * speed_mm_s, **memory}
+        return gel.Friction(STATIC, **given)
+
+    return {
+        "constant friction": gel.Friction(STATIC, STATIC),
+        "friction falls to 0.8 at 10 mm/s": falling(0.8, 10.0),
+        "friction falls to 0.75 at 5 mm/s": falling(0.75, 5.0),
+    }
+
+
+def grid(trial: Trial, pitch_mm: float) -> Trial:
+    """The trial on nodes of about this pitch."""
+    columns, rows = (max(round(1e3 * side / pitch_mm), 1) for side in PAD_M)
+    return replace(trial, columns=columns, rows=rows)
+
+
+def solve(trial: Trial, solver: Solver) -> Slide:
+    """Solve a trial from start to end."""
+    state = trial.start()
+    shares = trial.shares(state)
+    x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
+    places = gel.interpolation(state.node_xy_m, pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2))
+    start = state.pose.copy()
+    samples: list[tuple[Floats, Floats, float, float]] = []
+    for slice_ in range(round(trial.seconds / SLICE_S)):
+        started = time.thread_time()
+        _solve_slice(trial, state, shares, slice_, solver)
+        took_us = (time.thread_time() - started) * 1e6
+        slid_m = math.sqrt(float((shares * _slid(state, start)).sum()))
+        samples.append((state.pose.copy(), gel.displacement_at(state, *places), slid_m, took_us))
+    pose, gel_m, slid, slice_us = (np.array(column) for column in zip(*samples, strict=True))
+    return Slide(pose, gel_m, slid, slice_us)
+
+
+def _solve_slice(trial: Trial, state: gel.GelState, shares: Floats, slice_: int, solver: Solver) -> None:
+    """One slice of 1 ms; the load is that of the moment at which a step looks for its balance."""
+    assert solver.step_ms is not None
+    steps = round(1.0 / solver.step_ms)
+    dt_s = SLICE_S / steps
+    for k in range(slice_ * steps, (slice_ + 1) * steps):
+        now_s = (k + solver.theta) * dt_s
+        load = (trial.grip_n(now_s) * shares, trial.weight_n(now_s))
+        gel.step(state, *load, trial.friction, dt_s, theta=solver.theta, tolerance=solver.search)
+
+
+def _slid(state: gel.GelState, start: Floats) -> Floats:
+    """Squared distance, (rows, columns) in m2, that the object's surface has moved against each node of the gel."""
+    turned = state.pose[2] - start[2]
+    arm = state.node_xy_m - start[:2]
+    cosine, sine = math.cos(turned), math.sin(turned)
+    turn = np.array([[cosine - 1.0, sine], [-sine, cosine - 1.0]])
+    apart: Floats = state.pose[:2] - start[:2] + arm @ turn - state.displacement_m
+    return np.asarray((apart**2).sum(axis=-1))
+
+
+def choices(full: bool) -> list[tuple[Setting, Solver]]:
+    """The settings that are compared, and how each solves a slice."""
+    chosen = [
+        (setting, Solver(step_ms=setting.solver["step_ms"]))
+        for setting in line("fixed step", "step_ms", STEPS_MS.pick(full), "ms")
+    ]
+    return chosen + [
+        (setting, Solver(step_ms=USUAL_STEP_MS))
+        for setting in line("node pitch", "node_pitch_mm", PITCHES_MM.pick(full), "mm")
+    ]
+
+
+def row_count(full: bool) -> int:
+    """How many rows `unloading_rows` gives."""
+    return len(unloadings()) * len(frictions()) * len(choices(full))
+
+
+def unloading_rows(seed: int, full: bool, trials: int | None = None) -> Iterator[Row]:
+    """The rows of every unloading and friction, one after the other."""
+    drawn = [draw_trial(seed + number) for number in range(trials or TRIALS.pick(full))]
+    solve(replace(drawn[0], seconds=0.01), Solver(step_ms=1.0))  # compiles
+    for unloading, unload in unloadings().items():
+        for law, friction in frictions().items():
+            part = f"mechanics, {unload_name(unloading)}, {law}"
+            cases = [replace(unload(trial), friction=friction) for trial in drawn]
+            yield from _part_rows(part, cases, full)
+
+
+def unload_name(unloading: str) -> str:
+    """How an unloading is called in a panel."""
+    return f"{unloading} unloading"
+
+
+def _part_rows(part: str, cases: Sequence[Trial], full: bool) -> Iterator[Row]:
+    """The rows of one panel: trials of one unloading and friction."""
+    finest = Solver(step_ms=REFERENCE_STEP_MS.pick(full), theta=0.51, search=1e-8)
+    in_time = [solve(trial, finest) for trial in cases]
+    pitch_mm = REFERENCE_PITCH_MM.pick(full)
+    in_space = [solve(grid(trial, pitch_mm), Solver(step_ms=USUAL_STEP_MS)) for trial in cases]
+    for setting, solver in choices(full):
+        pitch = setting.solver.get("node_pitch_mm")
+        chosen = cases if pitch is None else [grid(trial, pitch) for trial in cases]
+        solved = [solve(trial, solver) for trial in chosen]
+        yield _row(part, setting, solved, in_time if pitch is None else in_space)
+
+
+def _row(part: str, setting: Setting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:
+    """The row of a setting over all trials of a panel."""
+    errors = [_errors(one, reference) for one, reference in zip(solved, references, strict=True)]
+    onset, before, gel_before, after = (np.array(column) for column in zip(*errors, strict=True))
+    return {
+        "part": part,
+        "setting": setting.name,
+        "flags": setting.flags,
+        "trials": len(solved),
+        "error_ms_gross_slip": _rms(onset),
+        "error_um_before": _rms(before),
+        "error_px_before": _rms(before / (1e3 * MM_PER_PX)),
+        "error_um_gel_before": _rms(gel_before),
+        "error_um_after": float(np.median(after[np.isfinite(after)])) if np.isfinite(after).any() else None,
+        **run_times(np.concatenate([one.slice_us for one in solved])),
+    }
+
+
+def _errors(one: Slide, reference: Slide) -> tuple[float, float, float, float]:
+    """Onset in ms, object and gel before it and object after it in um, against a reference."""
+    true_ms = reference.onset_ms
+    stop = len(reference.pose) if math.isnan(true_ms) else max(int(true_ms), 1)
+    apart = ((one.pose - reference.pose)[:, :2] ** 2).sum(axis=-1)
+    gel_apart = ((one.gel_m - reference.gel_m)[:stop] ** 2).sum(axis=-1)
+    later = stop + AFTER_MS
+    after = 1e6 * math.sqrt(apart[later]) if later < len(apart) else math.nan
+    return (
+        one.onset_ms - true_ms,
+        1e6 * math.sqrt(apart[:stop].mean()),
+        1e6 * math.sqrt(gel_apart.mean()),
+        after,
+    )
+
+
+def _rms(values: Floats) -> float | None:
+    """Root mean square of what is known; None where nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt((known**2).mean())) if len(known) else None

@@ -1,0 +1,76 @@
+"""Error against run time where friction falls with speed: onset by hand, rows of one shape, errors that fall."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evetac_cli.numerics.gel import unloading
+from evetac_cli.numerics.gel.trial import draw_trial
+from evetac_cli.numerics.gel.unloading import SLID_M, Slide, Solver, grid, solve
+from evetac_cli.numerics.rows import Extent
+
+
+def slide(slid_m: list[float]) -> Slide:
+    samples = len(slid_m)
+    return Slide(np.zeros((samples, 3)), np.zeros((samples, 1, 2)), np.array(slid_m), np.ones(samples))
+
+
+def test_onset_by_hand() -> None:
+    """Assert that the onset is interpolated between slices, from the very first one on, and may be missing."""
+    assert slide([0.0, 0.5 * SLID_M, 1.5 * SLID_M]).onset_ms == pytest.approx(2.5)
+    assert slide([2 * SLID_M]).onset_ms == pytest.approx(0.5)
+    assert math.isnan(slide([0.0, SLID_M]).onset_ms)
+
+
+def test_turning_is_sliding_too() -> None:
+    """Assert that an object that only turns slides by its angle times the distance from its centre; a gel that follows
+    it does not slide."""
+    trial = replace(draw_trial(0), columns=6, rows=4)
+    state = trial.start()
+    start = state.pose.copy()
+    state.pose[2] = 1e-3
+    arm = state.node_xy_m - start[:2]
+    np.testing.assert_allclose(unloading._slid(state, start), 1e-6 * (arm**2).sum(-1), rtol=1e-5)
+    state.displacement_m[:] = 1e-3 * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+    np.testing.assert_allclose(unloading._slid(state, start), 0.0, atol=1e-16)
+
+
+def test_loads_of_both_unloadings() -> None:
+    """Assert the grip and weight of the two unloadings at their corners in time."""
+    fast, slow = (unload(draw_trial(1)) for unload in unloading.unloadings().values())
+    assert (fast.grip_n(0.0), fast.grip_n(0.1)) == pytest.approx((2.0, 1.1))
+    assert fast.weight_n(0.0)[0] == pytest.approx(0.981)
+    assert (slow.grip_n(0.1), slow.grip_n(0.2), slow.grip_n(0.36)) == pytest.approx((1.1, 0.9, 0.58))
+    assert (slow.weight_n(0.04)[0], slow.weight_n(0.3)[0]) == pytest.approx((0.4905, 0.981))
+
+
+def test_errors_fall_with_the_step() -> None:
+    """Assert that with constant friction a tenth of the step has at most a third of the error, by onset and object."""
+    trial = replace(grid(draw_trial(0), 1.67), seconds=0.2)
+    finest = solve(trial, Solver(step_ms=0.02, theta=0.51, search=1e-8))
+    coarse, fine = (unloading._errors(solve(trial, Solver(step_ms=step_ms)), finest) for step_ms in (1.0, 0.1))
+    assert 0 < finest.onset_ms < 200
+    assert abs(fine[0]) < abs(coarse[0]) / 3
+    assert fine[1] < coarse[1] / 3
+    assert fine[2] < coarse[2] / 3
+
+
+def test_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert as many rows as announced, of one shape, each with its flags, which JSON can hold."""
+    for name, amount in {
+        "STEPS_MS": (1.0, 0.5), "REFERENCE_STEP_MS": 0.25, "REFERENCE_PITCH_MM": 1.67, "PITCHES_MM": (2.5,), "TRIALS": 2,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(unloading, name, Extent(amount, amount))
+    monkeypatch.setattr(unloading, "draw_trial", lambda seed: grid(draw_trial(seed), 2.5))
+    rows = list(unloading.unloading_rows(5, False))
+    assert len(rows) == unloading.row_count(False)
+    assert len({row["part"] for row in rows}) == 6
+    assert len({tuple(row) for row in rows}) == 1
+    json.dumps(rows, allow_nan=False)
+    assert {"--step-ms 0.5", "--node-pitch-mm 2.5"} <= {row["flags"] for row in rows}
+    assert all(0 < row["time_us_median"] <= row["time_us_p99"] for row in rows)
+    assert all(row["error_px_before"] == pytest.approx(row["error_um_before"] / 32.9) for row in rows)
+    assert list(unloading.unloading_rows(5, False, trials=1))[0]["trials"] == 1
