@@ -99,7 +99,9 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
         )
     if params.trials is not None and not part.takes_trials:
         taking = ", ".join(name for name, other in PARTS.items() if other.takes_trials)
-        raise InputError("this part has no trials", where="--trials", expected=f"part {taking}", found=f"part {params.part}")
+        raise InputError(
+            "this part has no trials", where="--trials", expected=f"part {taking}", found=f"part {params.part}"
+        )
     inputs = part.inputs(files, params.model) if part.inputs else ()
     if files:
         return report_job([inputs[0]], "cost", out, *inputs[1:])

@@ -1,8 +1,9 @@
 """The part `model`: how often slip detectors are right against the run time of one inference.
 
 With models and the report of `evaluate slip` on them, timing and F1 are those of the report, means over objects and
-seeds. Detectors of slip now, 10 ms and 20 ms ahead have different tasks: each task has a Pareto front of its own. Without, every architecture of the table is built, untrained, and only timed. Networks that differ in their
-weights alone are timed once, so that no setting wins by the noise of a clock.
+seeds. Detectors of slip now, 10 ms and 20 ms ahead have different tasks: each task has a Pareto front of its own.
+Without, every architecture of the table is built, untrained, and only timed. Networks that differ in their weights
+alone are timed once, so that no setting wins by the noise of a clock.
 
 - time_us_*: onnxruntime on one thread, one input at a time: what the paper's inference times are.
 - step_us_*: what `grasp` does with a slice of about 500 events, from events to a probability: tracker (its default),
@@ -79,7 +80,7 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """A row for every setting; with a report, also whether it is on the Pareto front of its task in error and run time."""
+    """A row for every setting; with a report, also whether it is on the Pareto front of its task."""
     models = [Model.read(path) for path in inputs[1:]]
     candidates = _trained(models, _report_rows(inputs[0], models)) if models else _untrained()
     rows = collect(_rows(candidates, params.seed), len(candidates), progress)

@@ -17,7 +17,7 @@ the same trials, simulated more finely in every respect. Columns, as means over 
 
 A second table has the paired difference of every setting from the defaults, with its interval (see paired). A row is on
 the Pareto front of an error where the intervals say so against every other row; the reference is no candidate.
-The errors of labels, detector, tracker and regression are in every row alike: what a setting adds is in the differences.
+The errors of labels, detector, tracker and regression are in every row: what a setting adds is in the differences.
 """
 
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ FINEST = Setting("reference", solver={"step_ms": 0.05, "node_pitch_mm": 0.5, "ca
 CHOICES = Extent[tuple[Setting, ...]](
     quick=(
         *line("fixed step", "step_ms", (1.0, 0.5, 0.25), "ms"),
-        *line("tolerance", "tolerance", (0.02, 0.0005)),
+        *line("tolerance", "tolerance_um", (1.0, 0.05), "um"),
         *line("theta", "theta", (1.0,)),
         *line("node pitch", "node_pitch_mm", (1.25, 0.625), "mm"),
         *line("camera sub-steps", "camera_substeps", (4,)),
@@ -63,7 +63,7 @@ CHOICES = Extent[tuple[Setting, ...]](
     ),
     full=(
         *line("fixed step", "step_ms", (1.0, 0.5, 0.25, 0.125), "ms"),
-        *line("tolerance", "tolerance", (0.05, 0.02, 0.01, 0.005, 0.001, 0.0005)),
+        *line("tolerance", "tolerance_um", (5.0, 2.0, 1.0, 0.5, 0.1, 0.05), "um"),
         *line("theta", "theta", (1.0, 0.75, 0.5)),
         *line("node pitch", "node_pitch_mm", (1.67, 1.25, 1.0, 0.625), "mm"),
         *line("camera sub-steps", "camera_substeps", (2, 4)),

@@ -74,9 +74,11 @@ class Lifted(NamedTuple):
 
 def slip_trial(trial: Trial, setting: Setting, folder: Path, scene: str = "slip") -> SimulatedTrial:
     """The trial that `evetac record --scene slip --object N --seed N` makes with the flags of a setting."""
-    (planned,) = record.jobs([], Record(scene=scene, objects=str(trial.object), seed=trial.seed), folder)
+    chosen: dict[str, Any] = dict(setting.solver)
+    params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, **chosen)
+    (planned,) = record.jobs([], params, folder)
     assert isinstance(planned, SimulatedTrial)
-    return SimulatedTrial((), planned.output, planned.number, planned.seed, setting.plan(planned.plan))
+    return planned
 
 
 def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip") -> Chain:
@@ -122,11 +124,11 @@ def detection(features: Path) -> int | None:
 
 
 def run_grasp(trial: Trial, setting: Setting, folder: Path) -> Lifted:
-    """The grasp that `evetac grasp --object N --seed N --lift-s 3.5 --balance-s 1` makes with the flags of a setting."""
-    params = Grasp(objects=str(trial.grasped), seed=trial.seed, lift_s=LIFT_S, balance_s=BALANCE_S)
-    (planned,) = grasp.jobs([], params, folder)
-    assert isinstance(planned, SimulatedTrial)
-    made = SimulatedTrial((), planned.output, planned.number, planned.seed, setting.plan(planned.plan))
+    """The grasp that `evetac grasp --object N --seed N --lift-s 3.5 --balance-s 1` makes with a setting's flags."""
+    chosen: dict[str, Any] = dict(setting.solver)
+    params = Grasp(objects=str(trial.grasped), seed=trial.seed, lift_s=LIFT_S, balance_s=BALANCE_S, **chosen)
+    (made,) = grasp.jobs([], params, folder)
+    assert isinstance(made, SimulatedTrial)
     outcome, seconds = timed(lambda: simulated_grasp.run(made, params, force=False, progress=silent))
     (row,) = outcome.rows
     return Lifted(bool(row["balanced"]), float(row["moved_mm"]), 1e6 * seconds / row["slices"])

@@ -1,8 +1,11 @@
-"""Settings of a simulation that a user can choose, as rows of a table: the flags to copy, and the plan they lead to."""
+"""Settings of a simulation that a user can choose, as rows of a table: what they are called, and the flags to copy."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+
+from evetac_cli.params import SOLVER_OPTIONS, Trials, flag_of
+
+FLAGS = {item.name: flag_of(item) for item in fields(Trials) if item.name in SOLVER_OPTIONS}
 
 
 @dataclass(frozen=True)
@@ -21,16 +24,9 @@ class Setting:
     @property
     def flags(self) -> str:
         """The flags of `record` and `grasp` that choose it: `--step-ms 0.25`; empty where nothing is chosen."""
-        return " ".join(f"--{key.replace('_', '-')} {value:g}" for key, value in self.solver.items())
-
-    def plan(self, plan: Mapping[str, Any]) -> dict[str, Any]:
-        """A trial's plan with this choice in its scene, as the flags would make it."""
-        if not self.solver:
-            return dict(plan)
-        scene = plan["scene"]
-        return {**plan, "scene": {**scene, "solver": {**scene.get("solver", {}), **self.solver}}}
+        return " ".join(f"{FLAGS[key]} {value:g}" for key, value in self.solver.items())
 
 
-def line(name: str, key: str, values: tuple[float, ...], unit: str = "") -> list[Setting]:
-    """The settings of one line: a key of the table [solver] with each of these values."""
-    return [Setting(name, f"{value:g} {unit}".rstrip(), {key: value}) for value in values]
+def line(name: str, key: str, values: tuple[float, ...], unit: str = "", **others: float) -> list[Setting]:
+    """The settings of one line: a key of the table [solver] with each of these values, and others beside it."""
+    return [Setting(name, f"{value:g} {unit}".rstrip(), {key: value, **others}) for value in values]

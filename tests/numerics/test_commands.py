@@ -64,10 +64,10 @@ def small(monkeypatch, tmp_path):
         monkeypatch.setattr(gel_cost, name, Extent(amount, amount))
     monkeypatch.setattr(gel_cost, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6, seconds=0.05))
     for name, amount in {
-        "STEPS_MS": (1.0, 0.5), "REFERENCE_STEP_MS": 0.25, "REFERENCE_PITCH_MM": 2.5, "PITCHES_MM": (5.0,), "TRIALS": 1,
+        "STEPS_MS": (1.0, 0.5), "REFERENCE_STEP_MS": 0.25, "REFERENCE_PITCH_MM": 2.5, "PITCHES_MM": (5.0,),
+        "TRIALS": 1, "TOLERANCES_UM": (),
     }.items():  # fmt: skip
         monkeypatch.setattr(unloading, name, Extent(amount, amount))
-    monkeypatch.setattr(unloading, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6))
     monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
     monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
     few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])

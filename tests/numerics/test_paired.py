@@ -30,7 +30,7 @@ def test_trials_without_a_value_are_left_out() -> None:
 
 
 def test_rounded_values_are_never_sure_too_soon() -> None:
-    """Assert that three equal differences of 1 are sure where values are exact, and not where they are whole numbers."""
+    """Assert that three equal differences are sure where values are exact, and not where they are whole numbers."""
     ours, theirs = array(3, 5, 7), array(2, 4, 6)
     assert difference(ours, theirs).low == 1.0
     assert difference(ours, theirs, resolution=1.0).low < 0.0

@@ -168,7 +168,10 @@ def test_the_picture() -> None:
         [
             measured(Setting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
             measured(DEFAULTS, 300.0, 20.0),
-            *(measured(one, 600.0 / one.solver["step_ms"], 10.0) for one in line("fixed step", "step_ms", (0.5, 1.0), "ms")),
+            *(
+                measured(one, 600.0 / one.solver["step_ms"], 10.0)
+                for one in line("fixed step", "step_ms", (0.5, 1.0), "ms")
+            ),
         ]
     )
     figure = figure_module.Figure()

@@ -166,9 +166,7 @@ def true_events(state: CameraState, load: Workload) -> FineEvents:
     return FineEvents(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def _row(
-    load: Workload, setting: str, truth: FineEvents, events: FineEvents, took_us: NDArray[np.float64]
-) -> Row:
+def _row(load: Workload, setting: str, truth: FineEvents, events: FineEvents, took_us: NDArray[np.float64]) -> Row:
     agreement = match(events, truth)
     error_us = agreement.error_us if agreement.error_us.size else np.array([math.inf])
     return {

@@ -20,7 +20,9 @@ TOO_FAST_M_S = 1e3  # no part of the trial ever moves at this speed: the integra
 def simulate_explicit(trial: Trial, dt_s: float) -> Motion:
     """The trial with semi-implicit Euler and friction mu N tanh(slip speed / 1 mm/s), as is common elsewhere."""
     if trial.begin_s or trial.hang_s:
-        raise ValueError("the explicit integrator takes trials whose grip falls, and whose weight hangs, from the start")
+        raise ValueError(
+            "the explicit integrator takes trials whose grip falls, and whose weight hangs, from the start"
+        )
     state = trial.start()
     shares = trial.shares(state)
     force = np.array(trial.weight_n(0.0))

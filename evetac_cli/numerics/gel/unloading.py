@@ -5,8 +5,8 @@ The trial of gel.trial, unloaded in two ways. `fast`: the weight drops on at onc
 Each with constant friction and at two corners of the scenes' ranges, with the same memory length everywhere: errors are
 those of the numbers, not of the law.
 
-Lines: a fixed time step, a tolerance that halves steps, the node pitch. Steps and tolerances are compared with a
-reference of much smaller steps on the same nodes, node pitches with a much finer grid at the same steps, so that the
+Lines: a fixed time step, a tolerance for which steps are halved, the node pitch. Steps and tolerances are compared with
+a reference of much smaller steps on the same nodes, node pitches with a much finer grid at the same steps, so that the
 errors of one choice do not hide those of the other. Columns, over the trials:
 
 - error_ms_gross_slip: onset of gross slip, root mean square. Onset is when the object's surface has moved by SLID_M
@@ -20,7 +20,7 @@ errors of one choice do not hide those of the other. Columns, over the trials:
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +30,9 @@ from evetac_cli.numerics.gel.trial import PAD_M, Trial, draw_trial
 from evetac_cli.numerics.rows import Extent, Row, run_times
 from evetac_cli.numerics.settings import Setting, line
 from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import pad_nodes
+from evetac_cli.sim.solver import Solver
 
 Floats = NDArray[np.float64]
 
@@ -39,24 +41,14 @@ MM_PER_PX = 0.0329
 AFTER_MS = 8
 SLICE_S = 1e-3
 STATIC = 0.8
-MEMORY_M = 20e-6  # as in the scenes
 
 TRIALS = Extent(quick=3, full=8)
 REFERENCE_STEP_MS = Extent(quick=0.02, full=0.01)
 REFERENCE_PITCH_MM = Extent(quick=0.5, full=0.4)
 STEPS_MS = Extent[tuple[float, ...]](quick=(1.0, 0.5, 0.25, 0.1), full=(1.0, 0.5, 0.25, 0.2, 0.1, 0.05))
-TOLERANCES = Extent[tuple[float, ...]](quick=(0.02, 0.005, 0.002, 0.0005), full=(0.05, 0.02, 0.01, 0.005, 0.002, 0.0005))
-PITCHES_MM = Extent[tuple[float, ...]](quick=(1.67, 1.25, 0.83), full=(2.5, 1.67, 1.25, 1.0, 0.83, 0.625))
-USUAL_STEP_MS = 0.25  # of the runs in which node pitches are compared
-
-
-class Solver(NamedTuple):
-    """How a slice is solved: with a fixed step, or else with the largest change of a coefficient in one step."""
-
-    step_ms: float | None = None
-    tolerance: float = 0.002
-    theta: float = 0.55
-    search: float = 1e-6  # the residual at which the search for the balance ends
+TOLERANCES_UM = Extent[tuple[float, ...]](quick=(1.0, 0.2, 0.05), full=(5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02))
+PITCHES_MM = Extent[tuple[float, ...]](quick=(1.67, 1.25, 0.833), full=(2.5, 1.67, 1.25, 1.0, 0.833, 0.625))
+PITCH_STEP_MS = 0.25  # of the runs in which node pitches are compared
 
 
 class Slide(NamedTuple):
@@ -90,11 +82,9 @@ def unloadings() -> dict[str, Callable[[Trial], Trial]]:
 
 def frictions() -> dict[str, gel.Friction]:
     """Constant friction, and two corners of what the scenes draw: kinetic over static, Stribeck speed."""
-    memory = {"memory_m": MEMORY_M} if "memory_m" in {item.name for item in fields(gel.Friction)} else {}
 
     def falling(share: float, speed_mm_s: float) -> gel.Friction:
-        given: dict[str, Any] = {"kinetic": share * STATIC, "stribeck_speed_m_s": 1e-3 * speed_mm_s, **memory}
-        return gel.Friction(STATIC, **given)
+        return gel.Friction(STATIC, share * STATIC, 1e-3 * speed_mm_s)
 
     return {
         "constant friction": gel.Friction(STATIC, STATIC),
@@ -103,39 +93,31 @@ def frictions() -> dict[str, gel.Friction]:
     }
 
 
-def grid(trial: Trial, pitch_mm: float) -> Trial:
-    """The trial on nodes of about this pitch."""
-    columns, rows = (max(round(1e3 * side / pitch_mm), 1) for side in PAD_M)
+def grid(trial: Trial, solver: Solver) -> Trial:
+    """The trial on the nodes of a solver."""
+    columns, rows = solver.nodes(PAD_M)
     return replace(trial, columns=columns, rows=rows)
 
 
 def solve(trial: Trial, solver: Solver) -> Slide:
-    """Solve a trial from start to end."""
-    state = trial.start()
+    """Solve a trial from start to end, on the nodes of the solver."""
+    trial = grid(trial, solver)
+    state, stepper = trial.start(), Stepper(solver, SLICE_S)
     shares = trial.shares(state)
     x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
     places = gel.interpolation(state.node_xy_m, pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2))
     start = state.pose.copy()
     samples: list[tuple[Floats, Floats, float, float]] = []
     for slice_ in range(round(trial.seconds / SLICE_S)):
+        ends_n = (trial.grip_n(slice_ * SLICE_S), trial.grip_n((slice_ + 1) * SLICE_S))
+        weight_n = trial.weight_n((slice_ + 0.5) * SLICE_S)
         started = time.thread_time()
-        _solve_slice(trial, state, shares, slice_, solver)
+        stepper.advance(state, shares, ends_n, weight_n, trial.friction)
         took_us = (time.thread_time() - started) * 1e6
         slid_m = math.sqrt(float((shares * _slid(state, start)).sum()))
         samples.append((state.pose.copy(), gel.displacement_at(state, *places), slid_m, took_us))
     pose, gel_m, slid, slice_us = (np.array(column) for column in zip(*samples, strict=True))
     return Slide(pose, gel_m, slid, slice_us)
-
-
-def _solve_slice(trial: Trial, state: gel.GelState, shares: Floats, slice_: int, solver: Solver) -> None:
-    """One slice of 1 ms; the load is that of the moment at which a step looks for its balance."""
-    assert solver.step_ms is not None
-    steps = round(1.0 / solver.step_ms)
-    dt_s = SLICE_S / steps
-    for k in range(slice_ * steps, (slice_ + 1) * steps):
-        now_s = (k + solver.theta) * dt_s
-        load = (trial.grip_n(now_s) * shares, trial.weight_n(now_s))
-        gel.step(state, *load, trial.friction, dt_s, theta=solver.theta, tolerance=solver.search)
 
 
 def _slid(state: gel.GelState, start: Floats) -> Floats:
@@ -148,15 +130,12 @@ def _slid(state: gel.GelState, start: Floats) -> Floats:
     return np.asarray((apart**2).sum(axis=-1))
 
 
-def choices(full: bool) -> list[tuple[Setting, Solver]]:
-    """The settings that are compared, and how each solves a slice."""
-    chosen = [
-        (setting, Solver(step_ms=setting.solver["step_ms"]))
-        for setting in line("fixed step", "step_ms", STEPS_MS.pick(full), "ms")
-    ]
-    return chosen + [
-        (setting, Solver(step_ms=USUAL_STEP_MS))
-        for setting in line("node pitch", "node_pitch_mm", PITCHES_MM.pick(full), "mm")
+def choices(full: bool) -> list[Setting]:
+    """The settings that are compared."""
+    return [
+        *line("fixed step", "step_ms", STEPS_MS.pick(full), "ms"),
+        *line("tolerance", "tolerance_um", TOLERANCES_UM.pick(full), "um"),
+        *line("node pitch", "node_pitch_mm", PITCHES_MM.pick(full), "mm", step_ms=PITCH_STEP_MS),
     ]
 
 
@@ -168,30 +147,24 @@ def row_count(full: bool) -> int:
 def unloading_rows(seed: int, full: bool, trials: int | None = None) -> Iterator[Row]:
     """The rows of every unloading and friction, one after the other."""
     drawn = [draw_trial(seed + number) for number in range(trials or TRIALS.pick(full))]
-    solve(replace(drawn[0], seconds=0.01), Solver(step_ms=1.0))  # compiles
+    solve(replace(drawn[0], seconds=0.01), Solver())  # compiles
     for unloading, unload in unloadings().items():
         for law, friction in frictions().items():
-            part = f"mechanics, {unload_name(unloading)}, {law}"
+            part = f"mechanics, {unloading} unloading, {law}"
             cases = [replace(unload(trial), friction=friction) for trial in drawn]
             yield from _part_rows(part, cases, full)
 
 
-def unload_name(unloading: str) -> str:
-    """How an unloading is called in a panel."""
-    return f"{unloading} unloading"
-
-
 def _part_rows(part: str, cases: Sequence[Trial], full: bool) -> Iterator[Row]:
     """The rows of one panel: trials of one unloading and friction."""
-    finest = Solver(step_ms=REFERENCE_STEP_MS.pick(full), theta=0.51, search=1e-8)
+    finest = Solver(step_ms=REFERENCE_STEP_MS.pick(full), theta=0.51, residual=1e-8)
     in_time = [solve(trial, finest) for trial in cases]
-    pitch_mm = REFERENCE_PITCH_MM.pick(full)
-    in_space = [solve(grid(trial, pitch_mm), Solver(step_ms=USUAL_STEP_MS)) for trial in cases]
-    for setting, solver in choices(full):
-        pitch = setting.solver.get("node_pitch_mm")
-        chosen = cases if pitch is None else [grid(trial, pitch) for trial in cases]
-        solved = [solve(trial, solver) for trial in chosen]
-        yield _row(part, setting, solved, in_time if pitch is None else in_space)
+    finer_grid = Solver(step_ms=PITCH_STEP_MS, node_pitch_mm=REFERENCE_PITCH_MM.pick(full))
+    in_space = [solve(trial, finer_grid) for trial in cases]
+    for setting in choices(full):
+        chosen: dict[str, Any] = dict(setting.solver)
+        solved = [solve(trial, Solver(**chosen)) for trial in cases]
+        yield _row(part, setting, solved, in_space if "node_pitch_mm" in chosen else in_time)
 
 
 def _row(part: str, setting: Setting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:

@@ -50,7 +50,7 @@ def test_noise_counts_as_an_error_and_thresholds_do_not() -> None:
 
 
 def test_workloads_are_told_apart() -> None:
-    """Assert that the workloads have names of their own, and that one has a window, one noise, one uneven thresholds."""
+    """Assert that the workloads have names of their own, and that noise, uneven thresholds and a window are there."""
     loads = cost.workloads()
     assert len({load.name for load in loads}) == len(loads)
     harder = [load for load in loads if load.part != "camera"]

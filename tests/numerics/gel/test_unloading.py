@@ -9,8 +9,9 @@ import pytest
 
 from evetac_cli.numerics.gel import unloading
 from evetac_cli.numerics.gel.trial import draw_trial
-from evetac_cli.numerics.gel.unloading import SLID_M, Slide, Solver, grid, solve
+from evetac_cli.numerics.gel.unloading import SLID_M, Slide, solve
 from evetac_cli.numerics.rows import Extent
+from evetac_cli.sim.solver import Solver
 
 
 def slide(slid_m: list[float]) -> Slide:
@@ -26,8 +27,7 @@ def test_onset_by_hand() -> None:
 
 
 def test_turning_is_sliding_too() -> None:
-    """Assert that an object that only turns slides by its angle times the distance from its centre; a gel that follows
-    it does not slide."""
+    """Assert that a turning object slides by its angle times the distance from its centre, on a gel that stays."""
     trial = replace(draw_trial(0), columns=6, rows=4)
     state = trial.start()
     start = state.pose.copy()
@@ -49,9 +49,11 @@ def test_loads_of_both_unloadings() -> None:
 
 def test_errors_fall_with_the_step() -> None:
     """Assert that with constant friction a tenth of the step has at most a third of the error, by onset and object."""
-    trial = replace(grid(draw_trial(0), 1.67), seconds=0.2)
-    finest = solve(trial, Solver(step_ms=0.02, theta=0.51, search=1e-8))
-    coarse, fine = (unloading._errors(solve(trial, Solver(step_ms=step_ms)), finest) for step_ms in (1.0, 0.1))
+    trial = draw_trial(0)
+    finest = solve(trial, Solver(step_ms=0.02, theta=0.51, residual=1e-8, node_pitch_mm=1.67))
+    coarse, fine = (
+        unloading._errors(solve(trial, Solver(step_ms=step_ms, node_pitch_mm=1.67)), finest) for step_ms in (1.0, 0.1)
+    )
     assert 0 < finest.onset_ms < 200
     assert abs(fine[0]) < abs(coarse[0]) / 3
     assert fine[1] < coarse[1] / 3
@@ -61,16 +63,16 @@ def test_errors_fall_with_the_step() -> None:
 def test_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert as many rows as announced, of one shape, each with its flags, which JSON can hold."""
     for name, amount in {
-        "STEPS_MS": (1.0, 0.5), "REFERENCE_STEP_MS": 0.25, "REFERENCE_PITCH_MM": 1.67, "PITCHES_MM": (2.5,), "TRIALS": 2,
+        "STEPS_MS": (1.0, 0.5), "REFERENCE_STEP_MS": 0.25, "REFERENCE_PITCH_MM": 1.67, "PITCHES_MM": (2.5,),
+        "TRIALS": 2, "TOLERANCES_UM": (5.0,),
     }.items():  # fmt: skip
         monkeypatch.setattr(unloading, name, Extent(amount, amount))
-    monkeypatch.setattr(unloading, "draw_trial", lambda seed: grid(draw_trial(seed), 2.5))
     rows = list(unloading.unloading_rows(5, False))
     assert len(rows) == unloading.row_count(False)
     assert len({row["part"] for row in rows}) == 6
     assert len({tuple(row) for row in rows}) == 1
     json.dumps(rows, allow_nan=False)
-    assert {"--step-ms 0.5", "--node-pitch-mm 2.5"} <= {row["flags"] for row in rows}
+    assert {"--step-ms 0.5", "--tolerance 5", "--node-pitch-mm 2.5 --step-ms 0.25"} <= {row["flags"] for row in rows}
     assert all(0 < row["time_us_median"] <= row["time_us_p99"] for row in rows)
     assert all(row["error_px_before"] == pytest.approx(row["error_um_before"] / 32.9) for row in rows)
     assert list(unloading.unloading_rows(5, False, trials=1))[0]["trials"] == 1
