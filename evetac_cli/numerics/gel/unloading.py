@@ -9,9 +9,8 @@ Lines: a fixed time step, a tolerance for which steps are halved, the node pitch
 a reference of much smaller steps on the same nodes, node pitches with a much finer grid at the same steps, so that the
 errors of one choice do not hide those of the other. Columns, over the trials:
 
-- error_ms_gross_slip: onset of gross slip, root mean square. Onset is when the object's surface has moved by SLID_M
-  (half a pixel) against the gel: root mean square over the contact, weighted by pressure, so that turning counts too;
-  between slices it is interpolated.
+- error_ms_gross_slip: onset of gross slip, half a pixel slid (sim.scenes.true_slip), between slices interpolated; root
+  mean square. error_ms_last_stuck_node: the same distance, counted only while no node of the pad sticks.
 - error_um_before, error_px_before: position of the object, sampled every ms up to the onset, root mean square.
 - error_um_gel_before: displacement of the gel at 8 x 7 places, likewise.
 - error_um_after: distance of the objects AFTER_MS after the onset, median: how far an error in time leads.
@@ -32,11 +31,11 @@ from evetac_cli.numerics.settings import Setting, line
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import pad_nodes
+from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
 from evetac_cli.sim.solver import Solver
 
 Floats = NDArray[np.float64]
 
-SLID_M = 16.4e-6  # half a pixel
 MM_PER_PX = 0.0329
 AFTER_MS = 8
 SLICE_S = 1e-3
@@ -54,24 +53,25 @@ PITCH_STEP_MS = 0.25  # of the runs in which node pitches are compared
 class Slide(NamedTuple):
     """A solved trial, sampled after every ms.
 
-    pose: (samples, 3); gel_m: (samples, places, 2); slid_m: (samples,), of the object's surface against the gel.
-    slice_us: (samples,), run time.
+    pose: (samples, 3); gel_m: (samples, places, 2). slid_px, every_node_slid_px: (samples,), how far the object has slid
+    in gross slip, and since no node sticks. slice_us: (samples,), run time.
     """
 
     pose: Floats
     gel_m: Floats
-    slid_m: Floats
+    slid_px: Floats
+    every_node_slid_px: Floats
     slice_us: Floats
 
-    @property
-    def onset_ms(self) -> float:
-        """When the object has slid by SLID_M; NaN where it never has."""
-        beyond = np.flatnonzero(self.slid_m > SLID_M)
-        if not len(beyond):
-            return math.nan
-        last = int(beyond[0])
-        before = self.slid_m[last - 1] if last else 0.0
-        return float(last + (SLID_M - before) / (self.slid_m[last] - before))
+
+def onset_ms(slid_px: Floats) -> float:
+    """When an object has slid by half a pixel, between samples of every ms; NaN where it never has."""
+    beyond = np.flatnonzero(slid_px > SLIP_PX)
+    if not len(beyond):
+        return math.nan
+    first = int(beyond[0])
+    before_px = slid_px[first - 1] if first else 0.0
+    return float(first + (SLIP_PX - before_px) / (slid_px[first] - before_px))
 
 
 def unloadings() -> dict[str, Callable[[Trial], Trial]]:
@@ -106,28 +106,18 @@ def solve(trial: Trial, solver: Solver) -> Slide:
     shares = trial.shares(state)
     x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
     places = gel.interpolation(state.node_xy_m, pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2))
-    start = state.pose.copy()
-    samples: list[tuple[Floats, Floats, float, float]] = []
+    slip = GroundTruthSlip(state, MM_PER_PX, None)
+    samples: list[tuple[Floats, Floats, float, float, float]] = []
     for slice_ in range(round(trial.seconds / SLICE_S)):
         ends_n = (trial.grip_n(slice_ * SLICE_S), trial.grip_n((slice_ + 1) * SLICE_S))
         weight_n = trial.weight_n((slice_ + 0.5) * SLICE_S)
         started = time.thread_time()
         stepper.advance(state, shares, ends_n, weight_n, trial.friction)
         took_us = (time.thread_time() - started) * 1e6
-        slid_m = math.sqrt(float((shares * _slid(state, start)).sum()))
-        samples.append((state.pose.copy(), gel.displacement_at(state, *places), slid_m, took_us))
-    pose, gel_m, slid, slice_us = (np.array(column) for column in zip(*samples, strict=True))
-    return Slide(pose, gel_m, slid, slice_us)
-
-
-def _slid(state: gel.GelState, start: Floats) -> Floats:
-    """Squared distance, (rows, columns) in m2, that the object's surface has moved against each node of the gel."""
-    turned = state.pose[2] - start[2]
-    arm = state.node_xy_m - start[:2]
-    cosine, sine = math.cos(turned), math.sin(turned)
-    turn = np.array([[cosine - 1.0, sine], [-sine, cosine - 1.0]])
-    apart: Floats = state.pose[:2] - start[:2] + arm @ turn - state.displacement_m
-    return np.asarray((apart**2).sum(axis=-1))
+        slip.follow(state, shares, ends_n[1])
+        slid_px = (slip.slid_px, float(slip.truth()["truth/every_node_slid_px"]))
+        samples.append((state.pose.copy(), gel.displacement_at(state, *places), *slid_px, took_us))
+    return Slide(*(np.array(column) for column in zip(*samples, strict=True)))
 
 
 def choices(full: bool) -> list[Setting]:
@@ -170,13 +160,14 @@ def _part_rows(part: str, cases: Sequence[Trial], full: bool) -> Iterator[Row]:
 def _row(part: str, setting: Setting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:
     """The row of a setting over all trials of a panel."""
     errors = [_errors(one, reference) for one, reference in zip(solved, references, strict=True)]
-    onset, before, gel_before, after = (np.array(column) for column in zip(*errors, strict=True))
+    onset, last_stuck, before, gel_before, after = (np.array(column) for column in zip(*errors, strict=True))
     return {
         "part": part,
         "setting": setting.name,
         "flags": setting.flags,
         "trials": len(solved),
         "error_ms_gross_slip": _rms(onset),
+        "error_ms_last_stuck_node": _rms(last_stuck),
         "error_um_before": _rms(before),
         "error_px_before": _rms(before / (1e3 * MM_PER_PX)),
         "error_um_gel_before": _rms(gel_before),
@@ -185,16 +176,17 @@ def _row(part: str, setting: Setting, solved: Sequence[Slide], references: Seque
     }
 
 
-def _errors(one: Slide, reference: Slide) -> tuple[float, float, float, float]:
-    """Onset in ms, object and gel before it and object after it in um, against a reference."""
-    true_ms = reference.onset_ms
+def _errors(one: Slide, reference: Slide) -> tuple[float, float, float, float, float]:
+    """Both onsets in ms, object and gel before it and object after it in um, against a reference."""
+    true_ms = onset_ms(reference.slid_px)
     stop = len(reference.pose) if math.isnan(true_ms) else max(int(true_ms), 1)
     apart = ((one.pose - reference.pose)[:, :2] ** 2).sum(axis=-1)
     gel_apart = ((one.gel_m - reference.gel_m)[:stop] ** 2).sum(axis=-1)
     later = stop + AFTER_MS
     after = 1e6 * math.sqrt(apart[later]) if later < len(apart) else math.nan
     return (
-        one.onset_ms - true_ms,
+        onset_ms(one.slid_px) - true_ms,
+        onset_ms(one.every_node_slid_px) - onset_ms(reference.every_node_slid_px),
         1e6 * math.sqrt(apart[:stop].mean()),
         1e6 * math.sqrt(gel_apart.mean()),
         after,

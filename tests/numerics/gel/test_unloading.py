@@ -9,33 +9,16 @@ import pytest
 
 from evetac_cli.numerics.gel import unloading
 from evetac_cli.numerics.gel.trial import draw_trial
-from evetac_cli.numerics.gel.unloading import SLID_M, Slide, solve
+from evetac_cli.numerics.gel.unloading import onset_ms, solve
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.sim.solver import Solver
 
 
-def slide(slid_m: list[float]) -> Slide:
-    samples = len(slid_m)
-    return Slide(np.zeros((samples, 3)), np.zeros((samples, 1, 2)), np.array(slid_m), np.ones(samples))
-
-
 def test_onset_by_hand() -> None:
     """Assert that the onset is interpolated between slices, from the very first one on, and may be missing."""
-    assert slide([0.0, 0.5 * SLID_M, 1.5 * SLID_M]).onset_ms == pytest.approx(2.5)
-    assert slide([2 * SLID_M]).onset_ms == pytest.approx(0.5)
-    assert math.isnan(slide([0.0, SLID_M]).onset_ms)
-
-
-def test_turning_is_sliding_too() -> None:
-    """Assert that a turning object slides by its angle times the distance from its centre, on a gel that stays."""
-    trial = replace(draw_trial(0), columns=6, rows=4)
-    state = trial.start()
-    start = state.pose.copy()
-    state.pose[2] = 1e-3
-    arm = state.node_xy_m - start[:2]
-    np.testing.assert_allclose(unloading._slid(state, start), 1e-6 * (arm**2).sum(-1), rtol=1e-5)
-    state.displacement_m[:] = 1e-3 * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-    np.testing.assert_allclose(unloading._slid(state, start), 0.0, atol=1e-16)
+    assert onset_ms(np.array([0.0, 0.25, 0.75])) == pytest.approx(2.5)
+    assert onset_ms(np.array([1.0])) == pytest.approx(0.5)
+    assert math.isnan(onset_ms(np.array([0.0, 0.5])))
 
 
 def test_loads_of_both_unloadings() -> None:
@@ -54,7 +37,7 @@ def test_errors_fall_with_the_step() -> None:
     coarse, fine = (
         unloading._errors(solve(trial, Solver(step_ms=step_ms, node_pitch_mm=1.67)), finest) for step_ms in (1.0, 0.1)
     )
-    assert 0 < finest.onset_ms < 200
+    assert 0 < onset_ms(finest.slid_px) < 200
     assert abs(fine[0]) < abs(coarse[0]) / 3
     assert fine[1] < coarse[1] / 3
     assert fine[2] < coarse[2] / 3
