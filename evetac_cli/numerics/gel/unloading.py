@@ -53,7 +53,7 @@ PITCH_STEP_MS = 0.25  # of the runs in which node pitches are compared
 class Slide(NamedTuple):
     """A solved trial, sampled after every ms.
 
-    pose: (samples, 3); gel_m: (samples, places, 2). slid_px, every_node_slid_px: (samples,), how far the object has slid
+    pose: (samples, 3); gel_m: (samples, places, 2). slid_px, every_node_slid_px: (samples,), how far the object slid
     in gross slip, and since no node sticks. slice_us: (samples,), run time.
     """
 
