@@ -54,12 +54,11 @@ REFERENCE = Setting("reference", solver={"step_ms": 0.1, "node_pitch_mm": 0.625,
 FINEST = Setting("reference", solver={"step_ms": 0.05, "node_pitch_mm": 0.5, "camera_substeps": 8})
 CHOICES = Extent[tuple[Setting, ...]](
     quick=(
-        *line("fixed step", "step_ms", (1.0, 0.5, 0.25), "ms"),
+        *line("fixed step", "step_ms", (1.0, 0.25), "ms"),
         *line("tolerance", "tolerance_um", (1.0, 0.05), "um"),
         *line("theta", "theta", (1.0,)),
-        *line("node pitch", "node_pitch_mm", (1.25, 0.625), "mm"),
-        *line("camera sub-steps", "camera_substeps", (4,)),
-        *line("scans", "scans_per_ms", (2, 10), "a ms"),
+        *line("node pitch", "node_pitch_mm", (1.25,), "mm"),
+        *line("scans", "scans_per_ms", (2,), "a ms"),
     ),
     full=(
         *line("fixed step", "step_ms", (1.0, 0.5, 0.25, 0.125), "ms"),
