@@ -122,9 +122,7 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
 
             def shares(first: int, last: int) -> NDArray[Any]:
                 names = ("visible_slip_share", "slip_share")
-                return np.stack(
-                    [recording.read(f"truth/{name}", start + first, start + last) for name in names], axis=1
-                )
+                return np.stack([recording.read(f"truth/{name}", start + first, start + last) for name in names], axis=1)
 
             lines = _lines({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
             panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))

@@ -76,7 +76,7 @@ def play_ideal(state: CameraState, load: Workload, substeps: int) -> tuple[FineE
     for k in range(load.slices):
         piece = path[k * substeps : (k + 1) * substeps + 1]
         begin = time.perf_counter()
-        parts.append(ideal.step(run, piece[0], piece[-1], *moved[k : k + 2], contrast, k * SLICE_US, rng, piece))
+        parts.append(ideal.step(run, piece[0], piece[-1], moved[k], moved[k + 1], contrast, k * SLICE_US, rng, piece))
         took_us[k] = (time.perf_counter() - begin) * 1e6
     return fine(concatenate(parts)), took_us
 
@@ -92,7 +92,7 @@ def play_scans(state: CameraState, load: Workload, substeps: int = 1) -> tuple[F
     for k in range(load.slices):
         piece = path[k * substeps : (k + 1) * substeps + 1]
         begin = time.perf_counter()
-        parts.append(camera.step(run, piece[0], piece[-1], *moved[k : k + 2], contrast, k * SLICE_US, rng, piece))
+        parts.append(camera.step(run, piece[0], piece[-1], moved[k], moved[k + 1], contrast, k * SLICE_US, rng, piece))
         took_us[k] = (time.perf_counter() - begin) * 1e6
     return fine(concatenate(parts)), took_us
 
