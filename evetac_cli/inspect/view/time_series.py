@@ -121,8 +121,8 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
         else:
 
             def shares(first: int, last: int) -> NDArray[Any]:
-                names = ("visible_slip_share", "slip_share")
-                return np.stack([recording.read(f"truth/{name}", start + first, start + last) for name in names], axis=1)
+                paths = ("truth/visible_slip_share", "truth/slip_share")
+                return np.stack([recording.read(path, start + first, start + last) for path in paths], axis=1)
 
             lines = _lines({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
             panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))

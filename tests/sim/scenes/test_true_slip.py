@@ -57,7 +57,7 @@ UNSEEN = NODES[..., 0] < -0.5 * FRAME_PX[0] * M_PER_PX
 
 
 def test_what_the_camera_sees() -> None:
-    """Assert that a cut pad reaches out of the frame by 2.2 mm, that all else of it is seen, and nothing in a window."""
+    """Assert that 2.2 mm of a cut pad lie outside the frame, that all else is seen, and nothing in a window."""
     np.testing.assert_array_equal(visible_nodes(NODES, MM_PER_PX, WINDOW_PX), ~UNSEEN)
     assert UNSEEN.mean() == pytest.approx(2.23 / 20, abs=1 / 48)
     closed = contact.pad_nodes(60, 36, (END_M - 20e-3, 0.5 * FRAME_PX[0] * M_PER_PX), (-7.5e-3, 7.5e-3))
