@@ -164,7 +164,7 @@ def test_cost_of_the_simulator():
     assert [unloaded.count(part) for part in dict.fromkeys(unloaded)] == [UNLOADING_ROWS] * 6
     for row in outcome.rows:
         assert 0 < row["time_us_median"] <= row["time_us_p99"]
-        shown = {*cost.PARTS["sim"].errors, "error_px_before", "error_um_after"}
+        shown = {*cost.PARTS["sim"].errors, "error_px_before", "error_um_gel_before"}
         assert {name for name in row if name.startswith("error_")} < shown
     rows = {row["setting"]: row for row in outcome.rows}
     for theta in ("1", "0.55", "0.5"):
