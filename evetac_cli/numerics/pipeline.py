@@ -15,9 +15,10 @@ the same trials, simulated more finely in every respect. Columns, as means over 
 - time_us_*: processor time of the chain for a recorded millisecond, over the trials; record_us_median, grasp_us_median:
   of recording alone, and of a simulated millisecond of the grasp.
 
-A second table has the paired difference of every setting from the defaults, with its interval (see paired). A row is on
-the Pareto front of an error where the intervals say so against every other row; the reference is no candidate.
-The errors of labels, detector, tracker and regression are in every row: what a setting adds is in the differences.
+A second table has the paired difference of every setting from the defaults, with its interval (see paired), a third
+every trial, with its onsets. A row is on the Pareto front of an error where the intervals say so against every other
+row; the reference is no candidate. The errors of labels, detector, tracker and regression are in every row: what a
+setting adds is in the differences.
 """
 
 from collections.abc import Sequence
@@ -88,17 +89,31 @@ class Measured:
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
+        self.trials: Rows = []
         self.errors: dict[str, list[float]] = {name: [] for name in ERRORS}
         self.chain_us: list[float] = []
         self.record_us: list[float] = []
         self.grasp_us: list[float] = []
 
-    def add(self, chain: Chain, lifted: Lifted, errors: dict[str, float], reference: Lifted) -> None:
+    def add(self, trial: Trial, chain: Chain, lifted: Lifted, slip_errors: dict[str, float], reference: Lifted) -> None:
         """Append what came out of a trial."""
         both_held = lifted.held and reference.held
         moved = abs(lifted.moved_mm - reference.moved_mm) if both_held else float("nan")
-        for name, value in {**errors, "error_share_lost": float(not lifted.held), "error_mm_moved": moved}.items():
+        errors = {**slip_errors, "error_share_lost": float(not lifted.held), "error_mm_moved": moved}
+        for name, value in errors.items():
             self.errors[name].append(value)
+        self.trials.append(
+            {
+                "trial_flags": f"--object {trial.object} --seed {trial.seed} {self.setting.flags}".rstrip(),
+                "gross_slip_ms": chain.gross_slip_ms,
+                "label_ms": chain.label_ms,
+                "detection_ms": chain.detection_ms,
+                **{name: known(errors[name]) for name in SLIP_ERRORS},
+                "grasped_object": trial.grasped,
+                "held": lifted.held,
+                "moved_mm": lifted.moved_mm,
+            }
+        )
         self.chain_us.append(chain.chain_us)
         self.record_us.append(chain.record_us)
         self.grasp_us.append(lifted.grasp_us)
@@ -114,7 +129,7 @@ def trials(count: int, seed: int) -> list[Trial]:
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """A row for the reference and every setting, then one for every paired difference from the defaults."""
+    """A row for the reference and every setting, for every paired difference from the defaults, and for every trial."""
     chosen = [FINEST if params.full else REFERENCE, DEFAULTS, *CHOICES.pick(params.full)]
     tried = trials(params.trials or TRIALS.pick(params.full), params.seed)
     measured = [Measured(setting) for setting in chosen]
@@ -133,14 +148,14 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
                 chain = run_chain(trial, entry.setting, Path(folder))
                 lifted = run_grasp(trial, entry.setting, Path(folder))
             reference = reference or (chain, lifted)
-            entry.add(chain, lifted, slip_errors(chain, reference[0], force), reference[1])
+            entry.add(trial, chain, lifted, slip_errors(chain, reference[0], force), reference[1])
             done += 1
             progress(done, total)
     return tables(measured)
 
 
 def tables(measured: Sequence[Measured]) -> Rows:
-    """Both tables; the reference comes first, the defaults second."""
+    """The three tables; of `measured` the reference comes first, the defaults second."""
     reference, defaults, *_ = measured
     fronts = _fronts(measured[1:])
     rows: Rows = [_row(reference, None)]
@@ -158,7 +173,7 @@ def tables(measured: Sequence[Measured]) -> Rows:
                     "trials": apart.trials,
                 }
             )
-    return rows
+    return rows + [row for entry in measured for row in entry.trials]
 
 
 def _resolution(name: str) -> float:
@@ -193,8 +208,8 @@ def _row(entry: Measured, front: list[str] | None) -> Row:
 
 
 def _mean(values: Floats) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else None
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else None
 
 
 def summary(rows: Rows) -> dict[str, Any]:
@@ -204,8 +219,8 @@ def summary(rows: Rows) -> dict[str, Any]:
         "settings": len(settings),
         "trials": settings[0]["trials"],
         "reference": settings[0]["flags"],
-        "slip_trials": "evetac record --scene slip --object N --seed N FLAGS",
-        "grasps": "evetac grasp --object N --seed N --lift-s 3.5 --balance-s 1 FLAGS",
+        "trial": "evetac record --scene slip TRIAL_FLAGS",
+        "grasp": "evetac grasp --object GRASPED_OBJECT --seed N --lift-s 3.5 --balance-s 1 FLAGS",
     }
 
 
@@ -225,10 +240,10 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     for axes, name in zip(panels, names, strict=False):
         time = "grasp_us_median" if name in GRASP_ERRORS else "time_us_median"
         for number, (line_name, members) in enumerate(lines.items()):
-            known = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
+            drawn = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
             style = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "markersize": 6}
-            axes.plot([row[time] for row in known], [row[name] for row in known], label=line_name, mfc="white", **style)
-            best = [row for row in known if name.removeprefix("error_") in row["pareto"].split(", ")]
+            axes.plot([row[time] for row in drawn], [row[name] for row in drawn], label=line_name, mfc="white", **style)
+            best = [row for row in drawn if name.removeprefix("error_") in row["pareto"].split(", ")]
             axes.plot([row[time] for row in best], [row[name] for row in best], linestyle="none", **style)
         if settings[0][name] is not None:
             axes.axhline(settings[0][name], color="0.5", linewidth=1, linestyle=":", label="reference")

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from evetac_cli.cli import main
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.force.models import Regression
 from evetac_cli.numerics import cost, pipeline, pipeline_chain
@@ -13,8 +15,7 @@ from evetac_cli.numerics.pipeline import DEFAULTS, ERRORS, Measured, tables, tri
 from evetac_cli.numerics.pipeline_chain import Chain, Lifted, Trial, run_chain, slip_errors
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.numerics.settings import Setting, line
-from evetac_cli.params import EvaluateCost, Record
-from evetac_cli.stages import record
+from evetac_cli.params import EvaluateCost
 from evetac_cli.store.read import open_recording
 
 HALF = Setting("fixed step", "0.5 ms", {"step_ms": 0.5})
@@ -50,7 +51,7 @@ def measured(setting: Setting, slow: float, off: float, held: bool = True) -> Me
     for trial in range(4):
         errors = dict.fromkeys(pipeline.SLIP_ERRORS, off + 0.01 * trial)
         one = chain(50, 50, 50)._replace(chain_us=slow + trial, record_us=0.5 * slow)
-        entry.add(one, Lifted(held, 1.0 + off, slow), errors, Lifted(True, 1.0, 1.0))
+        entry.add(Trial(8, 10_000 + trial, 11), one, Lifted(held, 1.0 + off, slow), errors, Lifted(True, 1.0, 1.0))
     return entry
 
 
@@ -81,6 +82,10 @@ def test_tables() -> None:
     assert apart["px_dots", "fixed step, 0.25 ms"]["more_than_defaults"] == pytest.approx(-10.0)
     assert apart["px_dots", "fixed step, 0.25 ms"]["interval_high"] < 0
     assert apart["px_dots", "fixed step, 0.25 ms"]["trials"] == 4
+    trials = [row for row in rows if "trial_flags" in row]
+    assert len(trials) == 4 * 4
+    assert trials[9]["trial_flags"] == "--object 8 --seed 10001 --step-ms 0.25"
+    assert trials[9]["error_px_dots"] == pytest.approx(10.01)
     summary = pipeline.summary(rows)
     assert (summary["settings"], summary["trials"], summary["reference"]) == (4, 4, "--step-ms 0.1")
 
@@ -102,21 +107,21 @@ def test_trials_have_seeds_of_their_own() -> None:
     assert not {trial.seed for trial in chosen} & {trial.seed for trial in pipeline.CALIBRATION}
 
 
-def test_a_trial_is_that_of_the_command(short_scene: Path, tmp_path: Path) -> None:
-    """Assert that the chain records what `evetac record` does with the same flags: the same recipe, bit for bit."""
-    result = run_chain(Trial(8, 10_000, 11), DEFAULTS, tmp_path / "chain", str(short_scene))
-    params = Record(scene=str(short_scene), objects="8", seed=10_000)
-    (job,) = record.jobs([], params, tmp_path / "command")
-    record.run(job, params)
-    with open_recording(job.output) as ours, open_recording(tmp_path / "chain" / job.output.name) as chained:
-        assert ours.header["id"] == chained.header["id"]
-        assert len(ours) == result.slices
-        assert int(np.flatnonzero(ours.read("truth/slip"))[0]) == result.gross_slip_ms
-    assert 0 < result.record_us < result.chain_us
-    assert result.dot_xy_px.shape == result.true_dot_xy_px.shape == (result.slices, 56, 2)
-    chosen = pipeline_chain.slip_trial(Trial(8, 10_000, 11), HALF, tmp_path, str(short_scene))
-    assert chosen.plan["scene"]["solver"]["step_ms"] == 0.5
-    assert (chosen.seed, chosen.number, chosen.output.name) == (job.seed, job.number, job.output.name)
+@pytest.mark.parametrize("setting", [DEFAULTS, HALF], ids=["defaults", "half"])
+def test_a_trial_is_that_of_the_command(short_scene: Path, tmp_path: Path, setting: Setting) -> None:
+    """Assert that `evetac record` with the flags of a row makes the trial of the chain: the same recipe and onset."""
+    chained = run_chain(Trial(8, 10_000, 11), setting, tmp_path / "chain", str(short_scene))
+    flags = ["--object", "8", "--seed", "10000", *setting.flags.split(), "-o", str(tmp_path / "a.recording.h5")]
+    shown = CliRunner().invoke(main.app, ["record", "--scene", str(short_scene), *flags])
+    assert shown.exit_code == 0, shown.output
+    (recorded,) = (tmp_path / "chain").glob("*.recording.h5")
+    with open_recording(tmp_path / "a.recording.h5") as ours, open_recording(recorded) as other:
+        assert ours.header["id"] == other.header["id"]
+        assert ours.header["parameters"]["scene"]["solver"].get("step_ms") == setting.solver.get("step_ms")
+        assert len(ours) == chained.slices
+        assert int(np.flatnonzero(ours.read("truth/slip"))[0]) == chained.gross_slip_ms
+    assert 0 < chained.record_us < chained.chain_us
+    assert chained.dot_xy_px.shape == chained.true_dot_xy_px.shape == (chained.slices, 56, 2)
 
 
 def test_a_report(short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,7 +138,7 @@ def test_a_report(short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert job.output.name == "pipeline.cost.report.h5"
     reports: list[tuple[int, int]] = []
     outcome = cost.run(job, chosen, progress=lambda done, total: reports.append((done, total)))
-    reference, defaults = outcome.rows
+    reference, defaults = (row for row in outcome.rows if "flags" in row)
     assert reports[-1] == (5, 5)
     assert outcome.simulated
     assert outcome.summary["trials"] == 2
