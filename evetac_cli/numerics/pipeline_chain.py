@@ -19,6 +19,7 @@ from evetac_cli.kernels.slip import metrics
 from evetac_cli.numerics.settings import Setting
 from evetac_cli.params import Featurize, Grasp, Label, Record, Track
 from evetac_cli.stages import featurize, grasp, label, record, track
+from evetac_cli.stages.evaluate.labels import true_onsets
 from evetac_cli.stages.evaluate.slip_models import Model, check, predict_all
 from evetac_cli.stages.grasp import simulated as simulated_grasp
 from evetac_cli.stages.record import simulated as simulated_record
@@ -95,7 +96,7 @@ def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip")
 
     detected_ms, rest_s = timed(further)
     with open_recording(path) as recording:
-        slips = np.flatnonzero(recording.read("truth/slip"))
+        gross_slip_ms = true_onsets(recording)["t_s_ms"]
         true_dots, shear = recording.read("truth/dot_xy_px"), recording.read("truth/shear_force_n")
         slices = len(recording)
     with StageFile(output_path(path, "labels", None), "labels") as labels:
@@ -103,7 +104,7 @@ def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip")
     with StageFile(output_path(path, "tracks", None), "tracks") as tracks:
         dots, rest = tracks.read("dot_xy_px"), tracks.read("sensor/dot_xy_px").reshape(-1, 2)
     return Chain(
-        int(slips[0]) if len(slips) else None,
+        gross_slip_ms,
         onset if onset >= 0 else None,
         detected_ms,
         dots.astype(float),
