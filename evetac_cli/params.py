@@ -448,9 +448,10 @@ class EvaluateCost:
 
     part: str = parameter(
         "sim",
-        "What is measured; sim: the simulator; label: slip labels; track: the dot tracker; model: slip detectors;"
-        " grasp: grasps with a late detector, a slow controller, other detectors.",
-        choices=("sim", "label", "track", "model", "grasp"),
+        "What is measured; sim: the simulator; pipeline: settings of a recording, at the end of the whole chain; label:"
+        " slip labels; track: the dot tracker; model: slip detectors; grasp: grasps with a late detector, a slow"
+        " controller, other detectors.",
+        choices=("sim", "pipeline", "label", "track", "model", "grasp"),
         flag="PART",
     )
     model: Path | None = parameter(
@@ -459,8 +460,19 @@ class EvaluateCost:
         " untrained ones. Part grasp: detectors to try beside the package's.",
         recipe=False,
     )
-    seed: int = parameter(0, "Seed of the scenes that are simulated.", low=0, high=2**31 - 1)
-    full: bool = parameter(False, "Finer steps and grids too; takes a few minutes.")
+    trials: int | None = parameter(
+        None,
+        "Trials of each setting, where they are simulated; default: as many as fit into three minutes.",
+        low=1,
+        high=10000,
+    )
+    seed: int = parameter(
+        10000,
+        "Seed of the first trial; no constant was chosen on seeds from 10,000 on.",
+        low=0,
+        high=2**31 - 1 - 10000,
+    )
+    full: bool = parameter(False, "More settings, finer references, more trials; takes many minutes.")
 
 
 @dataclass(frozen=True)

@@ -223,7 +223,7 @@ MODEL_COST = Table(
         Column("F1", "{f1:.2f}"),
         Column("Pareto front", "{pareto}"),
     ),
-    notes=("The front is over detectors that warn 0, 10 and 20 ms ahead together.",),
+    notes=("Detectors that warn 0, 10 and 20 ms ahead have a front each.",),
 )
 
 LABELS = Table(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.numerics import labels, models, plots, simulator
+from evetac_cli.numerics import labels, models, pipeline, plots, simulator_cost
 from evetac_cli.numerics.grasp import cost as grasp
 from evetac_cli.numerics.tracker import cost as tracker
 from evetac_cli.params import EvaluateCost, recipe_of
@@ -20,11 +20,11 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
 
 
 class Part(NamedTuple):
-    """How a part is measured, the title and errors of its picture, and which files it takes, if any.
+    """How a part is measured, title, errors and size of its picture, which files it takes, if any, and --trials or not.
 
     inputs: (files, --model) -> the files that the report is made from.
     """
@@ -34,15 +34,25 @@ class Part(NamedTuple):
     measure: Callable[[EvaluateCost, Sequence[Path], Progress], Rows]
     summary: Callable[[Rows], dict[str, Any]]
     draw: Callable[[Any, Rows, Sequence[str]], None] = plots.draw
+    size_in: Callable[[Rows], tuple[float, float]] = plots.size_in
+    takes_trials: bool = True
     inputs: Callable[[list[Path], Path | None], tuple[Path, ...]] | None = None
 
 
 PARTS: dict[str, Part] = {
     "sim": Part(
         "Simulated gel and camera: error against run time",
-        ("error_um_object_rms", "error_um_gel_rms", "error_us_median", "error_us_p95", "error_share_count"),
-        simulator.measure,
-        simulator.summary,
+        simulator_cost.ERRORS,
+        simulator_cost.measure,
+        simulator_cost.summary,
+    ),
+    "pipeline": Part(
+        "Settings of a recording: error at the end of the chain against its run time, means over trials",
+        pipeline.ERRORS,
+        pipeline.measure,
+        pipeline.summary,
+        pipeline.draw,
+        pipeline.size_in,
     ),
     "label": Part(
         "Methods of labelling: error against run time",
@@ -55,6 +65,7 @@ PARTS: dict[str, Part] = {
         ("error_px_rms", "error_px_worst"),
         tracker.measure,
         tracker.summary,
+        takes_trials=False,
     ),
     "model": Part(
         "Slip detectors: error against the time of one inference",
@@ -62,7 +73,8 @@ PARTS: dict[str, Part] = {
         models.measure,
         models.summary,
         models.draw,
-        models.inputs,
+        takes_trials=False,
+        inputs=models.inputs,
     ),
     "grasp": Part(
         "Grasps with a late detector, a slow controller, another detector",
@@ -70,7 +82,7 @@ PARTS: dict[str, Part] = {
         grasp.measure,
         grasp.summary,
         grasp.draw,
-        grasp.inputs,
+        inputs=grasp.inputs,
     ),
 }
 
@@ -84,6 +96,11 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
             where="evaluate cost",
             expected="files with part model only, --model with part model or grasp",
             found=f"part {params.part}",
+        )
+    if params.trials is not None and not part.takes_trials:
+        taking = ", ".join(name for name, other in PARTS.items() if other.takes_trials)
+        raise InputError(
+            "this part has no trials", where="--trials", expected=f"part {taking}", found=f"part {params.part}"
         )
     inputs = part.inputs(files, params.model) if part.inputs else ()
     if files:
@@ -109,7 +126,7 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
         figure.suptitle(f"{part.title}{' (simulated)' if outcome.simulated else ''}")
         part.draw(figure, outcome.rows, part.errors)
 
-    return picture.beside(outcome, job.output, draw, plots.size_in(outcome.rows))
+    return picture.beside(outcome, job.output, draw, part.size_in(outcome.rows))
 
 
 def _header(path: Path) -> Header:

@@ -18,15 +18,17 @@ import numpy as np
 
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.labelling import event_flow, flow
+from evetac_cli.numerics.paired import difference, known
 from evetac_cli.numerics.rows import Extent, Row, collect, run_times
 from evetac_cli.params import EvaluateCost, Label, Record, recipe_of
 from evetac_cli.stages import label, record
 from evetac_cli.stages.evaluate import Rows
+from evetac_cli.stages.evaluate.labels import true_onsets
+from evetac_cli.stages.trials import simulated_trials
 from evetac_cli.store.read import Recording, open_recording
 
 US = 1e6
-
-
+SLICE_MS = 1.0  # onsets are whole slices
 OBJECTS = "1,3,4,6,8,10,12,14,16,17"  # that slip, one trial each
 AROUND_MS = 200  # slices on either side of the onset that the reference labels
 EVERY = Extent(quick=5, full=1)  # the methods that label whole recordings are tried on every so many-th trial
@@ -41,12 +43,14 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     """Rows of every setting; run times are those of a recorded millisecond.
 
     `error_ms_onset` is the median of |t_c - t_s| over the trials with an onset, t_s being the onset of gross slip,
-    `onset_share` their share, `error_ms_reference` the largest distance from the reference's onset; run times are
+    `onset_share` their share, `error_ms_reference` the largest distance from the reference's onset. `more_ms_onset` is
+    how much larger the error is than the reference's on the same trials, with its interval (see paired). Run times are
     over the trials. `speedup` is the reference's run time over that of the setting.
     """
     with TemporaryDirectory() as folder:
-        recordings = _record(Record(scene="slip", objects=OBJECTS, seed=params.seed), Path(folder))
-        rows = collect(_rows(recordings, EVERY.pick(params.full)), len(methods()), progress)
+        recordings = _record(Record(scene="slip", objects=OBJECTS, seed=params.seed), Path(folder), params.trials)
+        every = EVERY.pick(params.full) if params.trials is None else 1
+        rows = collect(_rows(recordings, every), len(methods()), progress)
     for row in rows:
         row["speedup"] = rows[0]["time_us_median"] / row["time_us_median"] if row["time_us_median"] else None
     return rows
@@ -89,14 +93,22 @@ def _rows(recordings: Sequence[Path], every: int) -> Iterator[Row]:
         yield _row(setting, np.array(onsets), np.array(true), np.array(reference[::step]), np.array(took_us))
 
 
-def _record(chosen: Record, folder: Path) -> list[Path]:
-    """Record the trials and return those that slip; the default method runs once on each, so that it is compiled."""
+def _record(chosen: Record, folder: Path, trials: int | None) -> list[Path]:
+    """Record the trials and return those that slip; the default method runs once on each, so that it is compiled.
+
+    So many trials, object after object and then the same again, or one of each object.
+    """
+    objects = chosen.objects.count(",") + 1
+    rounds = replace(chosen, count=-(-(trials or objects) // objects))
+    jobs = sorted(
+        simulated_trials(("ramp",), rounds, folder), key=lambda trial: trial.number
+    )  # objects keep their order
     slipped = []
-    for job in record.jobs([], chosen, folder):
-        record.run(job, chosen)
+    for job in jobs[:trials]:
+        record.run(job, rounds)
         with open_recording(job.output) as recording:
             label.compute(recording, Label())
-            if recording.read("truth/slip").any():
+            if true_onsets(recording)["t_s_ms"] is not None:
                 slipped.append(job.output)
     return slipped
 
@@ -105,12 +117,18 @@ def _row(setting: str, onset: Any, true: Any, reference: Any, took_us: Any) -> R
     """The row of a setting from arrays over trials; an onset of -1 means that the method gave none."""
     has_onset = onset >= 0
     both = has_onset & (reference >= 0)
+    apart = difference(
+        np.where(both, np.abs(onset - true), np.nan), np.where(both, np.abs(reference - true), np.nan), SLICE_MS
+    )
     return {
         "part": "label",
         "setting": setting,
         "trials": len(onset),
         "error_ms_onset": float(np.median(np.abs(onset - true)[has_onset])) if has_onset.any() else None,
         "error_ms_reference": float(np.abs(onset - reference)[both].max()) if both.any() else None,
+        "more_ms_onset": known(apart.mean),
+        "interval_low_ms": known(apart.low),
+        "interval_high_ms": known(apart.high),
         "onset_share": float(has_onset.mean()) if len(onset) else None,
         **run_times(took_us),
     }
@@ -124,7 +142,9 @@ def flow_constants(**changes: Any) -> flow.FlowConstants:
 
 
 def _true_onset(recording: Recording) -> int:
-    return int(np.flatnonzero(recording.read("truth/slip"))[0])
+    onset = true_onsets(recording)["t_s_ms"]
+    assert onset is not None  # only trials that slip are labelled
+    return onset
 
 
 def _round_onset(recording: Recording, around_ms: int) -> tuple[int, int]:

@@ -1,8 +1,9 @@
 """The part `model`: how often slip detectors are right against the run time of one inference.
 
 With models and the report of `evaluate slip` on them, timing and F1 are those of the report, means over objects and
-seeds. Without, every architecture of the table is built, untrained, and only timed. Networks that differ in their
-weights alone are timed once, so that no setting wins by the noise of a clock.
+seeds. Detectors of slip now, 10 ms and 20 ms ahead have different tasks: each task has a Pareto front of its own.
+Without, every architecture of the table is built, untrained, and only timed. Networks that differ in their weights
+alone are timed once, so that no setting wins by the noise of a clock.
 
 - time_us_*: onnxruntime on one thread, one input at a time: what the paper's inference times are.
 - step_us_*: what `grasp` does with a slice of about 500 events, from events to a probability: tracker (its default),
@@ -53,6 +54,7 @@ class Candidate(NamedTuple):
     dot_shape: tuple[int, int]
     parameters: int
     graph_bytes: int
+    horizon_ms: int = 0
     figures: Row = {}
 
     @property
@@ -78,7 +80,7 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """A row for every setting; with a report, also whether it is on the Pareto front of an error and the run time."""
+    """A row for every setting; with a report, also whether it is on the Pareto front of its task."""
     models = [Model.read(path) for path in inputs[1:]]
     candidates = _trained(models, _report_rows(inputs[0], models)) if models else _untrained()
     rows = collect(_rows(candidates, params.seed), len(candidates), progress)
@@ -92,8 +94,9 @@ def summary(rows: Rows) -> dict[str, Any]:
     """How many settings there are, and which are on the Pareto fronts."""
     figures: dict[str, Any] = {"settings": len(rows), "events_a_step": EVENTS}
     for name in (f"pareto_{figure}" for figure in FIGURES):
-        if name in rows[0]:
-            figures[name] = "; ".join(row["setting"] for row in rows if row[name]) or None
+        for task in sorted({row["horizon_ms"] for row in rows if name in row}):
+            on_front = [row["setting"] for row in rows if row[name] and row["horizon_ms"] == task]
+            figures[f"{name}_{task}_ms_ahead"] = "; ".join(on_front) or None
     return figures
 
 
@@ -125,7 +128,7 @@ def _trained(models: Sequence[Model], report_rows: dict[str, Row]) -> list[Candi
         }
         figures = {key: row[key] for key in ("seeds", "slip_correct", "f1")}
         network = (first.detector(), first.dot_shape, first.parameters, first.graph_bytes)
-        candidates.append(Candidate(setting, *network, figures | errors))
+        candidates.append(Candidate(setting, *network, first.horizon_ms, figures | errors))
     return candidates
 
 
@@ -153,6 +156,7 @@ def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
         paper_ms = table("paper")["inference"].get(candidate.detector.architecture.name)
         yield {
             "setting": candidate.setting,
+            "horizon_ms": candidate.horizon_ms,
             **candidate.figures,
             "parameters": candidate.parameters,
             **times[candidate.build],
@@ -222,28 +226,32 @@ def timed(act: Callable[[], Any], repeats: int = REPEATS, longest_s: float = LON
 
 
 def front(rows: Rows, error: str) -> list[bool]:
-    """Which rows are on the Pareto front of an error and the median time: no other is as good in both, better in one.
+    """Which rows are on the Pareto front of an error and the median time among those of their task (`horizon_ms`).
 
-    A row without that error is not.
+    No other is as good in both, better in one. A row without that error is not on the front.
     """
-    points = [(row[error], row["time_us_median"]) for row in rows]
-    known = [point for point in points if point[0] is not None]
+    points = [(row["horizon_ms"], row[error], row["time_us_median"]) for row in rows]
+    known = [point for point in points if point[1] is not None]
 
-    def beaten(point: tuple[float, float]) -> bool:
-        return any(other != point and other[0] <= point[0] and other[1] <= point[1] for other in known)
+    def beaten(point: tuple[int, float, float]) -> bool:
+        same_task = (other for other in known if other[0] == point[0] and other != point)
+        return any(error <= point[1] and time_us <= point[2] for _, error, time_us in same_task)
 
-    return [point[0] is not None and not beaten(point) for point in points]
+    return [point[1] is not None and not beaten(point) for point in points]
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Errors against run time, filled where on the front; without errors, parameters against it."""
+    """Errors against run time, filled where on the front of its task; without errors, parameters against it."""
     panels = [name for name in errors if name in rows[0]] or ["parameters"]
     titles = {"error_share_timing": "share of slips not timed right", "error_share_f1": "1 - F1"}
     for axes, name in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         front_column = name.replace("error_share", "pareto")
-        best = sorted((row["time_us_median"], row[name]) for row in rows if row.get(front_column))
-        if best:
-            axes.step([x for x, _ in best], [y for _, y in best], where="post", color="0.4", label="Pareto front")
+        for task, shade in zip(sorted({row["horizon_ms"] for row in rows}), ("0.2", "0.5", "0.75"), strict=False):
+            on_front = [row for row in rows if row.get(front_column) and row["horizon_ms"] == task]
+            best = sorted((row["time_us_median"], row[name]) for row in on_front)
+            if best:
+                label = f"Pareto front, {task} ms ahead"
+                axes.step([x for x, _ in best], [y for _, y in best], where="post", color=shade, label=label)
         for number, row in enumerate(rows):
             if row[name] is not None:
                 style = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "linestyle": "none"}

@@ -7,19 +7,22 @@ import numpy as np
 
 from evetac_cli.stages.evaluate import Rows, picture
 
+STILL = "standing still"
 REAL_TIME_US = 1000.0  # run time of a simulated millisecond, at real time
 UNITS = ("um", "us", "px", "ms", "share")
+UM_PER_PX = 32.9  # of the sensor `evetac`
 
 
 def size_in(rows: Rows) -> tuple[float, float]:
     """Width and height in inches: as high as there are different values in the column `part`."""
-    return 13.0, 5.5 * len({row.get("part") for row in rows})
+    return 15.0, 4.6 * len({row.get("part") for row in rows})
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     """Draw log error over log run time, a line for each integrator or mode.
 
-    A setting is `line, knob`; one without a knob (`8 x 10 nodes`) belongs to no line and is not drawn.
+    A setting is `line, knob`; one without a knob (`layer order 1`) belongs to no line and is not drawn. `reference` and
+    `standing still` are lines across the panel.
     """
     parts = list(dict.fromkeys(row["part"] for row in rows))
     for subfigure, part in zip(figure.subfigures(len(parts), 1, squeeze=False)[:, 0], parts, strict=True):
@@ -45,6 +48,8 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
             axes.axhline(
                 row[error], color="0.5", linewidth=1, linestyle=":", label="bound of the reference's own error"
             )
+        elif row["setting"] == STILL:
+            axes.axhline(row[error], color="0.3", linewidth=1.2, linestyle="-.", label=STILL)
         elif comma:
             lines.setdefault(line, []).append(row)
     for number, (line, members) in enumerate(lines.items()):
@@ -61,6 +66,9 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
     first, *rest = error.removeprefix("error_").split("_")
     title, unit = (" ".join(rest), f" [{first}]") if first in UNITS else (" ".join((first, *rest)), "")
     axes.set(title=title, xlabel="run time of a simulated millisecond, median [us]", ylabel=f"error{unit}")
+    if first == "um":
+        in_px = axes.secondary_yaxis("right", functions=(lambda um: um / UM_PER_PX, lambda px: px * UM_PER_PX))
+        in_px.set_ylabel("[px]")
     picture.quiet_grid(axes)
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         # whole decades, and labels at these alone: those between would lie on each other

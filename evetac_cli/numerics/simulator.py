@@ -1,65 +1,25 @@
-"""The part `sim`: the simulated gel, gripper and cameras, in error against run time and in extreme cases."""
+"""The part `sim` of `evaluate stability`: the simulated gel, gripper and cameras in extreme cases."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from functools import partial
-from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evetac_cli.jobs import Progress
-from evetac_cli.numerics.camera import cost as camera_cost
 from evetac_cli.numerics.camera.stability import camera_cases, camera_row, wrong_models, wrong_slices
-from evetac_cli.numerics.gel import cost as gel_cost
 from evetac_cli.numerics.gel.stability import COULOMB, X_RANGE_M, Y_RANGE_M, gel_cases, gel_row, random_case
 from evetac_cli.numerics.gripper import finger_cases, finger_curve, finger_row
-from evetac_cli.numerics.rows import Extent, Row, collect, refusal
-from evetac_cli.params import EvaluateCost
+from evetac_cli.numerics.rows import Extent, Row, refusal
 from evetac_cli.sim import gripper
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
-from evetac_cli.stages.evaluate import Rows
 
 THETAS = Extent[tuple[float, ...]](quick=(0.55,), full=(0.55, 1.0, 0.5))
 GEL_STEPS = Extent(quick=100, full=1000)
 CAMERA_SLICES = 10
 RANDOM_CASES = Extent(quick=10, full=200)
-
-
-def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """Rows of the gel's mechanics and, after them, of the cameras."""
-    loads = camera_cost.workloads()
-    rows = chain(gel_cost.mechanics_rows(params.seed, params.full), camera_cost.camera_rows(params.seed, loads))
-    return collect(rows, gel_cost.row_count(params.full) + camera_cost.row_count(loads), progress)
-
-
-def summary(rows: Rows) -> dict[str, Any]:
-    """How far the reference itself is off; which explicit steps blow up; what the implicit step saves.
-
-    implicit_saves_times: run time of the most accurate explicit integration over that of the cheapest implicit one
-    which is at least as accurate, by the object's position.
-    """
-    mechanics = [row for row in rows if row["part"] == "mechanics"]
-    (reference,) = (row for row in mechanics if row["setting"].startswith("reference"))
-    explicit = [row for row in mechanics if row["setting"].startswith("explicit")]
-    blown_up = [row for row in explicit if row["outcome"].startswith("blew up")]
-    stable = [row for row in explicit if row["error_um_object_rms"] is not None]
-    best = min(stable, key=lambda row: row["error_um_object_rms"], default=None)
-    saved = None
-    if best:
-        implicit = (row for row in mechanics if row["setting"].startswith("theta"))
-        enough = [row for row in implicit if row["error_um_object_rms"] <= best["error_um_object_rms"]]
-        saved = max((best["time_us_median"] / row["time_us_median"] for row in enough), default=None)
-    return {
-        "rows": len(rows),
-        "reference_um_object_at_most": reference["error_um_object_rms"],
-        "reference_um_gel_at_most": reference["error_um_gel_rms"],
-        "explicit_blows_up_at": ", ".join(row["setting"].removeprefix("explicit, dt ") for row in blown_up) or None,
-        "implicit_saves_times": saved,
-    }
 
 
 def cases(seed: int, full: bool) -> list[Callable[[], Row]]:

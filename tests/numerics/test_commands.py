@@ -19,6 +19,7 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.numerics import cost, plots, simulator, stability
 from evetac_cli.numerics.camera import cost as camera_cost
 from evetac_cli.numerics.gel import cost as gel_cost
+from evetac_cli.numerics.gel import unloading
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 from evetac_cli.sim.gel import gel
@@ -28,6 +29,7 @@ from evetac_cli.store.files import StageFile
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 BESIDE = picture.beside
 MECHANICS_ROWS = 3 * 2 + 2 + 1 + 5
+UNLOADING_ROWS = 3  # of each of 2 unloadings and 3 frictions
 CAMERA = [
     {"part": "camera", "setting": f"ideal, tone, {n} sub-steps", "error_us_median": late, "error_share_count": 0.0,
      "time_us_median": 100.0 * n, "time_us_p99": 200.0 * n}
@@ -61,6 +63,11 @@ def small(monkeypatch, tmp_path):
     }.items():  # fmt: skip
         monkeypatch.setattr(gel_cost, name, Extent(amount, amount))
     monkeypatch.setattr(gel_cost, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6, seconds=0.05))
+    for name, amount in {
+        "STEPS_MS": (1.0, 0.5), "REFERENCE_STEP_MS": 0.25, "REFERENCE_PITCH_MM": 2.5, "PITCHES_MM": (5.0,),
+        "TRIALS": 1, "TOLERANCES_UM": (),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(unloading, name, Extent(amount, amount))
     monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
     monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
     few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
@@ -105,6 +112,7 @@ def test_the_report_is_valid_and_says_simulated(name, stage, cls):
         assert file.header["simulated"] is True
         assert file.header["parents"] == []
         expected = {"command": f"evaluate {name}", "part": "sim", "seed": 3, "full": False}
+        expected |= {"trials": None} if name == "cost" else {}
         assert file.header["parameters"] == expected
         assert json.loads(file.read("rows")) == plain(outcome.rows)
         assert json.loads(file.read("summary")).items() <= plain(outcome.summary).items()
@@ -149,10 +157,15 @@ def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
 def test_cost_of_the_simulator():
     """Assert real rows of mechanics and camera, in this order, with errors that fall the finer a setting is."""
     _, outcome = make(cost, params.EvaluateCost())
-    assert [row["part"] for row in outcome.rows] == ["mechanics"] * MECHANICS_ROWS + ["camera"] * 7
+    parts = [row["part"] for row in outcome.rows]
+    assert parts[:MECHANICS_ROWS] == ["mechanics, constant friction"] * MECHANICS_ROWS
+    assert parts[-7:] == ["camera"] * 7
+    unloaded = parts[MECHANICS_ROWS:-7]
+    assert [unloaded.count(part) for part in dict.fromkeys(unloaded)] == [UNLOADING_ROWS] * 6
     for row in outcome.rows:
         assert 0 < row["time_us_median"] <= row["time_us_p99"]
-        assert {name for name in row if name.startswith("error_")} < set(cost.PARTS["sim"].errors)
+        shown = {*cost.PARTS["sim"].errors, "error_px_before", "error_um_gel_before"}
+        assert {name for name in row if name.startswith("error_")} < shown
     rows = {row["setting"]: row for row in outcome.rows}
     for theta in ("1", "0.55", "0.5"):
         coarse, fine = (rows[f"theta {theta}, dt {dt} ms"]["error_um_object_rms"] for dt in (10, 1))

@@ -54,14 +54,21 @@ def make(inputs: list[Path], out: Path, **values: Any) -> Any:
     return cost.run(job, params)
 
 
-def points(*values: tuple[float | None, float]) -> list[dict[str, Any]]:
-    return [{"error_share_f1": error, "time_us_median": time_us} for error, time_us in values]
+def points(*values: tuple[float | None, float], horizon_ms: int = 0) -> list[dict[str, Any]]:
+    task = {"horizon_ms": horizon_ms}
+    return [{**task, "error_share_f1": error, "time_us_median": time_us} for error, time_us in values]
 
 
 def test_front_by_hand() -> None:
     """Assert the front of a handmade case: equals both count, what is unknown does not, and neither do the beaten."""
     rows = points((0.5, 1.0), (0.5, 1.0), (0.2, 2.0), (0.2, 3.0), (0.4, 2.0), (None, 0.1), (0.1, 9.0))
     assert models.front(rows, "error_share_f1") == [True, True, True, False, False, False, True]
+
+
+def test_tasks_have_fronts_of_their_own() -> None:
+    """Assert that a detector of slip now is not beaten by one that warns ahead, and the other way round."""
+    rows = points((0.1, 1.0), (0.5, 2.0)) + points((0.3, 5.0), (0.4, 6.0), horizon_ms=10)
+    assert models.front(rows, "error_share_f1") == [True, False, True, False]
 
 
 def test_front_holds_the_best_of_both() -> None:

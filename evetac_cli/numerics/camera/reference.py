@@ -61,6 +61,24 @@ def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: 
     return FineEvents(*columns)
 
 
+def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: float) -> FineEvents:
+    """Every crossing of every pixel of the window, for an object displaced along a path (steps + 1, 2) in px.
+
+    As `reference_events`; a level is the texture, bilinear and periodic, at full contrast, linear between samples.
+    """
+    given = (
+        np.ascontiguousarray(object_px),
+        float(step_us),
+        state.texture,
+        state.window_px[:2],
+        state.window_reference,
+        state.window_threshold,
+    )
+    columns = _empty_columns(_window_crossings(*given, *_empty_columns(0)))  # counts first
+    _window_crossings(*given, *columns)
+    return FineEvents(*columns)
+
+
 def _empty_columns(size: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     return np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
 
@@ -117,6 +135,58 @@ def _crossings(
                     made += 1
                 before = after
     return made
+
+
+# Why so many arguments: as `_crossings`.
+@njit(cache=True)
+def _window_crossings(
+    path: NDArray[np.float64],
+    step_us: float,
+    texture: NDArray[np.float32],
+    corner: tuple[int, int],
+    phase: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    event_t: NDArray[np.float64],
+    event_x: NDArray[np.int64],
+    event_y: NDArray[np.int64],
+    event_p: NDArray[np.int64],
+) -> int:
+    """Write as many events as there is room for, and return how many there are.
+
+    phase: how far a reference is from the first level, as a camera has it before its first slice.
+    """
+    made = 0
+    for row in range(phase.shape[0]):
+        for column in range(phase.shape[1]):
+            x, y = corner[0] + column, corner[1] + row
+            before = _texture_level(texture, x - path[0, 0], y - path[0, 1])
+            level = before + phase[row, column]
+            step = np.float64(threshold[row, column])
+            for sample in range(1, len(path)):
+                after = _texture_level(texture, x - path[sample, 0], y - path[sample, 1])
+                while abs(after - level) >= step:
+                    brighter = after > level
+                    level += step if brighter else -step
+                    if made < len(event_t):
+                        event_t[made] = (sample - 1 + (level - before) / (after - before)) * step_us
+                        event_x[made] = x
+                        event_y[made] = y
+                        event_p[made] = int(brighter)
+                    made += 1
+                before = after
+    return made
+
+
+@njit(cache=True)
+def _texture_level(texture: NDArray[np.float32], x: float, y: float) -> float:
+    """A periodic texture between its texels, in double precision."""
+    rows, columns = texture.shape
+    left, top = math.floor(x), math.floor(y)
+    part_x, part_y = x - left, y - top
+    upper = (1.0 - part_x) * texture[top % rows, left % columns] + part_x * texture[top % rows, (left + 1) % columns]
+    under = (top + 1) % rows
+    lower = (1.0 - part_x) * texture[under, left % columns] + part_x * texture[under, (left + 1) % columns]
+    return float((1.0 - part_y) * upper + part_y * lower)
 
 
 @njit(cache=True)

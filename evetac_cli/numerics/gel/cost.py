@@ -1,4 +1,6 @@
-"""What the numerical choices of the mechanics cost and what they are worth: error against a reference, and run time.
+"""What the numerical choices of the mechanics cost and are worth where friction is constant: error, and run time.
+
+Where it falls with speed, as in the scenes: see unloading.
 
 One trial is simulated again and again: a cylinder of 100 g, held slightly tilted and beside its centre of mass, while
 the grip falls from 2 to 0.2 N within 0.2 s. It bounces on the gel, slips in part, turns, and falls. Compared are the
@@ -23,6 +25,7 @@ from evetac_cli.numerics.gel.trial import PAD_M, SAMPLE_S, Motion, Trial, draw_t
 from evetac_cli.numerics.rows import Extent, Row, run_times
 from evetac_cli.sim.gel.contact import pad_nodes
 
+PART = "mechanics, constant friction"
 THETAS = (1.0, 0.55, 0.5)
 REFERENCE_THETA = 0.51
 # Time steps, of which each divides 10 ms, and grids (columns, rows).
@@ -56,7 +59,7 @@ def row(setting: str, motion: Motion, reference: Motion | None, outcome: str = "
     blown_up = not math.isnan(motion.blown_up_s)
     object_um, gel_um = errors_um(motion, reference) if reference else (math.nan, math.nan)
     return {
-        "part": "mechanics",
+        "part": PART,
         "setting": setting,
         "error_um_object_rms": None if math.isnan(object_um) else object_um,
         "error_um_gel_rms": None if math.isnan(gel_um) else gel_um,

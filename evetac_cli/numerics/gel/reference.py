@@ -19,9 +19,13 @@ TOO_FAST_M_S = 1e3  # no part of the trial ever moves at this speed: the integra
 
 def simulate_explicit(trial: Trial, dt_s: float) -> Motion:
     """The trial with semi-implicit Euler and friction mu N tanh(slip speed / 1 mm/s), as is common elsewhere."""
+    if trial.begin_s or trial.hang_s:
+        raise ValueError(
+            "the explicit integrator takes trials whose grip falls, and whose weight hangs, from the start"
+        )
     state = trial.start()
     shares = trial.shares(state)
-    force = np.array(trial.weight_n)
+    force = np.array(trial.weight_n(0.0))
     layer = state._layer
     rate_n_s = (trial.last_n - trial.first_n) / trial.seconds
 
@@ -179,7 +183,7 @@ def simulate_modes(
             bound = mu * trial.grip_n((k + theta) * dt_s) * shares
             right = layer.node_mass / h * state.velocity_m_s - stiffen(state.displacement_m)
             right -= math.exp(-h / layer.maxwell_time) * state.maxwell_n
-            body_right = weight * state.twist + np.array(trial.weight_n) / layer.pads
+            body_right = weight * state.twist + np.array(trial.weight_n((k + theta) * dt_s)) / layer.pads
             arm = state.node_xy_m - state.pose[:2]
             rigid = np.zeros((3, *arm.shape))  # how the nodes move along with the object
             rigid[0, ..., 0] = rigid[1, ..., 1] = 1.0

@@ -27,7 +27,10 @@ BLOCK_S = 1e-3  # run time is taken block by block, or step by step where a step
 
 @dataclass(frozen=True)
 class Trial:
-    """A simulated trial: grid, material, object, contact, and a grip that falls evenly from `first_n` to `last_n`."""
+    """A simulated trial: grid, material, object, contact, and a grip that falls evenly from `first_n` to `last_n`.
+
+    The grip begins to fall at `begin_s`; the weight is handed over evenly until `hang_s`, or hangs from the start.
+    """
 
     columns: int = 24
     rows: int = 18
@@ -42,6 +45,8 @@ class Trial:
     first_n: float = 2.0
     last_n: float = 0.2
     seconds: float = 0.2
+    begin_s: float = 0.0
+    hang_s: float = 0.0
 
     def start(self) -> gel.GelState:
         """State of the pad and the object, at rest."""
@@ -56,12 +61,13 @@ class Trial:
 
     def grip_n(self, time_s: float) -> float:
         """Normal force on one pad, in N, at a time in s."""
-        return self.first_n + (self.last_n - self.first_n) * min(time_s / self.seconds, 1.0)
+        fallen = (time_s - self.begin_s) / (self.seconds - self.begin_s)
+        return self.first_n + (self.last_n - self.first_n) * min(max(fallen, 0.0), 1.0)
 
-    @property
-    def weight_n(self) -> tuple[float, float, float]:
-        """Gravity, along x, through the centre of mass."""
-        return (self.mass_kg * GRAVITY_M_S2, 0.0, 0.0)
+    def weight_n(self, time_s: float) -> tuple[float, float, float]:
+        """Gravity, along x, through the centre of mass, as far as it hangs on the fingers at a time in s."""
+        share = min(time_s / self.hang_s, 1.0) if self.hang_s else 1.0
+        return (share * self.mass_kg * GRAVITY_M_S2, 0.0, 0.0)
 
 
 def draw_trial(seed: int) -> Trial:
@@ -122,7 +128,8 @@ def simulate(
     def advance(first: int, steps: int) -> tuple[int, bool]:
         for k in range(first, first + steps):
             nodal_n = trial.grip_n((k + theta) * dt_s) * shares
-            gel.step(state, nodal_n, trial.weight_n, trial.friction, dt_s, theta=theta, tolerance=tolerance)
+            weight_n = trial.weight_n((k + theta) * dt_s)
+            gel.step(state, nodal_n, weight_n, trial.friction, dt_s, theta=theta, tolerance=tolerance)
         return steps, False
 
     def sample() -> tuple[Floats, Floats]:

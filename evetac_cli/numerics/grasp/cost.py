@@ -3,11 +3,13 @@
 Each setting differs from the usual one (no added latency, 500 Hz, the package's detector) in one thing, and is made
 with every controller on the same few seeded trials. `error_share_lost` is the share of trials whose object was not held
 to the end, `error_mm_moved` how far the held objects moved in the gripper (mean), `force_n` how firmly they were held
-at the end. Run times are those of the detector: tracker, features and network of one slice. Beside the network stands
-the simulation's own knowledge of slip (`detector truth`): no detector can know more of the present, though one may
-predict.
+at the end. more_mm_moved is the paired difference from the usual setting on the same trials, where both held, with its
+interval (see paired). Run times are those of the detector: tracker, features and network of one slice. Beside the
+network stands the simulation's own knowledge of slip (`detector truth`): no detector can know more of the present,
+though one may predict.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +22,7 @@ from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.numerics.grasp.trials import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
+from evetac_cli.numerics.paired import Floats, difference, known
 from evetac_cli.numerics.rows import Extent, Row, collect, run_times
 from evetac_cli.params import EvaluateCost
 from evetac_cli.stages.evaluate import Rows, picture
@@ -86,6 +89,7 @@ def settings(full: bool, models: Sequence[Path]) -> list[Setting]:
 
 def _rows(settings: Sequence[Setting], params: EvaluateCost) -> Iterator[Row]:
     for controller in CONTROLLERS.pick(params.full):
+        usual: list[GraspResult] = []
         for setting in settings:
             short = ShortGrasp(
                 0, controller, balance_s=BALANCE_S, latency_ms=setting.latency_ms, control_hz=setting.control_hz
@@ -96,25 +100,37 @@ def _rows(settings: Sequence[Setting], params: EvaluateCost) -> Iterator[Row]:
                     replace(short, object=number), params.seed + trial, setting.model, wrap_detector=wrap_detector
                 )
                 for number in OBJECTS.pick(params.full)
-                for trial in range(TRIALS.pick(params.full))
+                for trial in range(params.trials or TRIALS.pick(params.full))
             ]
-            yield {"setting": f"{controller}, {setting.name}", **_figures(results)}
+            usual = usual or results
+            yield {"setting": f"{controller}, {setting.name}", **_figures(results, usual)}
 
 
 def _unchanged(detector: SlipDetector, devices: Rig) -> SlipDetector:
     return detector
 
 
-def _figures(results: Sequence[GraspResult]) -> Row:
+def _figures(results: Sequence[GraspResult], usual: Sequence[GraspResult]) -> Row:
     """Errors over the trials of a setting; distance and force over those that held their object."""
     held = [result.figures for result in results if result.figures["balanced"]]
+    apart = difference(_moved_mm(results), _moved_mm(usual))
     return {
         "trials": len(results),
         "error_share_lost": 1 - len(held) / len(results),
         "error_mm_moved": float(np.mean([figures["moved_mm"] for figures in held])) if held else None,
+        "more_mm_moved": known(apart.mean),
+        "interval_low_mm": known(apart.low),
+        "interval_high_mm": known(apart.high),
+        "trials_compared": apart.trials,
         "force_n": float(np.mean([figures["force_end_n"] for figures in held])) if held else None,
         **run_times(np.concatenate([result.detector_us for result in results])),
     }
+
+
+def _moved_mm(results: Sequence[GraspResult]) -> Floats:
+    """How far each trial's object moved in the gripper, NaN where it was lost."""
+    moved = (result.figures["moved_mm"] if result.figures["balanced"] else math.nan for result in results)
+    return np.array(list(moved))
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:

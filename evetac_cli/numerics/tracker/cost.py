@@ -1,14 +1,17 @@
 """The part `track`: distance of the dot tracker from the true dots against its run time, on seeded motions.
 
 The workloads move a whole grid of dots: a sine of 3 px at 5 Hz, one of 0.3 px at 200 Hz, and a slow shift at the pace
-of the paper's trials. The ideal camera sees them without noise, and the dots' centres are known exactly. Run time is
-that of a step on events of the dots' rims: it depends on their number.
+of the paper's trials. Each is seen twice: by an ideal camera without noise, and by one that scans, with the noise, hot
+pixels and uneven thresholds of the sensor `evetac`. The dots' centres are known exactly. `standing still` is a tracker
+that never moves a dot: what is not better is worth nothing. Run time is that of a step on events of the dots' rims: it
+depends on their number.
 """
 
 import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +22,8 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants
-from evetac_cli.numerics.camera.cost import Workload, oscillation, play_ideal
+from evetac_cli.numerics.camera.cost import Workload, oscillation, play_ideal, play_scans
+from evetac_cli.numerics.plots import STILL
 from evetac_cli.numerics.rows import Extent, Row, collect, run_times
 from evetac_cli.params import EvaluateCost
 from evetac_cli.sim.camera.scanning import camera
@@ -32,9 +36,10 @@ EVENT_COUNTS = (0, 50, 200, 1_000, 5_000, 20_000)
 USUAL_COUNT = 1_000  # events a slice of `time_us_median` and `time_us_p99`
 WARM_UP = 20  # steps that are left out of the run times
 DISTINCT = 400_000  # events in slices that are timed in turn: with few, their pixels would always be in the cache
-PATH_PIECES = 16  # of a slice, for the ideal camera
+PATH_PIECES = 16  # of a slice, for both cameras
 # An edge of 1.5 px from 10 to 90 %, contrast and threshold as for the published simulators these motions were made for.
 CAMERA = CameraModel(noise_rate_hz=0.0, hot_pixels=0, mismatch=0.0, edge_sigma_px=1.5 / 2.5631, log_contrast=1.07)
+SCANNING = CameraModel(hot_pixels=6)  # what comes by itself is that of the sensor `evetac`
 DOTS_PX = np.stack(np.meshgrid(61.0 + 62.3 * np.arange(9), 41.0 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
 
 
@@ -54,7 +59,8 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     """
     scenarios = simulate_scenarios(params.seed, SLICES.pick(params.full))
     rows = (row for setting in settings() for row in _rows(*setting, scenarios, STEPS.pick(params.full), params.seed))
-    return collect(rows, len(list(settings())) * len(scenarios), progress)
+    still = (_still_row(scenario) for scenario in scenarios)
+    return collect(chain(still, rows), (1 + len(list(settings()))) * len(scenarios), progress)
 
 
 def summary(rows: Rows) -> dict[str, Any]:
@@ -72,23 +78,28 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 
 def simulate_scenarios(seed: int, slices: tuple[int, int, int]) -> list[Scenario]:
-    """The workloads, of so many slices each, seen by the ideal camera."""
+    """The workloads, of so many slices each, seen by the ideal camera, then those seen in noisy scans."""
     large, small, slow = slices
     loads = [
         Workload("3 px at 5 Hz", CAMERA, DOTS_PX, lambda t: oscillation(t, 3.0, 5.0), large),
         Workload("0.3 px at 200 Hz", CAMERA, DOTS_PX, lambda t: oscillation(t, 0.3, 200.0), small),
         Workload("slow shift at 0.005 px/ms", CAMERA, DOTS_PX, _slow_shift, slow),
     ]
-    return [_simulate(load, np.random.default_rng((seed, number))) for number, load in enumerate(loads)]
+    quiet = [_simulate(load, np.random.default_rng((seed, number))) for number, load in enumerate(loads)]
+    noisy = [load._replace(name=f"{load.name}, scanned and noisy", model=SCANNING) for load in loads]
+    first = len(loads)
+    return quiet + [
+        _simulate(load, np.random.default_rng((seed, first + number)), scans=True) for number, load in enumerate(noisy)
+    ]
 
 
 def _slow_shift(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([0.003 * times_ms, -0.004 * times_ms], axis=1)
 
 
-def _simulate(load: Workload, rng: np.random.Generator) -> Scenario:
+def _simulate(load: Workload, rng: np.random.Generator, *, scans: bool = False) -> Scenario:
     state = camera.start(load.model, load.path_px(1)[0], None, None, None, rng)
-    fine, _ = play_ideal(state, load, PATH_PIECES)
+    fine, _ = (play_scans if scans else play_ideal)(state, load, PATH_PIECES)
     edges = np.searchsorted(fine.t, np.arange(load.slices + 1) * float(SLICE_US))
     columns = (fine.t.astype(np.int64), fine.x.astype(np.uint16), fine.y.astype(np.uint16), fine.p.astype(np.uint8))
     events = Events(*columns)
@@ -121,6 +132,23 @@ def _rows(
             **run_times(times_us[USUAL_COUNT]),
             **{f"time_us_{count}": float(np.median(took_us)) for count, took_us in times_us.items()},
         }
+
+
+def _still_row(scenario: Scenario) -> Row:
+    """The row of a tracker that never moves a dot, which costs nothing."""
+    apart_px = np.linalg.norm(DOTS_PX - scenario.truth_px, axis=2)
+    rms_px = math.sqrt(np.mean(apart_px**2))
+    return {
+        "part": f"tracker, {scenario.name}",
+        "setting": STILL,
+        "error_px_rms": rms_px,
+        "error_px_worst": float(apart_px.max()),
+        "still_px_rms": rms_px,
+        "dots_lost": 0,
+        "events_per_dot": 0.0,
+        **run_times(np.empty(0)),
+        **{f"time_us_{count}": None for count in EVENT_COUNTS},
+    }
 
 
 def _errors(scenario: Scenario, constants: TrackerConstants, share: float, seed: int) -> dict[str, Any]:

@@ -249,7 +249,7 @@ def test_rows_of_all_comparisons(monkeypatch):
     assert all(list(entry) == list(rows[0]) for entry in rows)
     assert len({entry["setting"] for entry in rows}) == len(rows)
     json.dumps(rows, allow_nan=False)
-    assert [entry["setting"] for entry in rows if entry["part"] != "mechanics"] == []
+    assert [entry["setting"] for entry in rows if entry["part"] != cost.PART] == []
     assert all(0 < entry["time_us_median"] <= entry["time_us_p99"] for entry in rows)
     assert {"theta 0.55, dt 1 ms", "explicit, dt 10 us", "8 x 6 nodes", "layer order 0"} <= {
         entry["setting"] for entry in rows

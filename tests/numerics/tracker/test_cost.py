@@ -22,7 +22,7 @@ def rows() -> list[dict[str, object]]:
 
 def test_cost_has_a_row_for_every_setting_and_workload(rows):
     """Assert that rows are of one shape, and finite."""
-    assert len(rows) == 3 * len(list(cost.settings()))
+    assert len(rows) == 6 * (1 + len(list(cost.settings())))
     assert len({tuple(row) for row in rows}) == 1
     assert len({(row["part"], row["setting"]) for row in rows}) == len(rows)
     json.dumps(rows, allow_nan=False)
@@ -31,7 +31,7 @@ def test_cost_has_a_row_for_every_setting_and_workload(rows):
         f"time_us_{count}" for count in (0, 50, 200, 1000, 5000, 20000)
     ]
     for preset in PRESETS:
-        assert sum(row["setting"] == f"{preset}, all events" for row in rows) == 3
+        assert sum(row["setting"] == f"{preset}, all events" for row in rows) == 6
 
 
 def test_stable_beats_standing_still_and_the_paper(rows):
@@ -39,6 +39,7 @@ def test_stable_beats_standing_still_and_the_paper(rows):
     for part in {row["part"] for row in rows}:
         error = {row["setting"]: row["error_px_rms"] for row in rows if row["part"] == part}
         still = next(row["still_px_rms"] for row in rows if row["part"] == part)
+        assert error["standing still"] == still
         assert error["stable, all events"] < min(still, error["paper, all events"])
 
 

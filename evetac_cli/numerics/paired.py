@@ -1,0 +1,70 @@
+"""Settings that were tried on the same trials: how far apart they are, how surely, and which of them are worth it.
+
+The interval is Student's for the mean of paired differences, two-sided, at CONFIDENCE. Why so: with the few trials that
+three minutes allow, a bootstrap can only draw again what it has seen, and its intervals are too narrow.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Floats = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+
+
+class Interval(NamedTuple):
+    """Mean of paired differences, the ends of its interval, and over how many trials; NaN where there are too few."""
+
+    mean: float
+    low: float
+    high: float
+    trials: int
+
+
+def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Interval:
+    """The mean of ours - theirs over the trials in which both are known (not NaN).
+
+    resolution: of both values, such as a slice of 1 ms. Two rounded values differ by chance with a standard deviation
+    of resolution / sqrt(6); fewer is never assumed, so that a few equal differences do not count as sure.
+    """
+    apart = ours - theirs
+    apart = apart[np.isfinite(apart)]
+    count = len(apart)
+    if count == 0:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    mean = float(apart.mean())
+    if count == 1:
+        return Interval(mean, math.nan, math.nan, 1)
+    spread = max(float(apart.std(ddof=1)), resolution / math.sqrt(6.0))
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * spread / math.sqrt(count)
+    return Interval(mean, mean - half, mean + half, count)
+
+
+def known(value: float) -> float | None:
+    """A value for a table, which has None for NaN."""
+    return value if math.isfinite(value) else None
+
+
+def on_front(errors: Sequence[Floats], times: Sequence[Floats], resolution: float = 0.0) -> list[bool]:
+    """Which settings are surely on the Pareto front of error and run time: arrays over the same trials, one a setting.
+
+    A setting is where, for every other one, the interval of the difference says that the other is slower or has the
+    larger error. Where trials are too few to tell two settings apart, neither is.
+    """
+
+    def larger(theirs: Floats, ours: Floats, step: float) -> bool:
+        return difference(theirs, ours, step).low > 0.0
+
+    return [
+        all(
+            larger(times[other], times[one], 0.0) or larger(errors[other], errors[one], resolution)
+            for other in range(len(errors))
+            if other != one
+        )
+        for one in range(len(errors))
+    ]
