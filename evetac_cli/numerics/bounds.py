@@ -1,7 +1,7 @@
 """The bounds of `evaluate stability`: what is measured of a case, how much it may be at most, and why so much.
 
-A case has a row for every quantity that is measured of it, ok where the value is within its bound. What is not finite is
-within none. A case may also be refused in words, before anything wrong comes out of it; nonsense has to be. The bounds
+A case has a row for every quantity that is measured of it, ok where the value is within its bound. What is not finite
+is within none. A case may also be refused in words, before anything wrong comes out of it; nonsense has to be. Bounds
 were written down before the cases were first held to them; a case that misses one is shown and counted, and no bound
 is moved for it.
 """
@@ -125,9 +125,7 @@ LET_GO = Bound(
 )
 
 
-def case_rows(
-    case: str, outcome: str, measured: Sequence[tuple[Bound, float]], **columns: str
-) -> Rows:
+def case_rows(case: str, outcome: str, measured: Sequence[tuple[Bound, float]], **columns: str) -> Rows:
     """The rows of a case, one for each bound and what was measured; `columns` come first, to group the cases by."""
     return [
         {

@@ -1,4 +1,4 @@
-"""Scenes with one extreme or unpleasant part, a line each, for `evaluate stability`: tables to be merged into a scene."""
+"""Scenes with one extreme or unpleasant part, a line each: tables that `evaluate stability` merges into a scene."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -271,7 +271,7 @@ def test_stability_counts_what_is_ok(by_hand):
 
 
 def test_strict(by_hand, tmp_path):
-    """Assert that what is not ok is printed with exit 0, and with --strict with exit 1, also where it was made before."""
+    """Assert that a case that is not ok is printed with exit 0, and with --strict with 1, also from an old report."""
     assert evetac("stability").exit_code == 0
     for _ in range(2):
         result = evetac("stability", "--strict")

@@ -45,9 +45,7 @@ class GelCase:
         nodes = pad_nodes(self.columns, self.rows, X_RANGE_M, Y_RANGE_M)
         area_m2 = AREA_M2 / self.columns / self.rows
         at_m = self.centre_m
-        state = gel.start(
-            nodes, self.material, self.mass_kg, self.inertia_kg_m2, body_xy_m=at_m, cell_area_m2=area_m2
-        )
+        state = gel.start(nodes, self.material, self.mass_kg, self.inertia_kg_m2, body_xy_m=at_m, cell_area_m2=area_m2)
         state.twist[:] = self.twist
         shares = np.full(state.stuck.shape, 1 / state.stuck.size) if self.shares is None else self.shares(nodes)
         return state, shares

@@ -19,11 +19,11 @@ from evetac_cli.numerics.gel.case import COULOMB, GelCase, stiff
 from evetac_cli.numerics.gel.trial import GRAVITY_M_S2
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import gap_profile, pressure
-from evetac_cli.sim.scenes.shared import EPISODE_MS, SLIP_PX
 
 Floats = NDArray[np.float64]
 
-SLID_M = SLIP_PX * 0.0329e-3  # with the pixels of the default sensor
+SLID_M = 0.5 * 0.0329e-3  # half a pixel of the default sensor
+EPISODE_S = 3e-3
 REFERENCE_S = (2e-5, 4e-5)  # steps of the reference, and of the one that shows how far the reference itself is off
 WEAKENING = gel.Friction(0.8, 0.64, 0.010)  # as the scenes draw it ...
 CORNER = gel.Friction(0.8, 0.60, 0.005)  # ... and at the corner of their ranges where it falls the most
@@ -37,7 +37,7 @@ def onset_cases() -> list[tuple[GelCase, float]]:
     constant = GelCase("", friction=COULOMB, centre_m=(1e-3, 1.5e-3), shares=_under_cylinder)
     scene, corner = replace(constant, friction=WEAKENING), replace(constant, friction=CORNER)
     fast, slow = (partial(_unloaded, fast) for fast in (True, False))
-    held = partial(_held, 1.1)
+    held, wet = partial(_held, 1.1), replace(scene, becomes=(0.15, _tenth(WEAKENING)))
     return [
         (fast("grip falls at 9 N/s, friction constant", constant), FAST_S),
         (fast("grip falls at 9 N/s, friction falls to 0.8 of it at 10 mm/s", scene), FAST_S),
@@ -50,7 +50,7 @@ def onset_cases() -> list[tuple[GelCase, float]]:
         (slow("slides, gel a tenth as stiff", replace(scene, material=stiff(0.1))), SLOW_S),
         (slow("slides, object of 5 g", scene, 0.005), SLOW_S),
         (slow("slides, object of 2 kg", scene, 2.0), SLOW_S),
-        (held("slides, friction falls to a tenth at 0.15 s", replace(scene, becomes=(0.15, _tenth(WEAKENING)))), FAST_S),
+        (held("slides, friction falls to a tenth at 0.15 s", wet), FAST_S),
         (held("slides, hand jerks by 20 m/s2 for 30 ms", replace(scene, force=_jerked)), FAST_S),
     ]
 
@@ -99,7 +99,7 @@ def onset_s(case: GelCase, within_s: float, dt_s: float, theta: float) -> float:
         info, _ = case.step(state, shares, number, dt_s, theta)
         if info.slip_fraction < 1.0 or case.load(number * dt_s) <= 0.0:
             stuck_s += dt_s
-            if stuck_s > 1e-3 * EPISODE_MS:
+            if stuck_s > EPISODE_S:
                 slid_m[:] = 0.0
             continue
         stuck_s = 0.0

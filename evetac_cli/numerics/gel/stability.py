@@ -72,8 +72,6 @@ def _shaken(time_s: float) -> tuple[float, float, float]:
     return 2 * math.sin(2 * math.pi * 498 * time_s), 0.98, 0.0
 
 
-
-
 def random_case(seed: int, number: int) -> GelCase:
     """A case drawn by seed and number: objects of 1 g to 10 kg on gels of 1 kPa to 1 GPa, held, turned and shaken."""
     rng = np.random.default_rng([seed, number])

@@ -1,4 +1,4 @@
-"""The extreme cases of the gel in a short form: each keeps its balance and gains no energy, and faults would be seen."""
+"""The extreme cases of the gel in a short form: each keeps its balance and gains no energy; faults would be seen."""
 
 import math
 

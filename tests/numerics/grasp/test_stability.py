@@ -111,7 +111,8 @@ def test_every_case_is_another() -> None:
     assert len(set(names)) == len(names)
     assert {"detector never fires", "detector always fires", "mass 5 g", "mass 2000 g", "friction 0.1", "friction 2",
             "gel stiffness x0.1", "gel stiffness x10", "one slice in five lost", "one slice in five twice",
-            "law's gain x0.1", "law's gain x10", "detector dies while the hand rises", *LIFTS} <= set(names)  # fmt: skip
+            "law's gain x0.1", "law's gain x10", "detector dies while the hand rises",
+            *LIFTS} <= set(names)  # fmt: skip
     assert len(full) > len(quick)
     assert len(stability.cases(0, False)) == 2 * len(quick) - sum(case.paper_only for case in quick)
 
