@@ -3,8 +3,9 @@
 The examples read files that the commands made: `a.recording.h5`, `a.labels.h5` and so on.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -240,12 +241,14 @@ def simulate(
     sensor: str = "evetac",
     gel: str | None = None,
     readout: str = "dvxplorer",
+    solver: Mapping[str, Any] = MappingProxyType({}),
     seed: int = 0,
 ) -> Simulation:
     """Simulate one trial of a scene and iterate over its slices; the same events as `record` with these flags.
 
     scene_name: of `evetac.scenes()` but those of kind lift, or a TOML file. gel: cut or closed, default: the scene's.
-    readout: dvxplorer (scanned) or ideal. InputError for an unknown name.
+    readout: dvxplorer (scanned) or ideal. solver: settings of the simulation, as in {"tolerance_um": 0.05}; see the
+    table `[solver]` of scenes. InputError for an unknown name.
 
     >>> trial = evetac.simulate("slip", object_number=8, seed=3)
     >>> for milliseconds, events in enumerate(trial):
@@ -254,7 +257,7 @@ def simulate(
     >>> trial.dot_xy_px.shape, int(trial.truth["truth/slip"])
     ((7, 8, 2), 0)
     """
-    plan = scene.plan(scene_name, str(object_number), sensor, SCENE_KINDS, gel, readout)[0]
+    plan = scene.plan(scene_name, str(object_number), sensor, SCENE_KINDS, gel, readout, solver=solver)[0]
     built = scene.for_trial(plan, (seed, plan["object"] or 0, 0))
     return Simulation(SimulatedTrial((), Path(), 0, seed, built))
 

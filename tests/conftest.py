@@ -94,7 +94,7 @@ def short_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = tomllib.loads((SCENES / "slip.toml").read_text())
     scene["name"] = "short"
     scene["time"] |= SHORT
-    scene["gel"]["nodes"] = [12, 9]
+    scene["solver"] = {"node_pitch_mm": 1.667}
     scene["gripper"] = {"start_factor": [1.2, 1.25], "friction_factor": [0.1, 0.12]}
     path = tmp_path_factory.mktemp("scene") / "short.toml"
     path.write_text(as_toml(scene))

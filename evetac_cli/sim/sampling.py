@@ -21,6 +21,7 @@ from evetac_cli.errors import InputError
 
 OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
 FLOOR_MM = (250.0, 250.0)
+MEMORY_UM = 20.0
 DISTRIBUTIONS = ("uniform", "log_uniform", "whole")
 
 
@@ -32,6 +33,7 @@ class SampledTrial:
     static_friction: float
     kinetic_friction: float
     stribeck_m_s: float
+    friction_memory_m: float  # over which friction follows the slip speed: a guess, none is known for this gel
     tilt_rad: float
     gear_friction_factor: float
     start_factor: float
@@ -76,6 +78,10 @@ def sample_trial(
     if "kinetic_share_spread" in varied and number is not None:
         own = np.random.default_rng([OBJECT_SEED, number]).uniform(*varied["kinetic_share"])
         kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
+    own_friction = (sensor_row or {}).get("friction", {})  # of a sensor's gel, in place of what the scene samples
+    kinetic_share = float(own_friction.get("kinetic_share", kinetic_share))
+    stribeck_mm_s = between("randomise", "stribeck_mm_s", (10, 10))
+    memory_um = own_friction.get("memory_um", varied.get("memory_um", MEMORY_UM))
     touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.get("touch_mm", 0.0)
     lever_m = float(placement.normal()) * varied.get("lever_mm", 0.0) * 1e-3
     if object_params.get("shape") != "flat":
@@ -85,7 +91,8 @@ def sample_trial(
         mass_kg=mass_kg,
         static_friction=static,
         kinetic_friction=static * kinetic_share,
-        stribeck_m_s=between("randomise", "stribeck_mm_s", (10, 10)) * 1e-3,
+        stribeck_m_s=float(own_friction.get("stribeck_mm_s", stribeck_mm_s)) * 1e-3,
+        friction_memory_m=float(memory_um) * 1e-6,
         tilt_rad=float(np.deg2rad(tilt_deg)),
         gear_friction_factor=between("gripper", "friction_factor", (1, 1)),
         start_factor=between("gripper", "start_factor", (2, 2)),

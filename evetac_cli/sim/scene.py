@@ -7,9 +7,10 @@ against schemas/scene.v1.json). Objects are rows of the paper's table (objects.t
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jsonschema
@@ -18,6 +19,7 @@ import numpy as np
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim import sampling
+from evetac_cli.sim.solver import from_scene, resolve
 from evetac_cli.text_files import read_toml
 
 FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
@@ -145,13 +147,18 @@ def plan(
     gel: str | None = None,
     readout: str = "dvxplorer",
     tones: str | None = None,
+    solver: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[dict[str, Any]]:
     """What trials are made from, resolved, one plan an object or tone (one in all where the scene has neither).
 
-    It goes into the header, so that a changed table is another recipe. `gel` cut or closed overrides the scene's, and
-    `tones` (as in 200,300) picks from them.
+    It goes into the header, so that a changed table is another recipe. `gel` cut or closed overrides the scene's, so do
+    settings of the `solver`, and `tones` (as in 200,300) picks from them.
     """
     resolved = load(scene_name)
+    try:
+        resolved["solver"] = resolve(resolved, solver)
+    except ValueError as error:
+        raise SceneError(f"[solver]: {error}", where=scene_name) from error
     if gel is not None:
         resolved["gel"]["cut"] = gel == "cut"
     if resolved["kind"] not in kinds:
@@ -244,7 +251,9 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
     """What a plan builds and what it leaves out, a row a part: a scene pays only for what it names."""
     resolved, sensor_row = plan["scene"], plan["sensor_row"]
     cut, kind = resolved["gel"]["cut"], resolved["kind"]
-    solved = "{} x {} nodes, 1 ms steps".format(*resolved["gel"].get("nodes", (0, 0)))
+    settings = from_scene(resolved)
+    steps = f"{settings.tolerance_um:g} um a step" if settings.step_ms is None else f"{settings.step_ms:g} ms steps"
+    solved = f"nodes every {settings.node_pitch_mm:g} mm, {steps}"
     gripped = kind in ("ramp", "lift", "hold")
     dots = len(sensor_row["dot_rows_px"]) * (len(sensor_row["dot_columns_px"]) - cut)
     pressed = f"a face, {resolved['motion']['kind']}" if kind == "press" else f"object {plan['object']}"

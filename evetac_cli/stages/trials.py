@@ -4,7 +4,8 @@ A trial is a job of one of three types: in a simulated scene that passes as fast
 time (real ones, or virtual ones in front of a simulated scene), or on a recording that is replayed.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -23,6 +24,7 @@ from evetac_cli.store.segments import refuse_leftover
 
 OUTPUT = "recording"
 DRY_SLICES = 200
+FEWEST_NODES = 4  # in half the wavelength of unstable slip; with fewer, onset depends on the grid
 
 Plan = dict[str, Any]  # what a scene is built from, as sim.scene.plan gives it
 
@@ -90,7 +92,8 @@ def simulated_trials(
     They are named <prefix><scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
     """
     trials = []
-    for plan in scene.plan(params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones):
+    named = params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones
+    for plan in scene.plan(*named, solver=params.solver()):
         what = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
         what += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
         for number in range(params.count):
@@ -153,6 +156,45 @@ def _is_taken(output: Path) -> bool:
     except InputError:
         return True
     return output.exists()
+
+
+class SolverFigures:
+    """How finely a trial was simulated, for the row of its recording."""
+
+    def __init__(self) -> None:
+        self._slices = 0
+        self._steps = 0
+        self._errors_um: list[float] = []
+        self._half_wavelength = math.inf
+
+    def add(self, rows: Mapping[str, Any]) -> None:
+        """Count rows of the truth: of one slice, or of all; those without mechanics have none."""
+        if "truth/mechanical_steps" not in rows:
+            return
+        steps = np.atleast_1d(rows["truth/mechanical_steps"])
+        self._slices += len(steps)
+        self._steps += int(steps.sum())
+        self._errors_um += np.atleast_1d(rows["truth/estimated_error_um"]).tolist()
+        half = np.atleast_1d(rows["truth/slip_half_wavelength_nodes"])
+        self._half_wavelength = min(self._half_wavelength, float(np.min(half[np.isfinite(half)], initial=math.inf)))
+
+    def figures(self, solver: Mapping[str, Any]) -> dict[str, Any]:
+        """Steps a slice, estimated errors of a step, and a warning where nodes are too far apart."""
+        if not self._slices:
+            return {}
+        row: dict[str, Any] = {
+            "mechanical_steps_a_slice": self._steps / self._slices,
+            "estimated_error_um_median": float(np.median(self._errors_um)),
+        }
+        if "tolerance_um" in solver:
+            row["slices_over_tolerance"] = int((np.array(self._errors_um) > solver["tolerance_um"]).sum())
+        if self._half_wavelength < FEWEST_NODES:
+            pitch_mm = solver["node_pitch_mm"] * self._half_wavelength / FEWEST_NODES
+            row["warning"] = (
+                f"onset of slip depends on the gel's grid: unstable slip spans {self._half_wavelength:.1f} nodes,"
+                f" of {FEWEST_NODES} at least; --node-pitch-mm {pitch_mm:.2f} resolves it"
+            )
+        return row
 
 
 def built_parts(trials: Sequence[Trial]) -> Outcome:

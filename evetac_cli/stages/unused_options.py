@@ -7,7 +7,7 @@ from enum import StrEnum
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
-from evetac_cli.params import Grasp, Record, flag_of
+from evetac_cli.params import SOLVER_OPTIONS, Grasp, Record, flag_of
 
 
 class Source(StrEnum):
@@ -26,7 +26,7 @@ class Source(StrEnum):
 
 # Options that are not listed have an effect in every run, or their stage checks how they fit together.
 RECORD: dict[str, tuple[Source, ...]] = {
-    **dict.fromkeys(("scene", "objects", "sensor", "gel", "readout"), (Source.SCENE,)),
+    **dict.fromkeys(("scene", "objects", "sensor", "gel", "readout", *SOLVER_OPTIONS), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
     **dict.fromkeys(("count", "seed", "live"), (Source.SCENE, Source.DEVICE)),
     **dict.fromkeys(("frame_size", "sort", "stream"), (Source.IMPORT,)),
@@ -38,7 +38,7 @@ RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("expected_event_rate", "resume"), (Source.RECORDED,)),
 }
 GRASP: dict[str, tuple[Source, ...]] = {
-    **dict.fromkeys(("objects", "sensor", "gel", "readout"), (Source.SCENE,)),
+    **dict.fromkeys(("objects", "sensor", "gel", "readout", *SOLVER_OPTIONS), (Source.SCENE,)),
     **dict.fromkeys(("calibration", "arm", "max_current_ma", "max_seconds", "watchdog_ms"), (Source.GRASPED,)),
 }
 

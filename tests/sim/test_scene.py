@@ -44,11 +44,11 @@ def test_objects_are_the_papers() -> None:
     ("group", "key", "value", "says"),
     [
         ("time", "restt_s", 0.1, "rest_s"),
-        ("gel", "nodes", [0, 5], "gel.nodes"),
+        ("solver", "node_pitch_mm", 0.0, "solver.node_pitch_mm"),
         ("gripper", "start_factor", [3.0, 2.0], "lower end"),
         ("randomise", "mass", "heavy", "randomise.mass"),
         ("texture", "focus_mm", -1.0, "focus_mm"),
-        ("time", "step_ms", float("nan"), "step_ms"),
+        ("solver", "step_ms", float("nan"), "step_ms"),
         ("randomise", "touch_mm", -1.0, "touch_mm"),
         ("push", "force_n", [1.0], "force_n"),
         ("floor", "below_mm", [50.0, 40.0], "lower end"),
@@ -57,7 +57,7 @@ def test_objects_are_the_papers() -> None:
 def test_what_is_wrong_is_said(group: str, key: str, value: Any, says: str, tmp_path: Path) -> None:
     """Assert that an unknown key, or a value of the wrong kind or range, is refused with its place."""
     odd = named("data-rate")
-    odd[group][key] = value
+    odd.setdefault(group, {})[key] = value
     path = tmp_path / "odd.toml"
     path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=says):
@@ -159,7 +159,7 @@ def test_m4_a_part_that_is_missing_is_said(name: str, key: str, tmp_path: Path) 
 def test_m4_a_motion_without_end_is_refused(name: str, group: str, key: str, value: Any, tmp_path: Path) -> None:
     """Assert that a face that would take more than a day is refused, and not recorded for ever."""
     odd = named(name)
-    odd[group][key] = value
+    odd.setdefault(group, {})[key] = value
     path = tmp_path / "odd.toml"
     path.write_text(as_toml(odd))
     (plan,) = scene.plan(str(path), "8", "evetac", ("press", "rub"))

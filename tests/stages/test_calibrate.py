@@ -50,7 +50,7 @@ def pressed(tmp_path_factory: pytest.TempPathFactory, truth: Grid) -> Path:
     """A press recording of that grid, with fewer and faster strokes than the scene's."""
     scene = tomllib.loads((SCENES / "press.toml").read_text())
     scene["motion"] |= {"speed_mm_s": 120.0, "lines": 5, "approach_s": 0.1, "press_s": 0.05}
-    scene["gel"]["nodes"] = [14, 10]
+    scene["solver"] = {"node_pitch_mm": 1.45}
     scene["time"]["rest_s"] = 0.1
     folder = tmp_path_factory.mktemp("pressed")
     (folder / "press.toml").write_text(as_toml(scene))

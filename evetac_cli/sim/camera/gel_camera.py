@@ -52,6 +52,7 @@ class GelCamera:
         readout: str = "dvxplorer",
         outline: contact_edges.Outline | None = None,
         outline_at_px: Floats | None = None,
+        scans_per_ms: int = 5,
     ) -> None:
         """Switch the sensor's camera on.
 
@@ -66,6 +67,7 @@ class GelCamera:
         self.rest_m = (self.grid_xy_px.reshape(-1, 2) - frame / 2) * self.mm_per_px * 1e-3
         model = camera.CameraModel(
             frame_px=tuple(sensor_row["frame_px"]),
+            scans_per_ms=scans_per_ms,
             threshold=sensor_row["threshold"],
             mismatch=sensor_row["mismatch"],
             noise_rate_hz=sensor_row["noise_hz"],

@@ -8,7 +8,8 @@ Model, in SI units, x down, y to the side, rotation from x to y:
   at 1.5, 25 % at 3 (a wavelength of 8.4 mm). A node carries the mass 4 rho H a/pi^2, which puts the first thickness
   resonance where the exact layer has it, at sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt, and one Maxwell arm.
 - Friction. Set-valued Coulomb: the friction of a node lies in the disc of radius mu * normal force; where the node
-  slips it lies on the rim, against the slip. mu falls from static to kinetic with the slip speed of the step before.
+  slips it lies on the rim, against the slip. mu is a state of the node, which falls from static to kinetic with its
+  slip speed over a memory length (see friction).
 - Object. Rigid, held by two mirrored pads, of which one is simulated. Its lever arms follow it as it moves.
 
 Why so: a step minimises one convex function of the node velocities and the object's twist (Moreau's time stepping). It
@@ -32,11 +33,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import cell_area
-from evetac_cli.sim.gel.time_step import Layer, spring, step_nodes
+from evetac_cli.sim.gel.friction import half_wavelength_m
+from evetac_cli.sim.gel.time_step import INFO_SIZE, TOO_LONG, Layer, spring, step_nodes
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+MEMORY_M = 20e-6  # a guess: no memory length of friction is known for this gel
 DECAY_M = 2.3e-3  # lateral decay of the motion of a layer 4 mm high outside a contact: H / sqrt(3)
 
 
@@ -71,11 +74,15 @@ class GelMaterial:
 
 @dataclass(frozen=True)
 class Friction:
-    """Coefficients of friction: static at rest, falling to kinetic at slip speeds well above stribeck_speed_m_s."""
+    """Coefficients of friction: static at rest, falling to kinetic at slip speeds well above stribeck_speed_m_s.
+
+    memory_m: the distance over which a coefficient follows the slip speed; 0, it does at once.
+    """
 
     static: float
     kinetic: float
     stribeck_speed_m_s: float = 0.01
+    memory_m: float = MEMORY_M
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -92,10 +99,14 @@ class StepInfo(NamedTuple):
     """What one step did. Means are (x, y), weighted by pressure, and 0 without contact.
 
     residual: largest force left unbalanced, of a node or of the object, as a share of all forces on the object.
+    converged: whether the balance was found.
     slip_fraction: slipping / loaded nodes; 1 without contact, where nothing sticks.
     gel_velocity_m_s, slip_velocity_m_s: mean velocity over the step of the gel, and of the object's surface against it.
     gel_displacement_m: mean displacement of the gel at the end of the step.
     friction_n: force of the object on one pad, x, y, and its moment about the origin in N m.
+    friction_change: largest change of a node's coefficient. friction_heat_j: what friction took, on all pads.
+    slipping_force_n: largest normal force of a node that slips. error_m: estimated error of the displacement: what the
+    object's position differs by from the trapezoidal rule, or the gel's by if friction were that of the step's start.
     """
 
     sweeps: int
@@ -106,6 +117,10 @@ class StepInfo(NamedTuple):
     slip_velocity_m_s: tuple[float, float]
     gel_displacement_m: tuple[float, float]
     friction_n: tuple[float, float, float]
+    friction_change: float
+    friction_heat_j: float
+    slipping_force_n: float
+    error_m: float
 
 
 @dataclass(eq=False)
@@ -114,6 +129,7 @@ class GelState:
 
     displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step.
     slip_m_s: (rows, columns), mean speed of the object's surface against the gel in the last step, 0 where it sticks.
+    friction_coefficient: (rows, columns), of each node; infinite where it bears no load, for that of rest.
     stuck: (rows, columns), loaded and not slipping.
     pose: x, y of the object's centre of mass in m and its rotation in rad; twist: its velocity.
     inertia: mass, mass and moment of inertia of the object; may be changed between steps (a weight lands on it).
@@ -130,6 +146,7 @@ class GelState:
     velocity_m_s: Floats
     maxwell_n: Floats
     slip_m_s: Floats
+    friction_coefficient: Floats
     stuck: Flags
     _mean_m_s: Floats
     _layer: Layer
@@ -157,6 +174,7 @@ _CHANGING = (
     "velocity_m_s",
     "maxwell_n",
     "slip_m_s",
+    "friction_coefficient",
     "stuck",
     "_mean_m_s",
 )
@@ -223,11 +241,12 @@ def start(
         velocity_m_s=np.zeros((*grid, 2)),
         maxwell_n=np.zeros((*grid, 2)),
         slip_m_s=np.zeros(grid),
+        friction_coefficient=np.full(grid, np.inf),
         stuck=np.zeros(grid, dtype=np.bool_),
         _mean_m_s=np.zeros((*grid, 2)),
         _layer=layer,
         _layer_constants=tuple(layer),
-        _info=np.zeros(12),
+        _info=np.zeros(INFO_SIZE),
     )
 
 
@@ -252,6 +271,36 @@ def step(
     False after max_sweeps; the step is made in either case. ValueError, before anything is changed, where a value is
     not finite or out of range.
     """
+    info = step_within(
+        state,
+        nodal_force_n,
+        body_force_n,
+        friction,
+        dt_s,
+        math.inf,
+        theta=theta,
+        tolerance=tolerance,
+        max_sweeps=max_sweeps,
+        prescribed_twist=prescribed_twist,
+    )
+    assert info is not None
+    return info
+
+
+def step_within(
+    state: GelState,
+    nodal_force_n: Floats,
+    body_force_n: Sequence[float] | Floats,
+    friction: Friction,
+    dt_s: float,
+    error_m: float,
+    *,
+    theta: float = 0.55,
+    tolerance: float = 1e-6,
+    max_sweeps: int = 400,
+    prescribed_twist: Sequence[float] | Floats | None = None,
+) -> StepInfo | None:
+    """`step` if its estimated error is at most error_m; else nothing is changed, and the answer is None."""
     nodal = np.ascontiguousarray(nodal_force_n, dtype=np.float64)
     force = np.ascontiguousarray(body_force_n, dtype=np.float64)
     wanted = state.twist if prescribed_twist is None else np.ascontiguousarray(prescribed_twist, dtype=np.float64)
@@ -272,6 +321,7 @@ def step(
         state.maxwell_n,
         state._mean_m_s,
         state.slip_m_s,
+        state.friction_coefficient,
         state.stuck,
         state.pose,
         state.twist,
@@ -279,9 +329,16 @@ def step(
         state.node_xy_m,
     )
     load = (nodal, force, prescribed_twist is not None, wanted)
-    law = (float(friction.static), float(friction.kinetic), float(friction.stribeck_speed_m_s))
-    settings = (float(dt_s), float(theta), float(tolerance), max_sweeps)
+    law = (
+        float(friction.static),
+        float(friction.kinetic),
+        float(friction.stribeck_speed_m_s),
+        float(friction.memory_m),
+    )
+    settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, float(error_m))
     fault = step_nodes(arrays, load, law, settings, state._layer_constants, state._info)
+    if fault == TOO_LONG:
+        return None
     if fault:
         raise ValueError(_FAULTS[fault])
     info = state._info.tolist()
@@ -294,6 +351,10 @@ def step(
         slip_velocity_m_s=(info[5], info[6]),
         gel_displacement_m=(info[7], info[8]),
         friction_n=(info[9], info[10], info[11]),
+        friction_change=info[12],
+        friction_heat_j=info[13],
+        slipping_force_n=info[14],
+        error_m=info[15],
     )
 
 
@@ -304,6 +365,22 @@ _FAULTS = (
     "state.inertia must be finite and > 0",
     "the state is not finite: it was overwritten, or forces beyond all measure made it overflow",
 )
+
+
+def slip_half_wavelength_nodes(state: GelState, friction: Friction, nodal_force_n: float) -> float:
+    """Half the wavelength of the slip that friction makes unstable, in nodes of the grid; see friction.
+
+    nodal_force_n: normal force of the node that is pressed most of those that slip. Below 4 the onset of slip depends
+    on the grid.
+    """
+    half_m = half_wavelength_m(
+        friction.static - friction.kinetic,
+        nodal_force_n / state.cell_area_m2,
+        friction.memory_m,
+        state.material.shear_modulus_pa,
+        state.material.height_m,
+    )
+    return half_m / max(state._layer.pitch_x, state._layer.pitch_y)
 
 
 def energy(state: GelState) -> float:

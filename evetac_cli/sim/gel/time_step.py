@@ -1,4 +1,10 @@
-"""One time step of the gel's arrays: the equation of the nodes is set up, balanced (see force_balance), and applied."""
+"""One time step of the gel's arrays: the equation of the nodes is set up, balanced (see force_balance), and applied.
+
+The bound of a node's friction is its coefficient at the time of the balance, at the slip speed that the balance has:
+it is refreshed before each of the first rounds of the search, then held. So the search ends with a convex problem,
+which always has a solution. A node that slides goes on sliding if it can, one that sticks sticks until its static
+coefficient is exceeded: where friction falls with speed both may be solutions.
+"""
 
 import math
 from typing import NamedTuple
@@ -8,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax
+from evetac_cli.sim.gel.friction import coefficient_after
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -15,6 +22,10 @@ Flags = NDArray[np.bool_]
 # Sweeps between two Newton steps of the object: 1, 2 and 3 took 120, 94 and 81 us a step, on 24 x 18 nodes under a
 # tilted cylinder that begins to slip.
 SWEEPS_A_ROUND = 3
+# Rounds whose bounds are refreshed. More of them find no better balance, and without end they take up to 400 rounds.
+REFRESHES = 4
+TOO_LONG = 5  # what `step_nodes` returns where its step changes a coefficient of friction by more than allowed
+INFO_SIZE = 16
 
 
 class Layer(NamedTuple):
@@ -34,12 +45,18 @@ class Layer(NamedTuple):
 
 # The groups in which `step_nodes` takes its arguments. Why so: plain tuples, as named ones take 4 us more, of 9 for a
 # step of 14 x 10 nodes.
-# displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, stuck, pose, twist, inertia, nodes
-NodeArrays = tuple[Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats]
+# displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
+# twist, inertia, nodes
+NodeArrays = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats]
+# the first seven of these, and the nodes
+Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats]
 # normal force of each node, force and moment on the object, whether its twist is prescribed, and the twist it has then
 Load = tuple[Floats, Floats, bool, Floats]
-FrictionLaw = tuple[float, float, float]  # static, kinetic, and the slip speed between them in m/s
-StepSettings = tuple[float, float, float, int]  # dt, theta, tolerance, max_sweeps
+# static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
+FrictionLaw = tuple[float, float, float, float]
+StepSettings = tuple[
+    float, float, float, int, float
+]  # dt, theta, tolerance, max_sweeps, the estimated error allowed in m
 LayerConstants = tuple[float, ...]  # a Layer
 
 
@@ -72,18 +89,18 @@ def step_nodes(
     constants: LayerConstants,
     info: Floats,
 ) -> int:
-    """One time step in place; returns 0, or the number of what is wrong, before anything is changed.
+    """One time step in place; returns 0, TOO_LONG, or the number of what is wrong, both before anything is changed.
 
     Fills `info`: sweeps, residual, and the rest of `gel.StepInfo` in its order.
     """
-    displacement, velocity, maxwell, mean, slip_speed, stuck, pose, twist, inertia, nodes = arrays
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, pose, twist, inertia, nodes = arrays
     nodal, force, prescribed, wanted = load
-    mu_static, mu_kinetic, stribeck_speed = friction
+    mu_static, mu_kinetic, stribeck_speed, memory = friction
     node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
     layer = Layer(
         node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
     )
-    dt, theta, tolerance, max_sweeps = settings
+    dt, theta, tolerance, max_sweeps, allowed = settings
     rows, columns = nodal.shape
     for axis in range(3):
         if not (math.isfinite(force[axis]) and math.isfinite(wanted[axis])):
@@ -118,34 +135,20 @@ def step_nodes(
         np.zeros((rows + 2, columns + 2)),
         np.empty((rows, columns, 2)),
     )
-    spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.right)
-    scale = abs(force[0]) + abs(force[1])
-    square = 0.0
-    for row in range(rows):
-        for column in range(columns):
-            normal = nodal[row, column]
-            if not (normal >= 0.0 and normal < np.inf):
-                return 1
-            mu = mu_static
-            if slip_speed[row, column] > 0.0:
-                ratio = slip_speed[row, column] / stribeck_speed
-                mu = mu_kinetic + (mu_static - mu_kinetic) * math.exp(-ratio * ratio)
-            links_x = links(column, columns) * stencil.link_x
-            links_y = links(row, rows) * stencil.link_y
-            work.bound[row, column] = mu * normal
-            work.diagonal[row, column] = stencil.own + links_x + links_y
-            scale += layer.pads * mu * normal
-            for axis in range(2):
-                momentum = layer.node_mass / h * velocity[row, column, axis]
-                right = momentum - work.right[row, column, axis] - keep * maxwell[row, column, axis]
-                if not math.isfinite(right):
-                    return 4
-                scale += layer.pads * abs(right)
-                work.right[row, column, axis] = right
-                lever = nodes[row, column, axis] - pose[axis]
-                square += lever * lever
-                work.lever[row, column, axis] = lever
-                work.velocity[row + 1, column + 1, axis] = mean[row, column, axis]
+    falls = mu_kinetic < mu_static
+    fault, scale, square = _set_up(
+        (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes),
+        nodal,
+        pose,
+        friction,
+        (h, layer.node_mass / h, keep),
+        layer,
+        stencil,
+        work,
+    )
+    if fault:
+        return int(fault)
+    scale += abs(force[0]) + abs(force[1])
     # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
     reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
     scale = max(scale + abs(force[2]) / reach, 1e-300)
@@ -156,12 +159,17 @@ def step_nodes(
     body = wanted.copy()
     weight = inertia / h
     friction_wrench = np.zeros(3)
+    stuck_before = stuck.copy()
     sweeps = 0
+    rounds = 0
     while True:
         # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
             relax(work, stencil, body, stuck, factor)
             sweeps += 1
+        if falls and rounds < REFRESHES:
+            _refresh(work, nodal, coefficient, body, stuck, h, friction)
+        rounds += 1
         worst = imbalance(work, stencil, body, stuck, friction_wrench)
         inertial = weight * (body - twist) - force
         if not prescribed:
@@ -171,10 +179,33 @@ def step_nodes(
             break
         if not prescribed:
             move_object(work, stencil, body, weight, inertial, friction_wrench, stuck)
+    error = 0.0
+    if not prescribed:
+        # what the step differs by from one by the trapezoidal rule, of second order
+        ahead = dt * abs(1.0 - 0.5 / theta)
+        error = ahead * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
+    change = 0.0
+    if falls:
+        softest = 0.0
+        for row in range(rows):
+            for column in range(columns):
+                if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals it exactly
+                    mu = min(max(coefficient[row, column], mu_kinetic), mu_static)
+                    changed = abs(_after(mu, work.speed[row, column], dt, friction) - mu)
+                    change = max(change, changed)
+                    softest = max(softest, changed * nodal[row, column])
+        # what a gel would be displaced by, were friction taken at the start of the step
+        error = max(error, softest / layer.shear)
+    if error > allowed:
+        stuck[:] = stuck_before
+        return TOO_LONG
     info[:] = 0.0
     info[0] = sweeps
     info[1] = worst / scale
-    _advance(displacement, velocity, maxwell, mean, slip_speed, stuck, nodes, nodal, dt, theta, layer, work, info)
+    info[12] = change
+    info[15] = error
+    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes)
+    _advance(state, nodal, friction, dt, theta, layer, work, info)
     for axis in range(3):
         pose[axis] += dt * body[axis]
         twist[axis] = body[axis] if prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
@@ -182,15 +213,94 @@ def step_nodes(
 
 
 @njit(cache=True)
-def _advance(
-    displacement: Floats,
-    velocity: Floats,
-    maxwell: Floats,
-    mean: Floats,
-    slip_speed: Floats,
-    stuck: Flags,
-    nodes: Floats,
+def _set_up(
+    state: Fields,
     nodal: Floats,
+    pose: Floats,
+    friction: FrictionLaw,
+    factors: tuple[float, float, float],
+    layer: Layer,
+    stencil: Stencil,
+    work: Work,
+) -> tuple[int, float, float]:
+    """Fill the equation of the nodes: right-hand side, diagonal, bounds, levers, and where the search starts.
+
+    factors: theta * dt, a node's mass over it, and what the Maxwell arm keeps of its force. Returns the number of what
+    is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their levers.
+    """
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes = state
+    static, kinetic, _, _ = friction
+    h, momentum, keep = factors
+    rows, columns = nodal.shape
+    falls = kinetic < static
+    scale = square = 0.0
+    spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.right)
+    right, moving, lagging = work.right.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
+    for entry in range(right.size):
+        right[entry] = momentum * moving[entry] - right[entry] - keep * lagging[entry]
+    work.velocity[1:-1, 1:-1] = mean
+    for row in range(rows):
+        links_y = links(row, rows) * stencil.link_y
+        for column in range(columns):
+            normal = nodal[row, column]
+            if not (normal >= 0.0 and normal < np.inf):
+                return 1, 0.0, 0.0
+            mu = static
+            if falls:
+                # one that never bore a load is infinite, and a law that changed under a load takes hold at once
+                mu = min(max(coefficient[row, column], kinetic), static)
+                if normal > 0.0:
+                    mu = _after(mu, slip_speed[row, column], h, friction)
+            work.bound[row, column] = mu * normal
+            work.diagonal[row, column] = stencil.own + links(column, columns) * stencil.link_x + links_y
+            scale += layer.pads * mu * normal
+            scale += layer.pads * abs(work.right[row, column, 0])
+            scale += layer.pads * abs(work.right[row, column, 1])
+            x = nodes[row, column, 0] - pose[0]
+            y = nodes[row, column, 1] - pose[1]
+            square += x * x
+            square += y * y
+            work.lever[row, column, 0] = x
+            work.lever[row, column, 1] = y
+    if not math.isfinite(scale):
+        return 4, 0.0, 0.0
+    return 0, scale, square
+
+
+@njit(cache=True)
+def _after(mu: float, slip_speed: float, seconds: float, friction: FrictionLaw) -> float:
+    """A node's coefficient after so many seconds at a slip speed; at rest it is often static, and then stays so."""
+    static, kinetic, stribeck, memory = friction
+    if slip_speed == 0.0 and mu == static:
+        return mu
+    return float(coefficient_after(mu, slip_speed, seconds, static, kinetic, stribeck, memory))
+
+
+@njit(cache=True)
+def _refresh(
+    work: Work, nodal: Floats, coefficient: Floats, twist: Floats, stuck: Flags, h: float, friction: FrictionLaw
+) -> None:
+    """Set each loaded node's bound to what its slip speed of now makes of it at the time of the balance."""
+    static, kinetic, _, _ = friction
+    rows, columns = nodal.shape
+    for row in range(rows):
+        for column in range(columns):
+            normal = nodal[row, column]
+            if normal > 0.0:
+                speed = 0.0
+                if not stuck[row, column]:
+                    slip_x = work.velocity[row + 1, column + 1, 0] - twist[0] + twist[2] * work.lever[row, column, 1]
+                    slip_y = work.velocity[row + 1, column + 1, 1] - twist[1] - twist[2] * work.lever[row, column, 0]
+                    speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
+                mu = min(max(coefficient[row, column], kinetic), static)
+                work.bound[row, column] = normal * _after(mu, speed, h, friction)
+
+
+@njit(cache=True)
+def _advance(
+    state: Fields,
+    nodal: Floats,
+    friction: FrictionLaw,
     dt: float,
     theta: float,
     layer: Layer,
@@ -198,12 +308,22 @@ def _advance(
     info: Floats,
 ) -> None:
     """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes = state
+    static, kinetic, _, _ = friction
     rows, columns = nodal.shape
     mean[:] = work.velocity[1:-1, 1:-1]
     spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.search_direction)
     fade = math.exp(-dt / layer.maxwell_time)
     build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)
-    total = 0.0
+    moved, moving, lagging = displacement.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
+    here, pull = mean.reshape(-1), work.search_direction.reshape(-1)
+    for entry in range(moved.size):
+        moved[entry] += dt * here[entry]
+        lagging[entry] = fade * lagging[entry] + build * pull[entry]
+        moving[entry] += (here[entry] - moving[entry]) / theta
+    falls = kinetic < static
+    total = heat = pressed = 0.0
+    gel_x = gel_y = slip_x = slip_y = shift_x = shift_y = push_sum_x = push_sum_y = moment = 0.0
     loaded = 0
     slipping = 0
     for row in range(rows):
@@ -211,29 +331,40 @@ def _advance(
             load = nodal[row, column]
             speed = work.speed[row, column]
             slip_speed[row, column] = speed
-            total += load
-            if load > 0.0:
-                loaded += 1
-            if load > 0.0 and not stuck[row, column]:
-                slipping += 1
-            push_x = work.pull[row, column, 0] if stuck[row, column] else 0.0
-            push_y = work.pull[row, column, 1] if stuck[row, column] else 0.0
+            if falls:
+                mu = np.inf
+                if load > 0.0:
+                    mu = min(max(coefficient[row, column], kinetic), static)
+                    mu = _after(mu, speed, dt, friction)
+                coefficient[row, column] = mu
             if speed > 0.0:
                 push_x = -work.bound[row, column] * (work.slip[row, column, 0] / speed)
                 push_y = -work.bound[row, column] * (work.slip[row, column, 1] / speed)
-            info[9] += push_x
-            info[10] += push_y
-            info[11] += nodes[row, column, 0] * push_y - nodes[row, column, 1] * push_x
-            for axis in range(2):
-                here = mean[row, column, axis]
-                displacement[row, column, axis] += dt * here
-                maxwell[row, column, axis] = (
-                    fade * maxwell[row, column, axis] + build * work.search_direction[row, column, axis]
-                )
-                velocity[row, column, axis] += (here - velocity[row, column, axis]) / theta
-                info[3 + axis] += load * here
-                info[5 + axis] -= load * work.slip[row, column, axis]
-                info[7 + axis] += load * displacement[row, column, axis]
+            elif stuck[row, column]:
+                push_x = work.pull[row, column, 0]
+                push_y = work.pull[row, column, 1]
+            else:
+                push_x = push_y = 0.0
+            push_sum_x += push_x
+            push_sum_y += push_y
+            moment += nodes[row, column, 0] * push_y - nodes[row, column, 1] * push_x
+            if load > 0.0:
+                total += load
+                loaded += 1
+                if not stuck[row, column]:
+                    slipping += 1
+                    heat += layer.pads * work.bound[row, column] * speed * dt
+                    pressed = max(pressed, load)
+                gel_x += load * mean[row, column, 0]
+                gel_y += load * mean[row, column, 1]
+                slip_x -= load * work.slip[row, column, 0]
+                slip_y -= load * work.slip[row, column, 1]
+                shift_x += load * displacement[row, column, 0]
+                shift_y += load * displacement[row, column, 1]
     info[2] = slipping / loaded if loaded > 0 else 1.0
-    for entry in range(3, 9):
-        info[entry] = info[entry] / total if total > 0.0 else 0.0
+    share = 1.0 / total if total > 0.0 else 0.0
+    info[3], info[4] = share * gel_x, share * gel_y
+    info[5], info[6] = share * slip_x, share * slip_y
+    info[7], info[8] = share * shift_x, share * shift_y
+    info[9], info[10], info[11] = push_sum_x, push_sum_y, moment
+    info[13], info[14] = heat, pressed

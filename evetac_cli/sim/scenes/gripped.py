@@ -3,7 +3,8 @@
 Three kinds of scene. `ramp`: the object already hangs in a gripper under current control. `lift`: it stands on a table,
 the gripper starts just before touch, and a hand lifts the gripper; in its frame the table sinks. `hold`: the gripper
 starts open, closes on an object that is then let go, and the object is pushed at times. One of two mirrored pads is
-simulated, one mechanical step of 1 ms a slice; the camera sees the pad at the end of the step.
+simulated; gripper, hand and table move in steps of 1 ms, gel and object in as many as they need (gel.adaptive). The
+camera sees the pad at the end of the slice.
 
 Why so: down is +x of the image in a grasp from the top, +y in one from the side; an upright object turns with it.
 """
@@ -20,8 +21,10 @@ from evetac_cli.sim import gripper, sampling
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.shared import STEP_S, THETA, GroundTruthSlip, material, pad
+from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GroundTruthSlip, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.solver import from_scene
 
 GRAVITY_M_S2 = 9.81
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
@@ -49,6 +52,7 @@ class GraspSimulation:
         self._time = self._scene["time"]
         self._kind = self._scene["kind"]
         self._drop = self._scene.get("drop")
+        self._solver = from_scene(self._scene)
         object_params, sensor_row = plan["object_row"], plan["sensor_row"]
         self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
@@ -58,6 +62,7 @@ class GraspSimulation:
             texture=self._texture(plan["object"]),
             rng=optics_rng,
             readout=plan["readout"],
+            scans_per_ms=self._solver.scans_per_ms,
         )
         self._build_mechanics(object_params, sensor_row)
         self.slices = 0
@@ -120,7 +125,9 @@ class GraspSimulation:
         middle_m = (along, across) if self._down == 0 else (across, along)
         self._gel = gel.start(nodes, self._material, sampled.mass_kg, inertia, body_xy_m=middle_m)
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
-        self._friction = gel.Friction(sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s)
+        self._stepper = Stepper(self._solver)
+        self._friction = friction_of(sampled)
+        self._steps = SolverTruth(self._gel, self._friction)
         self._window_from_middle_m: tuple[float, float] | None = None
         if self.gel_camera.window_px is not None and self._middle_m.any():
             window_px = np.array(self.gel_camera.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
@@ -128,6 +135,8 @@ class GraspSimulation:
             self._window_from_middle_m = (across_m, down_m)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
         self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
+        many = self._solver.camera_substeps > 1
+        self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
         self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
         self._on_table = self._kind == "lift"
 
@@ -140,10 +149,14 @@ class GraspSimulation:
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
+        before_m = self._dilation_m
         self._move()
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
-        events = self.gel_camera.render(shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, cut_m=cut_m)
+        path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
+        events = self.gel_camera.render(
+            shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, path_m, cut_m=cut_m
+        )
         self.slices += 1
         self.finished = self.slices >= self._last_slice or self._over()
         return events
@@ -186,27 +199,39 @@ class GraspSimulation:
         before_n = self.finger.force_n
         mode, command = self.command
         after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
-        force_n = before_n + THETA * (after_n - before_n)  # where the time step looks for its balance
-        nodal_n = contact.pressure(self.finger.indentation_m, self._gap, force_n)
+        shares = contact.pressure(self.finger.indentation_m, self._gap, 1.0)
+        force_n = (before_n, after_n)
         if self._drop and self.slices == self._drops_at:
             self._catch_weight()
         if self._kind == "lift":
-            info = self._move_over_table(nodal_n)
+            done = self._move_over_table(shares, force_n)
         elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.sampled.floor_m):
-            info = self._solve(nodal_n, 0.0, held=True)  # something else still carries the object, or the floor does
+            done = self._solve(shares, force_n, 0.0, held=True)  # something else, or the floor, carries the object
         else:
-            info = self._solve(nodal_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
-        self._slip.follow(info, self.finger.force_n, self._down)
-        self._shear_n = info.friction_n[:2]
+            done = self._solve(shares, force_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
+        self._slip.follow(done, self.finger.force_n, self._down)
+        self._steps.follow(done)
+        self._shear_n = done.friction_n[:2]
 
-    def _solve(self, nodal_n: NDArray[np.float64], force_n: float, *, held: bool = False, speed: float = 0.0) -> Any:
-        """A step of the gel with a force on the object along gravity, or (held) with the object moving at a speed."""
+    def _solve(
+        self,
+        shares: NDArray[np.float64],
+        force_n: tuple[float, float],
+        weight_n: float,
+        *,
+        held: bool = False,
+        speed: float = 0.0,
+    ) -> Slice:
+        """A slice of the gel with a force on the object along gravity, or (held) with the object moving at a speed."""
         force, twist = np.zeros(3), np.zeros(3)
-        force[self._down] = force_n
+        force[self._down] = weight_n
         twist[self._down] = speed
-        return gel.step(
-            self._gel, nodal_n, force, self._friction, STEP_S, theta=THETA, prescribed_twist=twist if held else None
-        )
+        each = None
+        if self._path is not None:
+            self._path.begin()
+            each = self._path.follow
+        wanted = twist if held else None
+        return self._stepper.advance(self._gel, shares, force_n, force, self._friction, wanted, each)
 
     def _load(self) -> float:
         """Share of the weight that hangs on the gripper: handed over smoothly after the rest."""
@@ -236,7 +261,7 @@ class GraspSimulation:
         self._mass_kg += weight_kg
         self._gel.inertia[:2] = self._mass_kg
 
-    def _move_over_table(self, nodal_n: NDArray[np.float64]) -> Any:
+    def _move_over_table(self, shares: NDArray[np.float64], force_n: tuple[float, float]) -> Slice:
         """With the table under the object: where it would sink into the table, the table carries it.
 
         Both ways are tried at most, first that of the slice before: an object that stands on the table goes on doing so
@@ -250,17 +275,17 @@ class GraspSimulation:
         speed, falling = (self._table_m - self._fallen_m()) / STEP_S, self._gel.twist[self._down]
         self._before.restore(self._gel)
         if self._on_table:
-            info = self._solve(nodal_n, 0.0, held=True, speed=speed)
-            inertial_n = self._mass_kg * (speed - falling) / (THETA * STEP_S)
-            if weight_n - 2 * info.friction_n[self._down] - inertial_n >= 0.0:
-                return info
+            done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
+            inertial_n = self._mass_kg * (speed - falling) / (self._solver.theta * STEP_S)
+            if weight_n - 2 * done.friction_n[self._down] - inertial_n >= 0.0:
+                return done
             self._gel.restore(self._before)
-        info = self._solve(nodal_n, weight_n)
+        done = self._solve(shares, force_n, weight_n)
         self._on_table = bool(self._fallen_m() > self._table_m)
         if self._on_table:
             self._gel.restore(self._before)
-            info = self._solve(nodal_n, 0.0, held=True, speed=speed)
-        return info
+            done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
+        return done
 
     def _hand_speed(self, since_s: float) -> float:
         """Speed of the hand: a trapezoid that rises by the scene's height."""
@@ -292,6 +317,7 @@ class GraspSimulation:
             "truth/normal_force_n": self.finger.force_n,
             "truth/shear_force_n": self._shear_n,
             "truth/closing_ticks": self.finger.closing_ticks,
+            **self._steps.rows(),
         }
         if self._kind == "lift":
             row["truth/table_gap_mm"] = (self._table_m - self._fallen_m()) * 1e3

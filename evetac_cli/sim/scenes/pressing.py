@@ -17,8 +17,10 @@ from evetac_cli.sim import sampling
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.shared import STEP_S, THETA, GroundTruthSlip, material, pad
+from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GroundTruthSlip, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.solver import from_scene
 
 Floats = NDArray[np.float64]
 LONGEST_S = 24 * 3600.0  # as for any recording
@@ -58,6 +60,7 @@ class Pressing:
         """Build what a plan names: scene, sensor_row. The camera sees the face's outline, if there is one."""
         self._scene = plan["scene"]
         sensor_row = plan["sensor_row"]
+        solver = from_scene(self._scene)
         self.gel_camera = GelCamera(
             sensor_row,
             cut=self._scene["gel"]["cut"],
@@ -66,6 +69,7 @@ class Pressing:
             readout=plan["readout"],
             outline=outline,
             outline_at_px=outline_at_px,
+            scans_per_ms=solver.scans_per_ms,
         )
         self.sampled = sampling.sample_trial(self._scene, plan["object_row"], mechanics, sensor_row)
         nodes = pad(self._scene, sensor_row)
@@ -73,9 +77,14 @@ class Pressing:
         self._stiffness_n_m3 = float(sensor_row["normal_modulus_pa"]) / self._material.height_m
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
         sampled = self.sampled
-        self._friction = gel.Friction(sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s)
+        self._stepper = Stepper(solver)
+        self._friction = friction_of(sampled)
+        self._steps = SolverTruth(self._gel, self._friction)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
         self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
+        many = solver.camera_substeps > 1
+        self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
+        self._dilation_m = np.zeros_like(self.gel_camera.rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
         self._slip = GroundTruthSlip(self.gel_camera.mm_per_px)
         self._xy_m, self._force_n = self.timeline.at(0.0)
@@ -135,30 +144,29 @@ class Pressing:
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
-        now = (self.slices + THETA) * STEP_S
-        xy_m, force_n = self.timeline.at(now + (1 - THETA) * STEP_S)
-        _, balance_n = self.timeline.at(now)
+        before_n = self.timeline.at(self.slices * STEP_S)[1]
+        xy_m, force_n = self.timeline.at((self.slices + 1) * STEP_S)
         weights = self._weights(self._centre_m + (xy_m if self.follows else 0.0))
         covered = weights.sum()
         borne = self._borne(covered)
-        force_n, balance_n = borne * force_n, borne * balance_n
-        nodal_n = weights * (balance_n / covered) if covered > 0 else np.zeros_like(weights)
+        before_n, force_n = borne * before_n, borne * force_n
+        shares = weights / covered if covered > 0 else weights
         velocity = (xy_m - self._xy_m) / STEP_S
-        info = gel.step(
-            self._gel,
-            nodal_n,
-            np.zeros(3),
-            self._friction,
-            STEP_S,
-            theta=THETA,
-            prescribed_twist=np.array([*velocity, 0.0]),
-        )
-        self._xy_m, self._force_n, self._shear_n = xy_m, force_n if covered > 0 else 0.0, info.friction_n[:2]
-        self._slip.follow(info, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
-        shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated(weights)
+        twist = np.array([*velocity, 0.0])
+        each = None
+        if self._path is not None:
+            self._path.begin()
+            each = self._path.follow
+        done = self._stepper.advance(self._gel, shares, (before_n, force_n), np.zeros(3), self._friction, twist, each)
+        self._xy_m, self._force_n, self._shear_n = xy_m, force_n if covered > 0 else 0.0, done.friction_n[:2]
+        self._steps.follow(done)
+        self._slip.follow(done, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
+        before_m, self._dilation_m = self._dilation_m, self._dilated(weights)
+        shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilation_m
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
+        path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
         events = self.gel_camera.render(
-            shift_m, self._xy_m, 0.0, self.slices * SLICE_US, cut_m=cut_m, strength=self._strength()
+            shift_m, self._xy_m, 0.0, self.slices * SLICE_US, path_m, cut_m=cut_m, strength=self._strength()
         )
         self.slices += 1
         time = self._scene["time"]
@@ -193,6 +201,7 @@ class Pressing:
             "truth/slip_fraction": self._slip.fraction,
             "truth/normal_force_n": self._force_n,
             "truth/shear_force_n": self._shear_n,
+            **self._steps.rows(),
         }
 
 

@@ -1,5 +1,6 @@
-"""What scenes share: the time step, the pad of gel nodes, the gel of a sensor, and whether the object truly slips."""
+"""What scenes share: the pad of gel nodes, the gel of a sensor, its friction, and whether the object truly slips."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -9,9 +10,13 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel.adaptive import Slice
+from evetac_cli.sim.sampling import SampledTrial
+from evetac_cli.sim.solver import from_scene
 
 STEP_S = 1e-3
-THETA = 0.55  # of the time step: second order but for a trace, and no ringing after a stick event
+Floats = NDArray[np.float64]
+
 SLIP_PX = 0.5  # an object that slid further than this in gross slip slips: the true onset
 EPISODE_MS = 3  # gross slip is over after so many slices with a stuck node
 CONTACT_N = 0.01
@@ -21,7 +26,7 @@ PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
 
 def pad(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:
     """Gel nodes (rows, columns, 2) in m: a cut gel ends at the window, a closed one at the edge of the frame."""
-    columns, rows = scene["gel"]["nodes"]
+    columns, rows = from_scene(scene).nodes(PAD_M)
     mm_per_px = float(sensor_row["mm_per_px"])
     cut_m = (sensor_row["window_px"][0] - FRAME_PX[0] / 2) * mm_per_px * 1e-3
     end_m = cut_m if scene["gel"]["cut"] else FRAME_PX[0] / 2 * mm_per_px * 1e-3
@@ -48,6 +53,67 @@ def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
     return replace(usual, viscous_time_s=viscous_time_s)
 
 
+def friction_of(sampled: SampledTrial) -> gel.Friction:
+    """The friction of a trial."""
+    return gel.Friction(
+        sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s, sampled.friction_memory_m
+    )
+
+
+class SolverTruth:
+    """How finely slices were simulated, and whether the nodes resolve the slip that friction makes unstable."""
+
+    def __init__(self, pad_state: gel.GelState, friction: gel.Friction) -> None:
+        self._gel = pad_state
+        self._friction = friction
+        self._last = Slice()
+
+    def follow(self, done: Slice) -> None:
+        """Take the steps of one slice."""
+        self._last = done
+
+    def rows(self) -> dict[str, Any]:
+        """What a recording keeps of a slice; schema paths."""
+        half = math.inf
+        if self._last.slipping_force_n > 0.0:
+            half = gel.slip_half_wavelength_nodes(self._gel, self._friction, self._last.slipping_force_n)
+        return {
+            "truth/mechanical_steps": self._last.steps,
+            "truth/estimated_error_um": self._last.error_m * 1e6,
+            "truth/slip_half_wavelength_nodes": half if math.isfinite(half) else math.nan,
+        }
+
+
+class DotPath:
+    """Where the gel under the dots is within a slice, for a camera that sees more than a straight line a slice."""
+
+    def __init__(self, pad_state: gel.GelState, at_dots: tuple[NDArray[np.intp], Floats], pieces: int) -> None:
+        self._gel = pad_state
+        self._at_dots = at_dots
+        self._times = np.linspace(0.0, STEP_S, pieces + 1)
+        self._reached_s: list[float] = []
+        self._shift_m: list[Floats] = []
+
+    def begin(self) -> None:
+        """Begin a slice where the gel is now."""
+        self._reached_s, self._shift_m = [0.0], [gel.displacement_at(self._gel, *self._at_dots)]
+
+    def follow(self, _: gel.StepInfo, dt_s: float) -> None:
+        """Take where the gel is after a step."""
+        self._reached_s.append(self._reached_s[-1] + dt_s)
+        self._shift_m.append(gel.displacement_at(self._gel, *self._at_dots))
+
+    def pieces(self, before_m: Floats, after_m: Floats) -> Floats:
+        """The displacement at the ends of all pieces, (pieces + 1, dots, 2), with what shifts the dots beside shear."""
+        place = np.interp(self._times, self._reached_s, np.arange(len(self._reached_s)))
+        low = np.minimum(place.astype(np.intp), len(self._reached_s) - 2)
+        part = (place - low)[:, None, None]
+        shift_m = np.stack(self._shift_m)
+        along = (self._times / STEP_S)[:, None, None]
+        path: Floats = shift_m[low] * (1 - part) + shift_m[low + 1] * part + before_m * (1 - along) + after_m * along
+        return path
+
+
 class GroundTruthSlip:
     """Whether the object slips, and how far it slid: gross slip beyond half a pixel, in episodes."""
 
@@ -58,19 +124,19 @@ class GroundTruthSlip:
         self.slips = False
         self.fraction = 0.0
 
-    def follow(self, info: gel.StepInfo, force_n: float, along: int) -> None:
-        """Count one step; an episode of gross slip ends after a few slices with a stuck node."""
-        speed = info.slip_velocity_m_s[along]
-        gross = info.slip_fraction >= 1.0 and force_n > CONTACT_N and abs(speed) > 1e-6
+    def follow(self, done: Slice, force_n: float, along: int) -> None:
+        """Count one slice; an episode of gross slip ends after a few slices with a stuck node."""
+        slip_m = done.slip_m[along]
+        gross = done.slip_fraction >= 1.0 and force_n > CONTACT_N and abs(slip_m) > 1e-6 * STEP_S
         if gross:
-            self._slid_m += speed * STEP_S
+            self._slid_m += slip_m
             self._since_gross = 0
         else:
             self._since_gross += 1
             if self._since_gross > EPISODE_MS:
                 self._slid_m = 0.0
         self.slips = gross and abs(self.slid_px) > SLIP_PX
-        self.fraction = info.slip_fraction
+        self.fraction = done.slip_fraction
 
     @property
     def slid_px(self) -> float:

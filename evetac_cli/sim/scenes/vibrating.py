@@ -32,6 +32,7 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
 from evetac_cli.sim.scenes.shared import material
+from evetac_cli.sim.solver import from_scene
 
 ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # of the tone: the waves of the surface
 FADE_S = 0.02  # the tone comes and goes smoothly, as its response is the stationary one
@@ -149,7 +150,12 @@ class Vibration:
         scene, sensor_row = plan["scene"], plan["sensor_row"]
         self._time, tone = scene["time"], scene["tone"]
         self.gel_camera = GelCamera(
-            sensor_row, cut=scene["gel"]["cut"], texture=None, rng=optics_rng, readout=plan["readout"]
+            sensor_row,
+            cut=scene["gel"]["cut"],
+            texture=None,
+            rng=optics_rng,
+            readout=plan["readout"],
+            scans_per_ms=from_scene(scene).scans_per_ms,
         )
         layer = material(sensor_row)
         radius_m = tone["radius_mm"] * 1e-3

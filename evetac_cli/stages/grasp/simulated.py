@@ -20,11 +20,11 @@ from evetac_cli.stages.grasp.setup import (
     model_path_for,
     open_detector,
 )
-from evetac_cli.stages.trials import OUTPUT, SimulatedTrial
+from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 
-METHOD = 4
+METHOD = 5
 
 
 def make_recipe(trial: SimulatedTrial, params: Grasp) -> Recipe:
@@ -61,4 +61,7 @@ def run(trial: SimulatedTrial, params: Grasp, *, force: bool, progress: Progress
     arrays |= {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.sampled}
     write_stage(trial.output, recipe, {**devices.camera.sensor, **arrays, "t_offset": np.int64(0)})
     slipping = detector.count if detector else 0
+    solver = SolverFigures()
+    solver.add(arrays)
+    figures |= solver.figures(trial.plan["scene"]["solver"])
     return outcome(trial, made=True, simulated=True, slices=slices, slices_with_slip=slipping, **figures)

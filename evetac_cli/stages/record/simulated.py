@@ -14,12 +14,12 @@ from evetac_cli.devices import Gripper, Rig, gripper_row
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
-from evetac_cli.stages.trials import OUTPUT, SimulatedTrial
+from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import up_to_date
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import RecordingWriter
 
-METHOD = 2
+METHOD = 3
 CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
 
 
@@ -38,11 +38,13 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
     known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     writer = RecordingWriter(trial.output, known, discard_leftover=True)
     written = event_count = 0
+    solver = SolverFigures()
     try:
         for events, rows in slices:
             writer.append(events, rows)
             written += 1
             event_count += events.size
+            solver.add(rows)
             if written % 100 == 0:
                 progress(written, longest_ms)
         writer.finish(recipe)
@@ -51,7 +53,8 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
         raise
     finally:
         devices.close()
-    return outcome(trial, made=True, simulated=True, slices=written, events=event_count)
+    figures = solver.figures(trial.plan["scene"]["solver"])
+    return outcome(trial, made=True, simulated=True, slices=written, events=event_count, **figures)
 
 
 def play(trial: SimulatedTrial) -> tuple[Rig, Iterator[tuple[Events, dict[str, Any]]]]:

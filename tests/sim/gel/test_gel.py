@@ -181,7 +181,7 @@ def test_stop_distance_of_a_block(material):
 def test_stick_slip_oscillator(dt_s, tolerated):
     """Assert that a node dragged by a belt sticks and slips with the exact period, within 0.2 % at 0.1 ms."""
     mass_kg, stiffness, belt, load_n = 0.1, 1000.0, 0.02, 1.0
-    friction = Friction(0.8, 0.5, 1e-9)
+    friction = Friction(0.8, 0.5, 1e-9, 0.0)
     area = stiffness * 4e-3 / 145e3
     density = mass_kg * math.pi**2 / (4 * 4e-3 * area)
     material = GelMaterial(viscous_time_s=0.0, maxwell_share=0.0, density_kg_m3=density)
@@ -375,12 +375,12 @@ def test_energy_is_never_gained(name, theta):
 # -- invariances -------------------------------------------------------------------------------------------------------
 
 
-def run(nodes, shares, force, inertia=4e-5, turn=None, **changes):
+def run(nodes, shares, force, inertia=4e-5, friction=SLIPPERY, **changes):
     """A trial through stick, partial and gross slip in the frame given: pose, and displacement of the nodes."""
     state = start(nodes, GelMaterial(), 0.1, inertia, **changes)
     for k in range(60):
         load_n = 1.0 - 0.012 * k
-        step(state, load_n * shares, force, SLIPPERY, 1e-3, tolerance=1e-12, max_sweeps=5000)
+        step(state, load_n * shares, force, friction, 1e-3, tolerance=1e-12, max_sweeps=5000)
     return state.pose, state.displacement_m, state.stuck
 
 
@@ -400,9 +400,17 @@ def test_trial_slips_and_turns(plain):
     assert (np.abs(plain[0]) > [1e-4, 1e-5, 1e-3]).all()
 
 
-def test_mirror(plain):
-    """Assert that a trial mirrored in y gives the mirrored motion."""
-    pose, displacement, stuck = run(NODES, SHARES[::-1], FORCE * [1, -1, -1])
+@pytest.mark.parametrize(("rows", "friction"), [(6, COULOMB), (7, COULOMB), (7, SLIPPERY)])
+def test_mirror(rows, friction):
+    """Assert that a trial mirrored in y gives the mirrored motion.
+
+    With friction that falls with speed only on a grid whose nodes keep their turn in a sweep when it is mirrored:
+    bounds are refreshed in the first rounds alone, so what they are then depends a little on the order of the nodes.
+    """
+    nodes = pad(9, rows)
+    shares = dome(nodes) * (1 + 30 * nodes[..., 0] - 20 * nodes[..., 1])
+    plain = run(nodes, shares, FORCE, friction=friction)
+    pose, displacement, stuck = run(nodes, shares[::-1], FORCE * [1, -1, -1], friction=friction)
     np.testing.assert_allclose(pose * [1, -1, -1], plain[0], rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(displacement[::-1] * [1, -1], plain[1], rtol=1e-7, atol=1e-12)
     assert (stuck[::-1] == plain[2]).all()

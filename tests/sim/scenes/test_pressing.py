@@ -56,7 +56,7 @@ def test_shear_sticks_and_stays_in_its_disc(tmp_path: Path) -> None:
 
 def test_strokes_move_every_dot(tmp_path: Path) -> None:
     """Assert that strokes over the gel move every dot by 3 px at least twice, and leave all of them at rest."""
-    trial = pressing("press", tmp_path, motion={"speed_mm_s": 80.0, "lines": 5}, gel={"nodes": [20, 15]})
+    trial = pressing("press", tmp_path, motion={"speed_mm_s": 80.0, "lines": 5}, solver={"node_pitch_mm": 1.0})
     rows = run(trial)
     moved = np.linalg.norm(column(rows, "dot_xy_px") - trial.gel_camera.grid_xy_px.reshape(-1, 2), axis=2)
     times = ((moved[1:] >= 3) & (moved[:-1] < 3)).sum(axis=0)

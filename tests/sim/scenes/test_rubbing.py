@@ -15,7 +15,7 @@ def rubbing(object_name: str, sensor: str = "evetac", gel: str = "cut", seed: in
     """A trial of the scene with an object, and a coarse gel."""
     made = plan("edge", "8", sensor, ("rub",), gel)[0]
     made["scene"]["rub"] |= {"objects": [object_name], **rub}
-    made["scene"]["gel"]["nodes"] = [16, 12]
+    made["scene"]["solver"]["node_pitch_mm"] = 1.25
     return Rubbing(made, *(np.random.default_rng([seed, part]) for part in range(2)))
 
 

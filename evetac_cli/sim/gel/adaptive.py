@@ -1,0 +1,121 @@
+"""A slice of the gel in as many time steps as it needs: one while all sticks or slides evenly, more while it lets go.
+
+A step whose estimated error is above the tolerance is made again in halves, down to a shortest step; steps get longer
+again where two short ones end together and their errors are far below the tolerance. What is estimated: see
+`gel.StepInfo.error_m`. The estimate is that of one step, and says nothing about what a trial makes of it: what a
+tolerance costs and gives in onset of slip and displacement is measured by `evaluate cost`.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.solver import Solver
+
+Floats = NDArray[np.float64]
+
+LONGER = 0.3  # steps get longer again where the error is below this share of the tolerance: twice as long, thrice it
+
+
+@dataclass
+class Slice:
+    """What the steps of one slice did together.
+
+    steps: how many there were. error_m: the largest estimated error of one. slip_m: how far the object slid against the
+    gel, (x, y), mean over the contact. friction_n: as of `gel.StepInfo`, mean over time. slip_fraction: of the last
+    step; least_slip_fraction: the least of all steps. slipping_force_n: the largest. converged: all steps.
+    """
+
+    steps: int = 0
+    sweeps: int = 0
+    residual: float = 0.0
+    converged: bool = True
+    error_m: float = 0.0
+    slip_m: tuple[float, float] = (0.0, 0.0)
+    friction_n: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    slip_fraction: float = 0.0
+    least_slip_fraction: float = 1.0
+    slipping_force_n: float = 0.0
+    friction_heat_j: float = 0.0
+
+    def add(self, info: gel.StepInfo, dt_s: float, share: float) -> None:
+        """Count a step of dt_s, which is this share of the slice."""
+        self.steps += 1
+        self.sweeps += info.sweeps
+        self.residual = max(self.residual, info.residual)
+        self.converged &= info.converged
+        self.error_m = max(self.error_m, info.error_m)
+        x, y = info.slip_velocity_m_s
+        self.slip_m = (self.slip_m[0] + dt_s * x, self.slip_m[1] + dt_s * y)
+        along, across, moment = self.friction_n
+        self.friction_n = (
+            along + share * info.friction_n[0],
+            across + share * info.friction_n[1],
+            moment + share * info.friction_n[2],
+        )
+        self.slip_fraction = info.slip_fraction
+        self.least_slip_fraction = min(self.least_slip_fraction, info.slip_fraction)
+        self.slipping_force_n = max(self.slipping_force_n, info.slipping_force_n)
+        self.friction_heat_j += info.friction_heat_j
+
+
+@dataclass
+class Stepper:
+    """Cuts slices into steps; remembers how short the last one was."""
+
+    solver: Solver
+    slice_s: float = 1e-3
+    _halved: int = 0
+
+    def advance(
+        self,
+        state: gel.GelState,
+        shares: Floats,
+        force_n: tuple[float, float],
+        body_force_n: Sequence[float] | Floats,
+        friction: gel.Friction,
+        prescribed_twist: Sequence[float] | Floats | None = None,
+        each: Callable[[gel.StepInfo, float], None] | None = None,
+    ) -> Slice:
+        """Move gel and object on by a slice.
+
+        shares: (rows, columns), the part of the normal force that each node bears, together 1, or 0 without contact;
+        force_n: that force in N on one pad at the start and the end of the slice. each: called after each step, with
+        what it did and how long it was in s. The rest as for `gel.step`.
+        """
+        done = Slice()
+        solver = self.solver
+        first_n, last_n = force_n
+        allowed_m = solver.tolerance_um * 1e-6
+        part = 0.0
+        while part < 1.0:
+            share = 1.0 / solver.fixed_steps if solver.fixed_steps else 0.5**self._halved
+            dt_s = share * self.slice_s
+            nodal_n = shares * (first_n + (part + solver.theta * share) * (last_n - first_n))
+            free = solver.fixed_steps is not None or self._halved >= solver.halvings
+            info = gel.step_within(
+                state,
+                nodal_n,
+                body_force_n,
+                friction,
+                dt_s,
+                math.inf if free else allowed_m,
+                theta=solver.theta,
+                tolerance=solver.residual,
+                prescribed_twist=prescribed_twist,
+            )
+            if info is None:
+                self._halved += 1
+                continue
+            done.add(info, dt_s, share)
+            if each is not None:
+                each(info, dt_s)
+            part = done.steps / solver.fixed_steps if solver.fixed_steps else part + share
+            # longer steps again, but only where two short ones end together
+            if self._halved > 0 and info.error_m < LONGER * allowed_m and part / (2.0 * share) % 1.0 == 0.0:
+                self._halved -= 1
+        return done

@@ -1,0 +1,88 @@
+"""How finely a scene is simulated: time steps, nodes of the gel, sub-steps and scans of the camera.
+
+A scene's table `[solver]` and the flags of `record` and `grasp` choose; what each choice costs and gives is measured by
+`evaluate cost`.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+HALVINGS = 3  # of a slice at the default tolerance, at most: 1/8 ms
+MOST_HALVINGS = 7
+
+
+@dataclass(frozen=True)
+class Solver:
+    """The settings of the simulation.
+
+    tolerance_um: largest estimated error of the displacement in one step of the mechanics; from 1 ms steps are halved
+    until it holds, HALVINGS times at most, and once more for each halving of the tolerance. step_ms: a fixed step
+    instead, whatever its error; 1 ms divided by a whole number. theta: 0.5 to 1, see sim.gel. node_pitch_mm: distance
+    of the gel's nodes. camera_substeps: straight pieces of a dot's path within a slice. scans_per_ms: of the scanned
+    readout. residual: of the balance of forces in a step, as a share of all forces.
+    """
+
+    tolerance_um: float = 0.2
+    step_ms: float | None = None
+    theta: float = 0.55
+    node_pitch_mm: float = 0.833
+    camera_substeps: int = 1
+    scans_per_ms: int = 5
+    residual: float = 1e-6
+
+    def __post_init__(self) -> None:
+        for name in ("tolerance_um", "node_pitch_mm", "residual"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} must be finite and > 0, found {value}")
+        if not 0.5 <= self.theta <= 1.0:
+            raise ValueError(f"theta must be within [0.5, 1], found {self.theta}")
+        if self.camera_substeps < 1 or self.scans_per_ms < 1:
+            found = f"{self.camera_substeps} and {self.scans_per_ms}"
+            raise ValueError(f"camera_substeps and scans_per_ms must be at least 1, found {found}")
+        if self.step_ms is not None and not self._divides_slice(self.step_ms):
+            raise ValueError(f"step_ms must be 1 ms divided by a whole number, found {self.step_ms}")
+
+    @staticmethod
+    def _divides_slice(step_ms: float) -> bool:
+        steps = 1.0 / step_ms if math.isfinite(step_ms) and step_ms > 0.0 else math.nan
+        return 1.0 <= steps <= 1e6 and abs(steps - round(steps)) <= 1e-6 * steps
+
+    @property
+    def fixed_steps(self) -> int | None:
+        """Steps a slice, where their number is fixed."""
+        return None if self.step_ms is None else round(1.0 / self.step_ms)
+
+    @property
+    def halvings(self) -> int:
+        """How often a slice is halved at most."""
+        finer = math.ceil(math.log2(Solver.tolerance_um / self.tolerance_um) - 1e-9)
+        return min(max(HALVINGS + finer, 0), MOST_HALVINGS)
+
+    def nodes(self, pad_m: tuple[float, float]) -> tuple[int, int]:
+        """Columns and rows of nodes on a pad of this size."""
+        columns, rows = (max(2, round(side * 1e3 / self.node_pitch_mm)) for side in pad_m)
+        return columns, rows
+
+
+def from_scene(scene: Mapping[str, Any]) -> Solver:
+    """The settings that a scene names, and the defaults of the others; ValueError where one is out of range."""
+    return Solver(**scene.get("solver", {}))
+
+
+def resolve(scene: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """All settings of a scene, with those that are given in their place, as its table `[solver]`.
+
+    A tolerance that is given takes the place of a fixed step, and a fixed step that of a tolerance.
+    """
+    named = dict(scene.get("solver", {}))
+    if "step_ms" in given:
+        named.pop("tolerance_um", None)
+    if "tolerance_um" in given:
+        named.pop("step_ms", None)
+    settings = Solver(**{**named, **given})
+    answer = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
+    answer.pop("tolerance_um" if settings.step_ms is not None else "step_ms")
+    return answer

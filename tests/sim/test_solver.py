@@ -1,0 +1,73 @@
+"""Settings of the simulation: what is refused, which takes the place of which, and what they come to."""
+
+from typing import Any
+
+import pytest
+
+from evetac_cli.errors import SceneError
+from evetac_cli.sim.scene import plan
+from evetac_cli.sim.solver import Solver, from_scene, resolve
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"step_ms": 0.3},
+        {"step_ms": 2.0},
+        {"step_ms": 0.0},
+        {"step_ms": float("nan")},
+        {"tolerance_um": 0.0},
+        {"tolerance_um": float("inf")},
+        {"theta": 0.4},
+        {"theta": float("nan")},
+        {"node_pitch_mm": -1.0},
+        {"camera_substeps": 0},
+        {"scans_per_ms": 0},
+    ],
+)
+def test_what_makes_no_sense_is_refused(settings: dict[str, Any]) -> None:
+    """Assert that a setting out of its range is refused by its name, also on the way through a plan."""
+    (name,) = settings
+    with pytest.raises(ValueError, match=name):
+        Solver(**settings)
+    with pytest.raises(SceneError, match=name):
+        plan("slip", "8", "evetac", ("ramp",), solver=settings)
+
+
+def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
+    """Assert that of a tolerance and a fixed step the one that is given holds, whatever the scene names."""
+    fixed = resolve({"solver": {"tolerance_um": 0.05}}, {"step_ms": 0.5})
+    assert fixed["step_ms"] == 0.5
+    assert "tolerance_um" not in fixed
+    adaptive = resolve({"solver": {"step_ms": 0.5, "theta": 0.6}}, {"tolerance_um": 0.05})
+    assert (adaptive["tolerance_um"], adaptive["theta"]) == (0.05, 0.6)
+    assert "step_ms" not in adaptive
+
+
+def test_a_plan_says_all_settings() -> None:
+    """Assert that a plan, and so the recipe of a recording, names every setting, also those at their defaults."""
+    (planned,) = plan("lift", "8", "evetac", ("lift",), solver={"scans_per_ms": 10})
+    solver = planned["scene"]["solver"]
+    assert set(solver) == {
+        "tolerance_um",
+        "theta",
+        "node_pitch_mm",
+        "camera_substeps",
+        "scans_per_ms",
+        "residual",
+    }
+    assert from_scene(planned["scene"]) == Solver(node_pitch_mm=1.45, scans_per_ms=10)
+
+
+@pytest.mark.parametrize(("tolerance_um", "halvings"), [(0.2, 3), (0.1, 4), (0.05, 5), (1e-9, 7), (0.4, 2), (1e3, 0)])
+def test_a_smaller_tolerance_may_halve_more_often(tolerance_um: float, halvings: int) -> None:
+    """Assert how often a slice may be halved at a tolerance."""
+    assert Solver(tolerance_um=tolerance_um).halvings == halvings
+
+
+@pytest.mark.parametrize(
+    ("pitch_mm", "nodes"), [(0.833, (24, 18)), (1.45, (14, 10)), (0.67, (30, 22)), (1.667, (12, 9)), (5.0, (4, 3))]
+)
+def test_nodes_of_a_pitch(pitch_mm: float, nodes: tuple[int, int]) -> None:
+    """Assert how many nodes a pad of 20 x 15 mm has at a pitch."""
+    assert Solver(node_pitch_mm=pitch_mm).nodes((20e-3, 15e-3)) == nodes
