@@ -224,7 +224,7 @@ class Label:
     method: str = parameter(
         "event-flow",
         "How; event-flow: motion counted from events; farneback: the paper's optical flow; dis: another flow;"
-        " event-count: many events in the window; truth: what the simulation knows, for comparison.",
+        " event-count: many events in the window; truth: gross slip as the simulation knows it, for comparison.",
         choices=("event-flow", "farneback", "dis", "event-count", "truth"),
     )
     slip_distance_px: float = parameter(
@@ -425,7 +425,7 @@ class EvaluateVibration:
 
 @dataclass(frozen=True)
 class EvaluateLabels:
-    """Compare the onset of labels with the true onset (simulated recordings)."""
+    """Compare the onset of labels with the true onset of gross slip (simulated recordings)."""
 
 
 @dataclass(frozen=True)

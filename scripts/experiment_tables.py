@@ -54,7 +54,7 @@ def demo_rows(evaluations: Evaluations) -> Rows:
     labels, tracking, slip = (evaluations[name].summary for name in ("labels", "tracking", "slip"))
     still = f"{tracking['error_px_rms']:.3g} ({tracking['still_px_rms']:.3g})"
     figures = {
-        "onset of slip: labels against truth, median": f"{labels['onset_error_ms_median']:.3g} ms",
+        "onset of gross slip: labels against truth, median": f"{labels['onset_error_ms_median']:.3g} ms",
         "... worst": f"{labels['onset_error_ms_worst']:.3g} ms",
         "... onsets that have a label": f"{labels['onsets_found']} of {labels['trajectories']}",
         "dots tracked, error, rms (standing still)": f"{still} px",
@@ -228,7 +228,7 @@ MODEL_COST = Table(
 
 LABELS = Table(
     "labels",
-    "Slip labels against truth, {recordings} trajectories of objects {objects}",
+    "Slip labels against true gross slip, {recordings} trajectories of objects {objects}",
     ("labels",),
     summaries,
     (

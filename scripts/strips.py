@@ -62,7 +62,7 @@ def strip(path: Path, out: Path) -> Path:
             shear = np.linalg.norm(recording.read("truth/shear_force_n"), axis=1)
             force.plot(seconds, shear, color=WARM, label="shear force")
             slip = recording.read("truth/slip") > 0
-            force.fill_between(seconds, 0, 1, where=slip, color=WARM, alpha=0.2, linewidth=0, label="slip",
+            force.fill_between(seconds, 0, 1, where=slip, color=WARM, alpha=0.2, linewidth=0, label="gross slip",
                                transform=force.get_xaxis_transform())  # fmt: skip
             force.legend(loc="lower left", bbox_to_anchor=(0, 0.98), ncols=3, frameon=False, fontsize=9)
         force.set_ylabel("N", color=INK)

@@ -40,9 +40,9 @@ Method = Callable[[Recording], tuple[int, float]]
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
     """Rows of every setting; run times are those of a recorded millisecond.
 
-    `error_ms_onset` is the median of |t_c - t_s| over the trials with an onset, `onset_share` their share,
-    `error_ms_reference` the largest distance from the reference's onset; run times are over the trials. `speedup` is
-    the reference's run time over that of the setting.
+    `error_ms_onset` is the median of |t_c - t_s| over the trials with an onset, t_s being the onset of gross slip,
+    `onset_share` their share, `error_ms_reference` the largest distance from the reference's onset; run times are
+    over the trials. `speedup` is the reference's run time over that of the setting.
     """
     with TemporaryDirectory() as folder:
         recordings = _record(Record(scene="slip", objects=OBJECTS, seed=params.seed), Path(folder))

@@ -4,8 +4,8 @@ A trajectory begins where the object is held stably and the gripper's current st
 Setup and Data Collection Procedure"); closing and loading before are not examined. Without a gripper it begins at 0.
 
 The methods: `event-flow` (default) counts motion from events, `farneback` is the paper's optical flow, `dis` and
-`event-count` are its alternatives, `truth` copies what a simulation knows; the header of the labels, and of all files
-made from them, names the method.
+`event-count` are its alternatives, `truth` copies gross slip from a simulation; the header of the labels, and of all
+files made from them, names the method.
 """
 
 from pathlib import Path
@@ -118,7 +118,7 @@ def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
 
 
 def from_truth(recording: Recording, after_ms: int) -> flow.Labels:
-    """Labels from a simulation's truth, up to `after_ms` after the first slice of slip; InputError without truth."""
+    """Labels from the gross slip of a simulation, up to `after_ms` after its first slice; InputError without truth."""
     if not recording.has("truth/slip"):
         raise InputError(
             "the recording has no truth: only a simulation knows it",

@@ -69,7 +69,7 @@ def test_a_table_says_what_its_reports_say(tmp_path: Path) -> None:
     """Assert that title, sizes and seeds come from the headers, not from the sizes asked for."""
     run_labels(tmp_path, [1, 2, 3, 8])
     table = json.loads((tmp_path / "results" / "labels.json").read_text())
-    assert table["title"] == "Slip labels against truth, 4 trajectories of objects 1-3, 8"
+    assert table["title"] == "Slip labels against true gross slip, 4 trajectories of objects 1-3, 8"
     assert table["sizes"]["recordings"] == 4
     assert table["sizes"]["recording_seeds"] == [300]
     assert table["recipe_ids"] == ["r"]

@@ -90,6 +90,11 @@ def test_reports_name_labels_from_truth(made: Made, tmp_path: Path) -> None:
     assert outcome.summary["method"] == "truth"
     assert outcome.summary["onset_error_ms_median"] == 0
     assert outcome.summary["within_minus4_plus3_ms"] == 1
+    (row,) = outcome.rows
+    assert row["gross_slip_start_ms"] <= row["t_s_ms"] <= row["t_every_node_ms"]
+    later_ms = row["t_every_node_ms"] - row["t_s_ms"]
+    assert outcome.summary["every_node_after_t_s_ms_median"] == later_ms
+    assert outcome.summary["every_node_after_t_s_ms_most"] == later_ms
     with StageFile(job.output) as report:
         (parent,) = report.header["parents"]
         assert report.header["history"][parent]["parameters"]["method"] == "truth"

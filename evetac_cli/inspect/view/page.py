@@ -162,7 +162,7 @@ def _onsets(view: ViewData) -> str:
     reference = next((slice_ for slice_ in view.onsets.values() if slice_ is not None), None)
     cells = []
     for source, slice_ in view.onsets.items():
-        simulated = " <small>(simulated)</small>" if source == "truth" else ""
+        simulated = " <small>(gross slip, simulated)</small>" if source == "truth" else ""
         if slice_ is None or reference is None:
             cells.append(f"<span>{source}{simulated} <b>none</b></span>")
             continue

@@ -118,6 +118,14 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
         if recording.has("truth/tone_hz"):
             lines = _lines({"tone": PINK}, start, stop - start, _rows(recording, "truth/tone_hz", start))
             panels.append(Panel("Tone, truth", "Hz", lines, simulated=True))
+        else:
+
+            def shares(first: int, last: int) -> NDArray[Any]:
+                paths = ("truth/visible_slip_share", "truth/slip_share")
+                return np.stack([recording.read(path, start + first, start + last) for path in paths], axis=1)
+
+            lines = _lines({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
+            panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))
     if tracks is not None:
         rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
 

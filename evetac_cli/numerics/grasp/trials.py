@@ -71,7 +71,7 @@ class FixedDetector:
 
 
 def ground_truth_detector(detector: SlipDetector, devices: Rig) -> SlipDetector:
-    """A detector that gives the simulation's own knowledge of slip."""
+    """A detector that gives the gross slip that only the simulation knows."""
     truth = devices.truth
     assert truth is not None
     return FixedDetector(detector, lambda: bool(truth()["truth/slip"]))

@@ -23,7 +23,8 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GroundTruthSlip, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.shared import STEP_S, DotPath, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.true_slip import GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
 GRAVITY_M_S2 = 9.81
@@ -69,7 +70,7 @@ class GraspSimulation:
         self.finished = False
         self._mass_kg = self.sampled.mass_kg
         self._lost_for = 0
-        self._slip = GroundTruthSlip(self.gel_camera.mm_per_px)
+        self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
         self._hand_m_s = 0.0
@@ -209,7 +210,7 @@ class GraspSimulation:
             done = self._solve(shares, force_n, 0.0, held=True)  # something else, or the floor, carries the object
         else:
             done = self._solve(shares, force_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
-        self._slip.follow(done, self.finger.force_n, self._down)
+        self._slip.follow(self._gel, shares, self.finger.force_n)
         self._steps.follow(done)
         self._shear_n = done.friction_n[:2]
 
@@ -311,9 +312,7 @@ class GraspSimulation:
         row = {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": (moved_m * 1e3 / self.gel_camera.mm_per_px).astype(np.float32),
-            "truth/slid_px": self._slip.slid_px,
-            "truth/slip": self._slip.slips,
-            "truth/slip_fraction": self._slip.fraction,
+            **self._slip.truth(),
             "truth/normal_force_n": self.finger.force_n,
             "truth/shear_force_n": self._shear_n,
             "truth/closing_ticks": self.finger.closing_ticks,

@@ -19,7 +19,8 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GroundTruthSlip, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.shared import STEP_S, DotPath, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.true_slip import GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
 Floats = NDArray[np.float64]
@@ -86,7 +87,7 @@ class Pressing:
         self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
         self._dilation_m = np.zeros_like(self.gel_camera.rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
-        self._slip = GroundTruthSlip(self.gel_camera.mm_per_px)
+        self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._xy_m, self._force_n = self.timeline.at(0.0)
         self._shear_n = (0.0, 0.0)
         self.slices = 0
@@ -160,7 +161,7 @@ class Pressing:
         done = self._stepper.advance(self._gel, shares, (before_n, force_n), np.zeros(3), self._friction, twist, each)
         self._xy_m, self._force_n, self._shear_n = xy_m, force_n if covered > 0 else 0.0, done.friction_n[:2]
         self._steps.follow(done)
-        self._slip.follow(done, self._force_n, int(abs(velocity[1]) > abs(velocity[0])))
+        self._slip.follow(self._gel, shares, self._force_n)
         before_m, self._dilation_m = self._dilation_m, self._dilated(weights)
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilation_m
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
@@ -196,9 +197,7 @@ class Pressing:
         return {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
-            "truth/slid_px": self._slip.slid_px,
-            "truth/slip": self._slip.slips,
-            "truth/slip_fraction": self._slip.fraction,
+            **self._slip.truth(),
             "truth/normal_force_n": self._force_n,
             "truth/shear_force_n": self._shear_n,
             **self._steps.rows(),

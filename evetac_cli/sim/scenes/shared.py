@@ -1,4 +1,4 @@
-"""What scenes share: the pad of gel nodes, the gel of a sensor, its friction, and whether the object truly slips."""
+"""What scenes share: the pad of gel nodes, the gel of a sensor, its friction, and how finely slices are simulated."""
 
 import math
 from collections.abc import Mapping
@@ -17,9 +17,6 @@ from evetac_cli.sim.solver import from_scene
 STEP_S = 1e-3
 Floats = NDArray[np.float64]
 
-SLIP_PX = 0.5  # an object that slid further than this in gross slip slips: the true onset
-EPISODE_MS = 3  # gross slip is over after so many slices with a stuck node
-CONTACT_N = 0.01
 LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
 PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
 
@@ -112,33 +109,3 @@ class DotPath:
         along = (self._times / STEP_S)[:, None, None]
         path: Floats = shift_m[low] * (1 - part) + shift_m[low + 1] * part + before_m * (1 - along) + after_m * along
         return path
-
-
-class GroundTruthSlip:
-    """Whether the object slips, and how far it slid: gross slip beyond half a pixel, in episodes."""
-
-    def __init__(self, mm_per_px: float) -> None:
-        self._mm_per_px = mm_per_px
-        self._slid_m = 0.0
-        self._since_gross = 0
-        self.slips = False
-        self.fraction = 0.0
-
-    def follow(self, done: Slice, force_n: float, along: int) -> None:
-        """Count one slice; an episode of gross slip ends after a few slices with a stuck node."""
-        slip_m = done.slip_m[along]
-        gross = done.slip_fraction >= 1.0 and force_n > CONTACT_N and abs(slip_m) > 1e-6 * STEP_S
-        if gross:
-            self._slid_m += slip_m
-            self._since_gross = 0
-        else:
-            self._since_gross += 1
-            if self._since_gross > EPISODE_MS:
-                self._slid_m = 0.0
-        self.slips = gross and abs(self.slid_px) > SLIP_PX
-        self.fraction = done.slip_fraction
-
-    @property
-    def slid_px(self) -> float:
-        """Distance slid in the present episode."""
-        return self._slid_m * 1e3 / self._mm_per_px

@@ -32,6 +32,7 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
 from evetac_cli.sim.scenes.shared import material
+from evetac_cli.sim.scenes.true_slip import NO_SLIP
 from evetac_cli.sim.solver import from_scene
 
 ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # of the tone: the waves of the surface
@@ -247,9 +248,7 @@ class Vibration:
         return {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
-            "truth/slid_px": 0.0,
-            "truth/slip": False,
-            "truth/slip_fraction": 0.0,
+            **NO_SLIP,
             "truth/normal_force_n": self._now.force_n,
             "truth/shear_force_n": -self._shear_n_m * self._now.along_m,
             "truth/tone_hz": self._hz if self._now.amplitude_m > 0.0 else 0.0,

@@ -1,9 +1,9 @@
 """evaluate data-rate: bytes a second of event recordings against an RGB sensor (paper, "Data Rate Experiments").
 
 Three intervals: the whole recording; contact, from the first touch (0.03 N) to its loss; and so many seconds about the
-onset of slip. Contact is known in simulations alone. The onset is the truth's first slice of slip after the current
-begins to fall, and without truth that of the labels beside the recording. Where an interval is unknown, the column
-`not_answered` says why; the whole is known for any recording.
+onset of slip. Contact is known in simulations alone. The onset is the first slice of gross slip in the truth after the
+current begins to fall, and without truth that of the labels beside the recording. Where an interval is unknown, the
+column `not_answered` says why; the whole is known for any recording.
 
 All events count, those in the window too. Every event has the same size, as the paper sends them.
 """

@@ -1,4 +1,9 @@
-"""evaluate labels: the onset of the labels against the true onset, where a simulation knows it."""
+"""evaluate labels: the onset of the labels against the true onset, where a simulation knows it.
+
+The true onset, t_s, is that of gross slip: the object slides as one body over the gel that the camera sees. Beside it
+stands `t_every_node_ms`: the last stuck node of the pad has let go, seen or not, and the object has slid as far since;
+it was the true onset of the first edition. Errors are those against t_s.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -8,12 +13,14 @@ from numpy.typing import NDArray
 
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateLabels, recipe_of
+from evetac_cli.sim.scenes.true_slip import SLIP_PX
 from evetac_cli.stages.evaluate import Rows, report, report_job
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.read import Recording
 
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 EARLIEST_MS = -4  # labels look 4 ms ahead
 LATEST_MS = 3
 
@@ -24,7 +31,7 @@ def jobs(files: list[Path], params: EvaluateLabels, out: Path | None) -> list[Jo
 
 
 def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every trajectory: t_c from labels, t_s and the start of gross slip from truth, in ms.
+    """A row for every trajectory: t_c from labels; t_s, the start of its slip and t_every_node from truth, in ms.
 
     Rows and summary name the labels' method, because labels may themselves be copied from truth.
     """
@@ -33,19 +40,18 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     for number, path in enumerate(job.inputs):
         with StageFile(path, "labels") as labels, recording_with_truth(labels) as recording:
             onset = int(labels.read("onset_slice"))
-            true = np.flatnonzero(recording.read("truth/slip"))
-            gross = _gross_start(recording.read("truth/slid_px"), int(true[0])) if len(true) else None
+            true = true_onsets(recording)
             headers.append(labels.header)
-        both = onset >= 0 and len(true) > 0
+        found = onset >= 0
+        t_s, gross = true["t_s_ms"], true["gross_slip_start_ms"]
         rows.append(
             {
                 "file": path.name,
                 "method": labels.header["parameters"].get("method", "farneback"),
-                "t_c_ms": onset if onset >= 0 else None,
-                "t_s_ms": int(true[0]) if len(true) else None,
-                "gross_slip_start_ms": gross,
-                "onset_error_ms": onset - int(true[0]) if both else None,
-                "onset_before_gross_slip_ms": gross - onset if both and gross is not None else None,
+                "t_c_ms": onset if found else None,
+                **true,
+                "onset_error_ms": onset - t_s if found and t_s is not None else None,
+                "onset_before_gross_slip_ms": gross - onset if found and gross is not None else None,
             }
         )
         progress(number + 1, len(job.inputs))
@@ -60,6 +66,11 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
         ]
         right = (errors >= EARLIEST_MS) & (errors <= LATEST_MS)
         slipped = sum(row["t_s_ms"] is not None for row in rows)
+        later = [
+            row["t_every_node_ms"] - row["t_s_ms"]
+            for row in rows
+            if row["t_every_node_ms"] is not None and row["t_s_ms"] is not None
+        ]
         return rows, {
             "method": ", ".join(sorted({row["method"] for row in rows})),
             "trajectories": len(rows),
@@ -68,12 +79,29 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
             "onset_error_ms_worst": float(errors[np.argmax(np.abs(errors))]) if any_error else None,
             "within_minus4_plus3_ms": float(right.sum() / slipped) if slipped else None,
             "earlier_than_4_ms_before_gross_slip": len(early),
+            "every_node_after_t_s_ms_median": float(np.median(later)) if later else None,
+            "every_node_after_t_s_ms_most": max(later, key=abs) if later else None,
         }
 
     return report(job, "evaluate labels", METHOD, recipe_of(params), headers, measure, force=force)
 
 
-def _gross_start(slid_px: NDArray[np.float64], onset: int) -> int:
+def true_onsets(recording: Recording) -> dict[str, int | None]:
+    """The first slice of gross slip, where that slip started, and the first slice by the pad's last stuck node."""
+    onset = _first(recording.read("truth/slip") > 0)
+    return {
+        "t_s_ms": onset,
+        "gross_slip_start_ms": None if onset is None else _gross_start(recording.read("truth/slid_px"), onset),
+        "t_every_node_ms": _first(recording.read("truth/every_node_slid_px") > SLIP_PX),
+    }
+
+
+def _first(slips: NDArray[np.bool_]) -> int | None:
+    slices = np.flatnonzero(slips)
+    return int(slices[0]) if len(slices) else None
+
+
+def _gross_start(slid_px: NDArray[np.float32], onset: int) -> int:
     """First slice of the gross slip that leads to the onset: the slice after the last without any sliding."""
     still = np.flatnonzero(slid_px[:onset] == 0.0)
     return int(still[-1]) + 1 if len(still) else 0

@@ -43,11 +43,13 @@ def test_everything_of_a_trial(trial: Path) -> None:
         "Gripper, current",
         "Gripper, width between the fingers",
         "Forces on one pad, truth",
+        "Share of the contact that slips, truth",
         "Dots, distance from rest",
         "Flow that labels slip",
     ]
-    assert [panel.simulated for panel in data.panels] == [False, True, True, True, False, False]
-    events, current, _, forces, dots, flow = data.panels
+    assert [panel.simulated for panel in data.panels] == [False, True, True, True, True, False, False]
+    events, current, _, forces, shares, dots, flow = data.panels
+    assert [line.name for line in shares.lines] == ["that the camera sees", "whole"]
     assert (events.lines[0].value == 4).all()
     assert current.lines[0].t_s[-1] == pytest.approx(0.298)
     np.testing.assert_allclose(forces.lines[1].value, np.sqrt(2), rtol=1e-6)

@@ -70,7 +70,9 @@ def _truth(slices: int, tone_hz: float, silent_s: float) -> dict[str, Any]:
         "dot_xy_px": (1, 2),
         "object_xy_px": (2,),
         "slid_px": (),
-        "slip_fraction": (),
+        "every_node_slid_px": (),
+        "slip_share": (),
+        "visible_slip_share": (),
         "normal_force_n": (),
         "shear_force_n": (2,),
     }
