@@ -44,7 +44,7 @@ BALANCE = Bound(
     "that is where the search for the balance ends: with more left it has given up",
 )
 ONSET = Bound(
-    "error of the onset of slip",
+    "error of the onset of gross slip",
     0.5,
     "ms",
     "half a slice of events: the onset falls into the right slice of 1 ms, or into the one beside it",

@@ -64,7 +64,7 @@ def small(monkeypatch, tmp_path):
     monkeypatch.setattr(gel_cost, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6, seconds=0.05))
     monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
     monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
-    monkeypatch.setattr(onset, "REFERENCE_S", (1e-3, 1e-3))
+    monkeypatch.setattr(onset, "REFERENCE_MS", (1.0, 1.0))
     few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
     monkeypatch.setitem(stability.PARTS, "sim", few)
 

@@ -22,7 +22,7 @@ def test_the_suite_holds_all_that_it_should(monkeypatch):
     """Assert that the extremes which the physics names are among the cases, and that nothing has two names."""
     monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
     monkeypatch.setattr(simulator, "CAMERA_SLICES", 1)
-    monkeypatch.setattr(onset, "REFERENCE_S", (1e-3, 1e-3))
+    monkeypatch.setattr(onset, "REFERENCE_MS", (1.0, 1.0))
     cases = [run() for run in simulator.cases(0, False)]
     assert all(row["ok"] for rows in cases for row in rows)
     assert {row["part"] for rows in cases for row in rows} == {"gel", "gripper", "camera", "nonsense"}

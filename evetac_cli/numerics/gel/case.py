@@ -50,13 +50,20 @@ class GelCase:
         shares = np.full(state.stuck.shape, 1 / state.stuck.size) if self.shares is None else self.shares(nodes)
         return state, shares
 
+    def force_at(self, time_s: float) -> Sequence[float] | Floats:
+        """The force on the object, x, y in N and moment in N m."""
+        return (self.mass_kg * GRAVITY_M_S2, 0.0, 0.0) if self.force is None else self.force(time_s)
+
+    def friction_at(self, time_s: float) -> gel.Friction:
+        """The friction at a time."""
+        return self.friction if self.becomes is None or time_s < self.becomes[0] else self.becomes[1]
+
     def step(
         self, state: gel.GelState, shares: Floats, number: int, dt_s: float, theta: float
     ) -> tuple[gel.StepInfo, float]:
         """Make the step of this number, and return what it did, and the work of the force on the object in J."""
         time_s = (number + theta) * dt_s
-        force = (self.mass_kg * GRAVITY_M_S2, 0.0, 0.0) if self.force is None else self.force(time_s)
-        friction = self.friction if self.becomes is None or time_s < self.becomes[0] else self.becomes[1]
+        force, friction = self.force_at(time_s), self.friction_at(time_s)
         before = state.pose.copy()
         info = gel.step(state, self.load(time_s) * shares, force, friction, dt_s, theta=theta)
         return info, float(np.dot(force, state.pose - before))

@@ -1,7 +1,8 @@
-"""When the object of a case begins to slide, against the same case in steps fifty times as small.
+"""When the object of a case begins to slip, with the steps that scenes take by default and with fifty a slice.
 
-The onset is that of gross slip in every loaded node: the moment at which the object has slid by half a pixel since the
-last stuck node let go. An episode of gross slip is over when a node has been stuck for longer than 3 ms.
+The onset is that of gross slip, as in the truth of a recording (sim.scenes.true_slip): the object has slid by half a
+pixel as one body. All of the pad is visible here. The grip falls evenly within a slice, and the force on the object is
+constant, as in scenes.
 
 Why so: where friction falls with the slip speed, a node lets go within some ten microseconds. So the onset is what
 suffers first from steps that are too long.
@@ -18,13 +19,15 @@ from evetac_cli.numerics.bounds import ONSET, Bound
 from evetac_cli.numerics.gel.case import COULOMB, GelCase, stiff
 from evetac_cli.numerics.gel.trial import GRAVITY_M_S2
 from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pressure
+from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
+from evetac_cli.sim.solver import Solver
 
 Floats = NDArray[np.float64]
 
-SLID_M = 0.5 * 0.0329e-3  # half a pixel of the default sensor
-EPISODE_S = 3e-3
-REFERENCE_S = (2e-5, 4e-5)  # steps of the reference, and of the one that shows how far the reference itself is off
+MM_PER_PX = 0.0329  # of the default sensor
+REFERENCE_MS = (0.02, 0.04)  # steps of the reference, and of the one that shows how far the reference itself is off
 WEAKENING = gel.Friction(0.8, 0.64, 0.010)  # as the scenes draw it ...
 CORNER = gel.Friction(0.8, 0.60, 0.005)  # ... and at the corner of their ranges where it falls the most
 TO_A_TENTH = gel.Friction(0.8, 0.08, 0.010)
@@ -91,31 +94,27 @@ def _tenth(friction: gel.Friction) -> gel.Friction:
     return replace(friction, static=0.1 * friction.static, kinetic=0.1 * friction.kinetic)
 
 
-def onset_s(case: GelCase, within_s: float, dt_s: float, theta: float) -> float:
-    """When the object has slid by half a pixel, interpolated within the step; NaN if it does not within this time."""
+def onset_s(case: GelCase, within_s: float, solver: Solver) -> float:
+    """When gross slip begins, interpolated within the slice of 1 ms; NaN if it does not within this time."""
     state, shares = case.start()
-    slid_m, stuck_s = np.zeros(2), 0.0
-    for number in range(round(within_s / dt_s)):
-        info, _ = case.step(state, shares, number, dt_s, theta)
-        if info.slip_fraction < 1.0 or case.load(number * dt_s) <= 0.0:
-            stuck_s += dt_s
-            if stuck_s > EPISODE_S:
-                slid_m[:] = 0.0
-            continue
-        stuck_s = 0.0
-        before_m = math.hypot(*slid_m)
-        slid_m += dt_s * np.array(info.slip_velocity_m_s)
-        after_m = math.hypot(*slid_m)
-        if after_m > SLID_M:
-            return dt_s * (number + (SLID_M - before_m) / (after_m - before_m))
+    stepper, slip = Stepper(solver), GroundTruthSlip(state, MM_PER_PX, None)
+    for number in range(round(within_s / stepper.slice_s)):
+        begin_s, before_px = number * stepper.slice_s, slip.slid_px
+        grip_n = case.load(begin_s), case.load(begin_s + stepper.slice_s)
+        force = case.force_at(begin_s + 0.5 * stepper.slice_s)
+        stepper.advance(state, shares, grip_n, force, case.friction_at(begin_s))
+        slip.follow(state, shares, grip_n[1])
+        if slip.truth()["truth/slip"]:
+            return begin_s + stepper.slice_s * max(SLIP_PX - before_px, 0.0) / (slip.slid_px - before_px)
     return math.nan
 
 
 def onset_error(case: GelCase, within_s: float, theta: float) -> tuple[tuple[Bound, float], str]:
     """The error of the onset in ms, at most: the distance from the reference and how far that may be off; in words."""
-    onset, reference, coarser = (onset_s(case, within_s, dt_s, theta) for dt_s in (case.dt_s, *REFERENCE_S))
+    solvers = [Solver(theta=theta), *(Solver(theta=theta, step_ms=step_ms) for step_ms in REFERENCE_MS)]
+    onset, reference, coarser = (onset_s(case, within_s, solver) for solver in solvers)
     own_ms = 1e3 * abs(reference - coarser)
-    words = f"slides {_at(onset)}, reference {_at(reference)} (within {own_ms:.2g} ms)"
+    words = f"slips {_at(onset)}, reference {_at(reference)} (within {own_ms:.2g} ms)"
     return (ONSET, 1e3 * abs(onset - reference) + own_ms), words
 
 
