@@ -19,7 +19,7 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.numerics import bounds, cost, plots, simulator, stability
 from evetac_cli.numerics.camera import cost as camera_cost
 from evetac_cli.numerics.gel import cost as gel_cost
-from evetac_cli.numerics.gel import onset
+from evetac_cli.numerics.gel import stability as gel_stability
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 from evetac_cli.sim.gel import gel
@@ -64,7 +64,7 @@ def small(monkeypatch, tmp_path):
     monkeypatch.setattr(gel_cost, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6, seconds=0.05))
     monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
     monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
-    monkeypatch.setattr(onset, "REFERENCE_MS", (1.0, 1.0))
+    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
     few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
     monkeypatch.setitem(stability.PARTS, "sim", few)
 

@@ -5,7 +5,6 @@ as a share of the largest energy or work of the case; negative where some is alw
 """
 
 import math
-from dataclasses import replace
 from functools import partial
 
 import numpy as np

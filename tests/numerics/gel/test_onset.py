@@ -49,7 +49,7 @@ def test_onset_with_constant_friction():
 
 
 def test_a_late_onset_is_seen(monkeypatch):
-    """Assert that a gel that lets go too late with the default steps is not ok, and that the row says when it should."""
+    """Assert that a gel which lets go too late with the default steps is not ok, and that its row says when."""
 
     def advance(self, state, shares, *given, **how):
         return real(self, state, 1.05 * shares if self.solver.step_ms is None else shares, *given, **how)
