@@ -477,7 +477,7 @@ class EvaluateCost:
 
 @dataclass(frozen=True)
 class EvaluateStability:
-    """Run the stiff, extreme and nonsensical cases of a part: finite, or refused in words."""
+    """Run the stiff, extreme and nonsensical cases of a part: within stated bounds, or refused in words."""
 
     part: str = parameter(
         "sim",
@@ -487,6 +487,9 @@ class EvaluateStability:
     )
     seed: int = parameter(0, "Seed of the cases that are drawn.", low=0, high=2**31 - 1)
     full: bool = parameter(False, "More settings, longer runs and many more random cases; takes a few minutes.")
+    strict: bool = parameter(
+        False, "Exit with 1 where a case is not ok; without, what is not ok is printed and counted.", recipe=False
+    )
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,11 @@
 import math
 from dataclasses import dataclass, replace
 
-from evetac_cli.numerics.gel.stability import AREA_M2, X_RANGE_M, Y_RANGE_M
-from evetac_cli.numerics.rows import Row, case_row, run_case
+from evetac_cli.numerics.bounds import FINITE, SURPLUS, TURNS, case_rows, run_case
+from evetac_cli.numerics.gel.case import AREA_M2, X_RANGE_M, Y_RANGE_M
 from evetac_cli.sim import gripper
 from evetac_cli.sim.gel.contact import ForceCurve, force_curve, gap_profile, pad_nodes
+from evetac_cli.stages.evaluate import Rows
 
 
 @dataclass(frozen=True)
@@ -21,19 +22,17 @@ class FingerCase:
 
 def finger_cases() -> list[FingerCase]:
     """The extremes, by name."""
+    usual = gripper.Drive()
     free = gripper.Drive(damping_n_s_m=0.0, mass_kg=0.0)
     return [
         FingerCase("gripper without damping and mass", free),
         FingerCase("gripper without damping and mass, fingers of 2e8 N/m", free, finger_n_m=2e8),
         FingerCase("gripper with damping of 1e-6 N s/m, fingers of 2e8 N/m", replace(free, damping_n_s_m=1e-6), 2e8),
         FingerCase("gripper of 1e6 kg", gripper.Drive(mass_kg=1e6)),
-        FingerCase("gripper, time step 1e-7 s", gripper.Drive(), dt_s=1e-7),
+        FingerCase("gripper, time step 1e-7 s", usual, dt_s=1e-7),
+        FingerCase("gripper with 0.7 of its dry friction", replace(usual, friction_n=0.7 * usual.friction_n)),
+        FingerCase("gripper with 1.3 of its dry friction", replace(usual, friction_n=1.3 * usual.friction_n)),
     ]
-
-
-def finger_row(case: FingerCase, steps: int = 200) -> Row:
-    """Close a finger: ok where it never turns back and, if it came to rest, rests inside its band of friction."""
-    return run_case(case.name, lambda: _finger_row(case, steps))
 
 
 def finger_curve(finger_n_m: float) -> ForceCurve:
@@ -42,21 +41,26 @@ def finger_curve(finger_n_m: float) -> ForceCurve:
     return force_curve(gap, AREA_M2 / 108, 2e6, 4e-3, finger_n_m, gripper.metres_per_tick(0.06))
 
 
-def _finger_row(case: FingerCase, steps: int) -> Row:
+def finger_rows(case: FingerCase, steps: int = 200) -> Rows:
+    """Close a finger: how often it turns back and, where it came to rest, what pushes it beyond its dry friction."""
+    return run_case(case.name, lambda: _finger_rows(case, steps), part="gripper")
+
+
+def _finger_rows(case: FingerCase, steps: int) -> Rows:
     drive, current_ma = case.drive, 60.0
     curve = finger_curve(case.finger_n_m)
     state = gripper.start(drive, curve, gripper.ticks_at_gap(0.06))
-    finite, turns, sign = True, 0, 0.0
+    wrong, turns, sign = 0, 0, 0.0
     for _ in range(steps):
         gripper.step(state, drive, curve, "current", current_ma, case.dt_s)
-        finite &= all(math.isfinite(value) for value in vars(state).values())
+        wrong += sum(not math.isfinite(value) for value in vars(state).values())
         turns += sign * state.speed_m_s < 0
         sign = state.speed_m_s or sign
-    surplus_n = abs(drive.force_per_current_n_ma * current_ma - state.force_n)
-    band_n = drive.friction_n + drive.friction_share * state.force_n
     rests = state.speed_m_s == 0.0
-    sane = finite and turns == 0 and (surplus_n <= band_n * (1 + 1e-9) or not rests)
-    outcome = "finite" if finite else "not finite"
-    outcome += f", turned back {turns} times" if turns else ""
-    outcome += f", rests at {state.force_n:.3g} N" if rests else f", still closing at {state.force_n:.3g} N"
-    return case_row(case.name, sane, outcome)
+    outcome = f"rests at {state.force_n:.3g} N" if rests else f"still closing at {state.force_n:.3g} N"
+    measured = [(FINITE, float(wrong)), (TURNS, float(turns))]
+    if rests:
+        pushed_n = abs(drive.force_per_current_n_ma * current_ma - state.force_n)
+        band_n = drive.friction_n + drive.friction_share * state.force_n
+        measured.append((SURPLUS, max(pushed_n - band_n, 0.0) / band_n))
+    return case_rows(case.name, outcome, measured, part="gripper")

@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.numerics.camera.stability import camera_cases, camera_row, wrong_models, wrong_slices
-from evetac_cli.numerics.gel.stability import COULOMB, X_RANGE_M, Y_RANGE_M, gel_cases, gel_row, random_case
-from evetac_cli.numerics.gripper import finger_cases, finger_curve, finger_row
-from evetac_cli.numerics.rows import Extent, Row, refusal
+from evetac_cli.numerics.bounds import refusal
+from evetac_cli.numerics.camera.stability import camera_cases, camera_rows, wrong_models, wrong_slices
+from evetac_cli.numerics.gel.case import COULOMB, X_RANGE_M, Y_RANGE_M
+from evetac_cli.numerics.gel.onset import onset_cases
+from evetac_cli.numerics.gel.stability import gel_cases, gel_rows, random_case
+from evetac_cli.numerics.gripper import finger_cases, finger_curve, finger_rows
+from evetac_cli.numerics.rows import Extent, Rows
 from evetac_cli.sim import gripper
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
@@ -22,16 +25,18 @@ CAMERA_SLICES = 10
 RANDOM_CASES = Extent(quick=10, full=200)
 
 
-def cases(seed: int, full: bool) -> list[Callable[[], Row]]:
+def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
     """Every case of gel, gripper and camera; `full` takes every theta, ten times the steps, many more random cases."""
-    chosen = gel_cases() + [random_case(seed, number) for number in range(RANDOM_CASES.pick(full))]
-    runs: list[Callable[[], Row]] = []
+    chosen = [(case, 0.0) for case in gel_cases()] + onset_cases()
+    chosen += [(random_case(seed, number), 0.0) for number in range(RANDOM_CASES.pick(full))]
+    runs: list[Callable[[], Rows]] = []
     for theta in THETAS.pick(full):
-        named = [replace(case, name=f"{case.name}, theta {theta:g}") if full else case for case in chosen]
-        runs += [partial(gel_row, case, GEL_STEPS.pick(full), theta) for case in named]
-    runs += [partial(finger_row, case) for case in finger_cases()]
-    runs += [partial(camera_row, case, CAMERA_SLICES, seed) for case in camera_cases()]
-    runs += [partial(refusal, name, call) for name, call in nonsense()]
+        for case, slides_within_s in chosen:
+            named = replace(case, name=f"{case.name}, theta {theta:g}") if full else case
+            runs.append(partial(gel_rows, named, GEL_STEPS.pick(full), theta, slides_within_s))
+    runs += [partial(finger_rows, case) for case in finger_cases()]
+    runs += [partial(camera_rows, case, CAMERA_SLICES, seed) for case in camera_cases()]
+    runs += [partial(refusal, name, call, part="nonsense") for name, call in nonsense()]
     return runs
 
 

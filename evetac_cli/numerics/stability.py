@@ -1,38 +1,36 @@
-"""evaluate stability: what a part does where it is stiff, extreme, or given nonsense; a row for every case.
+"""evaluate stability: whether a part stays within stated bounds where it is stiff, extreme, or given nonsense.
 
-Every part is a function `(seed, full) -> cases`, in which a case is a function that runs it and returns its row:
-`case`, `ok`, `outcome`, and those columns of the part that the case has.
+Every part is a function `(seed, full) -> cases`, in which a case is a function that runs it and returns its rows: one
+for each quantity that is measured of it, with the bound and the reason for it (bounds.py).
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evetac_cli.errors import EvetacError, attach_outcome
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.numerics import simulator
 from evetac_cli.numerics.grasp import stability as grasp
-from evetac_cli.numerics.rows import Row, collect
 from evetac_cli.numerics.tracker import stability as tracker
 from evetac_cli.params import EvaluateStability, recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, report
 
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
 
 
 class Part(NamedTuple):
-    """How a part is tried, the columns of its rows, and which of them is summed up over all cases, and how."""
+    """How a part is tried, and the column by which its cases are counted."""
 
-    cases: Callable[[int, bool], Sequence[Callable[[], Row]]]
-    columns: tuple[str, ...]
-    overall: str
-    combine: Callable[[Iterable[Any]], Any]
+    cases: Callable[[int, bool], Sequence[Callable[[], Rows]]]
+    counted_by: str
 
 
 PARTS: dict[str, Part] = {
-    "sim": Part(simulator.cases, ("sweeps_mean", "sweeps_max", "residual_max", "energy_gained_j"), "residual_max", max),
-    "track": Part(tracker.cases, ("dots_lost", "error_px_worst"), "dots_lost", sum),
-    "grasp": Part(grasp.cases, ("force_max_n", "current_max_ma", "swing_ticks", "moved_mm"), "current_max_ma", max),
+    "sim": Part(simulator.cases, "part"),
+    "track": Part(tracker.cases, "preset"),
+    "grasp": Part(grasp.cases, "controller"),
 }
 
 
@@ -42,19 +40,45 @@ def jobs(files: list[Path], params: EvaluateStability, out: Path | None) -> list
 
 
 def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every case; the summary counts those that are ok or refused, and names those that are not ok."""
+    """The rows of all cases, those that are not ok first, because a terminal shows no more than a hundred.
+
+    EvetacError, with --strict, where a case is not ok; the report is made all the same.
+    """
     part = PARTS[params.part]
-    columns = dict.fromkeys(("case", "ok", "outcome", *part.columns))
 
     def measure() -> tuple[Rows, dict[str, Any]]:
+        rows: Rows = []
         cases = part.cases(params.seed, params.full)
-        rows = collect((columns | run_case() for run_case in cases), len(cases), progress)
-        return rows, {
-            "cases": len(rows),
-            "ok": sum(row["ok"] for row in rows),
-            "refused": sum(row["outcome"].startswith("refused") for row in rows),
-            "not_ok": ", ".join(row["case"] for row in rows if not row["ok"]) or None,
-            part.overall: part.combine([row[part.overall] for row in rows if row[part.overall] is not None] or [0]),
-        }
+        for number, run_case in enumerate(cases, start=1):
+            rows += run_case()
+            progress(number, len(cases))
+        return sorted(rows, key=lambda row: bool(row["ok"])), summary(rows, part.counted_by)
 
-    return report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
+    made = report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
+    failed = made.summary["cases_not_ok"]
+    if params.strict and failed:
+        counted = f"{failed} of {made.summary['cases']} that are not ok"
+        error = EvetacError("cases outside their bounds", where=params.part, expected="all cases ok", found=counted)
+        raise attach_outcome(error, made)
+    return made
+
+
+def summary(rows: Rows, counted_by: str) -> dict[str, Any]:
+    """How many cases there are, refused and not ok, by a column too, and the names of all that are not ok.
+
+    A case is ok where all its rows are.
+    """
+    ok: dict[tuple[str, str], bool] = {}
+    for row in rows:
+        key = (row[counted_by], row["case"])
+        ok[key] = ok.get(key, True) and row["ok"]
+    groups = {group: [good for (of, _), good in ok.items() if of == group] for group, _ in ok}
+    counts = [f"{group} {len(cases) - sum(cases)} of {len(cases)}" for group, cases in groups.items()]
+    refused = {(row[counted_by], row["case"]) for row in rows if row["outcome"].startswith("refused")}
+    return {
+        "cases": len(ok),
+        "refused": len(refused),
+        "cases_not_ok": sum(not good for good in ok.values()),
+        f"not_ok_by_{counted_by}": ", ".join(counts),
+        "not_ok": "; ".join(f"{group}: {case}" for (group, case), good in ok.items() if not good) or None,
+    }

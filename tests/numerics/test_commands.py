@@ -16,9 +16,10 @@ from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome
-from evetac_cli.numerics import cost, plots, simulator, stability
+from evetac_cli.numerics import bounds, cost, plots, simulator, stability
 from evetac_cli.numerics.camera import cost as camera_cost
 from evetac_cli.numerics.gel import cost as gel_cost
+from evetac_cli.numerics.gel import stability as gel_stability
 from evetac_cli.numerics.gel import unloading
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.sim.camera.scanning.camera import CameraModel
@@ -70,6 +71,7 @@ def small(monkeypatch, tmp_path):
         monkeypatch.setattr(unloading, name, Extent(amount, amount))
     monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
     monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
+    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
     few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
     monkeypatch.setitem(stability.PARTS, "sim", few)
 
@@ -248,19 +250,57 @@ def test_without_matplotlib(pictures, monkeypatch, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [output.name]
 
 
-def test_stability_counts_what_is_ok(monkeypatch):
-    """Assert that the summary counts cases, refusals, and names what is not ok; columns that a case lacks are None."""
-    rows = [
-        {"case": "a", "ok": True, "outcome": "finite", "residual_max": 1e-9},
-        {"case": "b", "ok": False, "outcome": "not finite", "residual_max": 1e-3},
-        {"case": "c", "ok": True, "outcome": "refused: no"},
+def rows_by_hand():
+    """Three cases of the gel: one within its bounds, one that misses one of two, and one that is refused."""
+    residual, energy = (bound._replace(most=1.0) for bound in (bounds.BALANCE, bounds.ENERGY))
+
+    def refuse():
+        raise ValueError("no")
+
+    return [
+        lambda: bounds.case_rows("a", "10 sweeps", [(residual, 0.5), (energy, 0.1)], part="gel"),
+        lambda: bounds.case_rows("b", "400 sweeps", [(residual, 2.0), (energy, 0.1)], part="gripper"),
+        lambda: bounds.refusal("c", refuse, part="gel"),
     ]
-    part = stability.PARTS["sim"]._replace(cases=lambda seed, full: [lambda row=row: row for row in rows])
+
+
+@pytest.fixture
+def by_hand(monkeypatch):
+    """The part `sim` with cases by hand."""
+    part = stability.PARTS["sim"]._replace(cases=lambda seed, full: rows_by_hand())
     monkeypatch.setitem(stability.PARTS, "sim", part)
+
+
+def test_stability_counts_what_is_ok(by_hand):
+    """Assert that the summary counts cases, refusals and what is not ok, and that rows that are not ok come first."""
     outcome = make(stability, params.EvaluateStability())[1]
-    assert outcome.summary.items() >= {"cases": 3, "ok": 2, "refused": 1, "not_ok": "b", "residual_max": 1e-3}.items()
-    assert {tuple(row) for row in outcome.rows} == {("case", "ok", "outcome", *part.columns)}
-    assert outcome.rows[2]["residual_max"] is None
+    counts = {"cases": 3, "refused": 1, "cases_not_ok": 1, "not_ok_by_part": "gel 0 of 2, gripper 1 of 1"}
+    assert outcome.summary.items() >= {**counts, "not_ok": "gripper: b"}.items()
+    assert [(row["case"], row["ok"]) for row in outcome.rows] == [
+        ("b", False), ("a", True), ("a", True), ("b", True), ("c", True)
+    ]  # fmt: skip
+    columns = ("part", "case", "ok", "quantity", "value", "bound", "unit", "outcome", "reason")
+    assert {tuple(row) for row in outcome.rows} == {columns}
+
+
+def test_strict(by_hand, tmp_path):
+    """Assert that a case that is not ok is printed with exit 0, and with --strict with 1, also from an old report."""
+    assert evetac("stability").exit_code == 0
+    for _ in range(2):
+        result = evetac("stability", "--strict")
+        assert result.exit_code == 1
+        assert "sim: cases outside their bounds" in result.stderr
+        assert "1 of 3 that are not ok" in result.stderr
+        assert "force left unbalanced" in result.stdout
+        (tmp_path / "sim.stability.report.h5").unlink(missing_ok=True)
+    shown = json.loads(evetac("stability", "--strict", "--json").stdout)
+    assert shown["error"]["exit_status"] == 1
+    assert [row["case"] for row in shown["rows"] if not row["ok"]] == ["b"]
+
+
+def test_strict_is_satisfied(tmp_path):
+    """Assert that where all is ok, --strict exits with 0."""
+    assert evetac("stability", "--strict").exit_code == 0
 
 
 def test_a_fault_in_the_gel_is_reported(monkeypatch):
@@ -275,8 +315,8 @@ def test_a_fault_in_the_gel_is_reported(monkeypatch):
 
     monkeypatch.setattr(gel, "step", step)
     faulty = make(stability, params.EvaluateStability(seed=1), force=True)[1]
-    assert any(row["outcome"] == "finite, energy gained" and not row["ok"] for row in faulty.rows)
-    assert faulty.summary["ok"] < faulty.summary["cases"]
+    assert bounds.ENERGY.quantity in [row["quantity"] for row in faulty.rows if not row["ok"]]
+    assert faulty.summary["cases_not_ok"] > 0
 
 
 @pytest.mark.parametrize("name", ["cost", "stability"])

@@ -2,8 +2,11 @@
 
 import pytest
 
-from evetac_cli.numerics import simulator, stability
-from evetac_cli.numerics.rows import Extent, refusal
+from evetac_cli.numerics import bounds, simulator
+from evetac_cli.numerics.bounds import refusal
+from evetac_cli.numerics.gel import stability as gel_stability
+from evetac_cli.numerics.gel.onset import onset_cases
+from evetac_cli.numerics.rows import Extent
 
 NONSENSE = dict(simulator.nonsense())
 
@@ -11,7 +14,7 @@ NONSENSE = dict(simulator.nonsense())
 @pytest.mark.parametrize("name", NONSENSE)
 def test_nonsense_is_refused(name):
     """Assert that NaN, infinite and negative values are refused with the reason."""
-    row = refusal(name, NONSENSE[name])
+    (row,) = refusal(name, NONSENSE[name])
     assert row["ok"]
     assert len(row["outcome"]) > len("refused: ") + 10
 
@@ -20,10 +23,12 @@ def test_the_suite_holds_all_that_it_should(monkeypatch):
     """Assert that the extremes which the physics names are among the cases, and that nothing has two names."""
     monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
     monkeypatch.setattr(simulator, "CAMERA_SLICES", 1)
-    rows = [run() for run in simulator.cases(0, False)]
-    assert all(row["ok"] for row in rows)
-    assert {name for row in rows for name in row} == {"case", "ok", "outcome", *stability.PARTS["sim"].columns}
-    names = [row["case"] for row in rows]
+    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
+    cases = [run() for run in simulator.cases(0, False)]
+    assert all(row["ok"] for rows in cases for row in rows)
+    assert {row["part"] for rows in cases for row in rows} == {"gel", "gripper", "camera", "nonsense"}
+    assert sum(row["quantity"] == bounds.ONSET.quantity for rows in cases for row in rows) == len(onset_cases())
+    names = [rows[0]["case"] for rows in cases]
     assert len(names) == len(set(names))
     for wanted in (
         "mu 0", "mu 1000", "object of 1e-06 kg", "object of 1000 kg", "gel 0.01 times as stiff",
@@ -31,6 +36,7 @@ def test_the_suite_holds_all_that_it_should(monkeypatch):
         "grip lost and regained", "grip of 0 N", "grip of 1e+06 N", "time step 1e-07 s", "time step 0.1 s",
         "force of 498 Hz, time step 1 ms", "force of 498 Hz, time step 0.1 ms", "Maxwell time 1e-09 s",
         "Maxwell time 1e+09 s", "gel without mass and without losses", "grid of 1 x 1 nodes", "grid of 64 x 48 nodes",
+        "grip falls at 2 N/s, friction falls to 0.75 of it at 5 mm/s", "slides, object of 2 kg",
         "time step nan s", "object of inf kg", "grip of -1 N", "camera: nothing moves, no noise",
         "camera: noise of 1e4 Hz a pixel", "camera: all dots jump by 50 px and back", "camera, a dot at nan px",
     ):  # fmt: skip

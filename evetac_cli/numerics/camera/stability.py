@@ -1,6 +1,6 @@
 """The simulated camera where its constants, or the motions before it, are extreme or make no sense.
 
-A case is ok when its slices hold as many events as they should, in order and in the frame.
+A slice should hold so many events as its case names, in order, within the slice and in the frame.
 """
 
 from collections.abc import Callable, Iterator
@@ -9,9 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from evetac_cli.numerics.rows import Row, case_row, run_case
+from evetac_cli.numerics.bounds import EVENTS, FINITE, ORDER, case_rows, run_case
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.stages.evaluate import Rows
 
 DOTS_PX = np.stack(np.meshgrid(61.0 + 62.3 * np.arange(8), 41.0 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
 QUIET = camera.CameraModel(noise_rate_hz=0.0, hot_pixels=0)
@@ -60,32 +61,29 @@ def camera_cases() -> list[CameraCase]:
     ]
 
 
-def camera_row(case: CameraCase, slices: int = 10, seed: int = 0) -> Row:
-    """Run a camera for some slices and check the events of each."""
-    return run_case(case.name, lambda: _camera_row(case, slices, np.random.default_rng(seed)))
+def camera_rows(case: CameraCase, slices: int = 10, seed: int = 0) -> Rows:
+    """Run a camera for some slices: the events of each that should not be there, or are missing, and wrong ones."""
+    return run_case(case.name, lambda: _camera_rows(case, slices, np.random.default_rng(seed)), part="camera")
 
 
-def _camera_row(case: CameraCase, slices: int, rng: np.random.Generator) -> Row:
+def _camera_rows(case: CameraCase, slices: int, rng: np.random.Generator) -> Rows:
     state = _camera(case.model, case.window_px, rng)
-    counts, faults = [], []
+    counts, astray, wrong = [], 0, 0
     for k in range(slices):
         moved, object_px = (np.array([path(k), path(k + 1)]) for path in (case.dots, case.object))
         start, end = DOTS_PX + moved[0], DOTS_PX + moved[1]
         events = camera.step(state, start, end, object_px[0], object_px[1], 1.0, 1000 * k, rng)
         counts.append(len(events.t))
-        if not case.events[0] <= counts[-1] <= case.events[1]:
-            faults.append(f"{counts[-1]} events in slice {k}")
-        if counts[-1]:
-            if (np.diff(events.t) < 0).any() or not 1000 * k <= events.t[0] <= events.t[-1] < 1000 * (k + 1):
-                faults.append(f"time stamps of slice {k}")
-            if events.x.max() >= case.model.frame_px[0] or events.y.max() >= case.model.frame_px[1]:
-                faults.append(f"coordinates of slice {k}")
-    finite = bool(np.isfinite(state.reference).all() and np.isfinite(state.window_reference).all())
-    outcome = "finite" if finite else "not finite"
-    outcome += f", {min(counts)} to {max(counts)} events a slice"
-    outcome += f", {state.dropped} beyond the most that a slice holds" if state.dropped else ""
-    outcome += f"; wrong: {'; '.join(faults)}" if faults else ""
-    return case_row(case.name, finite and not faults, outcome)
+        least, most = case.events
+        astray += max(least - counts[-1], counts[-1] - most, 0)
+        off_slice = (events.t < 1000 * k) | (events.t >= 1000 * (k + 1))
+        off_frame = (events.x >= case.model.frame_px[0]) | (events.y >= case.model.frame_px[1])
+        wrong += int((off_slice | off_frame).sum() + (np.diff(events.t) < 0).sum())
+    not_finite = sum(int((~np.isfinite(array)).sum()) for array in (state.reference, state.window_reference))
+    outcome = f"{min(counts):,} to {max(counts):,} events a slice"
+    outcome += f", {state.dropped:,} beyond the most that a slice holds" if state.dropped else ""
+    measured = [(FINITE, float(not_finite)), (EVENTS, float(astray)), (ORDER, float(wrong))]
+    return case_rows(case.name, outcome, measured, part="camera")
 
 
 def _camera(

@@ -1,56 +1,24 @@
-"""The simulated gel where it is stiff, extreme, or both: whether it stays finite and energy comes from nowhere.
+"""The simulated gel where it is stiff, extreme, or both: energy from nowhere, forces without balance, onset of slip.
 
-A case is ok when everything stays finite and no energy is gained beyond rounding, or when it is refused in words.
-
-Energy gained is the largest, over the steps of a case, of energy less that at the start, less the work of outer forces;
-negative where some is always lost. Rounding here is that of the balance, which is solved to 1e-6 of all forces: a gain
-counts from GAIN_SHARE of the largest energy or work of the case.
+Energy gained is the largest, over the steps of a case, of energy less that at the start, less the work of outer forces,
+as a share of the largest energy or work of the case; negative where some is always lost.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.numerics.bounds import BALANCE, ENERGY, case_rows, run_case
+from evetac_cli.numerics.gel.case import X_RANGE_M, Y_RANGE_M, Floats, GelCase, stiff
+from evetac_cli.numerics.gel.onset import onset_error
 from evetac_cli.numerics.gel.trial import GRAVITY_M_S2
-from evetac_cli.numerics.rows import Row, case_row, run_case
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
+from evetac_cli.sim.gel.contact import gap_profile, pressure
+from evetac_cli.stages.evaluate import Rows
 
-Floats = NDArray[np.float64]
-
-X_RANGE_M, Y_RANGE_M = (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)
-AREA_M2 = 300e-6
-COULOMB = gel.Friction(0.8, 0.8)
 SLIPPERY = gel.Friction(0.8, 0.5)
 UNDAMPED = gel.GelMaterial(viscous_time_s=0.0, maxwell_share=0.0, with_mass=False)
-GAIN_SHARE = 1e-6
-
-
-@dataclass(frozen=True)
-class GelCase:
-    """A pad, an object, and the load on them; by default 100 g, held with 2 N a finger.
-
-    load: normal force in N over time in s. force: on the object, x, y in N and moment in N m, over time; None is its
-    weight. shares: of the load on each node; None is even.
-    """
-
-    name: str
-    columns: int = 24
-    rows: int = 18
-    material: gel.GelMaterial = gel.GelMaterial()
-    mass_kg: float = 0.1
-    inertia_kg_m2: float = 4e-5
-    centre_m: tuple[float, float] = (0.0, 0.0)
-    friction: gel.Friction = COULOMB
-    twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    load: Callable[[float], float] = lambda _: 2.0
-    force: Callable[[float], Sequence[float] | Floats] | None = None
-    shares: Callable[[Floats], Floats] | None = None
-    dt_s: float = 1e-3
 
 
 def dome(nodes: Floats) -> Floats:
@@ -62,7 +30,7 @@ def dome(nodes: Floats) -> Floats:
 def gel_cases() -> list[GelCase]:
     """The extremes, by name."""
     stiffness = (1e-2, 1e2, 1e4, 1e6)
-    cases = [GelCase(f"gel {x:g} times as stiff", material=_stiff(x)) for x in stiffness]
+    cases = [GelCase(f"gel {x:g} times as stiff", material=stiff(x)) for x in stiffness]
     cases += [GelCase(f"object of {m:g} kg", mass_kg=m, inertia_kg_m2=4e-4 * m) for m in (1e-6, 1e-3, 1.0, 1e3)]
     cases += [GelCase(f"mu {mu:g}", friction=gel.Friction(mu, mu)) for mu in (0.0, 1e-3, 10.0, 1e3)]
     cases += [GelCase(f"grip of {n:g} N", load=partial(_constant, n)) for n in (0.0, 1e6)]
@@ -89,8 +57,8 @@ def gel_cases() -> list[GelCase]:
         GelCase("impact at 1e4 m/s", twist=(1e4, 0.0, 0.0), mass_kg=1.0, inertia_kg_m2=4e-4),
         GelCase("spin of 1e4 rad/s", twist=(0.0, 0.0, 1e4)),
         GelCase("gel without mass and without losses", material=UNDAMPED),
-        GelCase("stiff gel, friction falls with speed", material=_stiff(1e6), load=lambda t: 1 - t, friction=SLIPPERY),
-        GelCase("all at once", material=_stiff(1e4), mass_kg=1e-3, inertia_kg_m2=1e-9, twist=(10, -5, 1e3), dt_s=1e-2),
+        GelCase("stiff gel, friction falls with speed", material=stiff(1e6), load=lambda t: 1 - t, friction=SLIPPERY),
+        GelCase("all at once", material=stiff(1e4), mass_kg=1e-3, inertia_kg_m2=1e-9, twist=(10, -5, 1e3), dt_s=1e-2),
     ]
     return cases
 
@@ -101,10 +69,6 @@ def _constant(value: float, _: float) -> float:
 
 def _shaken(time_s: float) -> tuple[float, float, float]:
     return 2 * math.sin(2 * math.pi * 498 * time_s), 0.98, 0.0
-
-
-def _stiff(factor: float) -> gel.GelMaterial:
-    return gel.GelMaterial(shear_modulus_pa=factor * gel.GelMaterial().shear_modulus_pa)
 
 
 def random_case(seed: int, number: int) -> GelCase:
@@ -146,50 +110,38 @@ def random_case(seed: int, number: int) -> GelCase:
     )
 
 
-def gel_row(case: GelCase, steps: int = 100, theta: float = 0.55) -> Row:
-    """Run a case for some steps of `gel.step` at a theta."""
-    return run_case(case.name, lambda: _gel_row(case, steps, theta))
+def gel_rows(case: GelCase, steps: int = 100, theta: float = 0.55, slides_within_s: float = 0.0) -> Rows:
+    """Run a case for some steps of `gel.step` at a theta.
+
+    slides_within_s: where not 0, the case is run for this time, within which the object should begin to slide.
+    """
+    return run_case(case.name, lambda: _gel_rows(case, steps, theta, slides_within_s), part="gel")
 
 
-def _gel_row(case: GelCase, steps: int, theta: float) -> Row:
-    nodes = pad_nodes(case.columns, case.rows, X_RANGE_M, Y_RANGE_M)
-    state = gel.start(
-        nodes,
-        case.material,
-        case.mass_kg,
-        case.inertia_kg_m2,
-        body_xy_m=case.centre_m,
-        cell_area_m2=AREA_M2 / case.columns / case.rows,
-    )
-    state.twist[:] = case.twist
-    shares = np.full(state.stuck.shape, 1 / state.stuck.size) if case.shares is None else case.shares(nodes)
-    weight = (case.mass_kg * GRAVITY_M_S2, 0.0, 0.0)
+def _gel_rows(case: GelCase, steps: int, theta: float, slides_within_s: float) -> Rows:
+    if slides_within_s:
+        steps = round(slides_within_s / case.dt_s)
+    state, shares = case.start()
     first = largest = gel.energy(state)
     work, gained = 0.0, -math.inf
     sweeps, residuals, finite = [], [], True
-    for k in range(steps):
-        time_s = (k + theta) * case.dt_s
-        force = weight if case.force is None else case.force(time_s)
-        before = state.pose.copy()
-        info = gel.step(state, case.load(time_s) * shares, force, case.friction, case.dt_s, theta=theta)
+    for number in range(steps):
+        info, done = case.step(state, shares, number, case.dt_s, theta)
         now = gel.energy(state)
-        work += float(np.dot(force, state.pose - before))
+        work += done
         largest = max(largest, abs(work), now)
         gained = max(gained, now - first - work)
         sweeps.append(info.sweeps)
         residuals.append(info.residual)
         finite &= math.isfinite(now) and bool(np.isfinite(np.hstack(info)).all() and np.isfinite(state.pose).all())
-    rounding = gained <= GAIN_SHARE * largest
-    outcome = "finite" if finite else "not finite"
-    outcome += "" if rounding else ", energy gained"
-    unbalanced = sum(residual > 1e-6 for residual in residuals)
-    outcome += f", {unbalanced} of {steps} steps without balance" if unbalanced else ""
-    return case_row(
-        case.name,
-        finite and rounding,
-        outcome,
-        sweeps_mean=float(np.mean(sweeps)),
-        sweeps_max=max(sweeps),
-        residual_max=max(residuals),
-        energy_gained_j=gained,
-    )
+    share = gained / largest if largest > 0.0 else gained  # an object that nothing moves has no energy
+    measured = [(ENERGY, share), (BALANCE, max(residuals))] if finite else [(ENERGY, math.nan), (BALANCE, math.nan)]
+    unbalanced = sum(residual > BALANCE.most for residual in residuals)
+    outcome = "" if finite else "not finite, "
+    outcome += f"{unbalanced} of {steps} steps without balance, " if unbalanced else ""
+    outcome += f"{np.mean(sweeps):.3g} sweeps a step, at most {max(sweeps)}"
+    rows = case_rows(case.name, outcome, measured, part="gel")
+    if slides_within_s:
+        error, words = onset_error(case, slides_within_s, theta)
+        rows += case_rows(case.name, words, [error], part="gel")
+    return rows

@@ -1,5 +1,6 @@
 """The extreme cases of the grasp loop: all are there, one is run for real, and faults would be seen."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -7,41 +8,90 @@ import numpy as np
 import pytest
 
 from evetac_cli import params
+from evetac_cli.devices.simulated import SimulatedGripper
+from evetac_cli.errors import DeviceError
 from evetac_cli.jobs import Job
 from evetac_cli.kernels.grip.control import Control
+from evetac_cli.numerics import bounds
 from evetac_cli.numerics import stability as command
+from evetac_cli.numerics.extreme_scenes import LIFTS
 from evetac_cli.numerics.grasp import stability
-from evetac_cli.numerics.grasp.stability import Case, UnevenSlices, extreme_cases, grasp_row
+from evetac_cli.numerics.grasp.stability import Case, DyingDetector, UnevenSlices, extreme_cases, grasp_rows
 from evetac_cli.numerics.grasp.trials import GraspResult
+from evetac_cli.sim.gripper import Drive
+from evetac_cli.stages.evaluate import Rows
 from tests.numerics.grasp.conftest import CountingDetector
 
 SHORT = (("lift_s", 0.3), ("balance_s", 0.1))
+HELD: Mapping[str, Any] = {"lifted": True, "balanced": True, "moved_mm": 1.0}
+
+
+def not_ok(rows: Rows) -> list[str]:
+    return [row["quantity"] for row in rows if not row["ok"]]
 
 
 def test_what_is_not_ok(short: GraspResult) -> None:
-    """Assert that numbers that are not finite, a goal out of range, too much current and swinging fingers are not."""
-    assert stability.check("as it is", short)["ok"]
+    """Assert that a lost object, numbers that are not finite, a goal out of range, too much current and swing are not.
+
+    The short grasp does not lift by 50 mm, so that what is held is said by hand.
+    """
+    held = replace(short, figures={**short.figures, **HELD})
+    assert not_ok(stability.check("as it is", "paper", held)) == []
     swings = short.rows["gripper/position_ticks"].copy()
     swings[::2] += 9
-    for path, value in (
-        ("truth/normal_force_n", np.full(2600, np.nan)),
-        ("control/goal_ticks", np.full(1300, 741)),
-        ("gripper/current_ma", np.full(1300, 700.0)),
-        ("gripper/position_ticks", swings),
+    for path, value, quantity in (
+        ("truth/normal_force_n", np.full(2600, np.nan), bounds.FINITE),
+        ("control/goal_ticks", np.full(1300, 741), bounds.GOAL),
+        ("control/goal_ticks", np.full(1300, -1), bounds.GOAL),
+        ("gripper/current_ma", np.full(1300, 700.0), bounds.CURRENT),
+        ("gripper/position_ticks", swings, bounds.SWING),
     ):
-        figures = {**short.figures, "balanced": True}  # fingers that lost their object may close
-        wrong = replace(short, figures=figures, rows={**short.rows, path: value})
-        assert not stability.check("wrong", wrong)["ok"]
+        wrong = replace(held, rows={**short.rows, path: value})
+        assert not_ok(stability.check("wrong", "paper", wrong)) == [quantity.quantity]
+    for figures, wanted in (
+        ({"balanced": False}, [bounds.HELD.quantity]),
+        ({"moved_mm": 10.5}, [bounds.MOVED.quantity]),
+        ({"lifted": False, "balanced": False, "moved_mm": 25.5}, [bounds.HELD.quantity, bounds.MOVED.quantity]),
+    ):
+        lost = replace(held, figures={**held.figures, **figures})
+        assert not_ok(stability.check("lost", "paper", lost)) == wanted
+    swinging = replace(held, figures={**held.figures, "balanced": False}, rows=wrong.rows)
+    rows = stability.check("lost", "paper", swinging)
+    assert bounds.SWING.quantity not in [row["quantity"] for row in rows]  # fingers that lost their object may close
+    assert rows[0]["outcome"].startswith("lost in balance, with ")
+
+
+def test_the_limit_is_that_of_the_servo() -> None:
+    """Assert that the bound of the current is the limit that is set in the servo."""
+    assert Drive.current_limit_ma == bounds.CURRENT.most
 
 
 @pytest.mark.parametrize("controller", stability.QUICK_CONTROLLERS)
 def test_a_fault_in_the_controller_is_seen(controller: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a real short grasp is ok, and not ok once the controller gives goals beyond the gripper's range."""
-    assert grasp_row(Case("as usual", timing=SHORT), controller, 0)["ok"]
+    """Assert that goals of a real short grasp are in range, and not once the controller gives goals beyond it."""
+    assert bounds.GOAL.quantity not in not_ok(grasp_rows(Case("as usual", timing=SHORT), controller, 0))
     real = Control.step
     monkeypatch.setattr(Control, "step", lambda *given: real(*given) + 2000)
-    row = grasp_row(Case("as usual", timing=SHORT), controller, 0)
-    assert not row["ok"]
+    assert bounds.GOAL.quantity in not_ok(grasp_rows(Case("as usual", timing=SHORT), controller, 0))
+
+
+def test_a_grasp_that_breaks_off_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a detector that dies ends the grasp without current, in words, and that one left pressing is seen."""
+    case = Case("dies", wrap_detector=lambda detector, rng: DyingDetector(detector, 50), timing=SHORT)
+    (row,) = grasp_rows(case, "paper", 0)
+    assert (row["quantity"], row["value"], row["ok"]) == (bounds.LET_GO.quantity, 0.0, True)
+    assert row["outcome"] == "let go: the detector died"
+    monkeypatch.setattr(SimulatedGripper, "close", lambda self: None)
+    (row,) = grasp_rows(case, "paper", 0)
+    assert (row["value"], row["ok"]) == (np.inf, False)
+
+
+def test_a_dying_detector() -> None:
+    """Assert that it gives what the detector gives, and then fails."""
+    detector = DyingDetector(CountingDetector(), 2)
+    assert [detector.step(None) for _ in range(2)] == [0.25, 0.25]
+    with pytest.raises(DeviceError, match="died"):
+        detector.step(None)
 
 
 @pytest.mark.parametrize(("lost", "twice", "times"), [(0.2, 0.0, 0.8), (0.0, 0.2, 1.2)])
@@ -61,9 +111,18 @@ def test_every_case_is_another() -> None:
     assert len(set(names)) == len(names)
     assert {"detector never fires", "detector always fires", "mass 5 g", "mass 2000 g", "friction 0.1", "friction 2",
             "gel stiffness x0.1", "gel stiffness x10", "one slice in five lost", "one slice in five twice",
-            "law's gain x0.1", "law's gain x10"} <= set(names)  # fmt: skip
+            "law's gain x0.1", "law's gain x10", "detector dies while the hand rises",
+            *LIFTS} <= set(names)  # fmt: skip
     assert len(full) > len(quick)
     assert len(stability.cases(0, False)) == 2 * len(quick) - sum(case.paper_only for case in quick)
+
+
+def test_a_scene_changes_the_plan() -> None:
+    """Assert that the tables of a scene come into the plan of its case."""
+    changed: dict[str, Any] = {"scene": {"gripper": {"friction_factor": [0.9, 1.1]}}}
+    case = next(case for case in extreme_cases(full=False) if case.name == "gear friction x0.7")
+    case.change_plan(changed)
+    assert changed["scene"]["gripper"]["friction_factor"] == [0.7, 0.7]
 
 
 def test_refusals_are_ok() -> None:
@@ -72,17 +131,18 @@ def test_refusals_are_ok() -> None:
     def without_mass(plan: dict[str, Any]) -> None:
         plan["object_row"] = {**plan["object_row"], "mass_g": -1.0}
 
-    row = grasp_row(Case("object of -1 g", without_mass, timing=SHORT), "paper", 0)
+    (row,) = grasp_rows(Case("object of -1 g", without_mass, timing=SHORT), "paper", 0)
     assert row["ok"]
     assert row["outcome"].startswith("refused: ")
 
 
 def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert rows of real grasps, with the largest current over all in the summary."""
+    """Assert rows of real grasps, what is not ok first, counted by controller in the summary."""
     monkeypatch.setattr(stability, "extreme_cases", lambda full: [Case("as usual", timing=SHORT)])
     chosen = params.EvaluateStability(part="grasp")
     outcome = command.run(Job((), tmp_path / "a.report.h5"), chosen)
-    assert [row["case"] for row in outcome.rows] == ["paper: as usual", "load-proportional: as usual"]
-    assert [list(row)[3:] for row in outcome.rows] == [list(command.PARTS["grasp"].columns)] * 2
-    assert outcome.summary["current_max_ma"] == max(row["current_max_ma"] for row in outcome.rows) > 0
-    assert outcome.summary["ok"] == 2
+    assert {(row["controller"], row["case"]) for row in outcome.rows} == {
+        (controller, "as usual") for controller in stability.QUICK_CONTROLLERS
+    }
+    assert outcome.rows[0]["quantity"] == bounds.HELD.quantity  # the hand rises by far less than 50 mm
+    assert outcome.summary["not_ok_by_controller"] == "paper 1 of 1, load-proportional 1 of 1"
