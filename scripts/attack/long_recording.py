@@ -160,7 +160,7 @@ def _force_model(trials: Path, model: Path) -> Iterator[tuple[str, ...]]:
         return
     yield "track", *recordings
     tracks = [str(path) for path in sorted(trials.glob("*.tracks.h5"))]
-    yield "train-force", *tracks, "--epochs", "1", "-o", f"{model}"
+    yield "train-force", *tracks, "--samples", "50", "--epochs", "1", "-o", f"{model}"
 
 
 def run(command: tuple[str, ...]) -> tuple[int, float, float]:
