@@ -14,10 +14,11 @@ from evetac_cli.numerics.gel.case import COULOMB, X_RANGE_M, Y_RANGE_M
 from evetac_cli.numerics.gel.onset import onset_cases
 from evetac_cli.numerics.gel.stability import gel_cases, gel_rows, random_case
 from evetac_cli.numerics.gripper import finger_cases, finger_curve, finger_rows
-from evetac_cli.numerics.rows import Extent, Rows
+from evetac_cli.numerics.rows import Extent
 from evetac_cli.sim import gripper
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
+from evetac_cli.stages.evaluate import Rows
 
 THETAS = Extent[tuple[float, ...]](quick=(0.55,), full=(0.55, 1.0, 0.5))
 GEL_STEPS = Extent(quick=100, full=1000)
