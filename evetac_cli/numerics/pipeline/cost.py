@@ -30,7 +30,7 @@ import numpy as np
 
 from evetac_cli.jobs import Progress
 from evetac_cli.numerics.paired import Floats, difference, known, on_front
-from evetac_cli.numerics.pipeline_chain import (
+from evetac_cli.numerics.pipeline.chain import (
     SLIP_ERRORS,
     Chain,
     Lifted,
