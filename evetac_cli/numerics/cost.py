@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.numerics import labels, models, pipeline, plots, simulator_cost
+from evetac_cli.numerics import labels, models, plots, simulator_cost
 from evetac_cli.numerics.grasp import cost as grasp
+from evetac_cli.numerics.pipeline import cost as pipeline
 from evetac_cli.numerics.tracker import cost as tracker
 from evetac_cli.params import EvaluateCost, recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report, report_job

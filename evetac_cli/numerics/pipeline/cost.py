@@ -30,7 +30,7 @@ import numpy as np
 
 from evetac_cli.jobs import Progress
 from evetac_cli.numerics.paired import Floats, difference, known, on_front
-from evetac_cli.numerics.pipeline_chain import (
+from evetac_cli.numerics.pipeline.chain import (
     SLIP_ERRORS,
     Chain,
     Lifted,
@@ -247,11 +247,11 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
             axes.plot([row[time] for row in best], [row[name] for row in best], linestyle="none", **style)
         if settings[0][name] is not None:
             axes.axhline(settings[0][name], color="0.5", linewidth=1, linestyle=":", label="reference")
-        unit = name.split("_")[1]
-        axes.set_xscale("log")
-        axes.set(title=TITLES[name], ylabel=f"error [{'N' if unit == 'n' else unit}]", ylim=(0, None))
+        unit, top = name.split("_")[1], max((row[name] for row in settings if row[name] is not None), default=0.0)
+        axes.set(
+            title=TITLES[name], ylabel=f"error [{'N' if unit == 'n' else unit}]", ylim=(0, 1.1 * top if top else 1.0)
+        )
         axes.set_xlabel(f"{'grasp' if name in GRASP_ERRORS else 'chain'}, run time of a ms, median [us]")
-        axes.xaxis.set_minor_formatter("")
         picture.quiet_grid(axes)
     for axes in panels[len(names) :]:
         axes.set_axis_off()

@@ -10,9 +10,11 @@ from typer.testing import CliRunner
 from evetac_cli.cli import main
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.force.models import Regression
-from evetac_cli.numerics import cost, pipeline, pipeline_chain
-from evetac_cli.numerics.pipeline import DEFAULTS, ERRORS, Measured, tables, trials
-from evetac_cli.numerics.pipeline_chain import Chain, Lifted, Trial, run_chain, slip_errors
+from evetac_cli.numerics import cost
+from evetac_cli.numerics.pipeline import chain as pipeline_chain
+from evetac_cli.numerics.pipeline import cost as pipeline
+from evetac_cli.numerics.pipeline.chain import Chain, Lifted, Trial, run_chain, slip_errors
+from evetac_cli.numerics.pipeline.cost import DEFAULTS, ERRORS, Measured, tables, trials
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.numerics.settings import Setting, line
 from evetac_cli.params import EvaluateCost
