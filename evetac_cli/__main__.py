@@ -18,11 +18,11 @@ def main() -> None:
         came.append(number)
         raise KeyboardInterrupt
 
-    def tell(swallowed: "sys.UnraisableHookArgs") -> None:
+    def show(swallowed: "sys.UnraisableHookArgs") -> None:
         if not isinstance(swallowed.exc_value, KeyboardInterrupt):
             sys.__unraisablehook__(swallowed)
 
-    sys.unraisablehook = tell
+    sys.unraisablehook = show
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
     try:

@@ -49,10 +49,10 @@ def _catch(*, every: bool) -> None:
 
     for number in _INTERRUPTS:
         signal.signal(number, remember)
-    sys.unraisablehook = _tell_unless_interrupt
+    sys.unraisablehook = _show_unless_interrupt
 
 
-def _tell_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
+def _show_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
     """Print what was raised where nobody could catch it, but for an interrupt, which is remembered."""
     if not isinstance(swallowed.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(swallowed)

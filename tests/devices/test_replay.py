@@ -12,6 +12,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Slicer
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
+from tests import small_files
 
 
 def recorded(path: Path, t: list[int], starts: list[int]) -> Path:
@@ -54,7 +55,8 @@ def test_silence_is_cut_a_second_at_a_time(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize("t", [[10, 10**15], [10, 5 * SLICE_US, 3 * SLICE_US]])
 def test_events_out_of_their_slices_are_refused(t: list[int], tmp_path: Path) -> None:
     """Assert words, and no memory, for events later than all slices, or times that go back."""
-    path = recorded(tmp_path / "a.recording.h5", t, [0] + [len(t)] * 10)
+    with small_files.nonsense_is_written():
+        path = recorded(tmp_path / "a.recording.h5", t, [0] + [len(t)] * 10)
     with pytest.raises(InputError, match="ms_to_idx does not fit events/t|events/t is impossible"):
         camera = ReplayCamera(path)
         while camera.read() is not None:

@@ -16,6 +16,7 @@ from evetac_cli.inspect import info
 from evetac_cli.stages import record
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
+from tests import small_files
 from tests.conftest import Made
 
 
@@ -210,7 +211,8 @@ SUMMARIES = {
 def test_m4_info_of_a_report_with_any_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str], summary: str) -> None:
     """Assert that the text of a report is shown or refused in words, and never stands in for what info says itself."""
     path = tmp_path / "a.slip.report.h5"
-    write_stage(path, Recipe("report", 1, {}), {"command": "evaluate slip", "rows": "[]", "summary": summary})
+    with small_files.nonsense_is_written():
+        write_stage(path, Recipe("report", 1, {}), {"command": "evaluate slip", "rows": "[]", "summary": summary})
     try:
         lines = shown(path, capsys)
     except InputError as error:

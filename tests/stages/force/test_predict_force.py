@@ -1,8 +1,10 @@
 """rgb, fit, force and evaluate force on made-up recordings whose gel is exactly linear."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -221,10 +223,9 @@ def test_what_cannot_be_answered(made: Path, tmp_path: Path) -> None:
 
 def test_damaged_network_is_refused(made: Path, tmp_path: Path) -> None:
     """Assert that a model whose layers do not fit its grid is refused."""
-    with StageFile(made / "events.force-model.h5") as file:
-        arrays = {name: file.read(name) for name in file.contents()} | {"dot_shape": np.array([7, 8], np.int32)}
-    path = tmp_path / "wrong.force-model.h5"
-    write_stage(path, Recipe("force-model", 1, {}), arrays)
+    path = shutil.copy(made / "events.force-model.h5", tmp_path / "wrong.force-model.h5")
+    with h5py.File(path, "r+") as h5:
+        h5["dot_shape"][...] = [7, 8]
     refused(
         predict_force, [made / "trial3.tracks.h5"], params.PredictForce(model=path), "0/weight is impossible", tmp_path
     )
