@@ -73,7 +73,7 @@ class Trials:
         None, "Straight pieces of a dot's path in each ms; default: the scene's, or 1.", low=1, high=100
     )
     scans_per_ms: int | None = parameter(
-        None, "Scans of the simulated readout in each ms; default: the scene's, or 5.", low=1, high=100
+        None, "Scans of the simulated readout; default: the scene's, or 5.", unit="1/ms", low=1, high=100
     )
     dry_run: bool = parameter(False, "Show what would be built, left out and paid; write nothing.", recipe=False)
 

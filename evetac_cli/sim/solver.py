@@ -40,8 +40,8 @@ class Solver:
         if not 0.5 <= self.theta <= 1.0:
             raise ValueError(f"theta must be within [0.5, 1], found {self.theta}")
         if self.camera_substeps < 1 or self.scans_per_ms < 1:
-            found = f"{self.camera_substeps} and {self.scans_per_ms}"
-            raise ValueError(f"camera_substeps and scans_per_ms must be at least 1, found {found}")
+            counts = f"{self.camera_substeps} and {self.scans_per_ms}"
+            raise ValueError(f"camera_substeps and scans_per_ms must be at least 1, found {counts}")
         if self.step_ms is not None and not self._divides_slice(self.step_ms):
             raise ValueError(f"step_ms must be 1 ms divided by a whole number, found {self.step_ms}")
 

@@ -182,8 +182,8 @@ def step_nodes(
     error = 0.0
     if not prescribed:
         # what the step differs by from one by the trapezoidal rule, of second order
-        ahead = dt * abs(1.0 - 0.5 / theta)
-        error = ahead * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
+        trapezoid_s = dt * abs(1.0 - 0.5 / theta)
+        error = trapezoid_s * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
     change = 0.0
     if falls:
         hardest = 0.0

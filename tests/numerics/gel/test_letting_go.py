@@ -133,10 +133,10 @@ def test_the_adaptive_step_against_a_reference(plan: str, law: str) -> None:
         if not abs(reference.onset_ms - finer.onset_ms) <= 0.2:
             undecided.append(seed)
             continue
-        found = let_go(seed, *chosen, Solver())
-        onsets.append(found.onset_ms - reference.onset_ms)
-        before.append(rms(before_um(found, reference)))
-        after.append(after_um(found, reference))
+        adaptive = let_go(seed, *chosen, Solver())
+        onsets.append(adaptive.onset_ms - reference.onset_ms)
+        before.append(rms(before_um(adaptive, reference)))
+        after.append(after_um(adaptive, reference))
     print(
         f"\n{plan}, {law}: onset {rms(onsets):.3f} rms, {np.abs(onsets).max():.3f} most [ms]; before {rms(before):.2f},"
         f" after {np.median(after):.1f} median, {max(after):.1f} most [um]; undecided {undecided}"
