@@ -8,8 +8,13 @@ with the motor current I = kp (goal - encoder) in position mode, or the command 
 goal are whole ticks, the commanded current whole mA. Because the gear rubs, the finger keeps its grip while the
 current falls by 2 (Fc + fl N) / kF, and x = goal does not mean letting go.
 
+Lost motion (backlash_ticks b, 0 unless a scene names it): the finger is where it was, moved no further than keeps it
+within b / 2 of the motor, whose place the encoder reads. After a reversal it stays, and with it the force that the
+motor feels, until the motor has gone b.
+
 Why so: each step is solved implicitly for the speed, force and friction at the end of the step included. The equation
-is monotone in the speed, so a bracketed Newton search always ends, for any stiffness, for no damping and for no mass.
+is monotone in the speed, with lost motion too, so a bracketed Newton search always ends, for any stiffness, for no
+damping and for no mass.
 """
 
 import math
@@ -39,7 +44,7 @@ class Drive:
     Fitted to the paper's grasp figures (only the product force_per_current * gain = 2.0 N/tick and the friction are
     identified by them): force_per_current_n_ma, gain_ma_tick, friction_n, friction_share, damping_n_s_m, mass_kg.
     From the maker's manual: speed_limit_m_s (75 mm/s of gap), open_ticks, closed_ticks. The current limit is the one
-    the paper's authors set.
+    the paper's authors set. backlash_ticks, of the whole gripper, is no measured value.
     """
 
     force_per_current_n_ma: float = 0.40
@@ -52,6 +57,7 @@ class Drive:
     current_limit_ma: float = 661.0
     open_ticks: float = 0.0
     closed_ticks: float = 740.0
+    backlash_ticks: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -67,8 +73,8 @@ class Drive:
             raise ValueError(f"open_ticks must be < closed_ticks, found {self.open_ticks} and {self.closed_ticks}")
 
 
-def make_drive(sensor_row: Mapping[str, Any], friction_factor: float = 1.0) -> Drive:
-    """The drive of a sensor's gripper: `Drive` but for what its row's `gripper` names, friction times a factor.
+def make_drive(sensor_row: Mapping[str, Any], friction_factor: float = 1.0, backlash_ticks: float = 0.0) -> Drive:
+    """The drive of a sensor's gripper: `Drive` but for what its row's `gripper` names and what a scene adds.
 
     servo_n_tick (force_per_current * gain) and two_ticks_n (what two ticks push beyond the friction) stand for
     gain_ma_tick and friction_n, because they are what a gripper shows; ValueError as from `Drive`.
@@ -81,15 +87,16 @@ def make_drive(sensor_row: Mapping[str, Any], friction_factor: float = 1.0) -> D
         named["gain_ma_tick"] = servo_n_tick / force_per_current
         named["friction_n"] = 2 * servo_n_tick - named.pop("two_ticks_n")
     drive = Drive(**named)
-    return replace(drive, friction_n=drive.friction_n * friction_factor)
+    return replace(drive, friction_n=drive.friction_n * friction_factor, backlash_ticks=backlash_ticks)
 
 
 @dataclass
 class DriveState:
-    """Where a finger is: closing past first touch, and what the last step left behind."""
+    """Where a finger and its motor are past first touch (closing_ticks, motor_ticks), and what the last step left."""
 
     touch_ticks: float
     closing_ticks: float
+    motor_ticks: float
     speed_m_s: float
     current_ma: float
     force_n: float
@@ -98,7 +105,7 @@ class DriveState:
     @property
     def position_ticks(self) -> int:
         """What the encoder reads: whole ticks of the gripper, 0 open."""
-        return math.floor(self.touch_ticks + self.closing_ticks)
+        return math.floor(self.touch_ticks + self.motor_ticks)
 
 
 def gap_m(position_ticks: float) -> float:
@@ -120,7 +127,10 @@ def metres_per_tick(width_m: float) -> float:
 
 
 def start(drive: Drive, curve: ForceCurve, touch_ticks: float, closing_ticks: float = -2.0) -> DriveState:
-    """A finger at rest, closing_ticks past first touch (negative: before it), which lies at touch_ticks."""
+    """A finger at rest, closing_ticks past first touch (negative: before it), which lies at touch_ticks.
+
+    The motor is in the middle of its lost motion.
+    """
     if not drive.open_ticks <= touch_ticks + closing_ticks <= drive.closed_ticks:
         raise ValueError(
             f"the finger must start within [{drive.open_ticks:g}, {drive.closed_ticks:g}] ticks,"
@@ -128,7 +138,7 @@ def start(drive: Drive, curve: ForceCurve, touch_ticks: float, closing_ticks: fl
         )
     force_n = lookup(curve.force_n, curve.step_ticks, closing_ticks)
     indentation_m = lookup(curve.indentation_m, curve.step_ticks, closing_ticks)
-    return DriveState(float(touch_ticks), float(closing_ticks), 0.0, 0.0, force_n, indentation_m)
+    return DriveState(float(touch_ticks), float(closing_ticks), float(closing_ticks), 0.0, 0.0, force_n, indentation_m)
 
 
 def closed_with(drive: Drive, curve: ForceCurve, touch_ticks: float, current_ma: float) -> DriveState:
@@ -136,6 +146,7 @@ def closed_with(drive: Drive, curve: ForceCurve, touch_ticks: float, current_ma:
     push_n = drive.force_per_current_n_ma * current_ma - drive.friction_n
     state = start(drive, curve, touch_ticks, closing_at(curve, max(push_n, 0.0) / (1 + drive.friction_share)))
     state.current_ma = float(current_ma)
+    state.motor_ticks += drive.backlash_ticks / 2  # it has pushed the finger there
     return state
 
 
@@ -164,10 +175,12 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
         drive.speed_limit_m_s,
         drive.open_ticks - state.touch_ticks,
         min(drive.closed_ticks - state.touch_ticks, curve.reach_ticks),
+        drive.backlash_ticks / 2,
     )
     motor_n = drive.force_per_current_n_ma * state.current_ma
-    state.speed_m_s, state.closing_ticks = _move(
-        state.closing_ticks, state.speed_m_s, motor_n, dt_s, curve.force_n, curve.step_ticks, law
+    place = (state.motor_ticks, state.closing_ticks)
+    state.speed_m_s, state.motor_ticks, state.closing_ticks = _move(
+        place, state.speed_m_s, motor_n, dt_s, curve.force_n, curve.step_ticks, law
     )
     state.force_n = lookup(curve.force_n, curve.step_ticks, state.closing_ticks)
     state.indentation_m = lookup(curve.indentation_m, curve.step_ticks, state.closing_ticks)
@@ -175,46 +188,58 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
 
 
 # The constants of one finger in `_move`: metres a tick, friction in N and as a share of the force, damping, mass,
-# highest speed, and the ends of its closing in ticks. Why so: a plain tuple, as a named one takes 1 us more, of 4.
-FingerLaw = tuple[float, float, float, float, float, float, float, float]
+# highest speed, the ends of its closing and half its lost motion in ticks. Why so: a plain tuple, as a named one takes
+# 1 us more, of 4.
+FingerLaw = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @njit(cache=True)
 def _move(
-    closing: float,
+    place: tuple[float, float],
     speed: float,
     motor_n: float,
     dt: float,
     force_table: NDArray[np.float64],
     step_ticks: float,
     law: FingerLaw,
-) -> tuple[float, float]:
-    """Speed (m/s) and closing (ticks) of one finger after dt, from the implicit law with its dry friction."""
-    metres_per_tick, friction_n, friction_share, damping, mass, speed_limit, lowest, highest = law
-    held_n = lookup(force_table, step_ticks, closing)
+) -> tuple[float, float, float]:
+    """Speed (m/s) of one finger and closing (ticks) of motor and finger after dt, from the implicit law with friction.
+
+    `place` is the closing of both before.
+    """
+    metres_per_tick, friction_n, friction_share, damping, mass, speed_limit, lowest, highest, half_play = law
+    motor, finger = place
+    held_n = lookup(force_table, step_ticks, finger)
     drive_n = mass / dt * speed + motor_n
     surplus_n = drive_n - held_n
     if abs(surplus_n) <= friction_n + friction_share * held_n:
-        return 0.0, closing
+        return 0.0, motor, finger
     sign = 1.0 if surplus_n > 0.0 else -1.0
     # with q = |speed|: what resists the motion rises with q, and at q = 0 it is less than the drive
     slow = 0.0
-    room_ticks = highest - closing if sign > 0.0 else closing - lowest
+    room_ticks = highest - motor if sign > 0.0 else motor - lowest
     fast = max(min(speed_limit, room_ticks * metres_per_tick / dt), 0.0)
     ticks_per_speed = dt / metres_per_tick
     q = fast
     for _ in range(60):
-        place = closing + sign * q * ticks_per_speed
-        force = lookup(force_table, step_ticks, place)
+        ahead = motor + sign * q * ticks_per_speed
+        force = lookup(force_table, step_ticks, _follow(ahead, finger, half_play))
         excess = (mass / dt + damping) * q + friction_n + (sign + friction_share) * force - sign * drive_n
         if excess <= 0.0:
             slow = q
         else:
             fast = q
-        force_beyond = lookup(force_table, step_ticks, place + sign * step_ticks)
+        force_beyond = lookup(force_table, step_ticks, _follow(ahead + sign * step_ticks, finger, half_play))
         slope = mass / dt + damping + (sign + friction_share) * (force_beyond - force) / step_ticks * ticks_per_speed
         newton = q - excess / slope if slope > 0.0 else slow
         if fast <= slow or abs(newton - q) <= 1e-14 * speed_limit:
             break
         q = newton if slow < newton < fast else 0.5 * (slow + fast)
-    return sign * q, closing + sign * q * ticks_per_speed
+    motor += sign * q * ticks_per_speed
+    return sign * q, motor, _follow(motor, finger, half_play)
+
+
+@njit(cache=True)
+def _follow(motor: float, finger: float, half_play: float) -> float:
+    """Where a finger comes to be that its motor leaves where it is, if that is within half the lost motion."""
+    return min(max(finger, motor - half_play), motor + half_play)

@@ -11,7 +11,7 @@ moved in it or renamed leaves all other values as they were.
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -63,7 +63,8 @@ def sample_trial(
     placement = rng.spawn(1)[0]  # a stream of its own, so that these keys shift no others
 
     def between(group: str, key: str, default: tuple[float, float]) -> float:
-        low, high = scene.get(group, {}).get(key, default)
+        named = scene.get(group, {}).get(key, default)
+        low, high = named if isinstance(named, Sequence) else (named, named)
         return float(rng.uniform(low, high))
 
     factor = float((sensor_row or {}).get("static_friction_factor", 1.0))
@@ -71,7 +72,8 @@ def sample_trial(
     tilt_deg = between("randomise", "tilt_deg", (0, 0))
     if "tilt_deg" in object_params:  # the shape itself is slanted, so a finger's misalignment hardly matters
         tilt_deg = float(rng.uniform(*object_params["tilt_deg"]))
-    mass_kg = float(object_params["mass_g"]) * 1e-3 * between("randomise", "mass", (1, 1))
+    mass_g = float(scene.get("object", {}).get("mass_g", object_params["mass_g"]))
+    mass_kg = mass_g * 1e-3 * between("randomise", "mass", (1, 1))
     kinetic_share = between("randomise", "kinetic_share", (1, 1))
     varied = scene["randomise"]
     off_share = placement.uniform(-1, 1) * varied.get("kinetic_share_spread", 0.0)
@@ -102,6 +104,15 @@ def sample_trial(
         lever_m=lever_m,
         floor_m=float(placement.uniform(*scene.get("floor", {}).get("below_mm", FLOOR_MM))) * 1e-3,
     )
+
+
+def sensor_with_gel(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A sensor with its gel as much stiffer, in shear and under pressure, as the scene says (gel.stiffness_factor)."""
+    factor = float(scene["gel"].get("stiffness_factor", 1.0))
+    if factor == 1.0:
+        return sensor_row
+    moduli = ("shear_modulus_pa", "normal_modulus_pa")
+    return {**sensor_row, **{name: float(sensor_row[name]) * factor for name in moduli}}
 
 
 def sample_sensor(ranges: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:

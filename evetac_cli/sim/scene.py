@@ -42,6 +42,14 @@ NEEDED_OF_MOTION = {
     "waypoints": ("shear_n", "offset_mm", "count", "move_s", "pause_s"),
     "strokes": ("lines", "speed_mm_s", "approach_s"),
 }
+# What only some kinds of scene can have; the schema allows it in all.
+GRIPPED = ("ramp", "lift", "hold")
+ONLY_IN = {
+    "hand.jerk": ("lift",),
+    "gripper.backlash_ticks": GRIPPED,
+    "object": GRIPPED,
+    "friction_change": (*GRIPPED, "press", "rub"),
+}
 
 
 def load(name_or_path: str) -> dict[str, Any]:
@@ -96,7 +104,7 @@ def _check_finite(value: Any, where: str, place: str) -> None:
 
 
 def _check_needed(scene: dict[str, Any], where: str) -> None:
-    """Check that what the kind of scene is made of is there."""
+    """Check that what the kind of scene is made of is there, and nothing that it cannot have."""
     needed = list(NEEDED[scene["kind"]])
     if scene["kind"] == "press" and "motion" in scene:
         needed += [f"motion.{key}" for key in NEEDED_OF_MOTION[scene["motion"]["kind"]]]
@@ -105,6 +113,15 @@ def _check_needed(scene: dict[str, Any], where: str) -> None:
         if group not in scene or (key and key not in scene[group]):
             raise SceneError(
                 f"{name} is missing", where=where, expected=", ".join(needed), found=f"kind {scene['kind']}"
+            )
+    for name, kinds in ONLY_IN.items():
+        group, _, key = name.partition(".")
+        if group in scene and (not key or key in scene[group]) and scene["kind"] not in kinds:
+            raise SceneError(
+                f"{name} is for another kind of scene",
+                where=where,
+                expected=f"kind {', '.join(kinds)}",
+                found=f"kind {scene['kind']}",
             )
 
 
@@ -282,5 +299,43 @@ def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
         ("cut edge", edge, "closed gel: no cut" if not cut else "the sensor's cut is not seen"),
         ("camera", readout + (f", pixels of {bandwidth_hz:g} Hz" if bandwidth_hz else ""), ""),
         ("noise", noise, ""),
+        *_disturbances(resolved),
     ]
     return [{"part": part, "built": built or None, "left_out": None if built else why} for part, built, why in table]
+
+
+def _disturbances(resolved: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Rows (part, built, why left out) of what is off unless a scene names it."""
+    light, gripper, hand = (resolved.get(group, {}) for group in ("light", "gripper", "hand"))
+    flicker, step, jerk = light.get("flicker"), light.get("step"), hand.get("jerk")
+    lights = [f"flickers by {flicker['depth']:.0%} at {flicker['frequency_hz']:g} Hz"] if flicker else []
+    lights += [f"x {step['factor']:g} from {step['at_s']:g} s on"] if step else []
+    gone, change, off = (resolved.get(group) for group in ("vanishing_dots", "friction_change", "calibration"))
+    off_px = off.get("offset_px", [0.0, 0.0]) if off else []
+    play, stiffness = gripper.get("backlash_ticks", 0.0), resolved["gel"].get("stiffness_factor", 1.0)
+    factor = gripper.get("friction_factor", [1.0, 1.0])
+    factor = factor if isinstance(factor, list) else [factor, factor]
+    rubs = f"x {factor[0]:g}" + (f" to {factor[1]:g}" if factor[1] > factor[0] else "")
+    return [
+        ("changing light", ", ".join(lights), "steady: none named"),
+        ("vanishing dots", f"{len(gone['dots'])} from {gone['at_s']:g} s on" if gone else "", "none named"),
+        (
+            "calibration that is off",
+            f"by {off_px[0]:g}, {off_px[1]:g} px and {off.get('turned_deg', 0.0):g} deg" if off else "",
+            "the dots at rest are known",
+        ),
+        ("change of friction", f"x {change['factor']:g} from {change['at_s']:g} s on" if change else "", "none named"),
+        ("gear friction", rubs if factor != [1.0, 1.0] else "", "as the sensor's gripper has it"),
+        ("backlash of the gripper", f"{play:g} ticks" if play else "", "none named"),
+        (
+            "jerk of the hand",
+            f"{jerk['speed_mm_s']:g} mm/s for {jerk['lasts_s']:g} s at {jerk['at_s']:g} s" if jerk else "",
+            "none named",
+        ),
+        ("other stiffness of the gel", f"x {stiffness:g}" if stiffness != 1.0 else "", "as the sensor has it"),
+        (
+            "other mass of the object",
+            f"{resolved['object']['mass_g']:g} g" if "object" in resolved else "",
+            "none named",
+        ),
+    ]

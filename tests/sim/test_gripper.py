@@ -262,3 +262,42 @@ def test_start_refuses_places_out_of_reach(touch_ticks, closing_ticks):
     """Assert that a finger cannot start outside the gripper's stroke."""
     with pytest.raises(ValueError, match="must start within"):
         start(DRIVE, CURVE, touch_ticks, closing_ticks)
+
+
+@pytest.mark.parametrize("backlash_ticks", [0.5, 3.0])
+def test_lost_motion(backlash_ticks):
+    """Assert that N stays for b ticks of the motor m after a reversal, and then is that of the curve at m + b / 2.
+
+    Before, N = (kF I - Fc) / (1 + fl). The encoder shows the motor: after closing it is b / 2 ahead of the finger.
+    """
+    drive = dataclasses.replace(DRIVE, backlash_ticks=backlash_ticks)
+    state = start(drive, CURVE, TOUCH_TICKS)
+    settle(state, "current", 14, 3.0, drive=drive)
+    closed_n, turned_ticks = state.force_n, state.motor_ticks
+    assert closed_n == pytest.approx(rest_n(14), rel=1e-3)
+    assert turned_ticks - state.closing_ticks == pytest.approx(backlash_ticks / 2, abs=1e-9)
+    assert state.position_ticks == np.floor(TOUCH_TICKS + turned_ticks)
+    within, beyond = 0, 0
+    for _ in range(1000):
+        if state.force_n < 1.0:
+            break
+        step(state, drive, CURVE, "current", -8, 1e-3)
+        if state.motor_ticks >= turned_ticks - backlash_ticks:
+            assert state.force_n == closed_n
+            within += 1
+        else:
+            place = state.motor_ticks + backlash_ticks / 2
+            assert state.force_n == pytest.approx(lookup(CURVE.force_n, CURVE.step_ticks, place), rel=1e-9, abs=1e-12)
+            beyond += 1
+    assert within >= 3
+    assert beyond >= 10
+
+
+def test_a_finger_closed_with_a_current_has_taken_up_its_lost_motion():
+    """Assert that a start under a constant current is where closing with it leads."""
+    drive = dataclasses.replace(DRIVE, backlash_ticks=3.0)
+    slowly = start(drive, CURVE, TOUCH_TICKS)
+    settle(slowly, "current", 14, 3.0, drive=drive)
+    at_once = closed_with(drive, CURVE, TOUCH_TICKS, 14)
+    assert at_once.motor_ticks == pytest.approx(slowly.motor_ticks, abs=0.01)
+    assert at_once.force_n == pytest.approx(slowly.force_n, rel=1e-3)

@@ -198,3 +198,78 @@ def test_an_edge_blurred_over_the_whole_view_is_refused(tmp_path: Path) -> None:
     path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=r"rub\.edge_blur_px.*maximum of 50"):
         scene.load(str(path))
+
+
+OPTIONAL_PARTS: list[tuple[str, str, dict[str, Any]]] = [
+    ("slip", "light", {"flicker": {"frequency_hz": 120.0, "depth": 0.1}, "step": {"at_s": 2.0, "factor": 0.5}}),
+    ("slip", "calibration", {"offset_px": [2.0, 0.0], "turned_deg": 1.0}),
+    ("slip", "vanishing_dots", {"dots": [[3, 4], [0, 0]], "at_s": 1.0}),
+    ("slip", "friction_change", {"at_s": 1.0, "factor": 0.1}),
+    ("slip", "object", {"mass_g": 5.0}),
+    ("slip", "gripper", {"backlash_ticks": 2.0, "friction_factor": 0.7}),
+    ("slip", "gel", {"cut": True, "nodes": [24, 18], "stiffness_factor": 10.0}),
+    ("lift", "hand.jerk", {"at_s": 4.0, "speed_mm_s": 100.0, "lasts_s": 0.05}),
+]
+
+
+@pytest.mark.parametrize(("name", "group", "keys"), OPTIONAL_PARTS, ids=[group for _, group, _ in OPTIONAL_PARTS])
+def test_optional_parts_are_read_and_named(name: str, group: str, keys: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that each part is accepted, said to be built, and said to be left out by the shipped scene."""
+    more = named(name)
+    if group == "hand.jerk":
+        more["hand"]["jerk"] = keys
+    else:
+        more[group] = {**more.get(group, {}), **keys}
+    path = tmp_path / "more.toml"
+    path.write_text(as_toml(more))
+    built = [{row["part"] for row in scene.parts(plan) if row["built"]} for plan in _plans(str(path), name)]
+    assert len(built[0] - built[1]) == 1
+
+
+def _plans(*scenes: str) -> list[dict[str, Any]]:
+    return [scene.plan(one, "8", "evetac", ("ramp", "lift"))[0] for one in scenes]
+
+
+@pytest.mark.parametrize(
+    ("name", "group", "keys", "says"),
+    [
+        ("slip", "hand", {"height_mm": 1.0, "speed_mm_s": 1.0, "acceleration_mm_s2": 1.0, "jerk": None}, "hand.jerk"),
+        ("shear", "gripper", {"backlash_ticks": 1.0}, "backlash_ticks"),
+        ("shear", "object", {"mass_g": 5.0}, "object"),
+        ("vibration", "friction_change", {"at_s": 1.0, "factor": 0.1}, "friction_change"),
+    ],
+)
+def test_parts_of_other_kinds_are_refused(
+    name: str, group: str, keys: dict[str, Any], says: str, tmp_path: Path
+) -> None:
+    """Assert that a part that this kind of scene cannot have is refused rather than left out in silence."""
+    odd = named(name)
+    if "jerk" in keys:
+        keys = {**keys, "jerk": {"at_s": 1.0, "speed_mm_s": 1.0, "lasts_s": 0.1}}
+    odd[group] = {**odd.get(group, {}), **keys}
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    with pytest.raises(SceneError, match=f"{says}.*another kind"):
+        scene.load(str(path))
+
+
+@pytest.mark.parametrize(
+    ("group", "keys", "says"),
+    [
+        ("light", {}, "light"),
+        ("light", {"flicker": {"frequency_hz": 100.0}}, "depth"),
+        ("light", {"flicker": {"frequency_hz": 1000.0, "depth": 0.1}}, "frequency_hz"),
+        ("calibration", {"offset": [1.0, 1.0]}, "offset_px"),
+        ("vanishing_dots", {"dots": [], "at_s": 1.0}, "dots"),
+        ("object", {"mass_g": 0.0}, "mass_g"),
+        ("gripper", {"friction_factor": -0.5}, "friction_factor"),
+    ],
+)
+def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: str, tmp_path: Path) -> None:
+    """Assert that a key that is missing, misspelt or out of range is said."""
+    odd = slip()
+    odd[group] = {**odd.get(group, {}), **keys}
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    with pytest.raises(SceneError, match=says):
+        scene.load(str(path))

@@ -275,7 +275,7 @@ class _RunningWorld:
         self._began_s = 0.0  # when the world's time was 0
         self._torque = False  # whether the servo ever had torque: until then the scene's own command holds
         self._goals = Goals()
-        self._publish_motion(self._world.finger.closing_ticks)
+        self._publish_motion(self._world.finger.motor_ticks)
 
     def described(self) -> dict[str, Any]:
         """What the other side is to know of this world."""
@@ -312,7 +312,7 @@ class _RunningWorld:
         """Make one slice if its time has come, and send what there is to send."""
         if self.wait_s == 0.0:
             self._pass_on(self._plant.goals())
-            before_ticks = self._world.finger.closing_ticks
+            before_ticks = self._world.finger.motor_ticks
             events = self._rig.camera.read()
             self._publish_motion(before_ticks)
             # A sensor that is read out 5000 times a second begins every millisecond, whether or not it sees something:
@@ -380,5 +380,5 @@ class _RunningWorld:
     def _publish_motion(self, before_ticks: float) -> None:
         """Write down for the servo how the finger moved: current, position, and speed over the last slice."""
         finger = self._world.finger
-        speed = (finger.closing_ticks - before_ticks) / SLICE_S
+        speed = (finger.motor_ticks - before_ticks) / SLICE_S
         self._plant.show(Motion(finger.current_ma, finger.position_ticks, speed))

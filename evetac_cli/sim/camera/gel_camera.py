@@ -1,17 +1,20 @@
-"""The camera behind a gel: its dots at rest, its window and cut edge or none, what it sees of an object."""
+"""The camera behind a gel: its dots at rest, its window and cut edge or none, what it sees of an object.
+
+Three tables of a scene are the camera's: `light` (see scanning/light), `vanishing_dots` and `calibration`.
+"""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.low_pass import LowPass
-from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
 
 Floats = NDArray[np.float64]
@@ -19,6 +22,7 @@ Floats = NDArray[np.float64]
 CUT_NODES = 13  # places along the cut edge at which the gel's displacement is asked for
 FARTHEST_CUT_PX = 4.0  # from where the window begins
 CUT_STEP_PX = 1e-3  # the cut edge is placed anew once it has moved by more: a level has changed by 2e-4
+AWAY_PX = 100.0  # how far outside the frame a dot is put that the camera sees no more; farther than any ring
 
 
 def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
@@ -39,6 +43,16 @@ def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
     return dots
 
 
+def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: Mapping[str, Any]) -> Floats:
+    """The dots at rest as a calibration has them that is off: turned about the middle of the frame, then moved."""
+    angle = np.deg2rad(float(calibration.get("turned_deg", 0.0)))
+    middle = np.asarray(frame_px) / 2
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    off_px = np.asarray(calibration.get("offset_px", (0.0, 0.0)), np.float64)
+    grid: Floats = (grid_xy_px - middle) @ turn + middle + off_px
+    return grid
+
+
 class GelCamera:
     """A camera that looks at dots, and through the window at an object."""
 
@@ -53,13 +67,20 @@ class GelCamera:
         outline: contact_edges.Outline | None = None,
         outline_at_px: Floats | None = None,
         scans_per_ms: int = 5,
+        scene: Mapping[str, Any] | None = None,
     ) -> None:
         """Switch the sensor's camera on.
 
         `outline` is that of an object which dents the gel, its middle at `outline_at_px` (x, y) while the object is not
         displaced. Whoever moves the gel moves its cut edge at `cut_rest_m` (CUT_NODES, 2), empty where none is seen.
+        `scene` may name the tables of a scene that are the camera's.
         """
         self.grid_xy_px = dot_grid(sensor_row, cut)
+        parts = scene or {}
+        self.told_grid_xy_px = self.grid_xy_px
+        if "calibration" in parts:
+            self.told_grid_xy_px = calibrated_grid(self.grid_xy_px, sensor_row["frame_px"], parts["calibration"])
+        self._gone, self._gone_from_us = self._vanishing(parts.get("vanishing_dots"))
         x0, y0, x1, y1 = sensor_row["window_px"]
         self.window_px: tuple[int, int, int, int] | None = (x0, y0, x1, y1) if cut else None
         self.mm_per_px = float(sensor_row["mm_per_px"])
@@ -99,10 +120,27 @@ class GelCamera:
             self._lined_at = self.object_xy_px
             line = (sensor_row.get("cut_contrast", 0.0), sensor_row.get("cut_width_px", 3.0))
             self._lines = contact_edges.start(model.frame_px, self._place, outline, *line)
-        switch_on = ideal.start if readout == "ideal" else camera.start
-        self._camera: CameraState | IdealState = switch_on(
-            model, self.dot_xy_px, None, window, texture, rng, built, self._lines
+        change = light.of_scene(parts)
+        if readout == "ideal" and change is not None:
+            raise ValueError("light that flickers or steps: expected the readout dvxplorer, found ideal")
+        at_start = (model, self.dot_xy_px, None, window, texture, rng, built, self._lines)
+        self._camera: CameraState | IdealState = (
+            ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change)
         )
+
+    def _vanishing(self, named: Mapping[str, Any] | None) -> tuple[NDArray[np.intp], float]:
+        """Which dots vanish (numbers, row by row) and when, in us; ValueError if there is no such dot."""
+        if named is None:
+            return np.empty(0, np.intp), np.inf
+        rows, columns = self.grid_xy_px.shape[:2]
+        for row, column in named["dots"]:
+            if not (0 <= row < rows and 0 <= column < columns):
+                raise ValueError(
+                    f"vanishing_dots.dots: expected rows 0 to {rows - 1} and columns 0 to {columns - 1},"
+                    f" found [{row}, {column}]"
+                )
+        numbers = [row * columns + column for row, column in named["dots"]]
+        return np.array(numbers, np.intp), float(named["at_s"]) * 1e6
 
     def _cut_edge(self, sensor_row: Mapping[str, Any], cut: bool) -> tuple[Floats, Floats]:
         """Where the cut edge crosses every row at rest, in px, and where on it the gel's motion is asked for, in m.
@@ -163,6 +201,8 @@ class GelCamera:
         seen = (begin, dots, self.object_xy_px, object_px)
         if self._lagging is not None:
             path, seen = self._lag(np.stack([begin, dots]) if path is None else path, object_px)
+        if t0_us >= self._gone_from_us:
+            path, seen = self._without_gone(path, seen)
         ends = (seen[0], seen[1], self._texture_at_px + seen[2], self._texture_at_px + seen[3])
         lines = self._move_lines(seen[3], self._cut_m if cut_m is None else cut_m, strength)
         if isinstance(self._camera, CameraState):
@@ -171,6 +211,19 @@ class GelCamera:
             events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
         self.dot_xy_px, self.object_xy_px = dots, object_px
         return events
+
+    def _without_gone(
+        self, path: Floats | None, seen: tuple[Floats, Floats, Floats, Floats]
+    ) -> tuple[Floats | None, tuple[Floats, Floats, Floats, Floats]]:
+        """The same path and start and end of dots and object, with dots that have vanished outside the view."""
+        away_px = self.grid_xy_px.reshape(-1, 2)[self._gone]
+        away_px[:, 0] = -AWAY_PX
+        begin, end = seen[0].copy(), seen[1].copy()
+        begin[self._gone] = end[self._gone] = away_px
+        if path is not None:
+            path = path.copy()
+            path[:, self._gone] = away_px
+        return path, (begin, end, *seen[2:])
 
     def _move_lines(
         self, object_xy_px: Floats, cut_m: Floats, strength: float

@@ -23,6 +23,7 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scenes.disturbances import ChangingFriction, jerk_m_s
 from evetac_cli.sim.scenes.shared import STEP_S, DotPath, SolverTruth, friction_of, material, pad
 from evetac_cli.sim.scenes.true_slip import GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
@@ -54,7 +55,7 @@ class GraspSimulation:
         self._kind = self._scene["kind"]
         self._drop = self._scene.get("drop")
         self._solver = from_scene(self._scene)
-        object_params, sensor_row = plan["object_row"], plan["sensor_row"]
+        object_params, sensor_row = plan["object_row"], sampling.sensor_with_gel(self._scene, plan["sensor_row"])
         self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
         self.gel_camera = GelCamera(
@@ -64,6 +65,7 @@ class GraspSimulation:
             rng=optics_rng,
             readout=plan["readout"],
             scans_per_ms=self._solver.scans_per_ms,
+            scene=self._scene,
         )
         self._build_mechanics(object_params, sensor_row)
         self.slices = 0
@@ -110,7 +112,8 @@ class GraspSimulation:
             float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
         )
-        self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor)
+        backlash_ticks = float(self._scene.get("gripper", {}).get("backlash_ticks", 0.0))
+        self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor, backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
         self.command: tuple[gripper.Mode, float]
         if self._kind == "ramp":
@@ -129,6 +132,7 @@ class GraspSimulation:
         self._stepper = Stepper(self._solver)
         self._friction = friction_of(sampled)
         self._steps = SolverTruth(self._gel, self._friction)
+        self._changing_friction = ChangingFriction(self._scene, self._friction)
         self._window_from_middle_m: tuple[float, float] | None = None
         if self.gel_camera.window_px is not None and self._middle_m.any():
             window_px = np.array(self.gel_camera.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
@@ -197,6 +201,7 @@ class GraspSimulation:
 
     def _move(self) -> None:
         """One mechanical step: finger, gel, object, table."""
+        self._friction = self._changing_friction.at(self.slices)
         before_n = self.finger.force_n
         mode, command = self.command
         after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
@@ -268,7 +273,8 @@ class GraspSimulation:
         Both ways are tried at most, first that of the slice before: an object that stands on the table goes on doing so
         while the table has to push (else it would hang on it), one that hangs while it does not sink into the table.
         """
-        hand_m_s = self._hand_speed((self.slices + 1) * STEP_S - self._lift_starts_s)
+        now_s = (self.slices + 1) * STEP_S
+        hand_m_s = self._hand_speed(now_s - self._lift_starts_s) + jerk_m_s(self._scene["hand"], now_s)
         acceleration = (hand_m_s - self._hand_m_s) / STEP_S
         self._hand_m_s = hand_m_s
         self._table_m += hand_m_s * STEP_S

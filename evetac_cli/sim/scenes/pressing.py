@@ -19,6 +19,7 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.shared import STEP_S, DotPath, SolverTruth, friction_of, material, pad
 from evetac_cli.sim.scenes.true_slip import GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
@@ -60,7 +61,7 @@ class Pressing:
     ) -> None:
         """Build what a plan names: scene, sensor_row. The camera sees the face's outline, if there is one."""
         self._scene = plan["scene"]
-        sensor_row = plan["sensor_row"]
+        sensor_row = sampling.sensor_with_gel(self._scene, plan["sensor_row"])
         solver = from_scene(self._scene)
         self.gel_camera = GelCamera(
             sensor_row,
@@ -71,6 +72,7 @@ class Pressing:
             outline=outline,
             outline_at_px=outline_at_px,
             scans_per_ms=solver.scans_per_ms,
+            scene=self._scene,
         )
         self.sampled = sampling.sample_trial(self._scene, plan["object_row"], mechanics, sensor_row)
         nodes = pad(self._scene, sensor_row)
@@ -81,6 +83,7 @@ class Pressing:
         self._stepper = Stepper(solver)
         self._friction = friction_of(sampled)
         self._steps = SolverTruth(self._gel, self._friction)
+        self._changing_friction = ChangingFriction(self._scene, self._friction)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
         self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
         many = solver.camera_substeps > 1
@@ -153,6 +156,7 @@ class Pressing:
         before_n, force_n = borne * before_n, borne * force_n
         shares = weights / covered if covered > 0 else weights
         velocity = (xy_m - self._xy_m) / STEP_S
+        self._friction = self._changing_friction.at(self.slices)
         twist = np.array([*velocity, 0.0])
         each = None
         if self._path is not None:

@@ -31,6 +31,7 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
+from evetac_cli.sim.sampling import sensor_with_gel
 from evetac_cli.sim.scenes.shared import material
 from evetac_cli.sim.scenes.true_slip import NO_SLIP
 from evetac_cli.sim.solver import from_scene
@@ -148,7 +149,8 @@ class Vibration:
         self, plan: Mapping[str, Any], mechanics: np.random.Generator, optics_rng: np.random.Generator
     ) -> None:
         """Build what a plan names: scene, sensor_row, tone_hz."""
-        scene, sensor_row = plan["scene"], plan["sensor_row"]
+        scene = plan["scene"]
+        sensor_row = sensor_with_gel(scene, plan["sensor_row"])
         self._time, tone = scene["time"], scene["tone"]
         self.gel_camera = GelCamera(
             sensor_row,
@@ -157,6 +159,7 @@ class Vibration:
             rng=optics_rng,
             readout=plan["readout"],
             scans_per_ms=from_scene(scene).scans_per_ms,
+            scene=scene,
         )
         layer = material(sensor_row)
         radius_m = tone["radius_mm"] * 1e-3

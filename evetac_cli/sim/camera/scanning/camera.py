@@ -11,7 +11,8 @@ to one scan after the change that made it, never before it, and the motion of th
 slice.
 
 The events are those of every pixel compared in every scan (but for RESOLUTION_PX), but few pixels are compared: see
-pixel_culling (gel) and window. Lines that are not dots: lines. Leak makes its events up to 40 ms late: leak.
+pixel_culling (gel) and window. Lines that are not dots: lines. Leak makes its events up to 40 ms late: leak. Light that
+flickers or steps: light.
 
 A refractory pixel is blind: its reference follows what it is shown, until its time is over.
 
@@ -32,6 +33,7 @@ from evetac_cli.sim.camera.contact_edges import ContactEdges, LineMotion, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
+from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines
 from evetac_cli.sim.camera.scanning.pixels import (
     CandidatePixels,
@@ -123,6 +125,7 @@ class CameraState:
     candidates: CandidatePixels
     candidate_runs: CandidateRuns
     contact_edges: ContactEdges | None = None
+    light: Light | None = None
     slices: int = 0
     dropped: int = 0
     # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code is handed them:
@@ -159,6 +162,7 @@ def start(
     rng: np.random.Generator,
     camera_rng: np.random.Generator | None = None,
     contact_edges: ContactEdges | None = None,
+    light_change: LightChange | None = None,
 ) -> CameraState:
     """Switch the camera on before dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
 
@@ -168,7 +172,7 @@ def start(
     first `step` starts, so an object that is there already makes no flash. Without texture they see nothing.
     `camera_rng` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
     `contact_edges`, from `contact_edges.start` for this frame, are lines that are not dots; the camera owns them from
-    now on.
+    now on. `light_change` says how the light changes, if it does.
     ValueError on non-finite positions, a window outside the frame, a texture that cannot be used or has no window.
     """
     width, height = model.frame_px
@@ -193,6 +197,8 @@ def start(
             f"contact_edges: expected those of a frame {model.frame_px}, found one of {contact_edges.frame_px}"
         )
     blind = model.refractory_us > SLICE_US / model.scans_per_ms
+    light = None if light_change is None else Light(light_change, model.frame_px, y1 - y0)
+    steady: NDArray[np.float32] = np.zeros(2, np.float32)
     return CameraState(
         model=model,
         profile=profile,
@@ -211,9 +217,10 @@ def start(
         keys=np.empty(model.max_events, np.int64),
         release_us=np.zeros((height, width if blind else 0)),
         window_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
-        candidates=all_pixels((height, width), len(dots), profile),
+        candidates=all_pixels((height, width), len(dots), profile, steady if light is None else light.candidate_light),
         candidate_runs=all_runs(window_reference.shape, pattern),
         contact_edges=contact_edges,
+        light=light,
     )
 
 
@@ -254,6 +261,9 @@ def step(
     model = state.model
     gel, window = state.gel, state.window
     times = (state.readout_us, float(t0_us), float(model.refractory_us))
+    first_leaking_row = state.slices % leak.LEAK_SLICES if model.leak_hz > 0.0 else None
+    if state.light is not None:
+        state.light.forget_changed(path, gel, window, lines, first_leaking_row)
     line_events = 0
     if lines is not None:
         made, line_events = _scan_with_lines(lines, path, gel, tuple(motion), window, times, state.keys)
@@ -261,10 +271,11 @@ def step(
         made = _scan(path, gel, tuple(motion), window, times, state.keys)
     if state.contact_edges is not None:
         state.contact_edges.events = line_events
-    if model.leak_hz > 0.0:
-        first_row = state.slices % leak.LEAK_SLICES
+    if first_leaking_row is not None:
         drift = np.float32(leak.drift(model.leak_hz))
-        made = _leak(first_row, drift, gel, window, times, state.keys, made)
+        made = _leak(first_leaking_row, drift, gel, window, times, state.keys, made)
+    if state.light is not None:
+        made = state.light.shine(gel, window, *times, state.keys, made)
     state.slices += 1
     hot = (state.hot_pixel, state.hot_cumulative_hz)
     made = add_noise(model.noise_rate_hz, *hot, model.frame_px, rng, state.keys, made)

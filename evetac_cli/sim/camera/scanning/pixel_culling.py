@@ -139,7 +139,13 @@ def renew_listed(
         x = pixel & COLUMN_MASK
         if candidates.lower2_px2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
             radii = optics.quiet_radii(
-                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, candidates.level_index
+                reference[y, x] + candidates.light[0],
+                threshold[y, x] - candidates.light[1],
+                inner,
+                outer,
+                steps_per_px,
+                profile,
+                candidates.level_index,
             )
             candidates.lower2_px2[y, x] = radii[0]
             candidates.upper2_px2[y, x] = radii[1]
@@ -235,7 +241,13 @@ def select_active(
         x = pixel & COLUMN_MASK
         if lower2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):
             radii = optics.quiet_radii(
-                reference[y, x], threshold[y, x], inner, outer, steps_per_px, profile, candidates.level_index
+                reference[y, x] + candidates.light[0],
+                threshold[y, x] - candidates.light[1],
+                inner,
+                outer,
+                steps_per_px,
+                profile,
+                candidates.level_index,
             )
             lower2[y, x] = radii[0]
             upper2[y, x] = radii[1]

@@ -24,7 +24,9 @@ class CandidatePixels(NamedTuple):
     not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `list_box` (dots, 4:
     centre and half sides, NaN without a list), only the first `list_length` pixels of its list `listed` may fire, with
     radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
-    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii.
+    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii. `light` (2,) is
+    what a flicker adds to all levels, less the middle of its range, and half that range (see light): radii hold
+    throughout it.
     """
 
     level_index: NDArray[np.int16]
@@ -36,6 +38,7 @@ class CandidatePixels(NamedTuple):
     list_length: NDArray[np.int64]
     active: NDArray[np.int32]
     entry: NDArray[np.int64]
+    light: NDArray[np.float32]
 
 
 class CandidateRuns(NamedTuple):
@@ -111,6 +114,7 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
             candidates[6],
             candidates[7],
             candidates[8],
+            candidates[9],
         ),
     )
 
@@ -131,7 +135,9 @@ def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
     )
 
 
-def all_pixels(shape: tuple[int, int], dots: int, profile: optics.DotProfile) -> CandidatePixels:
+def all_pixels(
+    shape: tuple[int, int], dots: int, profile: optics.DotProfile, light: NDArray[np.float32]
+) -> CandidatePixels:
     """All pixels of a frame (height, width) may fire."""
     height, width = shape
     return CandidatePixels(
@@ -144,6 +150,7 @@ def all_pixels(shape: tuple[int, int], dots: int, profile: optics.DotProfile) ->
         list_length=np.zeros(dots, np.int64),
         active=np.empty(max(height * width, MOST_LISTED) + 1, np.int32),
         entry=np.empty(MOST_LISTED + 1, np.int64),
+        light=light,
     )
 
 

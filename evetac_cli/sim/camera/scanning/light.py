@@ -1,0 +1,320 @@
+"""Light that flickers or steps: the brightness of all pixels of a scanning camera changes together.
+
+In log brightness a change of the light adds the same number to every level. It is taken off the references instead,
+once a slice, at its last scan, and the pixels that it takes past their threshold make events there. So the light is
+seen as a stair of 1 ms (ten steps a period at 100 Hz). A step of light comes in the first slice whose last scan lies
+after it.
+
+Why so: for each run of pixels there is a highest and a lowest level of the light up to which none of them fires; it
+holds until a dot, a line or leak has changed what the run sees. A slice costs the shift of the references, and those
+runs only that are crossed or have changed. Candidate pixels of moving dots hold for the whole range of a flicker
+(`candidate_light`).
+
+Left out: the bandwidth of the pixels (one of 300 Hz would take 5 % off a flicker of 100 Hz), the ideal camera, noise
+that grows as the light fades. Where a rim and the light both pass a threshold in a last scan, a pixel has two events.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.sim.camera import dot_rings, optics
+from evetac_cli.sim.camera.camera_input import check_range
+from evetac_cli.sim.camera.contact_edges import LineMotion
+from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.leak import LEAK_SLICES
+from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
+from evetac_cli.sim.camera.scanning.pixels import (
+    RUN_PX,
+    CandidatePixels,
+    gel_pixels,
+    window_pixels,
+)
+
+# More than single precision costs the shifted references: a run is looked at when the light is this near to its bounds.
+ROUNDING = 1e-5
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LightChange:
+    """How the light changes; ValueError where a value is out of range.
+
+    Flicker: brightness = mean * (1 + depth sin(2 pi frequency t)), with a depth of 0 for none. Step: brightness times
+    `step_factor` from `step_at_s` on.
+    """
+
+    frequency_hz: float = 100.0
+    depth: float = 0.0
+    step_at_s: float = 0.0
+    step_factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_range("light.flicker.frequency_hz", self.frequency_hz, 0.1, 400.0)
+        check_range("light.flicker.depth", self.depth, 0.0, 0.95)
+        check_range("light.step.at_s", self.step_at_s, 0.0, math.inf)
+        check_range("light.step.factor", self.step_factor, 1e-3, 1e3)
+
+    def flicker(self, time_us: float) -> float:
+        """What the flicker adds to log brightness at a time."""
+        return math.log1p(self.depth * math.sin(2e-6 * math.pi * self.frequency_hz * time_us))
+
+    def step(self, time_us: float) -> float:
+        """What the step has added to log brightness by a time."""
+        return math.log(self.step_factor) if time_us >= self.step_at_s * 1e6 else 0.0
+
+
+class Light:
+    """The light on one camera, and what the camera last saw of it."""
+
+    def __init__(self, change: LightChange, frame_px: tuple[int, int], window_rows: int) -> None:
+        """Light as it is at time 0, over a frame of (width, height) and a window of so many rows (0 without)."""
+        width, height = frame_px
+        self._change = change
+        self._seen_flicker = change.flicker(0.0)
+        self._seen_step = 0.0
+        brightest, darkest = math.log1p(change.depth), math.log1p(-change.depth)
+        self._middle = 0.5 * (brightest + darkest)
+        self.candidate_light: NDArray[np.float32] = np.array(
+            [self._seen_flicker - self._middle, 0.5 * (brightest - darkest)], np.float32
+        )
+        runs = -(-width // RUN_PX)
+        self._bounds = (
+            np.full((height, runs), np.inf),
+            np.full((height, runs), -np.inf),
+            np.full(height, np.inf),
+            np.full(height, -np.inf),
+            np.full(window_rows, np.inf),
+            np.full(window_rows, -np.inf),
+            np.full(3, np.nan),
+        )
+
+    def forget_changed(
+        self,
+        path: Floats,
+        gel: tuple[Any, ...],
+        window: tuple[Any, ...],
+        lines: LineMotion | None,
+        first_leaking_row: int | None,
+    ) -> None:
+        """Before a slice is scanned, forget the bounds of runs whose level or references it will change.
+
+        `path` (dots, k + 1, 2) is that of the dots, `lines` those that move, `first_leaking_row` the first whose turn
+        it is to leak. Without a flicker no bounds are kept.
+        """
+        if self._change.depth == 0.0:
+            return
+        _, high, _, row_high, _, window_high, _ = self._bounds
+        _forget_rings(path, gel[0], float(gel[1][1]), high, row_high)
+        if lines is not None:
+            first, end = 0, high.shape[1]
+            if not lines.outline.picture.size:
+                at_px = np.concatenate([lines.start.cut_x_px, lines.end.cut_x_px, lines.seen_cut_x])
+                first = max(int(at_px.min() - lines.cut_half_px) // RUN_PX, 0)
+                end = int(at_px.max() + lines.cut_half_px) // RUN_PX + 1
+            high[:, first:end] = -np.inf
+            row_high[:] = -np.inf
+            window_high[:] = -np.inf
+        if first_leaking_row is not None:
+            high[first_leaking_row::LEAK_SLICES] = -np.inf
+            row_high[first_leaking_row::LEAK_SLICES] = -np.inf
+            in_window = (first_leaking_row - window[1]) % LEAK_SLICES
+            window_high[in_window::LEAK_SLICES] = -np.inf
+
+    def shine(
+        self,
+        gel: tuple[Any, ...],
+        window: tuple[Any, ...],
+        readout_us: NDArray[np.int64],
+        t0_us: float,
+        refractory_us: float,
+        keys: NDArray[np.int64],
+        made: int,
+    ) -> int:
+        """Compare what the light has changed by the last scan of a slice; returns the number of events so far."""
+        scans = len(readout_us)
+        now_us = t0_us + (scans - 1) * SLICE_US / scans
+        flicker, step = self._change.flicker(now_us), self._change.step(now_us)
+        if flicker == self._seen_flicker and step == self._seen_step:
+            return made
+        if step != self._seen_step or self._change.depth == 0.0:  # radii hold for a flicker, bounds only with one
+            self._bounds[3][:] = -np.inf
+            self._bounds[1][:] = -np.inf
+            candidates = gel[5]
+            candidates[1][:] = np.inf
+            candidates[3][:] = np.nan
+        change = np.float32(flicker - self._seen_flicker + step - self._seen_step)
+        self._seen_flicker, self._seen_step = flicker, step
+        self.candidate_light[0] = flicker - self._middle
+        when = (readout_us[-1], now_us, float(refractory_us))
+        return int(_shine(change, flicker + step, gel, window, self._bounds, when, keys, made))
+
+
+@njit(cache=True)
+def _forget_rings(path: Floats, seen_xy: Floats, outer: float, high: Floats, row_high: Floats) -> None:
+    """Forget the bounds of the runs that the rings of moving dots touch."""
+    height, runs = high.shape
+    box = dot_rings.boxes(path, seen_xy)
+    for dot in range(len(path)):
+        x, y, half_x, half_y = box[dot]
+        if max(half_x, half_y) <= 0.5 * RESOLUTION_PX:
+            continue
+        first = min(max(int(math.floor((x - half_x - outer) / RUN_PX)), 0), runs)
+        end = min(max(int(math.floor((x + half_x + outer) / RUN_PX)) + 1, first), runs)
+        first_row, end_row = dot_rings.ring_rows(box[dot], outer, height)
+        high[first_row:end_row, first:end] = -np.inf
+        if first < end:
+            row_high[first_row:end_row] = -np.inf
+
+
+@njit(cache=True)
+def _shine(
+    change: np.float32,
+    light: float,
+    gel_arrays: tuple[Any, ...],
+    window_arrays: tuple[Any, ...],
+    bounds: tuple[Any, ...],
+    when: tuple[Any, ...],
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Take a change of the light off all references, and compare the runs that `light` takes out of their bounds."""
+    gel, window = gel_pixels(gel_arrays), window_pixels(window_arrays)
+    low, high, row_low, row_high, window_low, window_high, seen_object = bounds
+    inner, outer, steps_per_px, profile = gel.profile
+    reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
+    height, width = reference.shape
+    line = np.empty(width, np.float32)
+    for row in range(height):
+        own = reference[row]
+        for x in range(width):
+            own[x] -= change
+        if row_low[row] < light < row_high[row]:
+            continue
+        optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, 0, width, line)
+        before = made
+        row_low[row] = -np.inf
+        row_high[row] = np.inf
+        for run in range(low.shape[1]):
+            if not low[row, run] < light < high[row, run]:
+                first = run * RUN_PX
+                end = min(first + RUN_PX, width)
+                fired = made
+                low[row, run], high[row, run], made = _compare_run(
+                    line[first:end],
+                    own[first:end],
+                    threshold[row, first:end],
+                    release_us[row, first:end],
+                    first,
+                    row,
+                    light,
+                    when,
+                    keys,
+                    made,
+                )
+                if made > fired:
+                    gel.candidates.lower2_px2[row, first:end] = np.inf
+            row_low[row] = max(row_low[row], low[row, run])
+            row_high[row] = min(row_high[row], high[row, run])
+        if made > before:
+            _forget_lists(row, outer, gel.candidates)
+    rows, columns = window.reference.shape
+    if not rows:
+        return made
+    for axis in range(3):
+        if seen_object[axis] != window.seen_object[axis]:
+            seen_object[axis] = window.seen_object[axis]
+            window_high[:] = -np.inf
+    place = optics.texture_place(
+        window.texture, window.first_x, window.first_y, seen_object[0], seen_object[1], seen_object[2]
+    )
+    window.candidate_runs.travelled[0] += abs(change)
+    for row in range(rows):
+        own = window.reference[row]
+        for x in range(columns):
+            own[x] -= change
+        if window_low[row] < light < window_high[row]:
+            continue
+        optics.sample_texture_run(window.texture, *place, row, 0, columns, line)
+        window_low[row], window_high[row], made = _compare_run(
+            line[:columns],
+            own,
+            window.threshold[row],
+            window.release_us[row],
+            window.first_x,
+            window.first_y + row,
+            light,
+            when,
+            keys,
+            made,
+        )
+    return made
+
+
+@njit(cache=True)
+def _compare_run(
+    level: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    release_us: Floats,
+    first_x: int,
+    y: int,
+    light: float,
+    when: tuple[Any, ...],
+    keys: NDArray[np.int64],
+    made: int,
+) -> tuple[float, float, int]:
+    """Compare pixels side by side; returns the levels of light between which none fires, and the number of events.
+
+    Where a pixel is blind there are no such levels.
+    """
+    readout_us, now_us, refractory_us = when
+    low = -np.inf
+    high = np.inf
+    for k in range(len(reference)):
+        if len(release_us) and release_us[k] > now_us:
+            reference[k] = level[k]
+            high = -np.inf
+            continue
+        change = level[k] - reference[k]
+        if abs(change) >= threshold[k]:
+            reference[k] = level[k]
+            if made < len(keys):
+                keys[made] = event_key(readout_us[first_x + k], first_x + k, y, change > 0)
+            made += 1
+            change = np.float32(0.0)
+            if len(release_us):
+                release_us[k] = now_us + refractory_us
+                high = -np.inf
+        low = max(low, light - (threshold[k] + change) + ROUNDING)
+        high = min(high, light + (threshold[k] - change) - ROUNDING)
+    return low, high, made
+
+
+@njit(cache=True)
+def _forget_lists(row: int, outer: float, candidates: CandidatePixels) -> None:
+    """Drop the lists of dots that can come near a row: a reference there is another."""
+    list_box = candidates.list_box
+    for dot in range(len(list_box)):
+        if abs(list_box[dot, 1] - row) <= list_box[dot, 3] + outer:
+            list_box[dot] = np.nan
+
+
+def of_scene(scene: Mapping[str, Any]) -> LightChange | None:
+    """How the light of a scene changes, from its table `light`; None where it is steady."""
+    if "light" not in scene:
+        return None
+    flicker, step = scene["light"].get("flicker", {}), scene["light"].get("step", {})
+    return LightChange(
+        frequency_hz=float(flicker.get("frequency_hz", 100.0)),
+        depth=float(flicker.get("depth", 0.0)),
+        step_at_s=float(step.get("at_s", 0.0)),
+        step_factor=float(step.get("factor", 1.0)),
+    )

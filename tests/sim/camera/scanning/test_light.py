@@ -1,0 +1,197 @@
+"""Light that flickers or steps: against every pixel compared after every change, and against closed forms."""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events
+from evetac_cli.sim.camera import contact_edges
+from evetac_cli.sim.camera.contact_edges import Place
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
+from evetac_cli.sim.camera.scanning.light import LightChange
+from tests.sim.camera.scanning.test_camera import FRAME, QUIET, STILL, STRIP, TEXTURE, table_picture
+
+DOTS = np.array([[30.0, 30.0], [52.0, 60.0]])
+FineEvents = list[tuple[int, int, int, int]]
+
+
+def start(change: LightChange | None, model: CameraModel = QUIET, dots: Any = DOTS, **more: Any) -> CameraState:
+    window = more.pop("window", None)
+    texture = TEXTURE if window else None
+    return camera.start(model, dots, None, window, texture, np.random.default_rng(0), light_change=change, **more)
+
+
+def stand(state: CameraState, slices: int, first: int = 0) -> list[Events]:
+    """Slices in which nothing moves."""
+    rng, dots = np.random.default_rng(1), state.seen_dot_xy_px.copy()
+    return [camera.step(state, dots, dots, STILL, STILL, 1.0, 1000 * k, rng) for k in range(first, first + slices)]
+
+
+def listed(slices: list[Events]) -> FineEvents:
+    return sorted(event for part in slices for event in zip(*(column.tolist() for column in part), strict=True))
+
+
+def walk(slices: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Dots (slices + 1, dots, 2) that rest, creep, shake and jump."""
+    speeds = np.repeat(10.0 ** rng.uniform(-2.3, 0.5, (slices // 10, 2)), 10, axis=0)
+    speeds[rng.random((slices, 2)) < 0.3] = 0.0
+    speeds[rng.random((slices, 2)) < 0.02] = 20.0
+    angle = 2 * math.pi * rng.random((slices, 2))
+    travel = speeds[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return DOTS + np.concatenate([np.zeros((1, 2, 2)), np.cumsum(travel, axis=0)])
+
+
+@pytest.mark.parametrize("refractory_us", [0.0, 1500.0])
+@pytest.mark.parametrize(
+    "change",
+    [
+        LightChange(depth=0.05),
+        LightChange(frequency_hz=120.0, depth=0.4),
+        LightChange(depth=0.1, step_at_s=0.02, step_factor=1.2),
+    ],
+    ids=["shallow", "deep", "flicker and step"],
+)
+def test_light_against_every_pixel(change: LightChange, refractory_us: float) -> None:
+    """Assert the very events of a camera that compares all pixels in every scan, and again when the light changed."""
+    rng = np.random.default_rng(4)
+    model = dataclasses.replace(QUIET, mismatch=0.2, refractory_us=refractory_us)
+    slices = 100
+    at = walk(slices, rng)
+    state = start(change, model, at[0])
+    reference, threshold, release = state.reference.copy(), state.threshold, np.zeros(state.reference.shape)
+    result, expected = [], []
+    seen = (change.flicker(0.0), 0.0)
+
+    def compare(level: NDArray[np.float32], now: float) -> None:
+        if refractory_us:
+            reference[release > now] = level[release > now]
+        off = level - reference
+        fired = np.abs(off) >= threshold
+        reference[fired] = level[fired]
+        release[fired] = now + refractory_us
+        for y, x in np.argwhere(fired).tolist():
+            expected.append((int(now) + x * 200 // FRAME[0], x, y, int(off[y, x] > 0)))
+
+    for k in range(slices):
+        result.append(camera.step(state, at[k], at[k + 1], STILL, STILL, 0.0, 1000 * k, rng))
+        for scan in range(5):
+            level = table_picture(at[k] + scan / 5 * (at[k + 1] - at[k]), model)
+            compare(level, 1000.0 * k + 200 * scan)
+        now = 1000.0 * k + 800
+        reference -= np.float32(change.flicker(now) - seen[0] + change.step(now) - seen[1])
+        seen = (change.flicker(now), change.step(now))
+        compare(level, now)
+    assert len(expected) > 3000
+    assert listed(result) == sorted(expected)
+
+
+def cut_place(t_ms: float) -> Place:
+    """A cut edge that moves to and fro beside the window."""
+    return Place(np.zeros(2), 0.0, np.full(FRAME[1], 68.0 + 0.5 * math.sin(t_ms / 15)))
+
+
+@pytest.mark.parametrize("refractory_us", [0.0, 1500.0])
+@pytest.mark.parametrize("leak_hz", [0.0, 10.0])
+def test_bounds_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
+    """Assert equal events of a camera that keeps its bounds and one that looks at all pixels in every slice.
+
+    Before a window with a texture, with a cut edge that moves, leak, and pixels that are blind for a while.
+    """
+    change = LightChange(depth=0.12)
+    model = dataclasses.replace(QUIET, mismatch=0.2, leak_hz=leak_hz, refractory_us=refractory_us)
+    states = [
+        start(change, model, window=STRIP, contact_edges=contact_edges.start(FRAME, cut_place(0), None, 0.3))
+        for _ in range(2)
+    ]
+    shaken = 2.0 * np.exp(-np.arange(201) / 40)[:, None] * np.array([0.8, 0.6]) * np.sin(np.arange(201) / 6)[:, None]
+    shaken[150:] = shaken[150]
+    events = 0
+    for k in range(200):
+        states[0].light._bounds[1][:] = -np.inf
+        states[0].light._bounds[3][:] = -np.inf
+        states[0].light._bounds[5][:] = -np.inf
+        states[0].candidates.lower2_px2[:] = np.inf
+        states[0].candidates.list_box[:] = np.nan
+        dots = DOTS + shaken[k : k + 2, None]
+        ends = (*dots, *shaken[k : k + 2], 1.0, 1000 * k)
+        places = (cut_place(min(k, 100)), cut_place(min(k + 1, 100)))
+        parts = [camera.step(one, *ends, np.random.default_rng(k), None, *places) for one in states]
+        assert listed(parts[:1]) == listed(parts[1:]), k
+        events += parts[0].size
+    assert events > 3000
+    np.testing.assert_array_equal(states[0].reference, states[1].reference)
+    np.testing.assert_array_equal(states[0].window_reference, states[1].window_reference)
+
+
+@pytest.mark.parametrize("share", [0.25, -0.5, 1.0, -2.5])
+def test_a_step_fires_the_closed_share(share: float) -> None:
+    """Assert that a step by s thresholds fires |s| / 2 of all pixels once, at most all, with one polarity.
+
+    References are uniform within a threshold to either side of the level, so |s| / 2 of them are passed, in the
+    window, too. Before and after the step nothing happens.
+    """
+    model = dataclasses.replace(QUIET, frame_px=(400, 300), mismatch=0.0)
+    change = LightChange(step_at_s=0.0045, step_factor=math.exp(share * model.threshold))
+    state = camera.start(model, DOTS, None, (300, 0, 400, 300), TEXTURE, np.random.default_rng(0), light_change=change)
+    parts = stand(state, 10)
+    sizes = [part.size for part in parts]
+    assert sizes[:4] == [0] * 4
+    assert sizes[5:] == [0] * 5
+    assert set(parts[4].p.tolist()) == {int(share > 0)}
+    assert (parts[4].t >= 4800).all()
+    expected = min(abs(share) / 2, 1.0) * 120_000
+    assert sizes[4] == pytest.approx(expected, abs=4 * math.sqrt(120_000) / 2 if abs(share) < 2 else 0)
+
+
+def test_a_shallow_flicker_settles() -> None:
+    """Assert that a flicker of less than a threshold, peak to peak, is silent after its first period."""
+    state = start(LightChange(depth=0.08), dataclasses.replace(QUIET, mismatch=0.03), window=STRIP)
+    sizes = [part.size for part in stand(state, 100)]
+    assert sum(sizes[:10]) > 1000
+    assert sum(sizes[10:]) == 0
+
+
+def test_a_deep_flicker_fires_its_crossings() -> None:
+    """Assert that each pixel reports the swing of every half period: floor(swing / threshold) events, one a slice."""
+    depth = 0.3
+    swing = math.log(1 + depth) - math.log(1 - depth)
+    model = dataclasses.replace(QUIET, mismatch=0.0, threshold=0.21)
+    state = start(LightChange(frequency_hz=50.0, depth=depth), model)
+    stand(state, 40)
+    period = stand(state, 20, first=40)
+    ups = sum(int(part.p.sum()) for part in period) / (FRAME[0] * FRAME[1])
+    downs = sum(int((part.p == 0).sum()) for part in period) / (FRAME[0] * FRAME[1])
+    assert ups == pytest.approx(downs, rel=0.01)
+    assert 1.0 <= ups <= swing / 0.21
+
+
+def test_light_that_does_not_change_changes_nothing() -> None:
+    """Assert that a light of depth 0 and factor 1 gives the events of a camera without."""
+    at = walk(40, np.random.default_rng(2))
+    states = [start(change, dots=at[0]) for change in (None, LightChange())]
+    parts = [
+        [camera.step(one, at[k], at[k + 1], STILL, STILL, 0.0, 1000 * k, np.random.default_rng(k)) for k in range(40)]
+        for one in states
+    ]
+    assert listed(parts[0]) == listed(parts[1])
+    assert sum(part.size for part in parts[0]) > 100
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"frequency_hz": 500.0}, "frequency_hz"),
+        ({"depth": 1.0}, "depth"),
+        ({"step_factor": 0.0}, "factor"),
+        ({"step_at_s": math.nan}, "at_s"),
+    ],
+)
+def test_light_refuses(change: dict[str, float], named: str) -> None:
+    """Assert that what no light can do is refused by name."""
+    with pytest.raises(ValueError, match=named):
+        LightChange(**change)

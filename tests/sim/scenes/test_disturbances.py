@@ -1,0 +1,204 @@
+"""What is off unless a scene names it: each against a closed form, and against the same trial without."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from evetac_cli.devices.simulated import rig
+from evetac_cli.errors import SceneError
+from evetac_cli.sim import sampling, scene
+from evetac_cli.sim.scenes.disturbances import jerk_m_s
+from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
+from evetac_cli.sim.scenes.pressing import Pressing
+
+Rows = dict[str, NDArray[Any]]
+
+
+def planned(name: str, kind: str, changes: Mapping[str, Mapping[str, Any]], number: str = "8") -> dict[str, Any]:
+    """The plan of a trial whose scene has some keys more, before a camera without noise."""
+    (plan,) = scene.plan(name, number, "evetac", (kind,))
+    for group, keys in changes.items():
+        plan["scene"][group] = {**plan["scene"].get(group, {}), **keys}
+    plan["scene"]["randomise"].pop("touch_mm", None)  # touched off its middle, an object swings
+    plan["sensor_row"] = {**plan["sensor_row"], "noise_hz": 0.0, "hot_pixels": 0}
+    return plan
+
+
+def held(changes: Mapping[str, Mapping[str, Any]]) -> GraspSimulation:
+    """An object held by a current."""
+    return GraspSimulation(planned("slip", "ramp", changes), *(np.random.default_rng(part) for part in range(2)))
+
+
+def run(trial: Any, slices: int) -> tuple[Rows, list[Any]]:
+    """Truth of some slices, and their events."""
+    events, rows = [], []
+    for _ in range(slices):
+        events.append(trial.step())
+        rows.append(trial.truth())
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}, events
+
+
+def test_friction_to_a_tenth_lets_go() -> None:
+    """Assert that m a = m g - 2 mu_k N / 10 once it slides, within 2 %, and nothing before the change is another."""
+    plain, changed = held({}), held({"friction_change": {"at_s": 0.6, "factor": 0.1}})
+    before, after = run(plain, 800)[0], run(changed, 800)[0]
+    for name in before:
+        np.testing.assert_array_equal(before[name][:600], after[name][:600])
+    assert not before["truth/slip"].any()
+    assert 600 <= np.flatnonzero(after["truth/slip"])[0] < 620
+    metres = after["truth/object_xy_px"][:, 0].astype(float) * plain.gel_camera.mm_per_px * 1e-3
+    times = np.arange(700, 760)
+    found = 2 * np.polyfit(times * 1e-3, metres[times], 2)[0]
+    sampled = changed.sampled
+    force_n = after["truth/normal_force_n"][700:760].mean()
+    expected = GRAVITY_M_S2 - 2 * 0.1 * sampled.kinetic_friction * force_n / sampled.mass_kg
+    assert found == pytest.approx(expected, rel=0.02)
+
+
+def test_jerk_of_the_hand() -> None:
+    """Assert that half a sine of speed V and time T raises the hand by 2 V T / pi: what stands on the table sinks."""
+    jerk = {"at_s": 0.1, "speed_mm_s": 80.0, "lasts_s": 0.05}
+    times = np.arange(1, 400) * 1e-3
+    raised_mm = sum(jerk_m_s({"jerk": jerk}, now) for now in times)
+    assert raised_mm == pytest.approx(2 * 80.0 * 0.05 / math.pi, rel=1e-3)
+    assert jerk_m_s({}, 0.12) == 0.0
+    sunk_mm = []
+    for hand in ({}, {"jerk": jerk}):
+        rngs = [np.random.default_rng(part) for part in range(2)]
+        trial = GraspSimulation(planned("lift", "lift", {"hand": hand}), *rngs, lift_s=1.5, balance_s=0.0)
+        rows = run(trial, 300)[0]
+        assert np.abs(rows["truth/table_gap_mm"]).max() < 0.01
+        sunk_mm.append(rows["truth/object_xy_px"][-1, 0] * trial.gel_camera.mm_per_px)
+    assert sunk_mm[0] == pytest.approx(0.0, abs=0.01)
+    assert sunk_mm[1] == pytest.approx(raised_mm, abs=0.01)
+
+
+def test_a_stiffer_gel_shears_less() -> None:
+    """Assert that with 10 times the stiffness the same shear force moves the dots a tenth as far."""
+    moved = {}
+    for factor in (1.0, 10.0):
+        plan = planned("shear", "press", {"gel": {"stiffness_factor": factor}})
+        plan["scene"]["motion"] = {**plan["scene"]["motion"], "count": 1, "move_s": [0.4, 0.4]}
+        trial = Pressing(plan, np.random.default_rng(3), np.random.default_rng(4))
+        rows = {"truth/dot_xy_px": []}
+        pressed = round(1000 * (plan["scene"]["time"]["rest_s"] + plan["scene"]["motion"]["press_s"]))
+        while not trial.finished:
+            trial.step()
+            rows["truth/dot_xy_px"].append(trial.truth()["truth/dot_xy_px"])
+        dots = np.array(rows["truth/dot_xy_px"], float)
+        moved[factor] = np.linalg.norm(dots[-150] - dots[pressed + 1], axis=1).max()
+    assert moved[1.0] > 1.0
+    assert moved[10.0] == pytest.approx(moved[1.0] / 10, rel=0.02)
+
+
+@pytest.mark.parametrize("mass_g", [5.0, 2000.0])
+def test_mass_of_the_object(mass_g: float) -> None:
+    """Assert that the mass is the scene's, times the factor of its trial, and that nothing else is sampled anew."""
+    plain, changed = planned("slip", "ramp", {}), planned("slip", "ramp", {"object": {"mass_g": mass_g}})
+    samples = [
+        vars(sampling.sample_trial(plan["scene"], plan["object_row"], np.random.default_rng(5)))
+        for plan in (plain, changed)
+    ]
+    ratio = mass_g / plain["object_row"]["mass_g"]
+    assert samples[1]["mass_kg"] == pytest.approx(samples[0]["mass_kg"] * ratio, rel=1e-12)
+    assert {**samples[0], "mass_kg": 0} == {**samples[1], "mass_kg": 0}
+    hanging = held({"object": {"mass_g": mass_g}, "gripper": {"start_factor": [1.2, 1.2]}})
+    rows = run(hanging, 700)[0]
+    assert not rows["truth/slip"].any()
+    weight_n = hanging.sampled.mass_kg * GRAVITY_M_S2
+    assert 2 * rows["truth/shear_force_n"][-1, 0] == pytest.approx(weight_n, rel=0.05)
+
+
+def test_one_gear_friction() -> None:
+    """Assert that one number stands for a range that is as wide as nothing, and shifts nothing else."""
+    samples = [
+        vars(sampling.sample_trial(plan["scene"], plan["object_row"], np.random.default_rng(5)))
+        for plan in (
+            planned("slip", "ramp", {"gripper": {"friction_factor": factor}})
+            for factor in (0.7, [0.7, 0.7], [0.5, 1.5])
+        )
+    ]
+    assert samples[0] == samples[1]
+    assert samples[0]["gear_friction_factor"] == 0.7
+    assert {**samples[0], "gear_friction_factor": 0} == {**samples[2], "gear_friction_factor": 0}
+    strong, weak = (held({"gripper": {"friction_factor": factor}}) for factor in (1.3, 0.65))
+    assert strong.drive.friction_n == pytest.approx(2 * weak.drive.friction_n, rel=1e-12)
+
+
+def test_backlash_reaches_the_gripper() -> None:
+    """Assert that the encoder of a held object reads half the backlash further closed, with the same force."""
+    plain, loose = held({}), held({"gripper": {"backlash_ticks": 4.0}})
+    assert loose.finger.position_ticks - plain.finger.position_ticks == 2
+    assert loose.finger.force_n == plain.finger.force_n
+
+
+def test_a_calibration_that_is_off() -> None:
+    """Assert that the sensor tells a grid turned about the frame's middle and moved, with equal events and truth."""
+    changes = {"calibration": {"offset_px": [3.0, -1.0], "turned_deg": 1.0}}
+    told, true = (rig(planned("slip", "ramp", c), np.random.SeedSequence(7)) for c in (changes, {}))
+    at, expected = told.camera.sensor["sensor/dot_xy_px"], true.camera.sensor["sensor/dot_xy_px"]
+    turn = np.exp(1j * np.deg2rad(1.0))
+    from_middle = (expected[..., 0] - 320) + 1j * (expected[..., 1] - 240)
+    np.testing.assert_allclose(at[..., 0] + 1j * at[..., 1], from_middle * turn + 320 + 240j + 3 - 1j, atol=1e-9)
+    for _ in range(50):
+        for left, right in zip(told.camera.read(), true.camera.read(), strict=True):
+            np.testing.assert_array_equal(left, right)
+        np.testing.assert_array_equal(told.truth()["truth/dot_xy_px"], true.truth()["truth/dot_xy_px"])
+
+
+@pytest.mark.parametrize("readout", ["dvxplorer", "ideal"])
+@pytest.mark.parametrize("bandwidth_hz", [0.0, 500.0])
+def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
+    """Assert that a dot brightens once where it was, makes no events afterwards, and goes on in the truth."""
+    gone = {"vanishing_dots": {"dots": [[3, 4], [0, 0]], "at_s": 0.3}}
+    results = []
+    for changes in ({}, gone):
+        plan = planned("slip", "ramp", changes)
+        plan["readout"] = readout
+        plan["sensor_row"]["bandwidth_hz"] = bandwidth_hz
+        trial = GraspSimulation(plan, *(np.random.default_rng(part) for part in range(2)))
+        results.append(run(trial, 450))
+    (rows, plain), (rows_gone, events) = results
+    np.testing.assert_array_equal(rows["truth/dot_xy_px"], rows_gone["truth/dot_xy_px"])
+
+    def near(parts: list[Any], dot: int) -> list[tuple[int, NDArray[np.bool_]]]:
+        found = []
+        for k, part in enumerate(parts):
+            at = rows["truth/dot_xy_px"][k, dot]
+            inside = np.hypot(part.x - at[0], part.y - at[1]) < 25
+            found.append((int(inside.sum()), part.p[inside] > 0))
+        return found
+
+    for dot in (3 * 8 + 4, 0):
+        counts = near(events, dot)
+        assert counts[300][0] > 600  # nearly all of its pi 15^2 pixels
+        assert counts[300][1].all()
+        assert sum(count for count, _ in counts[301:]) == 0
+        assert sum(count for count, _ in near(plain, dot)[301:]) > 0
+    other = 3 * 8 + 5
+    assert sum(count for count, _ in near(events, other)[301:]) > 0
+
+
+def test_what_cannot_be_is_said() -> None:
+    """Assert that a dot that is not there, and changing light before an ideal camera, are refused in words."""
+    odd = planned("slip", "ramp", {"vanishing_dots": {"dots": [[7, 0]], "at_s": 0.3}})
+    with pytest.raises(SceneError, match=r"vanishing_dots.*rows 0 to 6"):
+        rig(odd, np.random.SeedSequence(0))
+    lit = planned("slip", "ramp", {"light": {"flicker": {"frequency_hz": 100.0, "depth": 0.1}}})
+    lit["readout"] = "ideal"
+    with pytest.raises(SceneError, match="readout dvxplorer"):
+        rig(lit, np.random.SeedSequence(0))
+
+
+def test_flicker_reaches_the_camera() -> None:
+    """Assert that a deep flicker makes all pixels fire both ways in each of its periods, and equally in all."""
+    lit = held({"light": {"flicker": {"frequency_hz": 100.0, "depth": 0.3}}})
+    events = run(lit, 60)[1]
+    sizes = np.array([[int(part.p.sum()), int((part.p == 0).sum())] for part in events[20:]])
+    periods = sizes.reshape(4, 10, 2).sum(axis=1)
+    assert (periods > 0.9 * 640 * 480).all()
+    assert np.ptp(periods, axis=0).max() == 0
