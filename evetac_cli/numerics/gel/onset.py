@@ -115,7 +115,17 @@ def onset_error(case: GelCase, within_s: float, theta: float) -> tuple[tuple[Bou
     onset, reference, coarser = (onset_s(case, within_s, solver) for solver in solvers)
     own_ms = 1e3 * abs(reference - coarser)
     words = f"slips {_at(onset)}, reference {_at(reference)} (within {own_ms:.2g} ms)"
+    half = _half_wavelength_nodes(case, reference)
+    words += f"; half a wavelength of unstable slip is {half:.3g} nodes" if math.isfinite(half) else ""
     return (ONSET, 1e3 * abs(onset - reference) + own_ms), words
+
+
+def _half_wavelength_nodes(case: GelCase, time_s: float) -> float:
+    """Where the gel is pressed hardest, at a time; below 4 the onset depends on the grid, and scenes warn of it."""
+    if math.isnan(time_s):
+        return math.inf
+    state, shares = case.start()
+    return gel.slip_half_wavelength_nodes(state, case.friction_at(time_s), float(shares.max()) * case.load(time_s))
 
 
 def _at(time_s: float) -> str:

@@ -134,7 +134,8 @@ def _gel_rows(case: GelCase, steps: int, theta: float, slides_within_s: float) -
         sweeps.append(info.sweeps)
         residuals.append(info.residual)
         finite &= math.isfinite(now) and bool(np.isfinite(np.hstack(info)).all() and np.isfinite(state.pose).all())
-    measured = [(ENERGY, gained / largest if finite else math.nan), (BALANCE, max(residuals) if finite else math.nan)]
+    share = gained / largest if largest > 0.0 else gained  # an object that nothing moves has no energy
+    measured = [(ENERGY, share), (BALANCE, max(residuals))] if finite else [(ENERGY, math.nan), (BALANCE, math.nan)]
     unbalanced = sum(residual > BALANCE.most for residual in residuals)
     outcome = "" if finite else "not finite, "
     outcome += f"{unbalanced} of {steps} steps without balance, " if unbalanced else ""

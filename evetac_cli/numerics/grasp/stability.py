@@ -32,6 +32,7 @@ BALANCE_S = 3.0
 SETTLED_MS = 500  # at the end, in which the fingers should be at rest
 USUAL_OBJECT = 11
 DIES_AFTER_MS = 2500  # while the hand rises
+NAN_AT_REST = "truth/slip_half_wavelength_nodes"  # there is none where nothing slips
 
 
 @dataclass
@@ -175,7 +176,8 @@ def let_go(name: str, controller: str, error: EvetacError, devices: Rig) -> Rows
 def check(name: str, controller: str, result: GraspResult) -> Rows:
     """The rows of a grasp that ended by itself."""
     rows, figures = result.rows, result.figures
-    numbers = [rows[path] for path in rows if path.startswith("truth/") or path == "gripper/current_ma"]
+    truth = [rows[path] for path in rows if path.startswith("truth/") and path != NAN_AT_REST]
+    numbers = [*truth, rows["gripper/current_ma"]]
     not_finite = sum(int((~np.isfinite(column)).sum()) for column in numbers)
     goals = rows["control/goal_ticks"]
     beyond = max(paper.PAPER.first_tick - int(goals.min()), int(goals.max()) - paper.PAPER.last_tick, 0)

@@ -106,7 +106,8 @@ class StepInfo(NamedTuple):
     friction_n: force of the object on one pad, x, y, and its moment about the origin in N m.
     friction_change: largest change of a node's coefficient. friction_heat_j: what friction took, on all pads.
     slipping_force_n: largest normal force of a node that slips. error_m: estimated error of the displacement: what the
-    object's position differs by from the trapezoidal rule, or the gel's by if friction were that of the step's start.
+    object's position differs by from the trapezoidal rule, or the gel's would, where it is pressed hardest, if friction
+    were that of the step's start.
     """
 
     sweeps: int

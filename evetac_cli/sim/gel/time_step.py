@@ -186,16 +186,16 @@ def step_nodes(
         error = ahead * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
     change = 0.0
     if falls:
-        softest = 0.0
+        hardest = 0.0
         for row in range(rows):
             for column in range(columns):
+                hardest = max(hardest, nodal[row, column])
                 if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals it exactly
                     mu = min(max(coefficient[row, column], mu_kinetic), mu_static)
-                    changed = abs(_after(mu, work.speed[row, column], dt, friction) - mu)
-                    change = max(change, changed)
-                    softest = max(softest, changed * nodal[row, column])
-        # what a gel would be displaced by, were friction taken at the start of the step
-        error = max(error, softest / layer.shear)
+                    change = max(change, abs(_after(mu, work.speed[row, column], dt, friction) - mu))
+        # what the gel where it is pressed hardest would be displaced by, were friction that of the start of the step;
+        # those at the rim, which bear little, are the first to let go, and what is next follows from when they do
+        error = max(error, change * hardest / layer.shear)
     if error > allowed:
         stuck[:] = stuck_before
         return TOO_LONG
