@@ -79,15 +79,13 @@ WORST_DOT = Bound(
     "distance of the worst dot",
     5.0,
     "px",
-    "the rim of a dot of 15 px is looked for within 10 to 20 px of where the dot is believed to be: when it is further"
-    " off than 5 px, the rims ahead and behind lie outside, and what it does next is no longer seen",
+    "further off, the rims ahead and behind are outside the 10 to 20 px in which a dot's rim is looked for",
 )
 P99_DOT = Bound(
     "99th percentile of the distance",
     1.0,
     "px",
-    "a pixel of shear on 1 cm2 of this gel (145 kPa, 4 mm high, 0.033 mm a pixel) is 0.12 N, a quarter of the error of"
-    " the paper's force model",
+    "a pixel of shear on 1 cm2 of this gel is 0.12 N, a quarter of the error of the paper's force model",
 )
 SAME_DOTS = Bound(
     "dots that move with the order of the events",

@@ -57,8 +57,8 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
     made = report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
     failed = made.summary["cases_not_ok"]
     if params.strict and failed:
-        found = f"{failed} of {made.summary['cases']} that are not ok"
-        error = EvetacError("cases outside their bounds", where=params.part, expected="all cases ok", found=found)
+        counted = f"{failed} of {made.summary['cases']} that are not ok"
+        error = EvetacError("cases outside their bounds", where=params.part, expected="all cases ok", found=counted)
         raise attach_outcome(error, made)
     return made
 

@@ -191,8 +191,8 @@ def _followed(
         events_max = max(events_max, len(x))
     distances_px = np.concatenate(reported) if any(map(len, reported)) else np.zeros(1)
     silent = int((off_px[~state.lost] > WORST_DOT.most).sum())
-    outcome = f"at the end {int(state.lost.sum())} of {len(dots_px)} dots flagged lost"
-    outcome += f", {silent} others off by more than {WORST_DOT.most:g} px; at most {events_max:,} events a slice"
+    outcome = f"{int(state.lost.sum())} of {len(dots_px)} dots flagged lost, {silent} others off by more than"
+    outcome += f" {WORST_DOT.most:g} px at the end; up to {events_max:,} events a slice"
     measured = [(WORST_DOT, float(distances_px.max())), (P99_DOT, float(np.percentile(distances_px, 99)))]
     return case_rows(case, outcome, measured, preset=preset)
 

@@ -64,7 +64,7 @@ def test_a_dot_astray_is_not_ok_unless_it_is_flagged(monkeypatch):
     monkeypatch.setattr(stability.tracker, "step", step)
     worst, p99 = track_rows(CASES["no events"], "paper", slices=3)
     assert (worst["ok"], worst["value"]) == (False, pytest.approx(30.0))
-    assert "0 of 63 dots flagged lost, 1 others off by more than 5 px" in worst["outcome"]
+    assert "0 of 63 dots flagged lost, 1 others off by more than 5 px at the end" in worst["outcome"]
     flagged = True
     rows = track_rows(CASES["no events"], "paper", slices=3)
     assert [row["value"] for row in rows] == [0.0, 0.0]
