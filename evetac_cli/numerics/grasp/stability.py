@@ -21,14 +21,14 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.numerics.bounds import CURRENT, FINITE, GOAL, HELD, LET_GO, MOVED, SWING, case_rows, run_case
-from evetac_cli.numerics.extreme_scenes import LIFTS, Plan, Tables, merge
+from evetac_cli.numerics.extreme_scenes import LIFTS, MORE_LIFTS, Plan, Tables, merge
 from evetac_cli.numerics.grasp.trials import CONTROLLERS, FixedDetector, GraspResult, ShortGrasp, run_short_grasp
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.stages.evaluate import Rows
 from evetac_cli.stages.grasp.loop import SlipDetector
 
 QUICK_CONTROLLERS = ("paper", "load-proportional")
-BALANCE_S = 3.0
+BALANCE_S = 2.0
 SETTLED_MS = 500  # at the end, in which the fingers should be at rest
 USUAL_OBJECT = 11
 DIES_AFTER_MS = 2500  # while the hand rises
@@ -107,6 +107,7 @@ def extreme_cases(*, full: bool) -> list[Case]:
     """The extremes, by name."""
     factors = (0.1, 0.3, 3.0, 10.0) if full else (0.1, 10.0)
     frictions = (0.1, 0.3, 1.3, 2.0) if full else (0.1, 2.0)
+    scenes = LIFTS | (MORE_LIFTS if full else {})
     return [
         Case("as usual"),
         *(Case(f"servo gain x{factor:g}", partial(_servo, factor)) for factor in factors),
@@ -121,7 +122,7 @@ def extreme_cases(*, full: bool) -> list[Case]:
         Case("control at 50 Hz", timing=(("control_hz", 50.0),)),
         Case("2 kg, friction 0.1, gel x0.1", partial(_together, 2000.0, 0.1, 0.1)),
         Case("5 g, friction 2, gel x10", partial(_together, 5.0, 2.0, 10.0)),
-        *(Case(name, partial(_scene, tables)) for name, tables in LIFTS.items()),
+        *(Case(name, partial(_scene, tables)) for name, tables in scenes.items()),
     ]
 
 
