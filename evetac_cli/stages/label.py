@@ -23,7 +23,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "labels"
-METHOD = 3
+METHOD = 4
 # The border of the window is the gel's cut edge, which moves with the gel and is part of neither region.
 EDGE_LEFT_PX = 10
 EDGE_RIGHT_PX = 25
@@ -118,7 +118,7 @@ def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
 
 
 def from_truth(recording: Recording, after_ms: int) -> flow.Labels:
-    """Labels from the gross slip of a simulation, up to `after_ms` after its first slice; InputError without truth."""
+    """Labels from the gross slip of a simulation, up to `after_ms` after its onset; InputError without truth."""
     if not recording.has("truth/slip"):
         raise InputError(
             "the recording has no truth: only a simulation knows it",
@@ -128,7 +128,7 @@ def from_truth(recording: Recording, after_ms: int) -> flow.Labels:
     slips = recording.read("truth/slip")
     labels = slips.astype(np.int8)
     labels[: ramp_start(recording)] = -1  # as for the other methods: a trial begins when the object is held
-    slipping = np.flatnonzero(slips)
+    slipping = np.flatnonzero(labels == 1)
     onset = int(slipping[0]) if len(slipping) else -1
     confidence = float("nan")
     if onset >= 0:

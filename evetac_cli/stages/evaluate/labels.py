@@ -15,6 +15,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateLabels, recipe_of
 from evetac_cli.sim.scenes.true_slip import SLIP_PX
 from evetac_cli.stages.evaluate import Rows, report, report_job
+from evetac_cli.stages.label import ramp_start
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
@@ -42,16 +43,16 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
             onset = int(labels.read("onset_slice"))
             true = true_onsets(recording)
             headers.append(labels.header)
-        found = onset >= 0
+        has_onset = onset >= 0
         t_s, gross = true["t_s_ms"], true["gross_slip_start_ms"]
         rows.append(
             {
                 "file": path.name,
                 "method": labels.header["parameters"].get("method", "farneback"),
-                "t_c_ms": onset if found else None,
+                "t_c_ms": onset if has_onset else None,
                 **true,
-                "onset_error_ms": onset - t_s if found and t_s is not None else None,
-                "onset_before_gross_slip_ms": gross - onset if found and gross is not None else None,
+                "onset_error_ms": onset - t_s if has_onset and t_s is not None else None,
+                "onset_before_gross_slip_ms": gross - onset if has_onset and gross is not None else None,
             }
         )
         progress(number + 1, len(job.inputs))
@@ -87,17 +88,21 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
 
 
 def true_onsets(recording: Recording) -> dict[str, int | None]:
-    """The first slice of gross slip, where that slip started, and the first slice by the pad's last stuck node."""
-    onset = _first(recording.read("truth/slip") > 0)
+    """The first slice of gross slip, where that slip started, and the first slice by the pad's last stuck node.
+
+    As for labels, a trial begins where the current starts to fall.
+    """
+    start = ramp_start(recording)
+    onset = _first(recording.read("truth/slip") > 0, start)
     return {
         "t_s_ms": onset,
         "gross_slip_start_ms": None if onset is None else _gross_start(recording.read("truth/slid_px"), onset),
-        "t_every_node_ms": _first(recording.read("truth/every_node_slid_px") > SLIP_PX),
+        "t_every_node_ms": _first(recording.read("truth/every_node_slid_px") > SLIP_PX, start),
     }
 
 
-def _first(slips: NDArray[np.bool_]) -> int | None:
-    slices = np.flatnonzero(slips)
+def _first(slips: NDArray[np.bool_], start: int) -> int | None:
+    slices = start + np.flatnonzero(slips[start:])
     return int(slices[0]) if len(slices) else None
 
 

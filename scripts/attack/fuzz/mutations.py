@@ -24,6 +24,7 @@ BYTES = (
     b"\n",
     b"\x1b[2J",
 )
+LARGEST_READ = 64 << 20  # bytes
 WORDS = (
     "nan", "inf", "-inf", "-1", "0", "1e308", "-1e308", "1e-308", "9" * 40, "9" * 400, "true", "null", '""', "[]", "{}",
     "[[[[[[]]]]]]", '"\\u001b[31m"', "[" * 3000, "a.b.c.d", "'", '"', "=", "2024-01-01", "0x7fffffffffffffff",
@@ -142,9 +143,16 @@ def damage_hdf5(path: Path, rng: Rng) -> str:
         return f"{operation.__name__.strip('_')}: not possible ({type(error).__name__})"
 
 
+def _read(file: h5py.File, name: str) -> Any:
+    """A dataset, unless rows that an earlier mutation announced would fill the memory of the fuzzer itself."""
+    if file[name].size * file[name].dtype.itemsize > LARGEST_READ:
+        raise OSError(f"{name} is too large to be changed")
+    return file[name][()]
+
+
 def _value(file: h5py.File, name: str, rng: Rng) -> str:
     """One number, some, or all become senseless."""
-    data = file[name][()]
+    data = _read(file, name)
     number = NUMBERS[rng.integers(len(NUMBERS))]
     if isinstance(data, bytes):
         text = str(rng.choice(["", "\x1b]0;title\x07", "no such name", "x" * 5000, "[red]", "../../etc/passwd"]))
@@ -170,7 +178,7 @@ def _value(file: h5py.File, name: str, rng: Rng) -> str:
 
 def _order(file: h5py.File, name: str, rng: Rng) -> str:
     """Reverse or shuffle the rows."""
-    data = file[name][()]
+    data = _read(file, name)
     if np.ndim(data) == 0:
         return "scalar"
     if rng.random() < 0.5:
@@ -182,7 +190,7 @@ def _order(file: h5py.File, name: str, rng: Rng) -> str:
 
 def _shape(file: h5py.File, name: str, rng: Rng) -> str:
     """Fewer rows, more rows, another number of axes."""
-    data = np.asarray(file[name][()])
+    data = np.asarray(_read(file, name))
     choices = [data[:0], data[: len(data) // 2], data[:-1], np.concatenate([data, data])] if data.ndim else []
     choices += [data.reshape(-1), data[None], data.reshape(-1)[:1].reshape(())] if data.size else [np.zeros(3)]
     return _replace(file, name, choices[rng.integers(len(choices))])
@@ -190,7 +198,7 @@ def _shape(file: h5py.File, name: str, rng: Rng) -> str:
 
 def _type(file: h5py.File, name: str, rng: Rng) -> str:
     """Another dtype, compound and text included."""
-    data = np.asarray(file[name][()])
+    data = np.asarray(_read(file, name))
     if data.dtype.kind == "O":
         return _replace(file, name, np.zeros(2))
     kind = str(rng.choice(["f8", "f2", "i1", "u8", "S4", "c16", "bool", "compound", "enum", "empty"]))
