@@ -32,7 +32,7 @@ class SimulatedCamera:
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array(sensor_row["frame_px"], np.int32),
             "sensor/name": name,
-            "sensor/dot_xy_px": simulation.gel_camera.told_grid_xy_px,
+            "sensor/dot_xy_px": simulation.gel_camera.calibrated_grid_xy_px,
             "sensor/dot_radius_px": np.float64(sensor_row["dot_radius_px"]),
         }
         if simulation.gel_camera.window_px is not None:

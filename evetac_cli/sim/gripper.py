@@ -222,14 +222,14 @@ def _move(
     ticks_per_speed = dt / metres_per_tick
     q = fast
     for _ in range(60):
-        ahead = motor + sign * q * ticks_per_speed
-        force = lookup(force_table, step_ticks, _follow(ahead, finger, half_play))
+        moved = motor + sign * q * ticks_per_speed
+        force = lookup(force_table, step_ticks, _follow(moved, finger, half_play))
         excess = (mass / dt + damping) * q + friction_n + (sign + friction_share) * force - sign * drive_n
         if excess <= 0.0:
             slow = q
         else:
             fast = q
-        force_beyond = lookup(force_table, step_ticks, _follow(ahead + sign * step_ticks, finger, half_play))
+        force_beyond = lookup(force_table, step_ticks, _follow(moved + sign * step_ticks, finger, half_play))
         slope = mass / dt + damping + (sign + friction_share) * (force_beyond - force) / step_ticks * ticks_per_speed
         newton = q - excess / slope if slope > 0.0 else slow
         if fast <= slow or abs(newton - q) <= 1e-14 * speed_limit:

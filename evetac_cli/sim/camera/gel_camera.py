@@ -77,9 +77,9 @@ class GelCamera:
         """
         self.grid_xy_px = dot_grid(sensor_row, cut)
         parts = scene or {}
-        self.told_grid_xy_px = self.grid_xy_px
+        self.calibrated_grid_xy_px = self.grid_xy_px
         if "calibration" in parts:
-            self.told_grid_xy_px = calibrated_grid(self.grid_xy_px, sensor_row["frame_px"], parts["calibration"])
+            self.calibrated_grid_xy_px = calibrated_grid(self.grid_xy_px, sensor_row["frame_px"], parts["calibration"])
         self._gone, self._gone_from_us = self._vanishing(parts.get("vanishing_dots"))
         x0, y0, x1, y1 = sensor_row["window_px"]
         self.window_px: tuple[int, int, int, int] | None = (x0, y0, x1, y1) if cut else None

@@ -52,11 +52,11 @@ def test_friction_to_a_tenth_lets_go() -> None:
     assert 600 <= np.flatnonzero(after["truth/slip"])[0] < 620
     metres = after["truth/object_xy_px"][:, 0].astype(float) * plain.gel_camera.mm_per_px * 1e-3
     times = np.arange(700, 760)
-    found = 2 * np.polyfit(times * 1e-3, metres[times], 2)[0]
+    measured = 2 * np.polyfit(times * 1e-3, metres[times], 2)[0]
     sampled = changed.sampled
     force_n = after["truth/normal_force_n"][700:760].mean()
     expected = GRAVITY_M_S2 - 2 * 0.1 * sampled.kinetic_friction * force_n / sampled.mass_kg
-    assert found == pytest.approx(expected, rel=0.02)
+    assert measured == pytest.approx(expected, rel=0.02)
 
 
 def test_jerk_of_the_hand() -> None:
@@ -139,15 +139,15 @@ def test_backlash_reaches_the_gripper() -> None:
 def test_a_calibration_that_is_off() -> None:
     """Assert that the sensor tells a grid turned about the frame's middle and moved, with equal events and truth."""
     changes = {"calibration": {"offset_px": [3.0, -1.0], "turned_deg": 1.0}}
-    told, true = (rig(planned("slip", "ramp", c), np.random.SeedSequence(7)) for c in (changes, {}))
-    at, expected = told.camera.sensor["sensor/dot_xy_px"], true.camera.sensor["sensor/dot_xy_px"]
+    off, true = (rig(planned("slip", "ramp", c), np.random.SeedSequence(7)) for c in (changes, {}))
+    at, expected = off.camera.sensor["sensor/dot_xy_px"], true.camera.sensor["sensor/dot_xy_px"]
     turn = np.exp(1j * np.deg2rad(1.0))
     from_middle = (expected[..., 0] - 320) + 1j * (expected[..., 1] - 240)
     np.testing.assert_allclose(at[..., 0] + 1j * at[..., 1], from_middle * turn + 320 + 240j + 3 - 1j, atol=1e-9)
     for _ in range(50):
-        for left, right in zip(told.camera.read(), true.camera.read(), strict=True):
+        for left, right in zip(off.camera.read(), true.camera.read(), strict=True):
             np.testing.assert_array_equal(left, right)
-        np.testing.assert_array_equal(told.truth()["truth/dot_xy_px"], true.truth()["truth/dot_xy_px"])
+        np.testing.assert_array_equal(off.truth()["truth/dot_xy_px"], true.truth()["truth/dot_xy_px"])
 
 
 @pytest.mark.parametrize("readout", ["dvxplorer", "ideal"])
@@ -166,12 +166,12 @@ def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
     np.testing.assert_array_equal(rows["truth/dot_xy_px"], rows_gone["truth/dot_xy_px"])
 
     def near(parts: list[Any], dot: int) -> list[tuple[int, NDArray[np.bool_]]]:
-        found = []
+        measured = []
         for k, part in enumerate(parts):
             at = rows["truth/dot_xy_px"][k, dot]
             inside = np.hypot(part.x - at[0], part.y - at[1]) < 25
-            found.append((int(inside.sum()), part.p[inside] > 0))
-        return found
+            measured.append((int(inside.sum()), part.p[inside] > 0))
+        return measured
 
     for dot in (3 * 8 + 4, 0):
         counts = near(events, dot)
