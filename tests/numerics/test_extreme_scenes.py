@@ -5,11 +5,13 @@ import json
 import jsonschema
 import pytest
 
-from evetac_cli.numerics.extreme_scenes import LIFTS, SLIP_SOON, SLIPS, merge
+from evetac_cli.numerics.extreme_scenes import LIFTS, MORE_LIFTS, SLIP_SOON, SLIPS, merge
 from evetac_cli.resources import schemas
 from evetac_cli.sim import scene
 
-ALL = [("slip", name, SLIPS[name]) for name in SLIPS] + [("lift", name, LIFTS[name]) for name in LIFTS]
+ALL = [("slip", name, SLIPS[name]) for name in SLIPS] + [
+    ("lift", name, tables) for name, tables in (LIFTS | MORE_LIFTS).items()
+]
 
 
 @pytest.mark.parametrize(("base", "name", "tables"), ALL, ids=[f"{base}: {name}" for base, name, _ in ALL])

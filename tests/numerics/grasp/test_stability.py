@@ -109,8 +109,8 @@ def test_every_case_is_another() -> None:
     quick, full = extreme_cases(full=False), extreme_cases(full=True)
     names = [case.name for case in quick]
     assert len(set(names)) == len(names)
-    assert {"detector never fires", "detector always fires", "mass 5 g", "mass 2000 g", "friction 0.1", "friction 2",
-            "gel stiffness x0.1", "gel stiffness x10", "one slice in five lost", "one slice in five twice",
+    assert {"detector never fires", "detector always fires", "friction 0.1", "friction 2",
+            "one slice in five lost", "one slice in five twice",
             "law's gain x0.1", "law's gain x10", "detector dies while the hand rises",
             *LIFTS} <= set(names)  # fmt: skip
     assert len(full) > len(quick)
@@ -122,7 +122,7 @@ def test_a_scene_changes_the_plan() -> None:
     changed: dict[str, Any] = {"scene": {"gripper": {"friction_factor": [0.9, 1.1]}}}
     case = next(case for case in extreme_cases(full=False) if case.name == "gear friction x0.7")
     case.change_plan(changed)
-    assert changed["scene"]["gripper"]["friction_factor"] == [0.7, 0.7]
+    assert changed["scene"]["gripper"]["friction_factor"] == 0.7
 
 
 def test_refusals_are_ok() -> None:
