@@ -46,6 +46,9 @@ class Trials:
         " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named.",
     )
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
+    texture: str | None = parameter(
+        None, "Whether the window shows the object's texture, instead of what the scene says.", choices=("on", "off")
+    )
     readout: str = parameter(
         "dvxplorer", "Camera: scanned 5000 times a second, or every event to the us.", choices=("dvxplorer", "ideal")
     )
@@ -418,8 +421,9 @@ class EvaluateCost:
     part: str = parameter(
         "sim",
         "What is measured; sim: the simulator; label: slip labels; track: the dot tracker; model: slip detectors;"
-        " grasp: grasps with a late detector, a slow controller, other detectors.",
-        choices=("sim", "label", "track", "model", "grasp"),
+        " grasp: grasps with a late detector, a slow controller, other detectors; scenes: what the parts of three scenes"
+        " cost a slice, each scene with and without them.",
+        choices=("sim", "label", "track", "model", "grasp", "scenes"),
         flag="PART",
     )
     model: Path | None = parameter(

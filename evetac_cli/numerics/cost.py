@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.numerics import labels, models, plots, simulator
+from evetac_cli.numerics import labels, models, plots, scene_parts, simulator
 from evetac_cli.numerics.grasp import cost as grasp
 from evetac_cli.numerics.tracker import cost as tracker
 from evetac_cli.params import EvaluateCost, recipe_of
@@ -71,6 +71,13 @@ PARTS: dict[str, Part] = {
         grasp.summary,
         grasp.draw,
         grasp.inputs,
+    ),
+    "scenes": Part(
+        "What the parts of a scene cost a slice",
+        (),
+        scene_parts.measure,
+        scene_parts.summary,
+        scene_parts.draw,
     ),
 }
 

@@ -145,15 +145,19 @@ def plan(
     gel: str | None = None,
     readout: str = "dvxplorer",
     tones: str | None = None,
+    *,
+    texture: str | None = None,
 ) -> list[dict[str, Any]]:
     """What trials are made from, resolved, one plan an object or tone (one in all where the scene has neither).
 
-    It goes into the header, so that a changed table is another recipe. `gel` cut or closed overrides the scene's, and
-    `tones` (as in 200,300) picks from them.
+    It goes into the header, so that a changed table is another recipe. `gel` cut or closed and `texture` on or off
+    override the scene's, and `tones` (as in 200,300) picks from them.
     """
     resolved = load(scene_name)
     if gel is not None:
         resolved["gel"]["cut"] = gel == "cut"
+    if texture is not None:
+        _show_texture(resolved, texture == "on", scene_name)
     if resolved["kind"] not in kinds:
         raise SceneError(
             "this scene is for another command",
@@ -175,6 +179,17 @@ def plan(
         face = {"static_friction": driven["static_friction"], "mass_g": 1.0}
         return [{**common, "object": None, "object_row": face}]
     return [{**common, "object": number, "object_row": object_row(number)} for number in numbers(objects)]
+
+
+def _show_texture(resolved: dict[str, Any], shown: bool, scene_name: str) -> None:
+    """Have the window show the texture of the object, or not; InputError where there is none to show."""
+    named = resolved.get("texture")
+    if named is None or (shown and not resolved["gel"]["cut"]):
+        found = f"{scene_name}, which names no texture" if named is None else "a closed gel, which has no window"
+        expected = "a scene with a texture and a cut gel"
+        raise InputError("nothing to show", where="--texture", expected=expected, found=found)
+    if shown != named.get("show", True):
+        named["show"] = shown
 
 
 def object_row(number: int) -> dict[str, Any]:
@@ -238,40 +253,3 @@ def tones_hz(text: str) -> list[float]:
             raise InputError("not a list of tones", where="--tone", expected=expected, found=text[:60])
         listed.append(tone)
     return list(dict.fromkeys(listed))
-
-
-def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
-    """What a plan builds and what it leaves out, a row a part: a scene pays only for what it names."""
-    resolved, sensor_row = plan["scene"], plan["sensor_row"]
-    cut, kind = resolved["gel"]["cut"], resolved["kind"]
-    solved = "{} x {} nodes, 1 ms steps".format(*resolved["gel"].get("nodes", (0, 0)))
-    gripped = kind in ("ramp", "lift", "hold")
-    dots = len(sensor_row["dot_rows_px"]) * (len(sensor_row["dot_columns_px"]) - cut)
-    pressed = f"a face, {resolved['motion']['kind']}" if kind == "press" else f"object {plan['object']}"
-    if kind == "tone":
-        pressed = f"a speaker, {plan['tone_hz']:g} Hz for {resolved['time']['tone_s']:g} s"
-    if kind == "rub":
-        pressed = f"a {' or a '.join(resolved['rub']['objects'])}, rubbed"
-    edge = "moves with the gel" if cut and sensor_row.get("cut_contrast") else ""
-    mode = {"ramp": "current", "hold": "position, then current", "lift": "position"}.get(kind, "")
-    readout = {"dvxplorer": "5000 scans/s, global hold", "ideal": "every event to the us"}[plan["readout"]]
-    bandwidth_hz = sensor_row.get("bandwidth_hz", 0.0)
-    noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {sensor_row['hot_pixels']} hot pixels"
-    window = "texture of the object, moved with it" if cut and "texture" in resolved else ""
-    left_out = "closed gel: it has no window" if not cut else "nothing behind it has texture"
-    table = [
-        ("gel and friction", solved if kind != "tone" else "", "nothing slips: a closed form for each wave"),
-        ("what touches", pressed, ""),
-        ("gripper", f"{mode} mode" if gripped else "", "a hand drives the face"),
-        ("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
-        ("table and hand", "lift" if kind == "lift" else "", "nothing is lifted"),
-        ("pushes", f"{len(resolved['push']['at_s'])} half sines" if "push" in resolved else "", "none named"),
-        ("falling weight", f"{resolved['drop']['mass_g']} g" if "drop" in resolved else "", "none named"),
-        ("dots", f"{dots}, evaluated while they move", ""),
-        ("window", window, left_out),
-        ("contact edges", "where they move" if kind == "rub" else "", "none named"),
-        ("cut edge", edge, "closed gel: no cut" if not cut else "the sensor's cut is not seen"),
-        ("camera", readout + (f", pixels of {bandwidth_hz:g} Hz" if bandwidth_hz else ""), ""),
-        ("noise", noise, ""),
-    ]
-    return [{"part": part, "built": built or None, "left_out": None if built else why} for part, built, why in table]

@@ -198,3 +198,22 @@ def test_an_edge_blurred_over_the_whole_view_is_refused(tmp_path: Path) -> None:
     path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=r"rub\.edge_blur_px.*maximum of 50"):
         scene.load(str(path))
+
+
+def test_whether_the_window_shows_a_texture() -> None:
+    """Assert that --texture overrides what the scene says, and that saying what it says anyway is the same recipe."""
+    (shown,), (default,) = (scene.plan("slip", "8", "evetac", ("ramp",), texture=given) for given in ("on", None))
+    assert shown == default
+    for name, kind, given, says in (("lift", "lift", "on", True), ("slip", "ramp", "off", False)):
+        (plan,) = scene.plan(name, "8", "evetac", (kind,), texture=given)
+        assert plan["scene"]["texture"]["show"] is says
+
+
+@pytest.mark.parametrize(
+    ("name", "gel", "texture", "says"),
+    [("slip", "closed", "on", "no window"), ("edge", None, "on", "no texture"), ("press", None, "off", "no texture")],
+)
+def test_no_texture_to_show(name: str, gel: str | None, texture: str, says: str) -> None:
+    """Assert that --texture is refused where it could change nothing."""
+    with pytest.raises(InputError, match=f"--texture(.|\n)*{says}"):
+        scene.plan(name, "8", "evetac", ("ramp", "rub", "press"), gel, texture=texture)
