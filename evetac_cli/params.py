@@ -421,8 +421,8 @@ class EvaluateCost:
     part: str = parameter(
         "sim",
         "What is measured; sim: the simulator; label: slip labels; track: the dot tracker; model: slip detectors;"
-        " grasp: grasps with a late detector, a slow controller, other detectors; scenes: what the parts of three scenes"
-        " cost a slice, each scene with and without them.",
+        " grasp: grasps with a late detector, a slow controller, other detectors; scenes: what the parts of three"
+        " scenes cost a slice, each scene with and without them.",
         choices=("sim", "label", "track", "model", "grasp", "scenes"),
         flag="PART",
     )

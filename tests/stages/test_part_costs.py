@@ -84,7 +84,7 @@ def test_timers_are_taken_off_again(machine: Machine) -> None:
 
 @pytest.mark.parametrize(("stage", "params"), [(record, Record(scene="slip")), (grasp, Grasp())])
 def test_a_dry_run_of_a_scene(stage: Any, params: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the rows of a dry run are of its scene, that calls and the rest make up the whole, and what is saved."""
+    """Assert that calls and the rest make up the whole of a dry run, and that it says what its scene saves."""
     monkeypatch.setattr(part_costs, "_moving_slices", lambda scene: 2 * BLOCK)
     shown = stage.dry_run(stage.jobs([], params, None), params, force=True)
     rows = {row["part"]: row for row in shown.rows}

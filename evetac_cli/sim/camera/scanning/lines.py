@@ -30,6 +30,7 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_row,
 )
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
+from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
 from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
 from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
 
@@ -56,7 +57,8 @@ def scan_lines(
     cut_rows = len(seen_cut_x)
     moved_from = seen_corner.copy()
     line = np.empty(width, np.float32)
-    runs = np.zeros((height, 4), np.int64)
+    outlined = height if rows else 0
+    runs = np.zeros((outlined, 4), np.int64)
     cut_runs = np.zeros((cut_rows, 4), np.int64)
     first_x, first_y, object_seen, texture, window_reference, window_threshold, window_release_us, due_runs = window
     contrast = motion.contrast
@@ -78,7 +80,15 @@ def scan_lines(
     for dot in range(len(path)):
         near[dot] = _reaches(box[dot], outer, outline_reach) or (cut_rows > 0 and _reaches(box[dot], outer, cut_reach))
         at_lines = at_lines or _reaches(box[dot], outer, union)
-    apart = not dot_rings.crowded(box, outer).any()
+    apart = not dot_rings.crowded(box, outer + 2.0).any()
+    # Where dots are apart, no pixel gets blind and no texture shows, most pixels of an outline can be left out.
+    few = rows > 0 and apart and window_reference.size == 0 and gel.release_us.size == 0
+    off_level = 0.0
+    if few:
+        off_level = draw_dots(box, near, inner, outer, steps_per_px, profile, candidates.drawn_at, candidates.drawn)
+    drawn = (candidates.drawn, off_level)
+    outline_pixels = (reference, gel.threshold, candidates.lower2_px2)
+    doubtful = np.zeros((outlined, 2), np.int64)
     touched = np.zeros(len(path), np.uint8)
     near_xy = np.empty((near.sum(), 2))
     row_xy = np.empty_like(near_xy)
@@ -103,9 +113,16 @@ def scan_lines(
         for row in range(first_row, end_row):
             left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *moved)
             runs[row] = (left, left_end, right, right_end)
-            for first, beyond in ((left, left_end), (right, right_end)):
-                sample_row(outline.picture, x, y, strength, row, first, beyond, line)
-                _shift(line, seen_level, row, first, beyond, *shifted)
+        touching = (first_row, end_row)
+        if few:
+            place = (x, y, strength)
+            shift_outline(outline.picture, place, touching, runs, seen_level, outline_pixels, drawn, line, doubtful)
+        else:
+            for row in range(first_row, end_row):
+                left, left_end, right, right_end = runs[row]
+                for first, beyond in ((left, left_end), (right, right_end)):
+                    sample_row(outline.picture, x, y, strength, row, first, beyond, line)
+                    _shift(line, seen_level, row, first, beyond, *shifted)
         touched[:] = 0
         _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, first_row, end_row, runs, touched)
         if first_row < end_row:
@@ -125,6 +142,8 @@ def scan_lines(
                 cut_runs[row, 0] = first
                 cut_runs[row, 1] = beyond
                 cut_has_moved = True
+                if outlined:
+                    doubtful[row] = 1
         if cut_has_moved:
             _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, 0, cut_rows, cut_runs, touched)
 
@@ -135,8 +154,8 @@ def scan_lines(
 
         before = made
         when = (readout_us[scan], now_us, refractory_us)
-        place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
-        ink = (inner, outer, steps_per_px, profile, texture, place)
+        texture_at = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
+        ink = (inner, outer, steps_per_px, profile, texture, texture_at)
         gel_pixels = (reference, gel.threshold, gel.release_us, candidates.lower2_px2)
         window_pixels = (first_x, first_y, window_reference, window_threshold, window_release_us, *due)
         pixels = (*gel_pixels, *window_pixels)
@@ -145,6 +164,12 @@ def scan_lines(
             if near[dot]:
                 near_xy[dots] = at_xy[dot, scan]
                 dots += 1
+        if few:
+            dot_ink = (inner, outer, steps_per_px, profile)
+            made = compare_outline(
+                near_xy, dot_ink, touching, runs, doubtful, outline_pixels, drawn, readout_us[scan], keys, made
+            )
+            end_row = first_row
         for row in range(first_row, end_row):
             in_row = _dots_in_row(near_xy, row, outer, row_xy)
             left, left_end, right, right_end = runs[row]
@@ -160,9 +185,8 @@ def scan_lines(
     return made, line_events
 
 
-Reach = tuple[
-    float, float, float, float
-]  # a box that holds all pixels whose level can change: left, top, right, bottom
+# A box that holds all pixels whose level can change: left, top, right, bottom.
+Reach = tuple[float, float, float, float]
 
 
 @njit(cache=True)

@@ -24,7 +24,8 @@ class CandidatePixels(NamedTuple):
     not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `list_box` (dots, 4:
     centre and half sides, NaN without a list), only the first `list_length` pixels of its list `listed` may fire, with
     radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
-    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii.
+    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii. `drawn` (height,
+    width) and `drawn_at` (dots, 3) are dots as outlines pass over them, see outline.
     """
 
     level_index: NDArray[np.int16]
@@ -36,6 +37,8 @@ class CandidatePixels(NamedTuple):
     list_length: NDArray[np.int64]
     active: NDArray[np.int32]
     entry: NDArray[np.int64]
+    drawn: NDArray[np.float32]
+    drawn_at: NDArray[np.float64]
 
 
 class CandidateRuns(NamedTuple):
@@ -111,6 +114,8 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
             candidates[6],
             candidates[7],
             candidates[8],
+            candidates[9],
+            candidates[10],
         ),
     )
 
@@ -144,6 +149,8 @@ def all_pixels(shape: tuple[int, int], dots: int, profile: optics.DotProfile) ->
         list_length=np.zeros(dots, np.int64),
         active=np.empty(max(height * width, MOST_LISTED) + 1, np.int32),
         entry=np.empty(MOST_LISTED + 1, np.int64),
+        drawn=np.zeros(shape, np.float32),
+        drawn_at=np.zeros((dots, 3)),
     )
 
 
