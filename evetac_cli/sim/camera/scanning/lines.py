@@ -88,7 +88,7 @@ def scan_lines(
         off_level = draw_dots(box, near, inner, outer, steps_per_px, profile, candidates.drawn_at, candidates.drawn)
     drawn = (candidates.drawn, off_level)
     outline_pixels = (reference, gel.threshold, candidates.lower2_px2)
-    doubtful = np.zeros((outlined, 2), np.int64)
+    doubtful = candidates.doubtful
     touched = np.zeros(len(path), np.uint8)
     near_xy = np.empty((near.sum(), 2))
     row_xy = np.empty_like(near_xy)
@@ -142,8 +142,8 @@ def scan_lines(
                 cut_runs[row, 0] = first
                 cut_runs[row, 1] = beyond
                 cut_has_moved = True
-                if outlined:
-                    doubtful[row] = 1
+                if few:
+                    doubtful[row, first:beyond] = 1
         if cut_has_moved:
             _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, 0, cut_rows, cut_runs, touched)
 
@@ -167,7 +167,7 @@ def scan_lines(
         if few:
             dot_ink = (inner, outer, steps_per_px, profile)
             made = compare_outline(
-                near_xy, dot_ink, touching, runs, doubtful, outline_pixels, drawn, readout_us[scan], keys, made
+                near_xy, dot_ink, touching, runs, doubtful, outline_pixels, drawn[0], readout_us[scan], keys, made
             )
             end_row = first_row
         for row in range(first_row, end_row):

@@ -99,13 +99,13 @@ def shift_outline(
     pixels: tuple[Pixels, Pixels, Pixels],
     drawn: tuple[Pixels, float],
     line: Pixels,
-    doubtful: NDArray[np.int64],
+    doubtful: NDArray[np.uint8],
 ) -> None:
     """Take an outline at a place (corner x, y, strength) as seen: change the references by as much the other way.
 
     `runs` (height, 4) are its pixels in these rows (first, end); `pixels` are their references, thresholds and squared
-    quiet radii, `drawn` the drawn dots and how far off they are. Fills `doubtful` (height, 2), how many pixels of a run
-    may fire.
+    quiet radii, `drawn` the drawn dots and how far off they are. Fills the runs in `doubtful` (height, a multiple of
+    eight): 1 for pixels that may fire, else 0.
     """
     corner_x, corner_y, strength = place
     reference, threshold, lower2 = pixels
@@ -117,7 +117,6 @@ def shift_outline(
         for side in range(2):
             first = runs[row, 2 * side]
             count = runs[row, 2 * side + 1] - first
-            doubtful[row, side] = 0
             if count <= 0:
                 continue
             # As contact_edges.sample_row, to the bit.
@@ -157,11 +156,9 @@ def shift_outline(
                 seen_level[y, x] = line[k]
             for k in range(offset, np.uint64(first + count)):
                 lower2[y, k] = np.inf
-            may_fire = 0
             for x in range(offset, np.uint64(first + count)):
                 off = margin if dots[y, x] < np.float32(0.0) else np.float32(0.0)
-                may_fire += int(not (abs(dots[y, x] - reference[y, x]) + off < threshold[y, x]))
-            doubtful[row, side] = may_fire
+                doubtful[y, x] = not (abs(dots[y, x] - reference[y, x]) + off < threshold[y, x])
 
 
 @njit(cache=True)
@@ -170,39 +167,43 @@ def compare_outline(
     ink: tuple[Any, ...],
     rows: tuple[int, int],
     runs: NDArray[np.int64],
-    doubtful: NDArray[np.int64],
+    doubtful: NDArray[np.uint8],
     pixels: tuple[Pixels, Pixels, Pixels],
-    drawn: tuple[Pixels, float],
+    drawn: Pixels,
     readout_us: NDArray[np.int64],
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
     """Compare the doubtful pixels of `shift_outline` with the picture of dots (dots, 2); returns the number of events.
 
-    Scans of the dots in between may have made a pixel fire, and then it is quiet; they make none fire that was not
-    doubtful.
+    They are looked for eight at a time. Scans of the dots in between may have made a pixel fire, and then it is quiet;
+    they make none fire that was not doubtful.
     """
     reference, threshold, _ = pixels
-    dots, margin_level = drawn
-    margin = np.float32(margin_level)
+    in_a_row = doubtful.shape[1] // 8
+    eights = doubtful.reshape(-1).view(np.uint64)
     for row in range(rows[0], rows[1]):
         for side in range(2):
-            if doubtful[row, side] == 0:
+            first = runs[row, 2 * side]
+            end = runs[row, 2 * side + 1]
+            if first >= end:
                 continue
-            for x in range(runs[row, 2 * side], runs[row, 2 * side + 1]):
-                off = margin if dots[row, x] < np.float32(0.0) else np.float32(0.0)
-                if abs(dots[row, x] - reference[row, x]) + off < threshold[row, x]:
+            for word in range(first // 8, (end - 1) // 8 + 1):
+                if eights[row * in_a_row + word] == 0:
                     continue
-                level = np.float32(0.0)
-                if dots[row, x] != np.float32(0.0):
-                    level = _dot_level(dot_xy, ink, x, row)
-                change = level - reference[row, x]
-                if abs(change) < threshold[row, x]:
-                    continue
-                reference[row, x] = level
-                if made < len(keys):
-                    keys[made] = event_key(readout_us[x], x, row, change > 0)
-                made += 1
+                for x in range(max(first, 8 * word), min(end, 8 * word + 8)):
+                    if doubtful[row, x] == 0:
+                        continue
+                    level = np.float32(0.0)
+                    if drawn[row, x] != np.float32(0.0):
+                        level = _dot_level(dot_xy, ink, x, row)
+                    change = level - reference[row, x]
+                    if abs(change) < threshold[row, x]:
+                        continue
+                    reference[row, x] = level
+                    if made < len(keys):
+                        keys[made] = event_key(readout_us[x], x, row, change > 0)
+                    made += 1
     return made
 
 

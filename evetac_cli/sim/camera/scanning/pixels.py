@@ -25,7 +25,7 @@ class CandidatePixels(NamedTuple):
     centre and half sides, NaN without a list), only the first `list_length` pixels of its list `listed` may fire, with
     radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
     `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii. `drawn` (height,
-    width) and `drawn_at` (dots, 3) are dots as outlines pass over them, see outline.
+    width) and `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is scratch of theirs: see outline.
     """
 
     level_index: NDArray[np.int16]
@@ -39,6 +39,7 @@ class CandidatePixels(NamedTuple):
     entry: NDArray[np.int64]
     drawn: NDArray[np.float32]
     drawn_at: NDArray[np.float64]
+    doubtful: NDArray[np.uint8]
 
 
 class CandidateRuns(NamedTuple):
@@ -116,6 +117,7 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
             candidates[8],
             candidates[9],
             candidates[10],
+            candidates[11],
         ),
     )
 
@@ -151,6 +153,7 @@ def all_pixels(shape: tuple[int, int], dots: int, profile: optics.DotProfile) ->
         entry=np.empty(MOST_LISTED + 1, np.int64),
         drawn=np.zeros(shape, np.float32),
         drawn_at=np.zeros((dots, 3)),
+        doubtful=np.zeros((height, -(-width // 8) * 8), np.uint8),
     )
 
 
