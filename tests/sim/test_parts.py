@@ -41,7 +41,7 @@ def test_what_can_be_left_out() -> None:
     assert set(switched(planned("slip"))) == {"window", "cut edge", "noise"}
     assert set(switched(planned("data-rate", gel="closed"))) == {"pushes", "window", "noise"}
     assert set(switched(planned("edge"))) == {"contact edges", "cut edge", "noise"}
-    assert {"slow pixels", "leak", "blind pixels"} <= set(switched(planned("drop-20g", "randomized:3")))
+    assert "slow pixels" in switched(planned("drop-20g", "randomized:3"))
 
 
 @pytest.mark.parametrize("name", ["lift", "sideways", "drop-20g", "drop-100g"])

@@ -179,7 +179,7 @@ class GelCamera:
             return None, None
         before = self._place
         still = self._outline is None or (strength == before.strength and (object_xy_px == self._lined_at).all())
-        moved_m = np.abs(cut_m - self._cut_m).max(initial=0.0)
+        moved_m = contact_edges.farthest(cut_m.reshape(-1), self._cut_m.reshape(-1))
         if not still or moved_m * 1e3 > CUT_STEP_PX * self.mm_per_px:
             self._place, self._cut_m, self._lined_at = (
                 self._place_at(object_xy_px, cut_m, strength),

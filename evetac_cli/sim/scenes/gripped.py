@@ -219,6 +219,8 @@ class GraspSimulation:
     def _load(self) -> float:
         """Share of the weight that hangs on the gripper: handed over smoothly after the rest."""
         done = (self.slices * STEP_S - self._time["rest_s"]) / max(self._time["load_s"], STEP_S)
+        if done >= 1.0:
+            return 1.0
         return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
 
     def _push(self) -> float:

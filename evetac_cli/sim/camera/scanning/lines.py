@@ -34,6 +34,8 @@ from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, s
 from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
 from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
 
+SHORT_PX = 32  # pixels side by side that are quicker looked at one by one than handed on as arrays
+
 
 @njit(cache=True)
 def scan_lines(
@@ -124,12 +126,14 @@ def scan_lines(
                     sample_row(outline.picture, x, y, strength, row, first, beyond, line)
                     _shift(line, seen_level, row, first, beyond, *shifted)
         touched[:] = 0
-        _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, first_row, end_row, runs, touched)
         if first_row < end_row:
+            over = (first_row, end_row, 0, width)
+            _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, over, runs, touched)
             seen_corner[0] = x
             seen_corner[1] = y
             seen_corner[2] = strength
-        cut_has_moved = False
+        cut_left = width
+        cut_right = 0
         for row in range(cut_rows):
             cut_x = start.cut_x_px[row] + part * (end.cut_x_px[row] - start.cut_x_px[row])
             cut_runs[row, 0] = 0
@@ -141,11 +145,13 @@ def scan_lines(
                 seen_cut_x[row] = cut_x
                 cut_runs[row, 0] = first
                 cut_runs[row, 1] = beyond
-                cut_has_moved = True
+                cut_left = min(cut_left, first)
+                cut_right = max(cut_right, beyond)
                 if few:
                     doubtful[row, first:beyond] = 1
-        if cut_has_moved:
-            _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, 0, cut_rows, cut_runs, touched)
+        if cut_left < cut_right:
+            over = (0, cut_rows, cut_left, cut_right)
+            _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, over, cut_runs, touched)
 
         if at_lines:
             made = scan_dots(path, gel, times, scan, scan + 1, touched, apart, keys, made)
@@ -175,7 +181,7 @@ def scan_lines(
             left, left_end, right, right_end = runs[row]
             for first, beyond in ((left, left_end), (right, right_end)):
                 made = _compare_across(row_xy[:in_row], ink, pixels, row, first, beyond, *when, line, keys, made)
-        if cut_has_moved:
+        if cut_left < cut_right:
             for row in range(cut_rows):
                 first, beyond = cut_runs[row, 0], cut_runs[row, 1]
                 if first < beyond:
@@ -236,16 +242,16 @@ def _touch_dots(
     seen_xy: NDArray[np.float64],
     list_box: NDArray[np.float64],
     outer: float,
-    first_row: int,
-    end_row: int,
+    over: tuple[int, int, int, int],
     runs: NDArray[np.int64],
     touched: NDArray[np.uint8],
 ) -> None:
     """Mark the dots that come near pixels whose references a line has just changed, and drop their lists.
 
-    `runs` (height, 4) holds these pixels: in rows first_row to end_row, from the first column up to the second, and
-    from the third up to the fourth.
+    `runs` (height, 4) holds these pixels: in a row from the first column up to the second, and from the third up to the
+    fourth. They are all `over` a box: rows from, up to, columns from, up to.
     """
+    first_row, end_row, first_column, end_column = over
     for dot in range(len(list_box)):
         left = min(at_xy[dot, 0], seen_xy[dot, 0])
         right = max(at_xy[dot, 0], seen_xy[dot, 0])
@@ -258,6 +264,8 @@ def _touch_dots(
             bottom = max(bottom, list_box[dot, 1] + list_box[dot, 3])
         left -= outer + 1.0
         right += outer + 1.0
+        if right < first_column or left > end_column:
+            continue
         first = max(first_row, math.floor(top - outer))
         end = min(end_row, math.ceil(bottom + outer) + 1)
         for row in range(first, end):
@@ -307,16 +315,10 @@ def _shift(
         for x in range(left, right):
             window_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
         mark_due(due_at, row_due_at, own, left, right)
-    count = end - first
-    if count <= 0:
-        return
-    level = line[:count]
-    seen = seen_level[row, first:end]
-    below = reference[row, first:end]
-    for k in range(count):
-        below[k] -= level[k] - seen[k]
-        seen[k] = level[k]
-    lower2_px2[row, first:end] = np.inf
+    for k in range(end - first):
+        reference[row, first + k] -= line[k] - seen_level[row, first + k]
+        seen_level[row, first + k] = line[k]
+        lower2_px2[row, first + k] = np.inf
 
 
 @njit(cache=True)
@@ -345,31 +347,43 @@ def _compare_across(
     window_reference, window_threshold, window_release_us, due_at, row_due_at = pixels[6:]
     when = (readout_us, now_us, refractory_us, keys)
     optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, first, end, line)
-    made = compare_row(
-        line,
-        reference[row, first:end],
-        threshold[row, first:end],
-        release_us[row, first:end],
-        first,
-        row,
-        *when,
-        made,
-    )
-    lower2[row, first:end] = np.inf
+    quiet = release_us.size == 0 and end - first <= SHORT_PX
+    if quiet:
+        for x in range(first, end):
+            quiet &= abs(line[x - first] - reference[row, x]) < threshold[row, x]
+            lower2[row, x] = np.inf
+    if not quiet:
+        made = compare_row(
+            line,
+            reference[row, first:end],
+            threshold[row, first:end],
+            release_us[row, first:end],
+            first,
+            row,
+            *when,
+            made,
+        )
+        lower2[row, first:end] = np.inf
     window_rows, window_columns = window_reference.shape
     left = max(first, first_x) - first_x
     right = min(end, first_x + window_columns) - first_x
     if first_y <= row < first_y + window_rows and left < right:
         optics.sample_texture_run(texture, *place, row - first_y, left, right, line)
-        made = compare_row(
-            line,
-            window_reference[row - first_y, left:right],
-            window_threshold[row - first_y, left:right],
-            window_release_us[row - first_y, left:right],
-            first_x + left,
-            row,
-            *when,
-            made,
-        )
+        quiet = window_release_us.size == 0 and right - left <= SHORT_PX
+        if quiet:
+            for x in range(left, right):
+                off = abs(line[x - left] - window_reference[row - first_y, x])
+                quiet &= off < window_threshold[row - first_y, x]
+        if not quiet:
+            made = compare_row(
+                line,
+                window_reference[row - first_y, left:right],
+                window_threshold[row - first_y, left:right],
+                window_release_us[row - first_y, left:right],
+                first_x + left,
+                row,
+                *when,
+                made,
+            )
         mark_due(due_at, row_due_at, row - first_y, left, right)
     return made

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 
-# How far a dot may be from where it was drawn, on each axis: farther, more pixels are in doubt; nearer, it is drawn anew
-# more often.
+# How far a dot may be from where it was drawn, on each axis. Farther, more pixels are in doubt; nearer, it is drawn more
+# often.
 DRAWN_PX = 0.015
 UNSURE = np.float32(-1e-6)  # of a pixel at the rim of a drawn dot, where a dot somewhat farther would show
 
