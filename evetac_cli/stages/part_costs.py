@@ -130,7 +130,8 @@ def _moving_slices(scene: dict[str, Any]) -> int:
     time, rub = scene["time"], scene.get("rub", {})
     still = ("rest_s", "load_s", "hold_s", "touch_s", "before_rise_s")
     still_s = sum(time.get(name, 0.0) for name in still) + sum(rub.get(name, 0.0) for name in ("touch_s", "shear_s"))
-    return round(1000 * (max(still_s, time.get("tone_at_s", 0.0)) + 2 * rub.get("pause_s", 0.0) + MOVING_S))
+    moves_s = float(max(still_s, time.get("tone_at_s", 0.0)) + 2 * rub.get("pause_s", 0.0))
+    return round(1000 * (moves_s + MOVING_S))
 
 
 class _Enough(Exception):

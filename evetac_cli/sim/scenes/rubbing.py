@@ -146,7 +146,7 @@ def _inside(x: float, y: float, half: Floats) -> float:
     """How far a point seen from the middle of an ellipse of half axes (2,) lies inside, to first order at its edge."""
     scaled = math.sqrt((x / half[0]) * (x / half[0]) + (y / half[1]) * (y / half[1]))
     if scaled == 0.0:
-        return min(half[0], half[1])
+        return float(min(half[0], half[1]))
     steep_x = x / (half[0] * half[0])
     steep_y = y / (half[1] * half[1])
     return scaled * (1.0 - scaled) / max(math.sqrt(steep_x * steep_x + steep_y * steep_y), 1e-9)

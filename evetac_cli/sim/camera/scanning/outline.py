@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 
-# How far a dot may be from where it was drawn, on each axis. Farther, more pixels are in doubt; nearer, it is drawn more
-# often.
+# How far a dot may be from where it was drawn, on each axis. With more, more pixels are in doubt; with less, dots are
+# drawn more often.
 DRAWN_PX = 0.015
 UNSURE = np.float32(-1e-6)  # of a pixel at the rim of a drawn dot, where a dot somewhat farther would show
 
@@ -141,19 +141,19 @@ def shift_outline(
             below = above + one
             shifted = np.uint64(column)
             for k in range(np.uint64(begin), np.uint64(stop)):
-                x = k + shifted
+                column_at = k + shifted
                 line[k] = (
-                    upper_left * picture[above, x]
-                    + upper_right * picture[above, x + one]
-                    + lower_left * picture[below, x]
-                    + lower_right * picture[below, x + one]
+                    upper_left * picture[above, column_at]
+                    + upper_right * picture[above, column_at + one]
+                    + lower_left * picture[below, column_at]
+                    + lower_right * picture[below, column_at + one]
                 )
             y = np.uint64(row)
             offset = np.uint64(first)
             for k in range(zero, np.uint64(count)):
-                x = k + offset
-                reference[y, x] -= line[k] - seen_level[y, x]
-                seen_level[y, x] = line[k]
+                at = k + offset
+                reference[y, at] -= line[k] - seen_level[y, at]
+                seen_level[y, at] = line[k]
             for k in range(offset, np.uint64(first + count)):
                 lower2[y, k] = np.inf
             for x in range(offset, np.uint64(first + count)):
