@@ -26,7 +26,8 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     rows: Rows = []
     trials = list(_trials(params.seed))
     for done, (name, trial, play) in enumerate(trials, 1):
-        rows += [{"part": name, **row} for row in _rows(measure_parts(trial, play, REPEATS.pick(params.full)))]
+        costs = measure_parts(trial, play, REPEATS.pick(params.full), grasp.TIMERS)
+        rows += [{"part": name, **row} for row in _rows(costs)]
         progress(done, len(trials))
     return rows
 

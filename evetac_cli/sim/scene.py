@@ -185,9 +185,9 @@ def _show_texture(resolved: dict[str, Any], shown: bool, scene_name: str) -> Non
     """Have the window show the texture of the object, or not; InputError where there is none to show."""
     named = resolved.get("texture")
     if named is None or (shown and not resolved["gel"]["cut"]):
-        found = f"{scene_name}, which names no texture" if named is None else "a closed gel, which has no window"
+        lacking = f"{scene_name}, which names no texture" if named is None else "a closed gel, which has no window"
         expected = "a scene with a texture and a cut gel"
-        raise InputError("nothing to show", where="--texture", expected=expected, found=found)
+        raise InputError("nothing to show", where="--texture", expected=expected, found=lacking)
     if shown != named.get("show", True):
         named["show"] = shown
 

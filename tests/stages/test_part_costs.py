@@ -15,7 +15,7 @@ from evetac_cli.stages.trials import SimulatedTrial
 WINDOW_US, NOISE_US, CUT_US, GEL_US, DOTS_US, OTHER_US = 20.0, 3.0, 5.0, 40.0, 12.0, 7.0
 
 
-class Machine:
+class SlowedClock:
     """A clock, and a simulation that moves it by what each part costs; every second run is slowed down at random."""
 
     def __init__(self) -> None:
@@ -43,8 +43,8 @@ class Machine:
 
 
 @pytest.fixture
-def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Machine]:
-    made = Machine()
+def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowedClock]:
+    made = SlowedClock()
     monkeypatch.setattr(part_costs, "thread_time", lambda: made.now_s)
     timers = (("gel and friction", made.gel, "step"), ("camera", made.camera, "render"))
     monkeypatch.setattr(part_costs, "_scene_timers", lambda: timers)
@@ -52,7 +52,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Machine]:
 
 
 @pytest.mark.parametrize("texture", ["on", "off"])
-def test_costs_are_those_of_the_clock(texture: str, machine: Machine) -> None:
+def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> None:
     """Assert what each part costs or saves, whatever else the machine does in every second run."""
     (trial,) = record.jobs([], Record(texture=texture), None)
     costs = measure(trial, machine.play, 4)
@@ -69,7 +69,7 @@ def test_costs_are_those_of_the_clock(texture: str, machine: Machine) -> None:
     assert rows["pushes"]["time_us"] is rows["pushes"]["saves_us"] is None
 
 
-def test_timers_are_taken_off_again(machine: Machine) -> None:
+def test_timers_are_taken_off_again(machine: SlowedClock) -> None:
     """Assert that the calls which were timed are afterwards what they were, also where a trial fails."""
     before = machine.gel.step, machine.camera.render
     (trial,) = record.jobs([], Record(), None)

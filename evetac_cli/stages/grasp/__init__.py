@@ -28,6 +28,7 @@ from evetac_cli.stages.unused_options import refuse_unused_of_grasp
 from evetac_cli.store.files import up_to_date
 
 METHOD = simulated.METHOD
+TIMERS = (("slip detector", OnlineSlipDetector, "step"),)  # what a dry run times beside the scene
 
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
@@ -74,8 +75,7 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False) -> Outco
         return real_time.dry_run(others, params, force=force)
     for trial in trials:
         up_to_date(trial.output, simulated.make_recipe(trial, params), force=force)
-    timer = ("slip detector", OnlineSlipDetector, "step")
-    return part_costs.dry_run(trials, partial(simulated.play, params=params), timer)
+    return part_costs.dry_run(trials, partial(simulated.play, params=params), *TIMERS)
 
 
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
