@@ -182,7 +182,7 @@ def test_pixels_that_are_left_out_would_not_have_fired(speed: float) -> None:
 
     The outline comes, turns over dots that creep, drift or run, and goes; the window is in a corner and shows nothing.
     """
-    grid = np.stack(np.meshgrid([22.3, 60.6, 98.2], [20.1, 64.7]), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid([22.3, 98.2], [20.1, 68.7]), axis=-1).reshape(-1, 2)
     away = np.random.default_rng(2).normal(0.0, 1.0, grid.shape)
 
     def turning(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
