@@ -49,6 +49,9 @@ class Trials:
         " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named.",
     )
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
+    texture: str | None = parameter(
+        None, "Whether the window shows the object's texture, instead of what the scene says.", choices=("on", "off")
+    )
     readout: str = parameter(
         "dvxplorer", "Camera: scanned 5000 times a second, or every event to the us.", choices=("dvxplorer", "ideal")
     )
@@ -450,8 +453,9 @@ class EvaluateCost:
         "sim",
         "What is measured; sim: the simulator; pipeline: settings of a recording, at the end of the whole chain; label:"
         " slip labels; track: the dot tracker; model: slip detectors; grasp: grasps with a late detector, a slow"
-        " controller, other detectors.",
-        choices=("sim", "pipeline", "label", "track", "model", "grasp"),
+        " controller, other detectors; scenes: what the parts of three scenes cost a slice, each scene with and without"
+        " them.",
+        choices=("sim", "pipeline", "label", "track", "model", "grasp", "scenes"),
         flag="PART",
     )
     model: Path | None = parameter(

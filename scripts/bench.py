@@ -4,12 +4,15 @@ Times depend on the machine and on what else it does; the ratios of one run are 
 """
 
 import itertools
+import json
 import time
 from collections.abc import Callable
 
 import numpy as np
 
 from evetac_cli.console import print_table
+from evetac_cli.devices import Rig
+from evetac_cli.devices.simulated import rig
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.kernels.slip import features
@@ -61,6 +64,40 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
     what = f"simulate {name}, object {number}, {simulated.slices / 1000:.1f} s"
     parts = (("", seconds), (": mechanics", mechanics.seconds), (": camera", camera.seconds))
     return [row(what + part, np.array([part_s / simulated.slices])) for part, part_s in parts]
+
+
+def edges() -> list[dict[str, object]]:
+    """Two trials of the scene edge, from the first slice to the last: a finger and a handle."""
+    rows = []
+    for trial in (0, 1):
+        plan = scene.plan("edge", "8", "evetac", ("rub",))[0]
+        for slices in (100, 100_000):  # the first compiles
+            devices = rig(plan, np.random.SeedSequence([1, trial]))
+            times = slice_times(devices, slices)
+        what = json.loads(devices.sampled)["object_name"]
+        rows.append(row(f"simulate edge, a {what}, {len(times) / 1000:.1f} s", np.array([times.mean()])))
+    return rows
+
+
+def stillness() -> list[dict[str, object]]:
+    """Slices in which nothing moves and all sticks: an object held in the gripper, a face that stays where it is."""
+    rows = []
+    for name, first, end in (("slip", 700, 900), ("shear", 2300, 3000)):
+        plan = scene.plan(name, "8", "evetac", ("ramp", "press"))[0]
+        times = slice_times(rig(plan, np.random.SeedSequence([1, 0])), end)
+        rows.append(row(f"simulate {name}, held still", times[first:]))
+    return rows
+
+
+def slice_times(devices: Rig, slices: int) -> np.ndarray:
+    """Seconds of this thread in each of the first slices of a scene."""
+    times = []
+    for _ in range(slices):
+        started = time.thread_time()
+        if devices.camera.read() is None:
+            break
+        times.append(time.thread_time() - started)
+    return np.array(times)
 
 
 class Stopwatch:
@@ -130,6 +167,7 @@ def network() -> list[dict[str, object]]:
 
 def main() -> None:
     simulated = [entry for name in ("slip", "lift") for number in OBJECTS for entry in simulation(name, number)]
+    simulated += [*edges(), *stillness()]
     print_table("bench, one core", [*simulated, *touch(), *labels(), *network()], {}, simulated=True)
 
 

@@ -272,7 +272,8 @@ def strip_steps(sizes: Sizes) -> Iterator[Command]:
 
 def film_steps(sizes: Sizes) -> Iterator[Command]:
     """The film shows the farthest slide that was caught: the recording is one that has such a slide."""
-    yield evetac("grasp", "--object", 17, "--seed", 0, "--lift-s", 7, "--balance-s", 5, "--out", "catch.recording.h5")
+    yield evetac("grasp", "--object", 17, "--seed", 0, "--lift-s", 7, "--balance-s", 5,
+                 "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
     yield evetac("track", "catch.recording.h5")
     yield script("film.py", "catch.recording.h5", "--out", "catch.gif")
 

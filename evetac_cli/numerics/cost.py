@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.numerics import labels, models, plots, simulator_cost
+from evetac_cli.numerics import labels, models, plots, scene_parts, simulator_cost
 from evetac_cli.numerics.grasp import cost as grasp
 from evetac_cli.numerics.pipeline import cost as pipeline
 from evetac_cli.numerics.tracker import cost as tracker
@@ -84,6 +84,13 @@ PARTS: dict[str, Part] = {
         grasp.summary,
         grasp.draw,
         inputs=grasp.inputs,
+    ),
+    "scenes": Part(
+        "What the parts of a scene cost a slice",
+        (),
+        scene_parts.measure,
+        scene_parts.summary,
+        scene_parts.draw,
     ),
 }
 

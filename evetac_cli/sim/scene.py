@@ -19,7 +19,7 @@ import numpy as np
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim import sampling
-from evetac_cli.sim.solver import from_scene, resolve
+from evetac_cli.sim.solver import resolve
 from evetac_cli.text_files import read_toml
 
 FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
@@ -165,11 +165,13 @@ def plan(
     readout: str = "dvxplorer",
     tones: str | None = None,
     solver: Mapping[str, Any] = MappingProxyType({}),
+    *,
+    texture: str | None = None,
 ) -> list[dict[str, Any]]:
     """What trials are made from, resolved, one plan an object or tone (one in all where the scene has neither).
 
-    It goes into the header, so that a changed table is another recipe. `gel` cut or closed overrides the scene's, so do
-    settings of the `solver`, and `tones` (as in 200,300) picks from them.
+    It goes into the header, so that a changed table is another recipe. `gel` cut or closed, `texture` on or off and
+    settings of the `solver` override the scene's, and `tones` (as in 200,300) picks from them.
     """
     resolved = load(scene_name)
     try:
@@ -178,6 +180,8 @@ def plan(
         raise SceneError(f"[solver]: {error}", where=scene_name) from error
     if gel is not None:
         resolved["gel"]["cut"] = gel == "cut"
+    if texture is not None:
+        _show_texture(resolved, texture == "on", scene_name)
     if resolved["kind"] not in kinds:
         raise SceneError(
             "this scene is for another command",
@@ -199,6 +203,17 @@ def plan(
         face = {"static_friction": driven["static_friction"], "mass_g": 1.0}
         return [{**common, "object": None, "object_row": face}]
     return [{**common, "object": number, "object_row": object_row(number)} for number in numbers(objects)]
+
+
+def _show_texture(resolved: dict[str, Any], shown: bool, scene_name: str) -> None:
+    """Have the window show the texture of the object, or not; InputError where there is none to show."""
+    named = resolved.get("texture")
+    if named is None or (shown and not resolved["gel"]["cut"]):
+        lacking = f"{scene_name}, which names no texture" if named is None else "a closed gel, which has no window"
+        expected = "a scene with a texture and a cut gel"
+        raise InputError("nothing to show", where="--texture", expected=expected, found=lacking)
+    if shown != named.get("show", True):
+        named["show"] = shown
 
 
 def object_row(number: int) -> dict[str, Any]:
@@ -262,80 +277,3 @@ def tones_hz(text: str) -> list[float]:
             raise InputError("not a list of tones", where="--tone", expected=expected, found=text[:60])
         listed.append(tone)
     return list(dict.fromkeys(listed))
-
-
-def parts(plan: dict[str, Any]) -> list[dict[str, Any]]:
-    """What a plan builds and what it leaves out, a row a part: a scene pays only for what it names."""
-    resolved, sensor_row = plan["scene"], plan["sensor_row"]
-    cut, kind = resolved["gel"]["cut"], resolved["kind"]
-    settings = from_scene(resolved)
-    steps = f"{settings.tolerance_um:g} um a step" if settings.step_ms is None else f"{settings.step_ms:g} ms steps"
-    solved = f"nodes every {settings.node_pitch_mm:g} mm, {steps}"
-    gripped = kind in ("ramp", "lift", "hold")
-    dots = len(sensor_row["dot_rows_px"]) * (len(sensor_row["dot_columns_px"]) - cut)
-    pressed = f"a face, {resolved['motion']['kind']}" if kind == "press" else f"object {plan['object']}"
-    if kind == "tone":
-        pressed = f"a speaker, {plan['tone_hz']:g} Hz for {resolved['time']['tone_s']:g} s"
-    if kind == "rub":
-        pressed = f"a {' or a '.join(resolved['rub']['objects'])}, rubbed"
-    edge = "moves with the gel" if cut and sensor_row.get("cut_contrast") else ""
-    mode = {"ramp": "current", "hold": "position, then current", "lift": "position"}.get(kind, "")
-    readout = {"dvxplorer": "5000 scans/s, global hold", "ideal": "every event to the us"}[plan["readout"]]
-    bandwidth_hz = sensor_row.get("bandwidth_hz", 0.0)
-    noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {sensor_row['hot_pixels']} hot pixels"
-    window = "texture of the object, moved with it" if cut and "texture" in resolved else ""
-    left_out = "closed gel: it has no window" if not cut else "nothing behind it has texture"
-    table = [
-        ("gel and friction", solved if kind != "tone" else "", "nothing slips: a closed form for each wave"),
-        ("what touches", pressed, ""),
-        ("gripper", f"{mode} mode" if gripped else "", "a hand drives the face"),
-        ("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
-        ("table and hand", "lift" if kind == "lift" else "", "nothing is lifted"),
-        ("pushes", f"{len(resolved['push']['at_s'])} half sines" if "push" in resolved else "", "none named"),
-        ("falling weight", f"{resolved['drop']['mass_g']} g" if "drop" in resolved else "", "none named"),
-        ("dots", f"{dots}, evaluated while they move", ""),
-        ("window", window, left_out),
-        ("contact edges", "where they move" if kind == "rub" else "", "none named"),
-        ("cut edge", edge, "closed gel: no cut" if not cut else "the sensor's cut is not seen"),
-        ("camera", readout + (f", pixels of {bandwidth_hz:g} Hz" if bandwidth_hz else ""), ""),
-        ("noise", noise, ""),
-        *_disturbances(resolved),
-    ]
-    return [{"part": part, "built": built or None, "left_out": None if built else why} for part, built, why in table]
-
-
-def _disturbances(resolved: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Rows (part, built, why left out) of what is off unless a scene names it."""
-    light, gripper, hand = (resolved.get(group, {}) for group in ("light", "gripper", "hand"))
-    flicker, step, jerk = light.get("flicker"), light.get("step"), hand.get("jerk")
-    lights = [f"flickers by {flicker['depth']:.0%} at {flicker['frequency_hz']:g} Hz"] if flicker else []
-    lights += [f"x {step['factor']:g} from {step['at_s']:g} s on"] if step else []
-    gone, change, off = (resolved.get(group) for group in ("vanishing_dots", "friction_change", "calibration"))
-    off_px = off.get("offset_px", [0.0, 0.0]) if off else []
-    play, stiffness = gripper.get("backlash_ticks", 0.0), resolved["gel"].get("stiffness_factor", 1.0)
-    factor = gripper.get("friction_factor", [1.0, 1.0])
-    factor = factor if isinstance(factor, list) else [factor, factor]
-    rubs = f"x {factor[0]:g}" + (f" to {factor[1]:g}" if factor[1] > factor[0] else "")
-    return [
-        ("changing light", ", ".join(lights), "steady: none named"),
-        ("vanishing dots", f"{len(gone['dots'])} from {gone['at_s']:g} s on" if gone else "", "none named"),
-        (
-            "calibration that is off",
-            f"by {off_px[0]:g}, {off_px[1]:g} px and {off.get('turned_deg', 0.0):g} deg" if off else "",
-            "the dots at rest are known",
-        ),
-        ("change of friction", f"x {change['factor']:g} from {change['at_s']:g} s on" if change else "", "none named"),
-        ("gear friction", rubs if factor != [1.0, 1.0] else "", "as the sensor's gripper has it"),
-        ("backlash of the gripper", f"{play:g} ticks" if play else "", "none named"),
-        (
-            "jerk of the hand",
-            f"{jerk['speed_mm_s']:g} mm/s for {jerk['lasts_s']:g} s at {jerk['at_s']:g} s" if jerk else "",
-            "none named",
-        ),
-        ("other stiffness of the gel", f"x {stiffness:g}" if stiffness != 1.0 else "", "as the sensor has it"),
-        (
-            "other mass of the object",
-            f"{resolved['object']['mass_g']:g} g" if "object" in resolved else "",
-            "none named",
-        ),
-    ]

@@ -99,7 +99,7 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
         raise InputError(
             f"slip cannot be labelled: {error}",
             where=str(recording.path),
-            hint="the object needs a texture that the window shows",
+            hint="the object needs a texture that the window shows: --texture on, where a scene leaves it out",
         ) from error
 
 

@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -16,14 +15,13 @@ import numpy as np
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome
+from evetac_cli.jobs import Job
 from evetac_cli.params import Trials
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.store.segments import refuse_leftover
 
 OUTPUT = "recording"
-DRY_SLICES = 200
 FEWEST_NODES = 4  # in half the wavelength of unstable slip; with fewer, onset depends on the grid
 
 Plan = dict[str, Any]  # what a scene is built from, as sim.scene.plan gives it
@@ -92,8 +90,8 @@ def simulated_trials(
     They are named <prefix><scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
     """
     trials = []
-    named = params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones
-    for plan in scene.plan(*named, solver=params.solver()):
+    named = (params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones)
+    for plan in scene.plan(*named, solver=params.solver(), texture=params.texture):
         what = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
         what += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
         for number in range(params.count):
@@ -195,25 +193,3 @@ class SolverFigures:
                 f" of {FEWEST_NODES} at least; --node-pitch-mm {pitch_mm:.2f} resolves it"
             )
         return row
-
-
-def built_parts(trials: Sequence[Trial]) -> Outcome:
-    """What the first trial builds and leaves out, and what its slices cost here: measured on 0.2 s of it."""
-    from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
-
-    first = trials[0]
-    assert first.plan is not None
-    devices = rig(first.plan, first.seeds())
-    devices.camera.read()  # compiles, or loads what was compiled
-    started = perf_counter()
-    for _ in range(DRY_SLICES):
-        devices.camera.read()
-    us = (perf_counter() - started) / DRY_SLICES * 1e6
-    devices.close()
-    summary = {
-        "files": len(trials),
-        "first_file": str(first.output),
-        "time_us_a_slice_at_rest": us,
-        "times_real_time_at_rest": 1000 / us,
-    }
-    return Outcome(scene.parts(first.plan), True, summary, made=False)

@@ -26,7 +26,7 @@ class Source(StrEnum):
 
 # Options that are not listed have an effect in every run, or their stage checks how they fit together.
 RECORD: dict[str, tuple[Source, ...]] = {
-    **dict.fromkeys(("scene", "objects", "sensor", "gel", "readout", *SOLVER_OPTIONS), (Source.SCENE,)),
+    **dict.fromkeys(("scene", "objects", "sensor", "gel", "texture", "readout", *SOLVER_OPTIONS), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
     **dict.fromkeys(("count", "seed", "live"), (Source.SCENE, Source.DEVICE)),
     **dict.fromkeys(("frame_size", "sort", "stream"), (Source.IMPORT,)),
@@ -38,7 +38,7 @@ RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("expected_event_rate", "resume"), (Source.RECORDED,)),
 }
 GRASP: dict[str, tuple[Source, ...]] = {
-    **dict.fromkeys(("objects", "sensor", "gel", "readout", *SOLVER_OPTIONS), (Source.SCENE,)),
+    **dict.fromkeys(("objects", "sensor", "gel", "texture", "readout", *SOLVER_OPTIONS), (Source.SCENE,)),
     **dict.fromkeys(("calibration", "arm", "max_current_ma", "max_seconds", "watchdog_ms"), (Source.GRASPED,)),
 }
 

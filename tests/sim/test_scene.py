@@ -11,6 +11,7 @@ from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, table
 from evetac_cli.sim import scene
+from evetac_cli.sim.parts import parts
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
 from tests.conftest import as_toml
@@ -207,7 +208,7 @@ OPTIONAL_PARTS: list[tuple[str, str, dict[str, Any]]] = [
     ("slip", "friction_change", {"at_s": 1.0, "factor": 0.1}),
     ("slip", "object", {"mass_g": 5.0}),
     ("slip", "gripper", {"backlash_ticks": 2.0, "friction_factor": 0.7}),
-    ("slip", "gel", {"cut": True, "nodes": [24, 18], "stiffness_factor": 10.0}),
+    ("slip", "gel", {"cut": True, "stiffness_factor": 10.0}),
     ("lift", "hand.jerk", {"at_s": 4.0, "speed_mm_s": 100.0, "lasts_s": 0.05}),
 ]
 
@@ -222,7 +223,7 @@ def test_optional_parts_are_read_and_named(name: str, group: str, keys: dict[str
         more[group] = {**more.get(group, {}), **keys}
     path = tmp_path / "more.toml"
     path.write_text(as_toml(more))
-    built = [{row["part"] for row in scene.parts(plan) if row["built"]} for plan in _plans(str(path), name)]
+    built = [{row["part"] for row in parts(plan) if row["built"]} for plan in _plans(str(path), name)]
     assert len(built[0] - built[1]) == 1
 
 
@@ -273,3 +274,22 @@ def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: s
     path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=says):
         scene.load(str(path))
+
+
+def test_whether_the_window_shows_a_texture() -> None:
+    """Assert that --texture overrides what the scene says, and that saying what it says anyway is the same recipe."""
+    (shown,), (default,) = (scene.plan("slip", "8", "evetac", ("ramp",), texture=given) for given in ("on", None))
+    assert shown == default
+    for name, kind, given, says in (("lift", "lift", "on", True), ("slip", "ramp", "off", False)):
+        (plan,) = scene.plan(name, "8", "evetac", (kind,), texture=given)
+        assert plan["scene"]["texture"]["show"] is says
+
+
+@pytest.mark.parametrize(
+    ("name", "gel", "texture", "says"),
+    [("slip", "closed", "on", "no window"), ("edge", None, "on", "no texture"), ("press", None, "off", "no texture")],
+)
+def test_no_texture_to_show(name: str, gel: str | None, texture: str, says: str) -> None:
+    """Assert that --texture is refused where it could change nothing."""
+    with pytest.raises(InputError, match=f"--texture(.|\n)*{says}"):
+        scene.plan(name, "8", "evetac", ("ramp", "rub", "press"), gel, texture=texture)

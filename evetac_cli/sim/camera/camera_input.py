@@ -38,8 +38,8 @@ def motions(
     dots_start = positions("dot_xy_px_start", dot_xy_px_start, dots)
     dots_end = positions("dot_xy_px_end", dot_xy_px_end, dots)
     paths = dot_paths(dot_path_px, dots_start, dots_end)
-    object_start = positions("object_xy_px_start", np.atleast_2d(object_xy_px_start), 1)[0]
-    object_end = positions("object_xy_px_end", np.atleast_2d(object_xy_px_end), 1)[0]
+    object_start = positions("object_xy_px_start", np.array(object_xy_px_start, ndmin=2), 1)[0]
+    object_end = positions("object_xy_px_end", np.array(object_xy_px_end, ndmin=2), 1)[0]
     check_range("texture_contrast", texture_contrast, 0.0, 1e3)
     return paths, ObjectMotion(object_start, object_end, float(texture_contrast))
 

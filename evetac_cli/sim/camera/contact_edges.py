@@ -102,7 +102,7 @@ class ContactEdges:
         )
         if not outline_still:
             return False
-        return all(bool(_farthest(place.cut_x_px, self.seen_cut_x) <= cut_px) for place in (start, end))
+        return all(bool(farthest(place.cut_x_px, self.seen_cut_x) <= cut_px) for place in (start, end))
 
     def motion(self, start: Place, end: Place) -> LineMotion:
         """The lines and what was seen of them, moving between two places."""
@@ -194,7 +194,7 @@ def _all_within(places: Floats, limit: float) -> bool:
 
 
 @njit(cache=True)
-def _farthest(places: Floats, others: Floats) -> float:
+def farthest(places: Floats, others: Floats) -> float:
     """The greatest distance between places and others of the same number; 0 without any."""
     farthest = 0.0
     for k in range(len(places)):

@@ -114,6 +114,8 @@ class GelCamera:
         self._outline_at_px = frame / 2 if outline_at_px is None else outline_at_px
         self._cut_x_px, self.cut_rest_m = self._cut_edge(sensor_row, cut)
         self._cut_m = np.zeros_like(self.cut_rest_m)
+        self._cut_rows = np.arange(len(self._cut_x_px), dtype=np.float64)
+        self._cut_node_rows = np.linspace(0.0, len(self._cut_x_px) - 1.0, CUT_NODES)
         self._lines = None
         if outline is not None or len(self.cut_rest_m):
             self._place = self._place_at(self.object_xy_px, self._cut_m, 0.0)
@@ -165,9 +167,8 @@ class GelCamera:
             corner = self._outline_at_px + object_xy_px - 0.5 * np.array([columns - 1.0, rows - 1.0])
         cut_x = self._cut_x_px
         if len(cut_x):
-            height = len(cut_x)
-            nodes = np.linspace(0.0, height - 1.0, CUT_NODES)
-            cut_x = cut_x + np.interp(np.arange(height), nodes, cut_m[:, 0] * 1e3 / self.mm_per_px)
+            moved_px = np.interp(self._cut_rows, self._cut_node_rows, cut_m[:, 0] * 1e3 / self.mm_per_px)
+            cut_x = cut_x + moved_px
         return contact_edges.Place(corner, strength, cut_x)
 
     @property
@@ -233,7 +234,7 @@ class GelCamera:
             return None, None
         before = self._place
         still = self._outline is None or (strength == before.strength and (object_xy_px == self._lined_at).all())
-        moved_m = np.abs(cut_m - self._cut_m).max(initial=0.0)
+        moved_m = contact_edges.farthest(cut_m.reshape(-1), self._cut_m.reshape(-1))
         if not still or moved_m * 1e3 > CUT_STEP_PX * self.mm_per_px:
             self._place, self._cut_m, self._lined_at = (
                 self._place_at(object_xy_px, cut_m, strength),

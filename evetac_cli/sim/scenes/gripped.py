@@ -35,6 +35,7 @@ APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
 TEXTURE_PX = (1024, 1024)
 TEXTURE_SEED = 7919  # with the object's number: an object has the same texture in every trial
 INDENTATION_STEP_M = 2e-8  # dilation is evaluated anew when the indentation has changed by this: 0.001 px
+OUT_OF_SIGHT_M = np.zeros(2)  # where an object is that no texture shows
 
 
 class GraspSimulation:
@@ -58,10 +59,12 @@ class GraspSimulation:
         object_params, sensor_row = plan["object_row"], sampling.sensor_with_gel(self._scene, plan["sensor_row"])
         self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
+        texture = self._texture(plan["object"], optics_rng)
+        self._shows_texture = texture is not None
         self.gel_camera = GelCamera(
             sensor_row,
             cut=self._scene["gel"]["cut"],
-            texture=self._texture(plan["object"]),
+            texture=texture,
             rng=optics_rng,
             readout=plan["readout"],
             scene=self._scene,
@@ -88,12 +91,18 @@ class GraspSimulation:
             return round((float(self._time["touch_s"]) + lift_s + balance_s) * 1000)
         return round(float(self._time["longest_s"]) * 1000)
 
-    def _texture(self, number: int) -> NDArray[np.float32] | None:
-        """What the window shows of the object; nothing if the scene has no texture or the gel no window."""
-        if "texture" not in self._scene or not self._scene["gel"]["cut"]:
+    def _texture(self, number: int, rng: np.random.Generator) -> NDArray[np.float32] | None:
+        """What the window shows of the object; nothing if the scene has no texture, leaves it out, or has no window."""
+        named = self._scene.get("texture")
+        if named is None or not self._scene["gel"]["cut"]:
             return None
-        rng = np.random.default_rng([TEXTURE_SEED, number])
-        return optics.texture(rng, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
+        if not named.get("show", True):
+            rng.uniform(
+                0, TEXTURE_PX[0], 2
+            )  # where a texture would lie: the gel's events are those of a trial with one
+            return None
+        drawn = np.random.default_rng([TEXTURE_SEED, number])
+        return optics.texture(drawn, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
 
     def _build_mechanics(self, object_params: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> None:
         nodes = pad(self._scene, sensor_row)
@@ -157,10 +166,9 @@ class GraspSimulation:
         self._move()
         shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
         cut_m = gel.displacement_at(self._gel, *self._at_cut)
+        object_m, contrast = (self._seen_m(), self._contrast()) if self._shows_texture else (OUT_OF_SIGHT_M, 0.0)
         path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
-        events = self.gel_camera.render(
-            shift_m, self._seen_m(), self._contrast(), self.slices * SLICE_US, path_m, cut_m=cut_m
-        )
+        events = self.gel_camera.render(shift_m, object_m, contrast, self.slices * SLICE_US, path_m, cut_m=cut_m)
         self.slices += 1
         self.finished = self.slices >= self._last_slice or self._over()
         return events
@@ -182,8 +190,6 @@ class GraspSimulation:
 
     def _contrast(self) -> float:
         """How clearly the window shows the object: it blurs once it is away from the pad."""
-        if "texture" not in self._scene:
-            return 0.0
         open_mm = max(-self.finger.closing_ticks, 0.0) * self._curve.metres_per_tick * 0.5e3
         return float(np.exp(-open_mm / self._scene["texture"]["focus_mm"]))
 
@@ -241,6 +247,8 @@ class GraspSimulation:
     def _load(self) -> float:
         """Share of the weight that hangs on the gripper: handed over smoothly after the rest."""
         done = (self.slices * STEP_S - self._time["rest_s"]) / max(self._time["load_s"], STEP_S)
+        if done >= 1.0:
+            return 1.0
         return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
 
     def _push(self) -> float:

@@ -5,6 +5,7 @@ once, then moved to random places in a disc so small that nothing slips, with re
 over the whole gel in lines, lifted off between them, so that every dot is moved.
 """
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -37,10 +38,10 @@ class Timeline(NamedTuple):
 
     def at(self, now_s: float) -> tuple[Floats, float]:
         """Place (x, y) in m and normal force in N."""
-        after = min(int(np.searchsorted(self.time_s, now_s, side="right")), len(self.time_s) - 1)
+        after = min(bisect_right(self.time_s, now_s), len(self.time_s) - 1)
         before = max(after - 1, 0)
         span = self.time_s[after] - self.time_s[before]
-        done = float(np.clip((now_s - self.time_s[before]) / span, 0.0, 1.0)) if span > 0 else 1.0
+        done = min(max((now_s - self.time_s[before]) / span, 0.0), 1.0) if span > 0 else 1.0
         share = 0.5 - 0.5 * np.cos(np.pi * done)
         xy = self.xy_m[before] + share * (self.xy_m[after] - self.xy_m[before])
         return xy, float(self.force_n[before] + share * (self.force_n[after] - self.force_n[before]))
@@ -192,7 +193,7 @@ class Pressing:
         area = weights.sum() * self._gel.cell_area_m2
         depth = weights * (self._force_n / (self._stiffness_n_m3 * area))
         indices, share = self._at_dots
-        at_dots = (depth.reshape(-1)[indices] * share).sum(axis=1)
+        at_dots = gel.field_at(depth[..., None], indices, share)[:, 0]
         return dilation(self.gel_camera.rest_m, self._gel.node_xy_m, depth, at_dots, self._material.height_m)
 
     def truth(self) -> dict[str, Any]:

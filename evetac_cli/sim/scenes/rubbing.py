@@ -4,11 +4,13 @@ What touches is the inside of the outline that the camera sees, an ellipse (a fi
 scissors), and the outline moves with it. Apart from that it is a scene of pressing.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
@@ -51,7 +53,9 @@ class Rubbing(Pressing):
         contrast, blur_px = (float(mechanics.uniform(*rub[key])) for key in ("edge_log_contrast", "edge_blur_px"))
         self._normal_n = float(mechanics.uniform(*rub["normal_n"]))
         self._size_px, self._thick_px = np.array(SIZES_PX[object_name]), THICK_PX[object_name]
-        outline = contact_edges.ellipse(self._size_px, contrast, blur_px, self._thick_px)
+        outline = None  # edges without contrast are not seen, and not drawn
+        if contrast > 0.0:
+            outline = contact_edges.ellipse(self._size_px, contrast, blur_px, self._thick_px)
         far_px = np.array(
             [mechanics.uniform(*span) for span in STARTS_PX]
         )  # to one side: the first rub crosses the view
@@ -92,19 +96,20 @@ class Rubbing(Pressing):
 
     def _weights(self, centre_m: Floats) -> Floats:
         """Share of each node's cell inside the outline, (rows, columns); soft over one cell."""
-        from_centre_px = (self._gel.node_xy_m - centre_m) * 1e3 / self.gel_camera.mm_per_px
-        pitch_px = np.sqrt(self._gel.cell_area_m2) * 1e3 / self.gel_camera.mm_per_px
-        inside_px = _inside(from_centre_px, self._size_px / 2)
+        mm_per_px = self.gel_camera.mm_per_px
+        pitch_px = math.sqrt(self._gel.cell_area_m2) * 1e3 / mm_per_px
+        half_px, hole_px = self._size_px / 2, np.zeros(0)
         if self._thick_px is not None:
-            inside_px = np.minimum(inside_px, -_inside(from_centre_px, self._size_px / 2 - self._thick_px))
-        weights: Floats = np.clip(inside_px / pitch_px + 0.5, 0.0, 1.0)
-        return weights
+            hole_px = half_px - self._thick_px
+        covered: Floats = _covered(self._gel.node_xy_m, centre_m, mm_per_px, half_px, hole_px, pitch_px)
+        return covered
 
     def _borne(self, covered: float) -> float:
         """Share of the hand's force that the pad bears: an object half over its edge is pressed in no deeper."""
-        area_px2 = np.prod(self._size_px)
+        across_px, down_px = self._size_px
+        area_px2 = across_px * down_px
         if self._thick_px is not None:
-            area_px2 -= np.prod(self._size_px - 2 * self._thick_px)
+            area_px2 -= (across_px - 2 * self._thick_px) * (down_px - 2 * self._thick_px)
         cells = 0.25 * np.pi * area_px2 * (self.gel_camera.mm_per_px * 1e-3) ** 2 / self._gel.cell_area_m2
         return float(min(covered / cells, 1.0))
 
@@ -117,12 +122,34 @@ class Rubbing(Pressing):
         return {**super().truth(), "truth/contact_edge_events": self.gel_camera.contact_edge_events}
 
 
-def _inside(from_centre: Floats, half: Floats) -> Floats:
-    """How far points (..., 2) lie inside an ellipse, to first order at its edge."""
-    scaled = np.linalg.norm(from_centre / half, axis=-1)
-    steep = np.linalg.norm(from_centre / half**2, axis=-1)
-    inside: Floats = scaled * (1.0 - scaled) / np.maximum(steep, 1e-9) + (scaled == 0.0) * half.min()
-    return inside
+@njit(cache=True)
+def _covered(node_xy_m: Floats, centre_m: Floats, mm_per_px: float, half: Floats, hole: Floats, pitch: float) -> Floats:
+    """Share of each cell (rows, columns) of a pitch inside an ellipse of half axes (2,), and outside its hole.
+
+    Lengths but those in m are in px; an empty hole is none.
+    """
+    rows, columns, _ = node_xy_m.shape
+    weights = np.empty((rows, columns))
+    for row in range(rows):
+        for column in range(columns):
+            x = (node_xy_m[row, column, 0] - centre_m[0]) * 1e3 / mm_per_px
+            y = (node_xy_m[row, column, 1] - centre_m[1]) * 1e3 / mm_per_px
+            inside = _inside(x, y, half)
+            if len(hole):
+                inside = min(inside, -_inside(x, y, hole))
+            weights[row, column] = min(max(inside / pitch + 0.5, 0.0), 1.0)
+    return weights
+
+
+@njit(cache=True)
+def _inside(x: float, y: float, half: Floats) -> float:
+    """How far a point seen from the middle of an ellipse of half axes (2,) lies inside, to first order at its edge."""
+    scaled = math.sqrt((x / half[0]) * (x / half[0]) + (y / half[1]) * (y / half[1]))
+    if scaled == 0.0:
+        return float(min(half[0], half[1]))
+    steep_x = x / (half[0] * half[0])
+    steep_y = y / (half[1] * half[1])
+    return scaled * (1.0 - scaled) / max(math.sqrt(steep_x * steep_x + steep_y * steep_y), 1e-9)
 
 
 def _direction(from_px: Floats, length_px: float, longest_px: float, rng: np.random.Generator) -> Floats:

@@ -7,6 +7,7 @@ ReplayTrial (replay.py).
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from evetac_cli.devices import cameras as named_cameras
@@ -17,14 +18,17 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.params import Grasp
+from evetac_cli.stages import part_costs
 from evetac_cli.stages.grasp import simulated
+from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.grasp.setup import make_law, make_timing
 from evetac_cli.stages.trials import OUTPUT as OUTPUT
-from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, SimulatedTrial, built_parts, simulated_trials
+from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, SimulatedTrial, simulated_trials
 from evetac_cli.stages.unused_options import refuse_unused_of_grasp
 from evetac_cli.store.files import up_to_date
 
 METHOD = simulated.METHOD
+TIMERS = (("slip detector", OnlineSlipDetector, "step"),)  # what a dry run times beside the scene
 
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
@@ -71,7 +75,7 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False) -> Outco
         return real_time.dry_run(others, params, force=force)
     for trial in trials:
         up_to_date(trial.output, simulated.make_recipe(trial, params), force=force)
-    return built_parts(trials)
+    return part_costs.dry_run(trials, partial(simulated.play, params=params), *TIMERS)
 
 
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:

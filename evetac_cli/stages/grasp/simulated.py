@@ -4,10 +4,14 @@ What became of it is in the file and in the row (sim/grasp_outcome.py).
 """
 
 import json
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from evetac_cli.jobs import Outcome, Progress, outcome
+from evetac_cli.devices import Rig
+from evetac_cli.events import Events
+from evetac_cli.jobs import Outcome, Progress, outcome, silent
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params import Grasp
 from evetac_cli.sim import grasp_outcome
@@ -36,32 +40,47 @@ def make_recipe(trial: SimulatedTrial, params: Grasp) -> Recipe:
 
 def run(trial: SimulatedTrial, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
     """Simulate one grasp, and write it with what became of it."""
-    model_path, control = model_path_for(params), Control(make_law(params), params.control_hz)
     recipe = make_recipe(trial, params)
-    parameters = recipe.parameters
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
+    buffer, timing = TrialBuffer(), make_timing(params)
+    devices, slipping = play(trial, buffer.append, params=params, progress=progress)
+    arrays = buffer.arrays()
+    figures = grasp_outcome.outcome(arrays, trial.plan["sensor_row"]["mm_per_px"], timing.end_ms)
+    arrays |= {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.sampled}
+    write_stage(trial.output, recipe, {**devices.camera.sensor, **arrays, "t_offset": np.int64(0)})
+    slices = len(buffer.events)
+    solver = SolverFigures()
+    solver.add(arrays)
+    figures |= solver.figures(trial.plan["scene"]["solver"])
+    return outcome(trial, made=True, simulated=True, slices=slices, slices_with_slip=slipping, **figures)
+
+
+def play(
+    trial: SimulatedTrial,
+    append: Callable[[Events, dict[str, Any]], None],
+    *,
+    params: Grasp,
+    progress: Progress = silent,
+) -> tuple[Rig, int]:
+    """Hand over every slice of a grasp and its rows, until it ends or `append` raises.
+
+    Returns its devices, closed, and in how many slices the detector saw slip.
+    """
     from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
 
-    devices = rig(parameters, trial.seeds(), lift_s=params.lift_s, balance_s=params.balance_s)
-    timing = make_timing(params)
-    buffer = TrialBuffer()
+    model_path, control, timing = (
+        model_path_for(params),
+        Control(make_law(params), params.control_hz),
+        make_timing(params),
+    )
+    devices = rig(trial.plan, trial.seeds(), lift_s=params.lift_s, balance_s=params.balance_s)
     try:
         detector = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:
                 detector = open_detector(model, devices.camera.sensor, params.tracker)
-        slices = run_grasp(
-            devices, detector, control, timing, buffer.append, lambda done: progress(done, timing.end_ms)
-        )
+        run_grasp(devices, detector, control, timing, append, lambda done: progress(done, timing.end_ms))
     finally:
         devices.close()
-    arrays = buffer.arrays()
-    figures = grasp_outcome.outcome(arrays, parameters["sensor_row"]["mm_per_px"], timing.end_ms)
-    arrays |= {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.sampled}
-    write_stage(trial.output, recipe, {**devices.camera.sensor, **arrays, "t_offset": np.int64(0)})
-    slipping = detector.count if detector else 0
-    solver = SolverFigures()
-    solver.add(arrays)
-    figures |= solver.figures(trial.plan["scene"]["solver"])
-    return outcome(trial, made=True, simulated=True, slices=slices, slices_with_slip=slipping, **figures)
+    return devices, detector.count if detector else 0

@@ -18,10 +18,11 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.read.read_rosbag import is_bag_folder
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import Record
+from evetac_cli.stages import part_costs
 from evetac_cli.stages.record import capture, capture_plan, imported, live_view, simulated
 from evetac_cli.stages.record.imported import ImportJob
 from evetac_cli.stages.trials import OUTPUT as OUTPUT
-from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, built_parts, device_trials, simulated_trials
+from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, device_trials, simulated_trials
 from evetac_cli.stages.unused_options import refuse_unused_of_record
 from evetac_cli.store.files import output_path, up_to_date
 
@@ -85,7 +86,7 @@ def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False) -> Outc
     for trial in scenes:
         if not params.live:
             up_to_date(trial.output, simulated.make_recipe(trial), force=force)
-    return built_parts(scenes)
+    return part_costs.dry_run(scenes, simulated.play_through)
 
 
 def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -4,7 +4,7 @@ Where the scene has a gripper, the object is held by motor current, which is low
 out (paper, "Experimental Setup and Data Collection Procedure").
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,6 +68,16 @@ def play(trial: SimulatedTrial) -> tuple[Rig, Iterator[tuple[Events, dict[str, A
     ramp = np.random.default_rng(seeds.spawn(1)[0])
     devices = rig(trial.plan, seeds)
     return devices, _slices(devices, GripperSchedule.read(trial.plan["scene"]), ramp)
+
+
+def play_through(trial: SimulatedTrial, append: Callable[[Events, dict[str, Any]], None]) -> None:
+    """Hand over every slice of a trial and its rows, until the trial ends or `append` raises."""
+    devices, slices = play(trial)
+    try:
+        for events, rows in slices:
+            append(events, rows)
+    finally:
+        devices.close()
 
 
 def _longest_s(time: Mapping[str, float]) -> float:

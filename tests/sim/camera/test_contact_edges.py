@@ -176,6 +176,31 @@ def test_scans_see_dots_lines_and_texture_together(name: str, window: bool) -> N
     assert match(result, expected, 1000.0).f1 >= 0.985
 
 
+@pytest.mark.parametrize("speed", [0.002, 0.02, 0.3])
+def test_pixels_that_are_left_out_would_not_have_fired(speed: float) -> None:
+    """Assert the same events in the same order whether pixels of an outline are left out or, beside a window, are not.
+
+    The outline comes, turns over dots that creep, drift or run, and goes; the window is in a corner and shows nothing.
+    """
+    grid = np.stack(np.meshgrid([22.3, 98.2], [20.1, 68.7]), axis=-1).reshape(-1, 2)
+    away = np.random.default_rng(2).normal(0.0, 1.0, grid.shape)
+
+    def turning(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+        middle = 60.0 + 25.0 * math.sin(0.2 * t_ms), 45.0 + 12.0 * math.cos(0.2 * t_ms)
+        cut = 85.0 + 0.1 * t_ms * np.linspace(-1, 1, FRAME[1])
+        return grid + speed * t_ms * away, np.zeros(2), place(*middle, min(0.2 * t_ms, 1.0, 0.2 * (40 - t_ms)), cut)
+
+    nothing = np.zeros((8, 8), np.float32)
+    states = [
+        camera.start(QUIET, grid, None, *window, np.random.default_rng(0), None, lines_for(turning))
+        for window in ((None, None), ((0, 88, 2, 90), nothing))
+    ]
+    few, every = (play(camera.step, state, turning, 40) for state in states)
+    assert few.size > 2000
+    for name in few._fields:
+        np.testing.assert_array_equal(getattr(few, name), getattr(every, name))
+
+
 def test_one_event_a_pixel_and_scan() -> None:
     """Assert that dots, texture, rim and cut edge in one pixel still make at most one event a scan."""
     result = play(camera.step, start(slide), slide, 24)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from evetac_cli import params
 from evetac_cli.errors import SceneError
+from evetac_cli.events import concatenate
 from evetac_cli.resources import SCENES, table
 from evetac_cli.sim import gripper, sampling, scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
@@ -284,3 +285,28 @@ def test_data_rates_are_the_papers(tmp_path: Path) -> None:
         paper_mean, paper_sd = reported[interval]
         assert mean == pytest.approx(paper_mean, abs=2.306 * paper_sd * np.sqrt(2 / 5)), interval
     assert 10 < most_kb < 25
+
+
+@pytest.mark.parametrize("sensor", ["evetac", "randomized:3"])
+def test_a_texture_that_nobody_looks_at(sensor: str) -> None:
+    """Assert that a grasp without texture has the gel's events and the truth of one with it, and none of the window."""
+    seen = {}
+    for texture in ("on", "off"):
+        built = plan("lift", "11", sensor, ("lift",), texture=texture)[0]
+        trial = GraspSimulation(built, *(np.random.default_rng([5, part]) for part in range(2)), lift_s=1.0)
+        events, rows = [], []
+        for ms in range(2300):  # closes, and the hand begins to rise
+            if ms % 2 == 0:
+                trial.command = ("position", trial.finger.position_ticks + 2)
+            events.append(trial.step())
+            rows.append(trial.truth())
+        seen[texture] = concatenate(events), rows
+    (on, truth_on), (off, truth_off) = seen["on"], seen["off"]
+    border = scene.sensor_row(sensor)["window_px"][0] - 5  # the cut edge lies over both
+    for name in on._fields:
+        np.testing.assert_array_equal(getattr(on, name)[on.x < border], getattr(off, name)[off.x < border])
+    assert (on.x > border + 10).sum() > (off.x > border + 10).sum() + 500
+    for one, other in zip(truth_on, truth_off, strict=True):
+        assert {key: np.asarray(value).tolist() for key, value in one.items()} == {
+            key: np.asarray(value).tolist() for key, value in other.items()
+        }

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.devices.simulated import rig
-from evetac_cli.sim.scene import parts, plan
+from evetac_cli.sim.parts import parts
+from evetac_cli.sim.scene import plan
 from evetac_cli.sim.scenes.rubbing import Rubbing
 
 

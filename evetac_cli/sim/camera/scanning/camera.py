@@ -299,7 +299,8 @@ def _scan(
 ) -> int:
     """Scan dots and window; returns the number of events."""
     scans = ScanTimes(times[0], times[1], times[2])
-    made = scan_dots(path, gel_pixels(gel), scans, 0, len(scans.readout_us), keys, 0)
+    untouched = np.zeros(len(path), np.uint8)
+    made = scan_dots(path, gel_pixels(gel), scans, 0, len(scans.readout_us), untouched, False, keys, 0)
     pixels = window_pixels(window)
     if pixels.reference.size:
         object_motion = ObjectMotion(motion[0], motion[1], motion[2])

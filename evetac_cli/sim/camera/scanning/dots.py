@@ -21,6 +21,7 @@ from evetac_cli.sim.camera.scanning.pixel_culling import (
     RESOLUTION_PX,
     RUSH_PX,
     is_within,
+    list_reach,
     make_list,
     renew_listed,
     ring_pixels,
@@ -38,12 +39,15 @@ def scan_dots(
     times: ScanTimes,
     first_scan: int,
     end_scan: int,
+    touched: NDArray[np.uint8],
+    apart: bool,
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
     """Compare the pixels that may fire in some scans; returns the number of events, also of those that do not fit.
 
-    Dots move along paths (dots, k + 1, 2) over the slice.
+    Dots move along paths (dots, k + 1, 2) over the slice. Of dots that a line has `touched` nothing is remembered; with
+    `apart` it is known that no two rings meet.
     """
     seen_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
@@ -55,7 +59,7 @@ def scan_dots(
     at_xy = np.empty((dots, end_scan - first_scan, 2))
     at_scans(path, scans, first_scan, at_xy)
     box = dot_rings.boxes(at_xy, seen_xy)
-    crowded = dot_rings.crowded(box, outer)
+    crowded = np.zeros(dots, np.bool_) if apart else dot_rings.crowded(box, outer)
     near_xy = np.empty_like(at_xy)
     near_box = np.empty((dots, 4))
     table = (inner, outer, steps_per_px, profile)
@@ -71,6 +75,9 @@ def scan_dots(
             count = ring_pixels(box[dot], inner, outer, False, candidates)
             count = select_own(dot, count, box, inner, outer, candidates)
             count = select_active(candidates.active[:count], near_box[:near], *table, *pixels, now_us, candidates)
+        elif touched[dot]:
+            candidates.list_length[dot] = -1
+            count = ring_pixels(list_reach(box[dot]), inner, outer, True, candidates)
         else:
             if not is_within(box, candidates.list_box, dot):
                 make_list(dot, box[dot], *table, *pixels, now_us, candidates)

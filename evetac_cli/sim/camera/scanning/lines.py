@@ -2,8 +2,13 @@
 
 Lines change no picture but the references, by as much with the other sign; then the pixels of both are compared. So a
 scan shows dots, lines and texture of one time, and a pixel still has at most one event.
+
+Why so: what follows from a reference (see pixel_culling) holds until a line moves over its pixel. Of a dot that a line
+touches in a scan nothing is found anew then, since the next scan would drop it again: its pixels are compared as they
+are. Dots that no line touches keep their lists.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -25,8 +30,11 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_row,
 )
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
+from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
 from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
 from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
+
+SHORT_PX = 32  # pixels side by side that are quicker looked at one by one than handed on as arrays
 
 
 @njit(cache=True)
@@ -50,18 +58,48 @@ def scan_lines(
     rows, columns = outline.picture.shape
     cut_rows = len(seen_cut_x)
     moved_from = seen_corner.copy()
-    cut_from = seen_cut_x.copy()
     line = np.empty(width, np.float32)
-    first_x, first_y, object_seen, texture, window_reference, window_threshold, window_release_us, runs = window
+    outlined = height if rows else 0
+    runs = np.zeros((outlined, 4), np.int64)
+    cut_runs = np.zeros((cut_rows, 4), np.int64)
+    first_x, first_y, object_seen, texture, window_reference, window_threshold, window_release_us, due_runs = window
     contrast = motion.contrast
-    reach = _reach_of_lines(start, end, cut_half, rows, columns, seen_corner, seen_cut_x)
-    dot_xy, dots = _dots_at_lines(path, gel.seen_dot_xy_px, scans, outer, reach)
-    due = (runs.due_at, runs.row_due_at)
+    at_xy = np.empty((len(path), scans, 2))
+    at_scans(path, scans, 0, at_xy)
+    box = dot_rings.boxes(at_xy, gel.seen_dot_xy_px)
+    outline_reach = _reach_of_outline(start, end, rows, columns, seen_corner)
+    cut_reach = _reach_of_cut(start, end, cut_half, seen_cut_x)
+    near = np.zeros(len(path), np.bool_)
+    at_lines = False
+    union = (
+        min(outline_reach[0], cut_reach[0]),
+        outline_reach[1],
+        max(outline_reach[2], cut_reach[2]),
+        outline_reach[3],
+    )
+    if cut_rows:
+        union = (union[0], -np.inf, union[2], np.inf)
+    for dot in range(len(path)):
+        near[dot] = _reaches(box[dot], outer, outline_reach) or (cut_rows > 0 and _reaches(box[dot], outer, cut_reach))
+        at_lines = at_lines or _reaches(box[dot], outer, union)
+    apart = not dot_rings.crowded(box, outer + 2.0).any()
+    # Where dots are apart, no pixel gets blind and no texture shows, most pixels of an outline can be left out.
+    few = rows > 0 and apart and window_reference.size == 0 and gel.release_us.size == 0
+    off_level = 0.0
+    if few:
+        off_level = draw_dots(box, near, inner, outer, steps_per_px, profile, candidates.drawn_at, candidates.drawn)
+    drawn = (candidates.drawn, off_level)
+    outline_pixels = (reference, gel.threshold, candidates.lower2_px2)
+    doubtful = candidates.doubtful
+    touched = np.zeros(len(path), np.uint8)
+    near_xy = np.empty((near.sum(), 2))
+    row_xy = np.empty_like(near_xy)
+    due = (due_runs.due_at, due_runs.row_due_at)
     shifted = (reference, candidates.lower2_px2, first_x, first_y, window_reference, *due)
     made = 0
     line_events = 0
-    if dots == 0:
-        made = scan_dots(path, gel, times, 0, scans, keys, made)
+    if not at_lines:
+        made = scan_dots(path, gel, times, 0, scans, touched, apart, keys, made)
     for scan in range(scans):
         part = scan / scans
         now_us = t0_us + scan * SLICE_US / scans
@@ -74,65 +112,92 @@ def scan_lines(
         moved_from[:] = seen_corner
         faded = strength != seen_corner[2]
         moved = (x, y, moved_from[0], moved_from[1], faded)
-        touched = (width, 0)
         for row in range(first_row, end_row):
             left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *moved)
-            for first, beyond in ((left, left_end), (right, right_end)):
-                sample_row(outline.picture, x, y, strength, row, first, beyond, line)
-                _shift(line, seen_level, row, first, beyond, *shifted)
-            touched = (min(touched[0], left), max(touched[1], right_end))
-        _forget_lists(candidates.list_box, outer, first_row, end_row, *touched)
+            runs[row] = (left, left_end, right, right_end)
+        touching = (first_row, end_row)
+        if few:
+            place = (x, y, strength)
+            shift_outline(outline.picture, place, touching, runs, seen_level, outline_pixels, drawn, line, doubtful)
+        else:
+            for row in range(first_row, end_row):
+                left, left_end, right, right_end = runs[row]
+                for first, beyond in ((left, left_end), (right, right_end)):
+                    sample_row(outline.picture, x, y, strength, row, first, beyond, line)
+                    _shift(line, seen_level, row, first, beyond, *shifted)
+        touched[:] = 0
         if first_row < end_row:
+            over = (first_row, end_row, 0, width)
+            _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, over, runs, touched)
             seen_corner[0] = x
             seen_corner[1] = y
             seen_corner[2] = strength
-        cut_from[:] = seen_cut_x
-        touched = (width, 0)
+        cut_left = width
+        cut_right = 0
         for row in range(cut_rows):
             cut_x = start.cut_x_px[row] + part * (end.cut_x_px[row] - start.cut_x_px[row])
+            cut_runs[row, 0] = 0
+            cut_runs[row, 1] = 0
             if cut_moved(cut_contrast, cut_half, seen_cut_x[row], cut_x):
                 first, beyond = cut_run(cut_half, width, seen_cut_x[row], cut_x)
                 sample_cut(cut_contrast, cut_half, cut_x, first, beyond, line)
                 _shift(line, seen_cut_level, row, first, beyond, *shifted)
                 seen_cut_x[row] = cut_x
-                touched = (min(touched[0], first), max(touched[1], beyond))
-        _forget_lists(candidates.list_box, outer, 0, cut_rows, *touched)
+                cut_runs[row, 0] = first
+                cut_runs[row, 1] = beyond
+                cut_left = min(cut_left, first)
+                cut_right = max(cut_right, beyond)
+                if few:
+                    doubtful[row, first:beyond] = 1
+        if cut_left < cut_right:
+            over = (0, cut_rows, cut_left, cut_right)
+            _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, over, cut_runs, touched)
 
-        if dots > 0:
-            made = scan_dots(path, gel, times, scan, scan + 1, keys, made)
+        if at_lines:
+            made = scan_dots(path, gel, times, scan, scan + 1, touched, apart, keys, made)
         if window_reference.size:
             made = scan_window(motion, window, times, scan, scan + 1, keys, made)
 
         before = made
         when = (readout_us[scan], now_us, refractory_us)
-        place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
-        picture = (dot_xy[scan, :dots], inner, outer, steps_per_px, profile, texture, place)
+        texture_at = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
+        ink = (inner, outer, steps_per_px, profile, texture, texture_at)
         gel_pixels = (reference, gel.threshold, gel.release_us, candidates.lower2_px2)
         window_pixels = (first_x, first_y, window_reference, window_threshold, window_release_us, *due)
         pixels = (*gel_pixels, *window_pixels)
+        dots = 0
+        for dot in range(len(near)):
+            if near[dot]:
+                near_xy[dots] = at_xy[dot, scan]
+                dots += 1
+        if few:
+            dot_ink = (inner, outer, steps_per_px, profile)
+            made = compare_outline(
+                near_xy, dot_ink, touching, runs, doubtful, outline_pixels, drawn[0], readout_us[scan], keys, made
+            )
+            end_row = first_row
         for row in range(first_row, end_row):
-            left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *moved)
+            in_row = _dots_in_row(near_xy, row, outer, row_xy)
+            left, left_end, right, right_end = runs[row]
             for first, beyond in ((left, left_end), (right, right_end)):
-                made = _compare_across(picture, pixels, row, first, beyond, *when, line, keys, made)
-        for row in range(cut_rows):
-            if cut_from[row] != seen_cut_x[row]:
-                first, beyond = cut_run(cut_half, width, cut_from[row], seen_cut_x[row])
-                made = _compare_across(picture, pixels, row, first, beyond, *when, line, keys, made)
+                made = _compare_across(row_xy[:in_row], ink, pixels, row, first, beyond, *when, line, keys, made)
+        if cut_left < cut_right:
+            for row in range(cut_rows):
+                first, beyond = cut_runs[row, 0], cut_runs[row, 1]
+                if first < beyond:
+                    in_row = _dots_in_row(near_xy, row, outer, row_xy)
+                    made = _compare_across(row_xy[:in_row], ink, pixels, row, first, beyond, *when, line, keys, made)
         line_events += made - before
     return made, line_events
 
 
+# A box that holds all pixels whose level can change: left, top, right, bottom.
+Reach = tuple[float, float, float, float]
+
+
 @njit(cache=True)
-def _reach_of_lines(
-    start: Place,
-    end: Place,
-    cut_half: float,
-    rows: int,
-    columns: int,
-    seen_corner: NDArray[np.float64],
-    seen_cut_x: NDArray[np.float64],
-) -> tuple[float, float, float, float]:
-    """A box that holds all pixels whose level lines can change in a slice: left, top, right, bottom."""
+def _reach_of_outline(start: Place, end: Place, rows: int, columns: int, seen_corner: NDArray[np.float64]) -> Reach:
+    """The pixels whose level an outline of so many rows and columns can change in a slice; none without rows."""
     left = np.inf
     top = np.inf
     right = -np.inf
@@ -147,37 +212,80 @@ def _reach_of_lines(
             top = min(top, y - 2.0)
             right = max(right, x + columns + 2.0)
             bottom = max(bottom, y + rows + 2.0)
-    for row in range(len(seen_cut_x)):
-        left = min(left, start.cut_x_px[row] - cut_half, end.cut_x_px[row] - cut_half, seen_cut_x[row] - cut_half)
-        right = max(right, start.cut_x_px[row] + cut_half, end.cut_x_px[row] + cut_half, seen_cut_x[row] + cut_half)
-        top = -np.inf
-        bottom = np.inf
     return left, top, right, bottom
 
 
 @njit(cache=True)
-def _dots_at_lines(
-    path: NDArray[np.float64],
-    seen_xy: NDArray[np.float64],
-    scans: int,
-    outer: float,
-    reach: tuple[float, float, float, float],
-) -> tuple[NDArray[np.float64], int]:
-    """Where the dots that come near lines are at each scan, the first of (scans, dots, 2), and how many they are."""
+def _reach_of_cut(start: Place, end: Place, cut_half: float, seen_cut_x: NDArray[np.float64]) -> Reach:
+    """The pixels whose level the cut edge can change in a slice: columns, of all rows."""
+    left = np.inf
+    right = -np.inf
+    for row in range(len(seen_cut_x)):
+        left = min(left, start.cut_x_px[row] - cut_half, end.cut_x_px[row] - cut_half, seen_cut_x[row] - cut_half)
+        right = max(right, start.cut_x_px[row] + cut_half, end.cut_x_px[row] + cut_half, seen_cut_x[row] + cut_half)
+    return left, -np.inf, right, np.inf
+
+
+@njit(cache=True)
+def _reaches(box: NDArray[np.float64], outer: float, reach: Reach) -> bool:
+    """Whether the ring of a dot in a box (4,) can lie over some pixel of a reach."""
     left, top, right, bottom = reach
-    at_xy = np.empty((len(path), scans, 2))
-    at_scans(path, scans, 0, at_xy)
-    box = dot_rings.boxes(at_xy, seen_xy)
-    near_xy = np.empty((scans, len(path), 2))
-    near = 0
-    for dot in range(len(path)):
-        reach_x = box[dot, 2] + outer
-        reach_y = box[dot, 3] + outer
-        across = left <= box[dot, 0] + reach_x and box[dot, 0] - reach_x <= right
-        if across and top <= box[dot, 1] + reach_y and box[dot, 1] - reach_y <= bottom:
-            near_xy[:, near] = at_xy[dot]
-            near += 1
-    return near_xy, near
+    reach_x = box[2] + outer
+    reach_y = box[3] + outer
+    across = left <= box[0] + reach_x and box[0] - reach_x <= right
+    return bool(across and top <= box[1] + reach_y and box[1] - reach_y <= bottom)
+
+
+@njit(cache=True)
+def _touch_dots(
+    at_xy: NDArray[np.float64],
+    seen_xy: NDArray[np.float64],
+    list_box: NDArray[np.float64],
+    outer: float,
+    over: tuple[int, int, int, int],
+    runs: NDArray[np.int64],
+    touched: NDArray[np.uint8],
+) -> None:
+    """Mark the dots that come near pixels whose references a line has just changed, and drop their lists.
+
+    `runs` (height, 4) holds these pixels: in a row from the first column up to the second, and from the third up to the
+    fourth. They are all `over` a box: rows from, up to, columns from, up to.
+    """
+    first_row, end_row, first_column, end_column = over
+    for dot in range(len(list_box)):
+        left = min(at_xy[dot, 0], seen_xy[dot, 0])
+        right = max(at_xy[dot, 0], seen_xy[dot, 0])
+        top = min(at_xy[dot, 1], seen_xy[dot, 1])
+        bottom = max(at_xy[dot, 1], seen_xy[dot, 1])
+        if not math.isnan(list_box[dot, 0]):
+            left = min(left, list_box[dot, 0] - list_box[dot, 2])
+            right = max(right, list_box[dot, 0] + list_box[dot, 2])
+            top = min(top, list_box[dot, 1] - list_box[dot, 3])
+            bottom = max(bottom, list_box[dot, 1] + list_box[dot, 3])
+        left -= outer + 1.0
+        right += outer + 1.0
+        if right < first_column or left > end_column:
+            continue
+        first = max(first_row, math.floor(top - outer))
+        end = min(end_row, math.ceil(bottom + outer) + 1)
+        for row in range(first, end):
+            before = runs[row, 0] < runs[row, 1] and runs[row, 0] <= right and left <= runs[row, 1]
+            after = runs[row, 2] < runs[row, 3] and runs[row, 2] <= right and left <= runs[row, 3]
+            if before or after:
+                touched[dot] = 1
+                list_box[dot] = np.nan
+                break
+
+
+@njit(cache=True)
+def _dots_in_row(dot_xy: NDArray[np.float64], row: int, outer: float, row_xy: NDArray[np.float64]) -> int:
+    """Collect the dots (dots, 2) whose ring reaches a row in `row_xy`; returns their number."""
+    dots = 0
+    for dot in range(len(dot_xy)):
+        row_xy[dots, 0] = dot_xy[dot, 0]
+        row_xy[dots, 1] = dot_xy[dot, 1]
+        dots += int(abs(row - dot_xy[dot, 1]) <= outer)
+    return dots
 
 
 @njit(cache=True)
@@ -214,19 +322,9 @@ def _shift(
 
 
 @njit(cache=True)
-def _forget_lists(list_box: NDArray[np.float64], outer: float, top: int, bottom: int, left: int, right: int) -> None:
-    """Drop the lists of dots that can come near rows top to bottom, columns left to right."""
-    for dot in range(len(list_box)):
-        reach_x = list_box[dot, 2] + outer
-        reach_y = list_box[dot, 3] + outer
-        across = left <= list_box[dot, 0] + reach_x and list_box[dot, 0] - reach_x <= right
-        if across and top <= list_box[dot, 1] + reach_y and list_box[dot, 1] - reach_y <= bottom:
-            list_box[dot] = np.nan
-
-
-@njit(cache=True)
 def _compare_across(
-    picture: tuple[Any, ...],
+    dot_xy: NDArray[np.float64],
+    ink: tuple[Any, ...],
     pixels: tuple[Any, ...],
     row: int,
     first: int,
@@ -240,14 +338,21 @@ def _compare_across(
 ) -> int:
     """Compare pixels first to end of a row of the frame, those of the gel and those of the window.
 
-    `picture` is what draws both, `pixels` what they have.
+    `dot_xy` and `ink` are what draws both, `pixels` what they have.
     """
-    dot_xy, inner, outer, steps_per_px, profile, texture, place = picture
+    if first >= end:
+        return made
+    inner, outer, steps_per_px, profile, texture, place = ink
     reference, threshold, release_us, lower2, first_x, first_y = pixels[:6]
     window_reference, window_threshold, window_release_us, due_at, row_due_at = pixels[6:]
     when = (readout_us, now_us, refractory_us, keys)
-    if first < end:
-        optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, first, end, line)
+    optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, first, end, line)
+    quiet = release_us.size == 0 and end - first <= SHORT_PX
+    if quiet:
+        for x in range(first, end):
+            quiet &= abs(line[x - first] - reference[row, x]) < threshold[row, x]
+            lower2[row, x] = np.inf
+    if not quiet:
         made = compare_row(
             line,
             reference[row, first:end],
@@ -264,15 +369,21 @@ def _compare_across(
     right = min(end, first_x + window_columns) - first_x
     if first_y <= row < first_y + window_rows and left < right:
         optics.sample_texture_run(texture, *place, row - first_y, left, right, line)
-        made = compare_row(
-            line,
-            window_reference[row - first_y, left:right],
-            window_threshold[row - first_y, left:right],
-            window_release_us[row - first_y, left:right],
-            first_x + left,
-            row,
-            *when,
-            made,
-        )
+        quiet = window_release_us.size == 0 and right - left <= SHORT_PX
+        if quiet:
+            for x in range(left, right):
+                off = abs(line[x - left] - window_reference[row - first_y, x])
+                quiet &= off < window_threshold[row - first_y, x]
+        if not quiet:
+            made = compare_row(
+                line,
+                window_reference[row - first_y, left:right],
+                window_threshold[row - first_y, left:right],
+                window_release_us[row - first_y, left:right],
+                first_x + left,
+                row,
+                *when,
+                made,
+            )
         mark_due(due_at, row_due_at, row - first_y, left, right)
     return made

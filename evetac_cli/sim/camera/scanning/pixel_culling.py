@@ -40,6 +40,16 @@ def is_within(box: NDArray[np.float64], wider: NDArray[np.float64], dot: int) ->
 
 
 @njit(cache=True)
+def list_reach(box: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The wider box (4,) for which the list of a dot in a box (4,) holds; the box itself where a list does not pay."""
+    wider = box.copy()
+    travel_px = 2.0 * max(box[2], box[3])
+    if travel_px < FAST_PX:
+        wider[2:] += SKIN_PX * math.sqrt(travel_px)
+    return wider
+
+
+@njit(cache=True)
 def make_list(
     dot: int,
     box: NDArray[np.float64],
@@ -56,12 +66,10 @@ def make_list(
     """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot."""
     candidates.list_box[dot] = np.nan
     candidates.list_length[dot] = -1
-    travel_px = 2.0 * max(box[2], box[3])
-    if travel_px >= FAST_PX:
+    if 2.0 * max(box[2], box[3]) >= FAST_PX:
         return
     wider = np.empty((1, 4))
-    wider[0] = box
-    wider[0, 2:] += SKIN_PX * math.sqrt(travel_px)
+    wider[0] = list_reach(box)
     count = ring_pixels(wider[0], inner, outer, True, candidates)
     count = select_active(
         candidates.active[:count],

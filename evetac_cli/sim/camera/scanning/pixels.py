@@ -26,7 +26,8 @@ class CandidatePixels(NamedTuple):
     radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
     `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii. `light` (2,) is
     what a flicker adds to all levels, less the middle of its range, and half that range (see light): radii hold
-    throughout it.
+    throughout it. `drawn` (height, width) and `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is
+    scratch of theirs: see outline.
     """
 
     level_index: NDArray[np.int16]
@@ -39,6 +40,9 @@ class CandidatePixels(NamedTuple):
     active: NDArray[np.int32]
     entry: NDArray[np.int64]
     light: NDArray[np.float32]
+    drawn: NDArray[np.float32]
+    drawn_at: NDArray[np.float64]
+    doubtful: NDArray[np.uint8]
 
 
 class CandidateRuns(NamedTuple):
@@ -115,6 +119,9 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
             candidates[7],
             candidates[8],
             candidates[9],
+            candidates[10],
+            candidates[11],
+            candidates[12],
         ),
     )
 
@@ -151,6 +158,9 @@ def all_pixels(
         active=np.empty(max(height * width, MOST_LISTED) + 1, np.int32),
         entry=np.empty(MOST_LISTED + 1, np.int64),
         light=light,
+        drawn=np.zeros(shape, np.float32),
+        drawn_at=np.zeros((dots, 3)),
+        doubtful=np.zeros((height, -(-width // 8) * 8), np.uint8),
     )
 
 

@@ -1,0 +1,226 @@
+"""Scans of an object's outline that moves over dots: which of its pixels may fire, and the events of those that do.
+
+Why so: a rubbed object passes over some 20,000 pixels in a scan, and 300 of them fire. Under dots their level costs ten
+times as much as the rest. So dots are drawn once, as they were when they were last some way off, and a pixel is left
+out where even a dot as far off as that could not make it fire; only the others are compared with the picture itself.
+Indices are unsigned: a signed one may count from the end, which keeps loops from being vectorised.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.event_keys import event_key
+
+# How far a dot may be from where it was drawn, on each axis. With more, more pixels are in doubt; with less, dots are
+# drawn more often.
+DRAWN_PX = 0.015
+UNSURE = np.float32(-1e-6)  # of a pixel at the rim of a drawn dot, where a dot somewhat farther would show
+
+Floats = NDArray[np.float64]
+Pixels = NDArray[np.float32]
+
+
+@njit(cache=True)
+def draw_dots(
+    box: Floats,
+    near: NDArray[np.bool_],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: Pixels,
+    drawn_at: Floats,
+    drawn: Pixels,
+) -> float:
+    """Draw those dots anew that have left where they were drawn; returns how far a drawn level may be off.
+
+    Dots stay within boxes (dots, 4) in this slice, apart from each other. `drawn` (height, width) is 0 where no dot is
+    near, and NaN where a dot moves too fast to be drawn. `drawn_at` (dots, 3) holds where a dot was drawn, and how far
+    from there, negative for NaN, 0 for not at all.
+    """
+    for dot in range(len(box)):
+        far_x = abs(box[dot, 0] - drawn_at[dot, 0]) + box[dot, 2]
+        far_y = abs(box[dot, 1] - drawn_at[dot, 1]) + box[dot, 3]
+        if drawn_at[dot, 2] > 0.0 and max(far_x, far_y) <= DRAWN_PX:
+            continue
+        if drawn_at[dot, 2] != 0.0:
+            first_x, end_x, first_y, end_y = _square(drawn_at[dot], drawn.shape)
+            drawn[first_y:end_y, first_x:end_x] = 0.0
+        drawn_at[dot, 2] = 0.0
+        if not near[dot]:
+            continue
+        drawn_at[dot, 0] = box[dot, 0]
+        drawn_at[dot, 1] = box[dot, 1]
+        fast = max(box[dot, 2], box[dot, 3]) > DRAWN_PX
+        drawn_at[dot, 2] = -(outer + max(box[dot, 2], box[dot, 3]) + 1.0) if fast else outer + 1.0
+        first_x, end_x, first_y, end_y = _square(drawn_at[dot], drawn.shape)
+        for y in range(first_y, end_y):
+            for x in range(first_x, end_x):
+                if fast:
+                    drawn[y, x] = np.nan
+                    continue
+                across = x - box[dot, 0]
+                down = y - box[dot, 1]
+                distance2 = across * across + down * down
+                if distance2 <= (outer + 2.0 * DRAWN_PX) ** 2:
+                    position = optics.profile_position(
+                        np.float32(distance2), np.float32(inner), np.float32(steps_per_px)
+                    )
+                    drawn[y, x] = min(optics.profile_level(position, profile), UNSURE)
+    steepest = 0.0
+    for k in range(len(profile) - 1):
+        steepest = max(steepest, abs(float(profile[k + 1]) - float(profile[k])))
+    return 1.5 * DRAWN_PX * steepest * steps_per_px + 1e-4
+
+
+@njit(cache=True)
+def _square(drawn_at: Floats, shape: tuple[int, int]) -> tuple[int, int, int, int]:
+    """The pixels of a frame that the drawing of a dot covers: columns from, up to, rows from, up to."""
+    reach = abs(drawn_at[2])
+    height, width = shape
+    first_x = min(max(math.floor(drawn_at[0] - reach), 0), width)
+    end_x = min(max(math.ceil(drawn_at[0] + reach) + 1, first_x), width)
+    first_y = min(max(math.floor(drawn_at[1] - reach), 0), height)
+    end_y = min(max(math.ceil(drawn_at[1] + reach) + 1, first_y), height)
+    return first_x, end_x, first_y, end_y
+
+
+@njit(cache=True)
+def shift_outline(
+    picture: Pixels,
+    place: tuple[float, float, float],
+    rows: tuple[int, int],
+    runs: NDArray[np.int64],
+    seen_level: Pixels,
+    pixels: tuple[Pixels, Pixels, Pixels],
+    drawn: tuple[Pixels, float],
+    line: Pixels,
+    doubtful: NDArray[np.uint8],
+) -> None:
+    """Take an outline at a place (corner x, y, strength) as seen: change the references by as much the other way.
+
+    `runs` (height, 4) are its pixels in these rows (first, end); `pixels` are their references, thresholds and squared
+    quiet radii, `drawn` the drawn dots and how far off they are. Fills the runs in `doubtful` (height, a multiple of
+    eight): 1 for pixels that may fire, else 0.
+    """
+    corner_x, corner_y, strength = place
+    reference, threshold, lower2 = pixels
+    dots, margin_level = drawn
+    margin = np.float32(margin_level)
+    picture_rows, picture_columns = picture.shape
+    one, zero = np.uint64(1), np.uint64(0)
+    for row in range(rows[0], rows[1]):
+        for side in range(2):
+            first = runs[row, 2 * side]
+            count = runs[row, 2 * side + 1] - first
+            if count <= 0:
+                continue
+            # As contact_edges.sample_row, to the bit.
+            upper_row = math.floor(row - corner_y)
+            column = math.floor(first - corner_x)
+            begin = count
+            stop = count
+            if strength != 0.0 and 0 <= upper_row < picture_rows - 1:
+                begin = min(max(-column, 0), count)
+                stop = max(begin, min(picture_columns - 1 - column, count))
+            for k in range(zero, np.uint64(begin)):
+                line[k] = 0.0
+            for k in range(np.uint64(stop), np.uint64(count)):
+                line[k] = 0.0
+            part_x = first - corner_x - column
+            part_y = row - corner_y - upper_row
+            upper_left = np.float32(strength * (1.0 - part_y) * (1.0 - part_x))
+            upper_right = np.float32(strength * (1.0 - part_y) * part_x)
+            lower_left = np.float32(strength * part_y * (1.0 - part_x))
+            lower_right = np.float32(strength * part_y * part_x)
+            above = np.uint64(upper_row)
+            below = above + one
+            shifted = np.uint64(column)
+            for k in range(np.uint64(begin), np.uint64(stop)):
+                column_at = k + shifted
+                line[k] = (
+                    upper_left * picture[above, column_at]
+                    + upper_right * picture[above, column_at + one]
+                    + lower_left * picture[below, column_at]
+                    + lower_right * picture[below, column_at + one]
+                )
+            y = np.uint64(row)
+            offset = np.uint64(first)
+            for k in range(zero, np.uint64(count)):
+                at = k + offset
+                reference[y, at] -= line[k] - seen_level[y, at]
+                seen_level[y, at] = line[k]
+            for k in range(offset, np.uint64(first + count)):
+                lower2[y, k] = np.inf
+            for x in range(offset, np.uint64(first + count)):
+                off = margin if dots[y, x] < np.float32(0.0) else np.float32(0.0)
+                doubtful[y, x] = not (abs(dots[y, x] - reference[y, x]) + off < threshold[y, x])
+
+
+@njit(cache=True)
+def compare_outline(
+    dot_xy: Floats,
+    ink: tuple[Any, ...],
+    rows: tuple[int, int],
+    runs: NDArray[np.int64],
+    doubtful: NDArray[np.uint8],
+    pixels: tuple[Pixels, Pixels, Pixels],
+    drawn: Pixels,
+    readout_us: NDArray[np.int64],
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Compare the doubtful pixels of `shift_outline` with the picture of dots (dots, 2); returns the number of events.
+
+    They are looked for eight at a time. Scans of the dots in between may have made a pixel fire, and then it is quiet;
+    they make none fire that was not doubtful.
+    """
+    reference, threshold, _ = pixels
+    in_a_row = doubtful.shape[1] // 8
+    eights = doubtful.reshape(-1).view(np.uint64)
+    for row in range(rows[0], rows[1]):
+        for side in range(2):
+            first = runs[row, 2 * side]
+            end = runs[row, 2 * side + 1]
+            if first >= end:
+                continue
+            for word in range(first // 8, (end - 1) // 8 + 1):
+                if eights[row * in_a_row + word] == 0:
+                    continue
+                for x in range(max(first, 8 * word), min(end, 8 * word + 8)):
+                    if doubtful[row, x] == 0:
+                        continue
+                    level = np.float32(0.0)
+                    if drawn[row, x] != np.float32(0.0):
+                        level = _dot_level(dot_xy, ink, x, row)
+                    change = level - reference[row, x]
+                    if abs(change) < threshold[row, x]:
+                        continue
+                    reference[row, x] = level
+                    if made < len(keys):
+                        keys[made] = event_key(readout_us[x], x, row, change > 0)
+                    made += 1
+    return made
+
+
+@njit(cache=True)
+def _dot_level(dot_xy: Floats, ink: tuple[Any, ...], x: int, y: int) -> np.float32:
+    """The log brightness of one pixel, as `optics.dot_row` gives it, to the bit."""
+    inner, outer, steps_per_px, profile = ink
+    level = np.float32(0.0)
+    for dot in range(len(dot_xy)):
+        down = y - dot_xy[dot, 1]
+        if abs(down) > outer or abs(x - dot_xy[dot, 0]) > outer + 1.0:
+            continue
+        half = math.sqrt(outer * outer - down * down)
+        if not math.ceil(dot_xy[dot, 0] - half) <= x <= math.floor(dot_xy[dot, 0] + half):
+            continue
+        down2 = np.float32(down) * np.float32(down)
+        across = np.float32(x - dot_xy[dot, 0])
+        position = optics.profile_position(across * across + down2, np.float32(inner), np.float32(steps_per_px))
+        level = min(level, optics.profile_level(position, profile))
+    return level

@@ -1,0 +1,200 @@
+"""The parts of a simulated scene: which of them a plan builds, which it leaves out, and the same plan the other way.
+
+A scene pays only for what it names. What a part costs, or would cost, is measured on the plan that `switched` makes:
+the trial with just this part left out, or with just this part built.
+"""
+
+import copy
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from evetac_cli.sim.solver import from_scene
+
+Plan = dict[str, Any]
+
+
+class Part(NamedTuple):
+    """A part of a scene: what is built of it ("" where it is left out), why it is left out, how to have it otherwise.
+
+    switch: leaves the part out of a plan, or builds it there; None where a scene cannot be had otherwise.
+    """
+
+    name: str
+    built: str
+    why_not: str
+    switch: Callable[[Plan], None] | None = None
+
+
+def parts(plan: Plan) -> list[dict[str, Any]]:
+    """What a plan builds and what it leaves out, a row a part."""
+    return [
+        {"part": part.name, "built": part.built or None, "left_out": None if part.built else part.why_not}
+        for part in _table(plan)
+    ]
+
+
+def switched(plan: Plan) -> dict[str, Plan]:
+    """The plan with one part the other way, by part: left out where it is built, built where it is left out."""
+    changed = {}
+    for part in _table(plan):
+        if part.switch is not None:
+            changed[part.name] = copy.deepcopy(plan)
+            part.switch(changed[part.name])
+    return changed
+
+
+def _table(plan: Plan) -> list[Part]:
+    return [*_mechanics(plan), *_camera(plan), *_disturbances(plan["scene"])]
+
+
+def _mechanics(plan: Plan) -> list[Part]:
+    resolved = plan["scene"]
+    kind = resolved["kind"]
+    modes = {"ramp": "current mode", "hold": "position, then current mode", "lift": "position mode"}
+    gripped = kind in modes
+    settings = from_scene(resolved)
+    steps = f"{settings.tolerance_um:g} um a step" if settings.step_ms is None else f"{settings.step_ms:g} ms steps"
+    nodes = "" if kind == "tone" else f"nodes every {settings.node_pitch_mm:g} mm, {steps}"
+    touching = f"object {plan['object']}"
+    if kind == "press":
+        touching = f"a face, {resolved['motion']['kind']}"
+    elif kind == "rub":
+        touching = f"a {' or a '.join(resolved['rub']['objects'])}, rubbed"
+    elif kind == "tone":
+        touching = f"a speaker, {plan['tone_hz']:g} Hz for {resolved['time']['tone_s']:g} s"
+    pushes = f"{len(resolved['push']['at_s'])} half sines" if "push" in resolved else ""
+    weight = f"{resolved['drop']['mass_g']} g" if "drop" in resolved else ""
+    return [
+        Part("gel and friction", nodes, "nothing slips: a closed form for each wave"),
+        Part("what touches", touching, ""),
+        Part("gripper", modes.get(kind, ""), "a hand drives the face"),
+        Part("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
+        Part("table and hand", "lift" if kind == "lift" else "", "nothing is lifted"),
+        Part("pushes", pushes, "none named", _without("push") if pushes else None),
+        Part("falling weight", weight, "none named", _without("drop") if weight else None),
+    ]
+
+
+def _camera(plan: Plan) -> list[Part]:
+    resolved, sensor_row = plan["scene"], plan["sensor_row"]
+    cut = resolved["gel"]["cut"]
+    dots = len(sensor_row["dot_rows_px"]) * (len(sensor_row["dot_columns_px"]) - cut)
+    readout = {"dvxplorer": "5000 scans/s, global hold", "ideal": "every event to the us"}[plan["readout"]]
+    textured = "texture" in resolved
+    shown = cut and textured and resolved["texture"].get("show", True)
+    no_window = "nobody looks at it" if textured else "nothing behind it has texture"
+    rubbed = resolved["kind"] == "rub" and resolved["rub"]["edge_log_contrast"][1] > 0.0
+    cut_edge = cut and sensor_row.get("cut_contrast", 0.0) > 0.0
+    noisy = sensor_row["noise_hz"] > 0.0 or sensor_row["hot_pixels"] > 0
+    noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {sensor_row['hot_pixels']} hot pixels"
+    return [
+        Part("camera", readout, ""),
+        Part("dots", f"{dots}, evaluated while they move", ""),
+        Part(
+            "window",
+            "texture of the object, moved with it" if shown else "",
+            no_window if cut else "closed gel: it has no window",
+            (_hide_texture if shown else _show_texture) if textured else None,
+        ),
+        Part("contact edges", "where they move" if rubbed else "", "none named", _no_edges if rubbed else None),
+        Part(
+            "cut edge",
+            "moves with the gel" if cut_edge else "",
+            "the sensor's cut is not seen" if cut else "closed gel: no cut",
+            _without_sensor("cut_contrast") if cut_edge else None,
+        ),
+        Part(
+            "noise",
+            noise if noisy else "",
+            "a camera without noise",
+            _without_sensor("noise_hz", "hot_pixels") if noisy else None,
+        ),
+        _pixels("slow pixels", sensor_row, "bandwidth_hz", "Hz", "as fast as anything moves"),
+        _pixels("leak", sensor_row, "leak_hz", "Hz a pixel", "the sensor has none"),
+        _pixels("blind pixels", sensor_row, "refractory_us", "us after an event", "the sensor has none"),
+    ]
+
+
+def _pixels(name: str, sensor_row: Plan, key: str, unit: str, why_not: str) -> Part:
+    """A property of the camera's pixels that a sensor has if its row names it."""
+    value = sensor_row.get(key, 0.0)
+    return Part(name, f"{value:g} {unit}" if value else "", why_not, _without_sensor(key) if value else None)
+
+
+def _disturbances(resolved: Plan) -> list[Part]:
+    """What is off unless a scene names it."""
+    light, gripper, hand = (resolved.get(group, {}) for group in ("light", "gripper", "hand"))
+    flicker, step, jerk = light.get("flicker"), light.get("step"), hand.get("jerk")
+    lights = [f"flickers by {flicker['depth']:.0%} at {flicker['frequency_hz']:g} Hz"] if flicker else []
+    lights += [f"x {step['factor']:g} from {step['at_s']:g} s on"] if step else []
+    gone, change, off = (resolved.get(group) for group in ("vanishing_dots", "friction_change", "calibration"))
+    off_px = off.get("offset_px", [0.0, 0.0]) if off else []
+    play, stiffness = gripper.get("backlash_ticks", 0.0), resolved["gel"].get("stiffness_factor", 1.0)
+    factor = gripper.get("friction_factor", [1.0, 1.0])
+    factor = factor if isinstance(factor, list) else [factor, factor]
+    rubs = f"x {factor[0]:g}" + (f" to {factor[1]:g}" if factor[1] > factor[0] else "")
+    mass = f"{resolved['object']['mass_g']:g} g" if "object" in resolved else ""
+    named = {
+        ("changing light", "light"): (", ".join(lights), "steady: none named"),
+        ("vanishing dots", "vanishing_dots"): (
+            f"{len(gone['dots'])} from {gone['at_s']:g} s on" if gone else "",
+            "none named",
+        ),
+        ("calibration that is off", "calibration"): (
+            f"by {off_px[0]:g}, {off_px[1]:g} px and {off.get('turned_deg', 0.0):g} deg" if off else "",
+            "the dots at rest are known",
+        ),
+        ("change of friction", "friction_change"): (
+            f"x {change['factor']:g} from {change['at_s']:g} s on" if change else "",
+            "none named",
+        ),
+        ("gear friction", "gripper.friction_factor"): (
+            rubs if factor != [1.0, 1.0] else "",
+            "as the sensor's gripper has it",
+        ),
+        ("backlash of the gripper", "gripper.backlash_ticks"): (f"{play:g} ticks" if play else "", "none named"),
+        ("jerk of the hand", "hand.jerk"): (
+            f"{jerk['speed_mm_s']:g} mm/s for {jerk['lasts_s']:g} s at {jerk['at_s']:g} s" if jerk else "",
+            "none named",
+        ),
+        ("other stiffness of the gel", "gel.stiffness_factor"): (
+            f"x {stiffness:g}" if stiffness != 1.0 else "",
+            "as the sensor has it",
+        ),
+        ("other mass of the object", "object"): (mass, "none named"),
+    }
+    measured = ("changing light", "vanishing dots", "change of friction", "jerk of the hand")  # the others cost nothing
+    return [
+        Part(name, built, why_not, _without(*place.split(".")) if built and name in measured else None)
+        for (name, place), (built, why_not) in named.items()
+    ]
+
+
+def _without(*place: str) -> Callable[[Plan], None]:
+    def leave_out(plan: Plan) -> None:
+        named = plan["scene"]
+        for key in place[:-1]:
+            named = named[key]
+        del named[place[-1]]
+
+    return leave_out
+
+
+def _without_sensor(*keys: str) -> Callable[[Plan], None]:
+    def leave_out(plan: Plan) -> None:
+        plan["sensor_row"] |= {key: type(plan["sensor_row"][key])(0) for key in keys}
+
+    return leave_out
+
+
+def _show_texture(plan: Plan) -> None:
+    plan["scene"]["gel"]["cut"] = True
+    plan["scene"]["texture"]["show"] = True
+
+
+def _hide_texture(plan: Plan) -> None:
+    plan["scene"]["texture"]["show"] = False
+
+
+def _no_edges(plan: Plan) -> None:
+    plan["scene"]["rub"]["edge_log_contrast"] = [0.0, 0.0]

@@ -1,0 +1,192 @@
+"""What the parts of a simulated scene cost a slice on this machine, measured on the first seconds of a trial.
+
+Parts that a scene can do without are measured with and without, in turn; gel, gripper and camera by timers about their
+calls. The trial is the same every time, so each stretch of it counts as the fastest of its runs: what else the machine
+does meanwhile is left out. Only the time of this thread counts; writing the file is not in it.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from time import thread_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events
+from evetac_cli.jobs import Outcome
+from evetac_cli.sim.parts import parts, switched
+from evetac_cli.stages.trials import SimulatedTrial
+
+REPEATS = 2
+BLOCK = 50  # slices that are timed together
+MOVING_S = 1.5  # how long a trial is measured once something moves
+
+Append = Callable[[Events, dict[str, Any]], None]
+Play = Callable[[SimulatedTrial, Append], Any]  # runs a trial and hands over every slice and its rows
+Timer = tuple[str, Any, str]  # a part, and the function or method that is timed: what it belongs to, and its name
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PartCosts:
+    """Microseconds a slice of a trial, one for each block of slices, each the fastest of its runs.
+
+    whole: the trial as it is; timed: in the calls that are timed; switched: the trial with one part the other way.
+    """
+
+    plan: dict[str, Any]
+    whole: Floats
+    timed: dict[str, Floats]
+    switched: dict[str, Floats]
+
+    @property
+    def slices(self) -> int:
+        """How many slices were measured."""
+        return BLOCK * len(self.whole)
+
+    def more_us(self, part: str) -> float:
+        """How much more the trial takes with a part that can be switched than without it."""
+        other = self.switched[part]
+        both = min(len(other), len(self.whole))
+        difference_us = float((self.whole[:both] - other[:both]).mean())
+        left_out = any(row["part"] == part and row["left_out"] for row in parts(self.plan))
+        return -difference_us if left_out else difference_us
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The parts of the plan, each with what it costs where it is built, or saves where it is left out.
+
+        None where a part is not measured by itself: then it is in the figure of gel and friction, or cannot be had
+        otherwise. What the other parts of the camera do not account for is that of the dots.
+        """
+        rows = parts(self.plan)
+        names = [row["part"] for row in rows]
+        built = [row["part"] for row in rows if row["left_out"] is None]
+        timed_us = {part: float(us.mean()) for part, us in self.timed.items()}
+        costs = {part: self.more_us(part) for part in self.switched if part in built} | timed_us
+        in_camera = names[names.index("camera") + 1 :]
+        costs["dots"] = timed_us["camera"] - sum(costs.get(part, 0.0) for part in in_camera)
+        for row in rows:
+            left_out = row["part"] not in built and row["part"] in self.switched
+            row["time_us"] = costs.get(row["part"])
+            row["saves_us"] = self.more_us(row["part"]) if left_out else None
+        rest_us = float(self.whole.mean()) - sum(timed_us.values())
+        beside = {part: us for part, us in timed_us.items() if part not in names} | {"everything else": rest_us}
+        for part, us in beside.items():
+            rows.append(dict.fromkeys(rows[0]) | {"part": part, "built": BESIDE_SCENE[part], "time_us": us})
+        return rows
+
+
+# What runs in a trial beside the parts of its scene.
+BESIDE_SCENE = {
+    "slip detector": "tracker, features, network",
+    "everything else": "places of dots, truth, commands",
+}
+
+
+def dry_run(trials: Sequence[SimulatedTrial], play: Play, *more_timers: Timer) -> Outcome:
+    """What the first trial builds and leaves out, and what each part of it costs here."""
+    costs = measure(trials[0], play, REPEATS, more_timers)
+    files = {"files": len(trials), "first_file": str(trials[0].output)}
+    if not costs.slices:  # over before there was anything to measure
+        return Outcome(parts(trials[0].plan), True, files, made=False)
+    rows, total_us = costs.rows(), float(costs.whole.mean())
+    summary = {
+        **files,
+        "slices_measured": costs.slices,
+        "time_us_a_slice": total_us,
+        "times_real_time": 1000.0 / total_us,
+        "left_out_saves_us": sum(row["saves_us"] or 0.0 for row in rows),
+    }
+    return Outcome(rows, True, summary, made=False)
+
+
+def measure(trial: SimulatedTrial, play: Play, repeats: int, more_timers: Sequence[Timer] = ()) -> PartCosts:
+    """Run the first slices of a trial again and again: as it is, with timers, and with one part of it switched."""
+    slices = _moving_slices(trial.plan["scene"])
+    others = {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
+    for one in (trial, *others.values()):
+        _run(one, play, 2 * BLOCK, {})  # compiles, or loads what was compiled
+    plain, timed = [], []
+    with_other: dict[str, list[Floats]] = {part: [] for part in others}
+    for _ in range(repeats):
+        plain.append(_run(trial, play, slices, {}))
+        with _timers((*_scene_timers(), *more_timers)) as seconds:
+            timed.append(_run(trial, play, slices, seconds))
+        for part, other in others.items():
+            with_other[part].append(_run(other, play, slices, {}))
+    in_calls = np.min(timed, axis=0)[:, 1:].T
+    return PartCosts(
+        plan=trial.plan,
+        whole=np.min(plain, axis=0)[:, 0],
+        timed={part: us for part, us in zip(seconds, in_calls, strict=True) if us.any()},
+        switched={part: np.min(runs, axis=0)[:, 0] for part, runs in with_other.items()},
+    )
+
+
+def _moving_slices(scene: dict[str, Any]) -> int:
+    """How many slices of a trial are measured: until things move as they mostly do in it, and MOVING_S of that."""
+    time, rub = scene["time"], scene.get("rub", {})
+    still = ("rest_s", "load_s", "hold_s", "touch_s", "before_rise_s")
+    still_s = sum(time.get(name, 0.0) for name in still) + sum(rub.get(name, 0.0) for name in ("touch_s", "shear_s"))
+    moves_s = float(max(still_s, time.get("tone_at_s", 0.0)) + 2 * rub.get("pause_s", 0.0))
+    return round(1000 * (moves_s + MOVING_S))
+
+
+class _Enough(Exception):
+    """As many slices as were asked for."""
+
+
+def _run(trial: SimulatedTrial, play: Play, slices: int, seconds: dict[str, float]) -> Floats:
+    """Microseconds a slice of each block, (blocks, 1 + timers): in all, and what each timer in `seconds` counted."""
+    blocks: list[list[float]] = []
+    last: list[float] = []
+    done = 0
+
+    def append(events: Events, rows: dict[str, Any]) -> None:
+        nonlocal done, last
+        if done % BLOCK == 0:
+            now = [thread_time(), *seconds.values()]
+            if done:
+                blocks.append([after - before for before, after in zip(last, now, strict=True)])
+            last = now
+        if done == slices:
+            raise _Enough
+        done += 1
+
+    with suppress(_Enough):
+        play(trial, append)
+    return np.reshape(np.array(blocks), (-1, 1 + len(seconds))) / BLOCK * 1e6
+
+
+def _scene_timers() -> tuple[Timer, ...]:
+    from evetac_cli.sim import gripper  # these build on numba: only when there is something to simulate
+    from evetac_cli.sim.camera.gel_camera import GelCamera
+    from evetac_cli.sim.gel.adaptive import Stepper
+
+    return (("gel and friction", Stepper, "advance"), ("gripper", gripper, "step"), ("camera", GelCamera, "render"))
+
+
+@contextmanager
+def _timers(timers: Sequence[Timer]) -> Iterator[dict[str, float]]:
+    """Seconds of this thread in the calls that stand for parts, which are wrapped for as long as this lasts."""
+    seconds = {part: 0.0 for part, _, _ in timers}
+
+    def watched(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*arguments: Any, **named: Any) -> Any:
+            started = thread_time()
+            result = call(*arguments, **named)
+            seconds[part] += thread_time() - started
+            return result
+
+        return timed
+
+    originals = [getattr(owner, name) for _, owner, name in timers]
+    try:
+        for (part, owner, name), call in zip(timers, originals, strict=True):
+            setattr(owner, name, watched(part, call))
+        yield seconds
+    finally:
+        for (_, owner, name), call in zip(timers, originals, strict=True):
+            setattr(owner, name, call)

@@ -1,0 +1,61 @@
+"""The parts of a scene: what is built, what is left out, and the same plan with one part the other way."""
+
+import copy
+from typing import Any
+
+import pytest
+
+from evetac_cli.resources import SCENES
+from evetac_cli.sim import scene
+from evetac_cli.sim.parts import parts, switched
+
+KINDS = ("ramp", "lift", "hold", "press", "rub", "tone")
+NAMES = sorted(path.stem for path in SCENES.glob("*.toml"))
+
+
+def planned(name: str, sensor: str = "evetac", gel: str | None = None, **more: Any) -> dict[str, Any]:
+    return scene.plan(name, "8", sensor, KINDS, gel, **more)[0]
+
+
+def left_out(plan: dict[str, Any]) -> set[str]:
+    return {row["part"] for row in parts(plan) if row["left_out"]}
+
+
+@pytest.mark.parametrize("gel", ["cut", "closed"])
+@pytest.mark.parametrize("sensor", ["evetac", "randomized:3"])
+@pytest.mark.parametrize("name", NAMES)
+def test_one_part_at_a_time(name: str, sensor: str, gel: str) -> None:
+    """Assert that a part is either built or left out, and that switching one changes it and nothing else."""
+    plan = planned(name, sensor, gel)
+    before = copy.deepcopy(plan)
+    assert all((row["built"] is None) != (row["left_out"] is None) for row in parts(plan))
+    opens_window = {"window", "cut edge"} if gel == "closed" else {"window"}
+    for part, other in switched(plan).items():
+        changed = left_out(plan) ^ left_out(other)
+        assert changed == {part} if part != "window" else {"window"} <= changed <= opens_window
+    assert plan == before
+
+
+def test_what_can_be_left_out() -> None:
+    """Assert which parts of three scenes can be had otherwise."""
+    assert set(switched(planned("slip"))) == {"window", "cut edge", "noise"}
+    assert set(switched(planned("data-rate", gel="closed"))) == {"pushes", "window", "noise"}
+    assert set(switched(planned("edge"))) == {"contact edges", "cut edge", "noise"}
+    assert "slow pixels" in switched(planned("drop-20g", "randomized:3"))
+
+
+@pytest.mark.parametrize("name", ["lift", "sideways", "drop-20g", "drop-100g"])
+def test_grasps_leave_the_window_out(name: str) -> None:
+    """Assert that a grasp builds no texture unless it is asked for, and says how to ask."""
+    assert "window" in left_out(planned(name))
+    assert "window" not in left_out(planned(name, texture="on"))
+
+
+def test_parts_that_only_some_scenes_name() -> None:
+    """Assert that what few scenes have is a row where it is named, and can be left out there."""
+    plan = planned("slip")
+    plan["scene"]["light"] = {"flicker": {"frequency_hz": 100.0, "depth": 0.1}}
+    (row,) = [row for row in parts(plan) if row["part"] == "flicker of the light"]
+    assert row["built"] == "frequency_hz 100.0, depth 0.1"
+    assert "flicker" not in switched(plan)["flicker of the light"]["scene"]["light"]
+    assert not any(row["part"] == "flicker of the light" for row in parts(planned("slip")))
