@@ -234,7 +234,8 @@ def test_fields_are_described(command: str, item: "dataclasses.Field[Any]") -> N
     assert about["help"].endswith(".")
     ending = item.name.rsplit("_", 1)[-1]
     if ending in ("px", "ms", "s", "ma"):
-        assert about["unit"] == {"ma": "mA"}.get(ending, ending)
+        rate = "1/" if item.name.endswith(f"_per_{ending}") else ""
+        assert about["unit"] == rate + {"ma": "mA"}.get(ending, ending)
     if about["choices"] and item.default is not None:
         assert item.default in about["choices"]
 

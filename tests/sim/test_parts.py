@@ -55,7 +55,9 @@ def test_parts_that_only_some_scenes_name() -> None:
     """Assert that what few scenes have is a row where it is named, and can be left out there."""
     plan = planned("slip")
     plan["scene"]["light"] = {"flicker": {"frequency_hz": 100.0, "depth": 0.1}}
-    (row,) = [row for row in parts(plan) if row["part"] == "flicker of the light"]
-    assert row["built"] == "frequency_hz 100.0, depth 0.1"
-    assert "flicker" not in switched(plan)["flicker of the light"]["scene"]["light"]
-    assert not any(row["part"] == "flicker of the light" for row in parts(planned("slip")))
+    (row,) = [row for row in parts(plan) if row["part"] == "changing light"]
+    assert row["built"] == "flickers by 10% at 100 Hz"
+    assert "light" not in switched(plan)["changing light"]["scene"]
+    (row,) = [row for row in parts(planned("slip")) if row["part"] == "changing light"]
+    assert (row["built"], row["left_out"]) == (None, "steady: none named")
+    assert "changing light" not in switched(planned("slip"))
