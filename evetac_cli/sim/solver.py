@@ -75,8 +75,11 @@ def from_scene(scene: Mapping[str, Any]) -> Solver:
 def resolve(scene: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """All settings of a scene, with those that are given in their place, as its table `[solver]`.
 
-    A tolerance that is given takes the place of a fixed step, and a fixed step that of a tolerance.
+    A tolerance that is given takes the place of a fixed step, and a fixed step that of a tolerance; ValueError where
+    both are given.
     """
+    if {"tolerance_um", "step_ms"} <= set(given):
+        raise ValueError("a tolerance or a fixed step (tolerance_um, step_ms), not both")
     named = dict(scene.get("solver", {}))
     if "step_ms" in given:
         named.pop("tolerance_um", None)

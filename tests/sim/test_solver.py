@@ -44,6 +44,12 @@ def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
     assert "step_ms" not in adaptive
 
 
+def test_a_step_and_a_tolerance_together_are_refused() -> None:
+    """Assert that neither is ignored in silence."""
+    with pytest.raises(SceneError, match="not both"):
+        plan("slip", "8", "evetac", ("ramp",), solver={"step_ms": 0.5, "tolerance_um": 0.1})
+
+
 def test_a_plan_says_all_settings() -> None:
     """Assert that a plan, and so the recipe of a recording, names every setting, also those at their defaults."""
     (planned,) = plan("lift", "8", "evetac", ("lift",), solver={"scans_per_ms": 10})
