@@ -109,6 +109,17 @@ def test_files_of_version_1_2_are_read(tmp_path: Path) -> None:
         StageFile(copy)
 
 
+def test_an_index_into_a_dataset_that_is_missing_is_refused(tmp_path: Path) -> None:
+    """Assert that a file whose onset points into labels that it does not have is refused in words."""
+    path = tmp_path / "a.features.h5"
+    small_files.features(path, ())
+    with h5py.File(path, "r+") as h5:
+        del h5["label"]
+    with pytest.raises(SchemaError, match="onset_slice is impossible") as refused:
+        StageFile(path)
+    assert "label" in str(refused.value)
+
+
 @pytest.mark.parametrize("name", ARCHITECTURES)
 @pytest.mark.parametrize("grid", [(7, 8), (2, 4), (5, 9)])
 def test_shapes_of_weights_are_those_of_the_networks(name: str, grid: tuple[int, int]) -> None:
