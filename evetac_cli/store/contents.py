@@ -146,6 +146,9 @@ def _text_fault(limits: Limits, text: str) -> tuple[str, str] | None:
 def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) -> tuple[str, str] | None:
     """Expected and found of the first limit that an array breaks, if any."""
     limits = row.limits
+    for other in (limits.index_of, limits.nan_where):
+        if other and not file.has(other):
+            return f"beside {other}", f"no {other} in the file"
 
     def first_wrong(wrong: NDArray[np.bool_], part: NDArray[Any] = array) -> str:
         place = tuple(int(index) for index in np.argwhere(wrong)[0])

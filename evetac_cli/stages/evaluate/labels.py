@@ -48,7 +48,7 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
         rows.append(
             {
                 "file": path.name,
-                "method": labels.header["parameters"].get("method", "farneback"),
+                "method": str(labels.header["parameters"].get("method", "farneback")),
                 "t_c_ms": onset if has_onset else None,
                 **true,
                 "onset_error_ms": onset - t_s if has_onset and t_s is not None else None,
