@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import EvetacError, attach_outcome
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.numerics import simulator
+from evetac_cli.numerics import simulator_stability
 from evetac_cli.numerics.grasp import stability as grasp
 from evetac_cli.numerics.tracker import stability as tracker
 from evetac_cli.params import EvaluateStability, recipe_of
@@ -28,7 +28,7 @@ class Part(NamedTuple):
 
 
 PARTS: dict[str, Part] = {
-    "sim": Part(simulator.cases, "part"),
+    "sim": Part(simulator_stability.cases, "part"),
     "track": Part(tracker.cases, "preset"),
     "grasp": Part(grasp.cases, "controller"),
 }

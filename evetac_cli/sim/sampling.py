@@ -21,7 +21,7 @@ from evetac_cli.errors import InputError
 
 OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
 FLOOR_MM = (250.0, 250.0)
-MEMORY_UM = 20.0
+MEMORY_UM = 20.0  # as gel.MEMORY_M, which is not imported here: it loads numba, and a plan does not need it
 DISTRIBUTIONS = ("uniform", "log_uniform", "whole")
 
 

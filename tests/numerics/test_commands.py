@@ -16,7 +16,7 @@ from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome
-from evetac_cli.numerics import bounds, cost, plots, simulator, stability
+from evetac_cli.numerics import bounds, cost, plots, simulator_stability, stability
 from evetac_cli.numerics.camera import cost as camera_cost
 from evetac_cli.numerics.gel import cost as gel_cost
 from evetac_cli.numerics.gel import stability as gel_stability
@@ -70,7 +70,7 @@ def small(monkeypatch, tmp_path):
     }.items():  # fmt: skip
         monkeypatch.setattr(unloading, name, Extent(amount, amount))
     monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
-    monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
+    monkeypatch.setattr(simulator_stability, "GEL_STEPS", Extent(2, 2))
     monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
     few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
     monkeypatch.setitem(stability.PARTS, "sim", few)

@@ -19,6 +19,9 @@ TOLERANCE_US = 10.0
 FARTHEST_US = 1000.0  # two events that are farther apart than this are not the same one
 EDGE_SIGMAS = 6.0  # an edge farther off than this changes a level by less than 1e-8
 
+# times in us, columns, rows and polarities of events, side by side
+Columns = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+
 
 class FineEvents(NamedTuple):
     """Columns of events with times that need not be whole: t in us, x and y in px, p 0 or 1."""
@@ -56,8 +59,8 @@ def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: 
         state.model.edge_sigma_px,
         state.model.log_contrast,
     )
-    columns = _empty_columns(_crossings(*given, *_empty_columns(0)))  # counts first
-    _crossings(*given, *columns)
+    columns = _empty_columns(_crossings(*given, _empty_columns(0)))  # counts first
+    _crossings(*given, columns)
     return FineEvents(*columns)
 
 
@@ -74,16 +77,43 @@ def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: f
         state.window_reference,
         state.window_threshold,
     )
-    columns = _empty_columns(_window_crossings(*given, *_empty_columns(0)))  # counts first
-    _window_crossings(*given, *columns)
+    columns = _empty_columns(_window_crossings(*given, _empty_columns(0)))  # counts first
+    _window_crossings(*given, columns)
     return FineEvents(*columns)
 
 
-def _empty_columns(size: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _empty_columns(size: int) -> Columns:
     return np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
 
 
-# Why so many arguments: called once for a whole solution, from one place, it gains nothing from groups of them.
+@njit(cache=True)
+def _cross(
+    level: float,
+    step: float,
+    ends: tuple[float, float],
+    piece: tuple[int, float],
+    pixel: tuple[int, int],
+    events: Columns,
+    made: int,
+) -> tuple[float, int]:
+    """Write the events of a pixel while its light goes linearly from one end to the other; its new level, and count.
+
+    piece: the sample at the end, and the time between two samples in us.
+    """
+    before, after = ends
+    sample, step_us = piece
+    times, columns, rows, polarities = events
+    while abs(after - level) >= step:
+        brighter = after > level
+        level += step if brighter else -step
+        if made < len(times):
+            times[made] = (sample - 1 + (level - before) / (after - before)) * step_us
+            columns[made], rows[made] = pixel
+            polarities[made] = int(brighter)
+        made += 1
+    return level, made
+
+
 @njit(cache=True)
 def _crossings(
     path: NDArray[np.float64],
@@ -93,10 +123,7 @@ def _crossings(
     radius: float,
     sigma: float,
     contrast: float,
-    event_t: NDArray[np.float64],
-    event_x: NDArray[np.int64],
-    event_y: NDArray[np.int64],
-    event_p: NDArray[np.int64],
+    events: Columns,
 ) -> int:
     """Write as many events as there is room for, and return how many there are."""
     samples, dots, _ = path.shape
@@ -124,20 +151,11 @@ def _crossings(
             before = _edge_level(x, y, path[0], near[:count], radius, sigma, contrast)
             for sample in range(1, samples):
                 after = _edge_level(x, y, path[sample], near[:count], radius, sigma, contrast)
-                while abs(after - level) >= step:
-                    brighter = after > level
-                    level += step if brighter else -step
-                    if made < len(event_t):
-                        event_t[made] = (sample - 1 + (level - before) / (after - before)) * step_us
-                        event_x[made] = x
-                        event_y[made] = y
-                        event_p[made] = int(brighter)
-                    made += 1
+                level, made = _cross(level, step, (before, after), (sample, step_us), (x, y), events, made)
                 before = after
     return made
 
 
-# Why so many arguments: as `_crossings`.
 @njit(cache=True)
 def _window_crossings(
     path: NDArray[np.float64],
@@ -146,10 +164,7 @@ def _window_crossings(
     corner: tuple[int, int],
     phase: NDArray[np.float32],
     threshold: NDArray[np.float32],
-    event_t: NDArray[np.float64],
-    event_x: NDArray[np.int64],
-    event_y: NDArray[np.int64],
-    event_p: NDArray[np.int64],
+    events: Columns,
 ) -> int:
     """Write as many events as there is room for, and return how many there are.
 
@@ -164,15 +179,7 @@ def _window_crossings(
             step = np.float64(threshold[row, column])
             for sample in range(1, len(path)):
                 after = _texture_level(texture, x - path[sample, 0], y - path[sample, 1])
-                while abs(after - level) >= step:
-                    brighter = after > level
-                    level += step if brighter else -step
-                    if made < len(event_t):
-                        event_t[made] = (sample - 1 + (level - before) / (after - before)) * step_us
-                        event_x[made] = x
-                        event_y[made] = y
-                        event_p[made] = int(brighter)
-                    made += 1
+                level, made = _cross(level, step, (before, after), (sample, step_us), (x, y), events, made)
                 before = after
     return made
 

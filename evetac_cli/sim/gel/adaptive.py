@@ -18,7 +18,7 @@ from evetac_cli.sim.solver import Solver
 
 Floats = NDArray[np.float64]
 
-LONGER = 0.3  # steps get longer again where the error is below this share of the tolerance: twice as long, thrice it
+LONGER = 0.3  # of the tolerance: below it steps get twice as long again, which makes the error two to four times
 
 
 @dataclass
@@ -26,28 +26,20 @@ class Slice:
     """What the steps of one slice did together.
 
     steps: how many there were. error_m: the largest estimated error of one. slip_m: how far the object slid against the
-    gel, (x, y), mean over the contact. friction_n: as of `gel.StepInfo`, mean over time. slip_fraction: of the last
-    step; least_slip_fraction: the least of all steps. slipping_force_n: the largest. converged: all steps.
+    gel, (x, y), mean over the contact. friction_n, slipping_force_n, friction_heat_j: as of `gel.StepInfo`, mean over
+    time, largest and sum.
     """
 
     steps: int = 0
-    sweeps: int = 0
-    residual: float = 0.0
-    converged: bool = True
     error_m: float = 0.0
     slip_m: tuple[float, float] = (0.0, 0.0)
     friction_n: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    slip_fraction: float = 0.0
-    least_slip_fraction: float = 1.0
     slipping_force_n: float = 0.0
     friction_heat_j: float = 0.0
 
     def add(self, info: gel.StepInfo, dt_s: float, share: float) -> None:
         """Count a step of dt_s, which is this share of the slice."""
         self.steps += 1
-        self.sweeps += info.sweeps
-        self.residual = max(self.residual, info.residual)
-        self.converged &= info.converged
         self.error_m = max(self.error_m, info.error_m)
         x, y = info.slip_velocity_m_s
         self.slip_m = (self.slip_m[0] + dt_s * x, self.slip_m[1] + dt_s * y)
@@ -57,8 +49,6 @@ class Slice:
             across + share * info.friction_n[1],
             moment + share * info.friction_n[2],
         )
-        self.slip_fraction = info.slip_fraction
-        self.least_slip_fraction = min(self.least_slip_fraction, info.slip_fraction)
         self.slipping_force_n = max(self.slipping_force_n, info.slipping_force_n)
         self.friction_heat_j += info.friction_heat_j
 

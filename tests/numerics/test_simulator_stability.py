@@ -2,13 +2,13 @@
 
 import pytest
 
-from evetac_cli.numerics import bounds, simulator
+from evetac_cli.numerics import bounds, simulator_stability
 from evetac_cli.numerics.bounds import refusal
 from evetac_cli.numerics.gel import stability as gel_stability
 from evetac_cli.numerics.gel.onset import onset_cases
 from evetac_cli.numerics.rows import Extent
 
-NONSENSE = dict(simulator.nonsense())
+NONSENSE = dict(simulator_stability.nonsense())
 
 
 @pytest.mark.parametrize("name", NONSENSE)
@@ -21,10 +21,10 @@ def test_nonsense_is_refused(name):
 
 def test_the_suite_holds_all_that_it_should(monkeypatch):
     """Assert that the extremes which the physics names are among the cases, and that nothing has two names."""
-    monkeypatch.setattr(simulator, "GEL_STEPS", Extent(2, 2))
-    monkeypatch.setattr(simulator, "CAMERA_SLICES", 1)
+    monkeypatch.setattr(simulator_stability, "GEL_STEPS", Extent(2, 2))
+    monkeypatch.setattr(simulator_stability, "CAMERA_SLICES", 1)
     monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
-    cases = [run() for run in simulator.cases(0, False)]
+    cases = [run() for run in simulator_stability.cases(0, False)]
     assert all(row["ok"] for rows in cases for row in rows)
     assert {row["part"] for rows in cases for row in rows} == {"gel", "gripper", "camera", "nonsense"}
     assert sum(row["quantity"] == bounds.ONSET.quantity for rows in cases for row in rows) == len(onset_cases())
