@@ -221,7 +221,6 @@ def _short_scene() -> str:
         "hold_s": "0.05",
         "after_lost_s": "0.02",
         "longest_s": "4.0",
-        "nodes": "[12, 9]",
         "start_factor": "[1.2, 1.25]",
         "friction_factor": "[0.1, 0.12]",
     }
@@ -231,7 +230,7 @@ def _short_scene() -> str:
         lines.append(f"{key} = {changes.pop(key)}" if "=" in line and key in changes else line)
     if changes:
         raise SystemExit(f"the slip scene has no {', '.join(changes)}")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", "[solver]", "node_pitch_mm = 1.667"]) + "\n"
 
 
 def _break_off(source: Path, target: Path) -> None:
