@@ -20,7 +20,7 @@ from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
 from evetac_cli.stages.evaluate import Rows
 
-THETAS = Extent[tuple[float, ...]](quick=(0.55,), full=(0.55, 1.0, 0.5))
+THETAS = Extent[tuple[float, ...]](quick=(0.51,), full=(0.51, 1.0, 0.5))
 GEL_STEPS = Extent(quick=100, full=1000)
 CAMERA_SLICES = 10
 RANDOM_CASES = Extent(quick=10, full=200)

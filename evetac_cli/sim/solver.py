@@ -18,7 +18,8 @@ class Solver:
     """The settings of the simulation.
 
     tolerance_um: largest estimated error of the displacement in one step of the mechanics; from 1 ms steps are halved
-    until it holds, HALVINGS times at most, and once more for each halving of the tolerance. step_ms: a fixed step
+    until it holds, HALVINGS times at most, and once more for each halving of the tolerance, or until nodes let go one
+    after the other (see sim.gel.adaptive), MOST_HALVINGS times at most. step_ms: a fixed step
     instead, whatever its error; 1 ms divided by a whole number. theta: 0.5 to 1, see sim.gel. node_pitch_mm: distance
     of the gel's nodes. camera_substeps: straight pieces of a dot's path within a slice. scans_per_ms: of the scanned
     readout. residual: of the balance of forces in a step, as a share of all forces.
@@ -26,7 +27,7 @@ class Solver:
 
     tolerance_um: float = 0.2
     step_ms: float | None = None
-    theta: float = 0.55
+    theta: float = 0.51
     node_pitch_mm: float = 0.833
     camera_substeps: int = 1
     scans_per_ms: int = 5

@@ -169,7 +169,7 @@ def test_cost_of_the_simulator():
         shown = {*cost.PARTS["sim"].errors, "error_px_before", "error_um_gel_before"}
         assert {name for name in row if name.startswith("error_")} < shown
     rows = {row["setting"]: row for row in outcome.rows}
-    for theta in ("1", "0.55", "0.5"):
+    for theta in ("1", "0.51", "0.5"):
         coarse, fine = (rows[f"theta {theta}, dt {dt} ms"]["error_um_object_rms"] for dt in (10, 1))
         assert fine < coarse
     substeps = [rows[f"ideal, circle, {n} sub-steps"]["error_us_p95"] for n in camera_cost.SUBSTEPS[:4]]

@@ -110,7 +110,7 @@ def random_case(seed: int, number: int) -> GelCase:
     )
 
 
-def gel_rows(case: GelCase, steps: int = 100, theta: float = 0.55, slides_within_s: float = 0.0) -> Rows:
+def gel_rows(case: GelCase, steps: int = 100, theta: float = 0.51, slides_within_s: float = 0.0) -> Rows:
     """Run a case for some steps of `gel.step` at a theta.
 
     slides_within_s: where not 0, the case is run for this time, within which the object should begin to slide.

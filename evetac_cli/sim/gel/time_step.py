@@ -24,7 +24,7 @@ Flags = NDArray[np.bool_]
 SWEEPS_A_ROUND = 3
 # Rounds whose bounds are refreshed. More of them find no better balance, and without end they take up to 400 rounds.
 REFRESHES = 4
-TOO_LONG = 5  # what `step_nodes` returns where its step changes a coefficient of friction by more than allowed
+TOO_LONG = 5  # what `step_nodes` returns where its step is longer than its `Allowed` allows
 INFO_SIZE = 16
 
 
@@ -43,6 +43,20 @@ class Layer(NamedTuple):
     pads: float
 
 
+class Allowed(NamedTuple):
+    """What a step may be at most; anything beyond is TOO_LONG.
+
+    error_m: the estimated error. steepness: how much faster a node's friction falls with its slip speed within the step
+    than the gel's own resistance rises. Above 1 several slip speeds are in balance; well below 1 the order in which
+    nodes pull each other loose is that of a fine step. It holds for nodes that let go, and where `shortest`, a larger
+    error is allowed as soon as it holds for all.
+    """
+
+    error_m: float = math.inf
+    steepness: float = math.inf
+    shortest: bool = True
+
+
 # The groups in which `step_nodes` takes its arguments. Why so: plain tuples, as named ones take 4 us more, of 9 for a
 # step of 14 x 10 nodes.
 # displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
@@ -54,9 +68,8 @@ Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats]
 Load = tuple[Floats, Floats, bool, Floats]
 # static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
 FrictionLaw = tuple[float, float, float, float]
-StepSettings = tuple[
-    float, float, float, int, float
-]  # dt, theta, tolerance, max_sweeps, the estimated error allowed in m
+# dt, theta, tolerance, max_sweeps, and an Allowed
+StepSettings = tuple[float, float, float, int, float, float, bool]
 LayerConstants = tuple[float, ...]  # a Layer
 
 
@@ -100,7 +113,7 @@ def step_nodes(
     layer = Layer(
         node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
     )
-    dt, theta, tolerance, max_sweeps, allowed = settings
+    dt, theta, tolerance, max_sweeps, allowed_m, steepest, shortest = settings
     rows, columns = nodal.shape
     for axis in range(3):
         if not (math.isfinite(force[axis]) and math.isfinite(wanted[axis])):
@@ -185,18 +198,25 @@ def step_nodes(
         trapezoid_s = dt * abs(1.0 - 0.5 / theta)
         error = trapezoid_s * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
     change = 0.0
+    too_long, accepted = False, shortest
     if falls:
-        hardest = 0.0
+        hardest = released = 0.0
         for row in range(rows):
             for column in range(columns):
                 hardest = max(hardest, nodal[row, column])
+                if stuck_before[row, column] and not stuck[row, column]:
+                    released = max(released, nodal[row, column])
                 if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals it exactly
                     mu = min(max(coefficient[row, column], mu_kinetic), mu_static)
                     change = max(change, abs(_after(mu, work.speed[row, column], dt, friction) - mu))
         # what the gel where it is pressed hardest would be displaced by, were friction that of the start of the step;
         # those at the rim, which bear little, are the first to let go, and what is next follows from when they do
         error = max(error, change * hardest / layer.shear)
-    if error > allowed:
+        fall = (mu_static - mu_kinetic) * h  # over what the gel resists with, `Allowed.steepness`
+        resisted = steepest * memory * stencil.own
+        too_long = released * fall > resisted
+        accepted = shortest and hardest * fall <= resisted
+    if too_long or (error > allowed_m and not accepted):
         stuck[:] = stuck_before
         return TOO_LONG
     info[:] = 0.0

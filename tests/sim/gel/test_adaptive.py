@@ -6,6 +6,7 @@ import pytest
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
+from evetac_cli.sim.gel.time_step import Allowed
 from evetac_cli.sim.solver import Solver
 
 FRICTION = gel.Friction(0.8, 0.64, 0.01, 20e-6)
@@ -42,7 +43,7 @@ def test_a_fixed_step_is_so_many_steps_of_the_gel(steps: int) -> None:
         assert done.steps == steps
         heat_j = 0.0
         for step in range(steps):
-            part = step / steps + 0.55 * (1 / steps)
+            part = step / steps + Solver().theta * (1 / steps)
             nodal_n = shares * (first_n + part * (last_n - first_n))
             heat_j += gel.step(twin, nodal_n, WEIGHT_N, FRICTION, 1e-3 * (1 / steps)).friction_heat_j
         assert done.friction_heat_j == heat_j
@@ -65,7 +66,10 @@ def test_a_slice_that_is_too_coarse_is_taken_back_whole() -> None:
     """Assert that a step above its error changes nothing of the state, and that it is then made in halves."""
     state, shares = cylinder()
     before = state.copy()
-    assert gel.step_within(state, 2.0 * shares, 100.0 * WEIGHT_N, FRICTION, 1e-3, 1e-9) is None
+    assert (
+        gel.step_within(state, 2.0 * shares, 100.0 * WEIGHT_N, FRICTION, 1e-3, Allowed(error_m=1e-9, shortest=False))
+        is None
+    )
     for name in ("displacement_m", "velocity_m_s", "maxwell_n", "pose", "twist", "stuck", "slip_m_s", "_mean_m_s"):
         assert (getattr(state, name) == getattr(before, name)).all()
     assert (state.friction_coefficient == before.friction_coefficient).all()
