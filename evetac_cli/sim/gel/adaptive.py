@@ -19,7 +19,7 @@ from evetac_cli.sim.solver import MOST_HALVINGS, Solver
 
 Floats = NDArray[np.float64]
 
-# Of `Allowed.steepness`. Why so: at the default tolerance, the onset of slip is within 0.25 ms of that of steps of 10 us
+# Of `Allowed.steepness`. Why so: at the default tolerance the onset of slip is within 0.25 ms of that of steps of 10 us
 # in 16 trials of each plan of tests/numerics/gel/test_letting_go.py (seeds 0 to 15); at 0.35 one is 0.41 ms off, at 0.5
 # one 1 ms. In the slip scene 0.25 takes 12 % more steps than none.
 STEEPEST = 0.25

@@ -6,7 +6,7 @@
 A case is one damaged file and up to three of the commands that read its kind. Each command runs in a process of its
 own, forked from one that has loaded all modules, so that a case takes a fraction of a second. What must never happen:
 
-    traceback   an exception that is not told in words, or `internal error`
+    traceback   an exception that is not report in words, or `internal error`
     crash       a signal, or an exit code that is not in the table (0, 1, 2, 3, 130)
     hang        longer than 20 s
     memory      more than 1 GB resident
@@ -124,16 +124,16 @@ def problems(result: dict[str, Any], said: Path, folder: Path, before: set[str],
     return lines
 
 
-def _mutate(path: Path, family: str, rng: np.random.Generator, told: Path) -> list[str]:
+def _mutate(path: Path, family: str, rng: np.random.Generator, report: Path) -> list[str]:
     """Damage a file in a child process: HDF5 may break on a file that it damages twice, and must not in this one."""
     child = os.fork()
     if child == 0:
         try:
-            told.write_text(json.dumps(mutations.mutate(path, family, rng)))
+            report.write_text(json.dumps(mutations.mutate(path, family, rng)))
         finally:
             os._exit(0)
     os.waitpid(child, 0)
-    done: list[str] = json.loads(told.read_text()) if told.exists() else ["not told: HDF5 broke on its own damage"]
+    done: list[str] = json.loads(report.read_text()) if report.exists() else ["not report: HDF5 broke on its own damage"]
     return done
 
 
