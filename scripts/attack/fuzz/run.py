@@ -133,7 +133,7 @@ def _mutate(path: Path, family: str, rng: np.random.Generator, report: Path) -> 
         finally:
             os._exit(0)
     os.waitpid(child, 0)
-    done: list[str] = json.loads(report.read_text()) if report.exists() else ["not report: HDF5 broke on its own damage"]
+    done: list[str] = json.loads(report.read_text()) if report.exists() else ["not known: HDF5 broke on it"]
     return done
 
 
