@@ -72,8 +72,8 @@ film: $(READY)  ## a short film of a catch: docs/catch.gif
 	@$(REPRODUCE) --only $@
 	cp $(if $(SMALL),small/)film/catch.gif docs/catch.gif
 
-results:  ## write the tables in docs/results/ into the README
-	$(PYTHON) scripts/results.py
+results: $(READY)  ## write the tables in docs/results/ into the README
+	$(BIN)/python scripts/results.py
 
 test: $(READY)  ## the test suite
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m 'not slow'

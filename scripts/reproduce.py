@@ -22,7 +22,7 @@ from typing import Any
 from experiment_steps import Command, Sizes
 from experiment_tables import Column, Evaluation, Row, Table
 from experiments import EXPERIMENTS, Experiment
-from results import keys, text
+from results import STAGES, keys, text
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -161,6 +161,26 @@ def facts(headers: Iterable[Row]) -> Row:
     }
 
 
+COMMANDS = {
+    "recording": "record", "labels": "label", "features": "featurize", "model": "train", "force-model": "train-force",
+}  # fmt: skip
+
+
+def methods(headers: Iterable[Row]) -> dict[str, int]:
+    """The number of the method of each command behind the reports of a table; the oldest where there are several."""
+    numbers: dict[str, int] = {}
+    for header in headers:
+        for node in (header, *header["history"].values()):
+            command = node["parameters"].get("command", COMMANDS.get(node["kind"], ""))
+            if node["kind"] == "tracks":
+                command = "track" if node["seed"] is None else "track-rgb"
+            if node["kind"] == "recording" and "controller" in node["parameters"]:
+                command = "grasp"
+            if command in STAGES:
+                numbers[command] = min(node["method"], numbers.get(command, node["method"]))
+    return {command: numbers[command] for command in STAGES if command in numbers}
+
+
 def words_for(known: Row) -> Row:
     """The facts as they stand in a title."""
     shown = {name: value for name, value in known.items() if not isinstance(value, list)}
@@ -218,6 +238,7 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
         "commit": head,
         "uncommitted_changes": changed,
         "commands": list(commands),
+        "methods": methods(evaluation.header for evaluation in evaluations.values()),
         "recipe_ids": [evaluation.header["id"] for evaluation in evaluations.values()],
         "sizes": known,
         "columns": [layout(column) for column in table.columns],

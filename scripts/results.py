@@ -8,9 +8,12 @@ docs/results/NAME.json is put between them. A page that names a table without a 
 A file holds flat rows, and says how they are shown: `columns` (heading and cell, Python format strings over a row),
 and, where rows are spread over columns, `across` (one column for each heading). A figure of the paper stands in
 brackets with its mark: `same method`, `other method`, or `fitted` (the scene was adjusted until the two agreed).
+`methods` are the numbers of the methods by which its data were made; those that have changed since are named above the
+table.
 """
 
 import argparse
+import importlib
 import json
 import re
 import string
@@ -21,6 +24,24 @@ Row = dict[str, Any]
 Result = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
 MARKS = ("same method", "other method", "fitted")
+# Where each command has the number of its method.
+STAGES = {
+    "record": "record",
+    "label": "label",
+    "track": "track",
+    "track-rgb": "track_rgb",
+    "featurize": "featurize",
+    "train": "train",
+    "train-force": "force.train_force",
+    "grasp": "grasp",
+    "evaluate labels": "evaluate.labels",
+    "evaluate tracking": "evaluate.tracking",
+    "evaluate slip": "evaluate.slip",
+    "evaluate vibration": "evaluate.vibration",
+    "evaluate data-rate": "evaluate.data_rate",
+    "evaluate force": "evaluate.force",
+    "evaluate grasp": "evaluate.grasp",
+}
 
 
 def keys(template: str) -> list[str]:
@@ -57,12 +78,29 @@ def lines(result: Result) -> list[list[str]]:
     ]
 
 
+def method(command: str) -> int:
+    """The number of a command's method as it is today."""
+    return int(importlib.import_module(f"evetac_cli.stages.{STAGES[command]}").METHOD)
+
+
+def changes(result: Result) -> list[str]:
+    """The methods behind a result that are others today, in words."""
+    return [
+        f"{command} {number} (now {today})"
+        for command, number in result["methods"].items()
+        if (today := method(command)) != number
+    ]
+
+
 def text(result: Result) -> str:
     """A result as Markdown: title, table, notes."""
     heads, *rows = lines(result)
     table = "\n".join("| " + " | ".join(line) + " |" for line in (heads, ["---"] * len(heads), *rows))
     title = ("Simulated. " if result["simulated"] else "") + result["title"]
-    return "\n\n".join([f"{title} ({result['made']}):", table, *result["notes"]]) + "\n"
+    made = result["made"]
+    if older := changes(result):
+        made += f"; by older methods: {', '.join(older)}"
+    return "\n\n".join([f"{title} ({made}):", table, *result["notes"]]) + "\n"
 
 
 def fill_page(page: str, results: Path) -> str:

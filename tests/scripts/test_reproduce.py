@@ -31,10 +31,17 @@ def header(objects: list[int], *, id_: str = "r") -> Row:
     """Of a report on labels of one recording of each object, made with seed 300."""
     history: Row = {}
     for number in objects:
-        recording = {"kind": "recording", "seed": 300, "parents": [], "parameters": {"object": number}}
-        labels = {"kind": "labels", "seed": None, "parents": [f"recording-{number}"], "parameters": {}}
+        recording = {
+            "kind": "recording", "method": 1, "seed": 300, "parents": [], "parameters": {"object": number},
+        }  # fmt: skip
+        labels = {
+            "kind": "labels", "method": 1, "seed": None, "parents": [f"recording-{number}"], "parameters": {},
+        }  # fmt: skip
         history |= {f"recording-{number}": recording, f"labels-{number}": labels}
-    return {"id": id_, "parents": [f"labels-{number}" for number in objects], "history": history}
+    return {
+        "id": id_, "kind": "report", "method": 1, "seed": None, "parameters": {"command": "evaluate labels"},
+        "parents": [f"labels-{number}" for number in objects], "history": history,
+    }  # fmt: skip
 
 
 class FakeEvetac:
@@ -215,12 +222,37 @@ def test_rows_are_spread_and_marked() -> None:
     ]
 
 
+def test_a_table_names_the_methods_that_changed(tmp_path: Path) -> None:
+    """Assert that a table made by an older method than today's says by which, and one made by today's says nothing."""
+    run_labels(tmp_path, [1])
+    table = json.loads((tmp_path / "results" / "labels.json").read_text())
+    table["methods"] = {"label": results.method("label") - 1, "record": results.method("record")}
+    today = results.method("label")
+    assert f"; by older methods: label {today - 1} (now {today})):" in results.text(table)
+    table["methods"] = {"record": results.method("record")}
+    assert "older" not in results.text(table)
+
+
+def test_the_methods_of_a_table_are_the_oldest_of_its_reports() -> None:
+    """Assert that each command behind a report is named once, frames and grasps by their own commands."""
+    tracks = {"kind": "tracks", "method": 4, "seed": None, "parameters": {}}
+    nodes = [
+        tracks,
+        {**tracks, "method": 3},
+        {**tracks, "method": 1, "seed": 7},
+        {"kind": "recording", "method": 5, "seed": 1, "parameters": {"controller": "paper"}},
+    ]
+    report = {"kind": "report", "method": 2, "seed": None, "parameters": {"command": "evaluate tracking"}}
+    header = {**report, "history": {str(number): node for number, node in enumerate(nodes)}}
+    assert reproduce.methods([header]) == {"track": 3, "track-rgb": 1, "grasp": 5, "evaluate tracking": 2}
+
+
 def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
     """Assert that a table is replaced and the rest of the page is not, and that a table without a file is an error."""
     run_labels(tmp_path, [1])
-    page = "before\n<!-- table labels -->\nold\n<!-- end of labels -->\nafter\n"
+    page = "before\n<!-- table labels -->\nwhat was there\n<!-- end of labels -->\nafter\n"
     filled = results.fill_page(page, tmp_path / "results")
-    assert "old" not in filled
+    assert "what was there" not in filled
     assert filled.startswith("before\n<!-- table labels -->\n\nSimulated. Slip labels")
     assert filled.endswith("<!-- end of labels -->\nafter\n")
     assert results.fill_page(filled, tmp_path / "results") == filled
