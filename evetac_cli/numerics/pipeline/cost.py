@@ -57,8 +57,8 @@ REFERENCE = Setting("reference", solver={"step_ms": 0.125, "node_pitch_mm": 0.62
 FINEST = Setting("reference", solver={"step_ms": 0.05, "node_pitch_mm": 0.5, "camera_substeps": 8})
 CHOICES = Extent[tuple[Setting, ...]](
     quick=(
-        *line("fixed step", "step_ms", (1.0, 0.5), "ms"),
-        *line("tolerance", "tolerance_um", (1.0, 0.05), "um"),
+        *line("fixed step", "step_ms", (1.0,), "ms"),
+        *line("tolerance", "tolerance_um", (0.05,), "um"),
         *line("node pitch", "node_pitch_mm", (1.25,), "mm"),
         *line("scans", "scans_per_ms", (2,), "a ms"),
     ),
@@ -231,7 +231,7 @@ def size_in(rows: Rows) -> tuple[float, float]:
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Each error over the run time of the chain: a line for each kind of setting; filled where on the Pareto front."""
+    """Each error over the run time of the chain: lines from the defaults to others; filled where on the Pareto front."""
     settings = [row for row in rows if "flags" in row]
     lines: dict[str, Rows] = {}
     for row in settings[1:]:
@@ -243,7 +243,11 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         for number, (line_name, members) in enumerate(lines.items()):
             drawn = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
             style = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "markersize": 6}
-            axes.plot([row[time] for row in drawn], [row[name] for row in drawn], label=line_name, mfc="white", **style)
+            around = [row for row in (settings[1], *drawn) if row[name] is not None]
+            around.sort(key=lambda row: float(row[time]))
+            axes.plot([row[time] for row in around], [row[name] for row in around], color=style["color"], linewidth=0.8)
+            own = {"label": line_name, "mfc": "white", "linestyle": "none", **style}
+            axes.plot([row[time] for row in drawn], [row[name] for row in drawn], **own)
             best = [row for row in drawn if name.removeprefix("error_") in row["pareto"].split(", ")]
             axes.plot([row[time] for row in best], [row[name] for row in best], linestyle="none", **style)
         if settings[0][name] is not None:
