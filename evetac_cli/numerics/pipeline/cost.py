@@ -231,7 +231,7 @@ def size_in(rows: Rows) -> tuple[float, float]:
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Each error over the run time of the chain: lines from the defaults to others; filled where on the Pareto front."""
+    """Each error over the run time of the chain: lines lead from the defaults; filled where on the Pareto front."""
     settings = [row for row in rows if "flags" in row]
     lines: dict[str, Rows] = {}
     for row in settings[1:]:
