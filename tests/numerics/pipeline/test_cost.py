@@ -180,8 +180,8 @@ def recorded(folder: Path, flags: str) -> Path:
 def dots_px(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Tracked dots of a recording, and their displacement from rest, (slices, dots, 2)."""
     with StageFile(output_path(path, "tracks", None), "tracks") as tracks:
-        found = tracks.read("dot_xy_px").astype(float)
-        return found, found - tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+        dot_xy_px = tracks.read("dot_xy_px").astype(float)
+        return dot_xy_px, dot_xy_px - tracks.read("sensor/dot_xy_px").reshape(-1, 2)
 
 
 def truth(path: Path) -> tuple[int, np.ndarray, np.ndarray]:
@@ -221,8 +221,8 @@ def test_copied_flags_reproduce_the_errors(tmp_path: Path, monkeypatch: pytest.M
             label = int(labels.read("onset_slice"))
         assert row["error_ms_gross_slip"] == abs(truth(path)[0] - onset)
         assert row["error_ms_label"] == abs(label - onset)
-        found, off = (dots[:onset] for dots in dots_px(path))
-        apart_px, apart_n = found - true_px[:onset], apply_regression(force, off) - true_n[:onset]
+        dot_xy_px, off = (dots[:onset] for dots in dots_px(path))
+        apart_px, apart_n = dot_xy_px - true_px[:onset], apply_regression(force, off) - true_n[:onset]
         assert row["error_px_dots"] == pytest.approx(np.sqrt((apart_px**2).sum(-1).mean()), rel=1e-9)
         assert row["error_n_shear"] == pytest.approx(np.sqrt((apart_n**2).sum(-1).mean()), rel=1e-9)
         grasp = ["--object", row["grasped_object"], *row["trial_flags"].split()[2:]]
