@@ -28,10 +28,12 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     for subfigure, part in zip(figure.subfigures(len(parts), 1, squeeze=False)[:, 0], parts, strict=True):
         part_rows = [row for row in rows if row["part"] == part]
         names = [name for name in errors if name in part_rows[0]]
-        subfigure.suptitle(part, fontsize=13)
+        if len(parts) > 1:
+            subfigure.suptitle(part, fontsize=13)
         panels = subfigure.subplots(1, len(names), squeeze=False)[0]
         for axes, name in zip(panels, names, strict=True):
             draw_panel(axes, part_rows, name)
+        subfigure.supxlabel("run time of a simulated millisecond, median [us]", fontsize=10)
         legend: dict[str, Any] = {}
         for axes in panels:
             handles, labels = axes.get_legend_handles_labels()
@@ -65,7 +67,7 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
     axes.axvline(REAL_TIME_US, color="0.3", linewidth=1, linestyle="--", label="real time")
     first, *rest = error.removeprefix("error_").split("_")
     title, unit = (" ".join(rest), f" [{first}]") if first in UNITS else (" ".join((first, *rest)), "")
-    axes.set(title=title, xlabel="run time of a simulated millisecond, median [us]", ylabel=f"error{unit}")
+    axes.set(title=title, ylabel=f"error{unit}")
     if first == "um":
         in_px = axes.secondary_yaxis("right", functions=(lambda um: um / UM_PER_PX, lambda px: px * UM_PER_PX))
         in_px.set_ylabel("[px]")
@@ -78,8 +80,13 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
 
 
 def _knob_range(first: str, last: str) -> str:
-    """`dt 10 ms`, `dt 0.1 ms` as `dt 10 to 0.1 ms`."""
+    """`dt 10 ms`, `dt 0.1 ms` as `dt 10 to 0.1 ms`: words that both begin or end with are said once."""
     if first == last:
         return first
-    unit = last.rpartition(" ")[2]
-    return f"{first.removesuffix(f' {unit}')} to {last.removeprefix('dt ')}"
+    begin, end = first.split(" "), last.split(" ")
+    same = [one == other for one, other in zip(begin, end, strict=False)]
+    kept = end[same.index(False) :] if False in same else end
+    while begin[-1:] == end[-1:] and len(begin) > 1 and len(end) > 1:
+        begin.pop()
+        end.pop()
+    return f"{' '.join(begin)} to {' '.join(kept)}"

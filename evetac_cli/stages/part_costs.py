@@ -2,9 +2,11 @@
 
 Parts that a scene can do without are measured with and without, in turn; gel, gripper and camera by timers about their
 calls. The trial is the same every time, so each stretch of it counts as the fastest of its runs: what else the machine
-does meanwhile is left out. Only the time of this thread counts; writing the file is not in it.
+does meanwhile is left out. Only the time of this thread counts; writing the file is not in it. A part that costs less
+than the machine's own ups and downs may come out below zero.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -19,9 +21,11 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.sim.parts import parts, switched
 from evetac_cli.stages.trials import SimulatedTrial
 
-REPEATS = 2
+REPEATS = 3  # of a dry run, at most
+BUDGET_S = 3.0  # of a dry run: what its runs may take together; a slow scene is measured on fewer slices
+DRY_MOVING_S = 0.5  # how long a trial is measured once something moves, in a dry run
+MOVING_S = 1.5  # otherwise
 BLOCK = 50  # slices that are timed together
-MOVING_S = 1.5  # how long a trial is measured once something moves
 
 Append = Callable[[Events, dict[str, Any]], None]
 Play = Callable[[SimulatedTrial, Append], Any]  # runs a trial and hands over every slice and its rows
@@ -87,7 +91,7 @@ BESIDE_SCENE = {
 
 def dry_run(trials: Sequence[SimulatedTrial], play: Play, *more_timers: Timer) -> Outcome:
     """What the first trial builds and leaves out, and what each part of it costs here."""
-    costs = measure(trials[0], play, REPEATS, more_timers)
+    costs = measure(trials[0], play, REPEATS, more_timers, moving_s=DRY_MOVING_S, budget_s=BUDGET_S)
     files = {"files": len(trials), "first_file": str(trials[0].output)}
     if not costs.slices:  # over before there was anything to measure
         return Outcome(parts(trials[0].plan), True, files, made=False)
@@ -102,21 +106,37 @@ def dry_run(trials: Sequence[SimulatedTrial], play: Play, *more_timers: Timer) -
     return Outcome(rows, True, summary, made=False)
 
 
-def measure(trial: SimulatedTrial, play: Play, repeats: int, more_timers: Sequence[Timer] = ()) -> PartCosts:
-    """Run the first slices of a trial again and again: as it is, with timers, and with one part of it switched."""
-    slices = _moving_slices(trial.plan["scene"])
+def measure(
+    trial: SimulatedTrial,
+    play: Play,
+    repeats: int,
+    more_timers: Sequence[Timer] = (),
+    *,
+    moving_s: float = MOVING_S,
+    budget_s: float = math.inf,
+) -> PartCosts:
+    """Run the first slices of a trial again and again: as it is, and with one part of it switched.
+
+    moving_s: how long it is measured once something moves. budget_s: what all runs may take together: fewer slices, and
+    fewer repeats, where these would take longer.
+    """
     others = {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
-    for one in (trial, *others.values()):
-        _run(one, play, 2 * BLOCK, {})  # compiles, or loads what was compiled
-    plain, timed = [], []
-    with_other: dict[str, list[Floats]] = {part: [] for part in others}
-    for _ in range(repeats):
-        plain.append(_run(trial, play, slices, {}))
-        with _timers((*_scene_timers(), *more_timers)) as seconds:
-            timed.append(_run(trial, play, slices, seconds))
-        for part, other in others.items():
-            with_other[part].append(_run(other, play, slices, {}))
-    in_calls = np.min(timed, axis=0)[:, 1:].T
+    with _timers((*_scene_timers(), *more_timers)) as seconds:
+        for one in (trial, *others.values()):
+            _run(one, play, 2 * BLOCK, seconds)  # compiles, or loads what was compiled
+        slices = _slices_within(
+            trial, play, _moving_slices(trial.plan["scene"], moving_s), budget_s / (2 + len(others))
+        )
+        plain: list[Floats] = []
+        with_other: dict[str, list[Floats]] = {part: [] for part in others}
+        started = thread_time()
+        for done in range(repeats):
+            if done and (thread_time() - started) * (done + 1) / done > budget_s:
+                break
+            plain.append(_run(trial, play, slices, seconds))
+            for part, other in others.items():
+                with_other[part].append(_run(other, play, slices, seconds))
+        in_calls = np.min(plain, axis=0)[:, 1:].T
     return PartCosts(
         plan=trial.plan,
         whole=np.min(plain, axis=0)[:, 0],
@@ -125,24 +145,39 @@ def measure(trial: SimulatedTrial, play: Play, repeats: int, more_timers: Sequen
     )
 
 
-def _moving_slices(scene: dict[str, Any]) -> int:
-    """How many slices of a trial are measured: until things move as they mostly do in it, and MOVING_S of that."""
+def _slices_within(trial: SimulatedTrial, play: Play, slices: int, most_s: float) -> int:
+    """As many of the first slices of a trial as it runs in `most_s`; at least a block."""
+    if math.isinf(most_s):
+        return slices
+    for _ in range(2):  # what was cut short may have been compiling
+        ran = BLOCK * len(_run(trial, play, slices, {}, most_s))
+        if ran >= slices:
+            break
+    return max(ran, BLOCK)
+
+
+def _moving_slices(scene: dict[str, Any], moving_s: float) -> int:
+    """How many slices of a trial are measured: until things move as they mostly do in it, and `moving_s` of that."""
     time, rub = scene["time"], scene.get("rub", {})
     still = ("rest_s", "load_s", "hold_s", "touch_s", "before_rise_s")
     still_s = sum(time.get(name, 0.0) for name in still) + sum(rub.get(name, 0.0) for name in ("touch_s", "shear_s"))
     moves_s = float(max(still_s, time.get("tone_at_s", 0.0)) + 2 * rub.get("pause_s", 0.0))
-    return round(1000 * (moves_s + MOVING_S))
+    return round(1000 * (moves_s + moving_s)) // BLOCK * BLOCK
 
 
 class _Enough(Exception):
     """As many slices as were asked for."""
 
 
-def _run(trial: SimulatedTrial, play: Play, slices: int, seconds: dict[str, float]) -> Floats:
-    """Microseconds a slice of each block, (blocks, 1 + timers): in all, and what each timer in `seconds` counted."""
+def _run(trial: SimulatedTrial, play: Play, slices: int, seconds: dict[str, float], most_s: float = math.inf) -> Floats:
+    """Microseconds a slice of each block, (blocks, 1 + timers): in all, and what each timer in `seconds` counted.
+
+    It ends before a block that begins later than `most_s`.
+    """
     blocks: list[list[float]] = []
     last: list[float] = []
     done = 0
+    latest = thread_time() + most_s
 
     def append(events: Events, rows: dict[str, Any]) -> None:
         nonlocal done, last
@@ -151,7 +186,7 @@ def _run(trial: SimulatedTrial, play: Play, slices: int, seconds: dict[str, floa
             if done:
                 blocks.append([after - before for before, after in zip(last, now, strict=True)])
             last = now
-        if done == slices:
+        if done == slices or (done % BLOCK == 0 and last[0] > latest):
             raise _Enough
         done += 1
 

@@ -242,6 +242,17 @@ def test_lines_of_the_picture():
     assert axes.get_legend_handles_labels()[1] == ["real time"]
 
 
+def test_what_a_line_is_called():
+    """Assert that words which the values of a line have in common are said once."""
+    for first, last, said in (
+        ("dt 5 ms", "dt 0.1 ms", "dt 5 to 0.1 ms"),
+        ("steps of 5 ms", "steps of 20 ms", "steps of 5 to 20 ms"),
+        ("0.5 of them", "0.1 of them", "0.5 to 0.1 of them"),
+        ("1 ms", "1 ms", "1 ms"),
+    ):
+        assert plots._knob_range(first, last) == said
+
+
 def test_without_matplotlib(pictures, monkeypatch, tmp_path):
     """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)

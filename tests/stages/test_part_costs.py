@@ -21,6 +21,7 @@ class SlowedClock:
     def __init__(self) -> None:
         self.now_s = 0.0
         self.runs = 0
+        self.slowed_us = 50.0
         self.rng = np.random.default_rng(0)
         self.gel = SimpleNamespace(step=lambda: self.take(GEL_US))
         self.camera = SimpleNamespace(render=self._render)
@@ -38,7 +39,7 @@ class SlowedClock:
         for _ in range(100_000):
             self.gel.step()
             self.camera.render(trial.plan)
-            self.take(OTHER_US + self.rng.uniform(0.0, 50.0) * (self.runs // 5 % 2))
+            self.take(OTHER_US + self.rng.uniform(0.0, self.slowed_us) * (self.runs // 4 % 2))
             append(None, {})  # type: ignore[arg-type]
 
 
@@ -69,6 +70,19 @@ def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> Non
     assert rows["pushes"]["time_us"] is rows["pushes"]["saves_us"] is None
 
 
+@pytest.mark.parametrize("budget_s", [0.5, 0.1, 1e-6])
+def test_a_budget_is_kept(budget_s: float, machine: SlowedClock) -> None:
+    """Assert fewer slices, then fewer repeats within a budget of time, and the same costs."""
+    (trial,) = record.jobs([], Record(), None)
+    machine.slowed_us = 0.0
+    costs = measure(trial, machine.play, 50, budget_s=budget_s)
+    block_s = BLOCK * (GEL_US + DOTS_US + WINDOW_US + NOISE_US + CUT_US + OTHER_US) * 1e-6
+    share_s = budget_s / 5  # of one run to try, and four to measure
+    assert costs.slices == BLOCK * max(1, 1 + int(share_s / block_s))
+    assert costs.whole.sum() * BLOCK * 1e-6 == pytest.approx(block_s * costs.slices / BLOCK)
+    assert machine.now_s < 4 * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, 4 * block_s)
+
+
 def test_timers_are_taken_off_again(machine: SlowedClock) -> None:
     """Assert that the calls which were timed are afterwards what they were, also where a trial fails."""
     before = machine.gel.step, machine.camera.render
@@ -85,12 +99,12 @@ def test_timers_are_taken_off_again(machine: SlowedClock) -> None:
 @pytest.mark.parametrize(("stage", "params"), [(record, Record(scene="slip")), (grasp, Grasp())])
 def test_a_dry_run_of_a_scene(stage: Any, params: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that calls and the rest make up the whole of a dry run, and that it says what its scene saves."""
-    monkeypatch.setattr(part_costs, "_moving_slices", lambda scene: 2 * BLOCK)
+    monkeypatch.setattr(part_costs, "_moving_slices", lambda *_: 2 * BLOCK)
     shown = stage.dry_run(stage.jobs([], params, None), params, force=True)
     rows = {row["part"]: row for row in shown.rows}
     calls = ("gel and friction", "gripper", "camera", "everything else", *(["slip detector"] if stage is grasp else []))
     assert all(rows[part]["time_us"] > 0.0 for part in calls if part != "everything else")
     assert sum(rows[part]["time_us"] for part in calls) == pytest.approx(shown.summary["time_us_a_slice"])
     assert (rows["window"]["saves_us"] is not None) == (stage is grasp)
-    assert shown.summary["slices_measured"] == BLOCK * 2
+    assert shown.summary["slices_measured"] in (BLOCK, BLOCK * 2)  # fewer where the machine is very slow
     assert shown.summary["left_out_saves_us"] == pytest.approx(rows["window"]["saves_us"] or 0.0)

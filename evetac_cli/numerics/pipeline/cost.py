@@ -31,6 +31,8 @@ import numpy as np
 from evetac_cli.jobs import Progress
 from evetac_cli.numerics.paired import Floats, difference, known, on_front
 from evetac_cli.numerics.pipeline.chain import (
+    BALANCE_S,
+    LIFT_S,
     SLIP_ERRORS,
     Chain,
     Lifted,
@@ -51,13 +53,12 @@ GRASPED = (11, 17, 12, 13, 10, 18)  # in turn
 CALIBRATION = (Trial(8, 9000, 11), Trial(3, 9001, 11))  # of the regression of forces; below the seeds that are reported
 
 DEFAULTS = Setting("defaults")
-REFERENCE = Setting("reference", solver={"step_ms": 0.1, "node_pitch_mm": 0.625, "camera_substeps": 4})
+REFERENCE = Setting("reference", solver={"step_ms": 0.125, "node_pitch_mm": 0.625, "camera_substeps": 4})
 FINEST = Setting("reference", solver={"step_ms": 0.05, "node_pitch_mm": 0.5, "camera_substeps": 8})
 CHOICES = Extent[tuple[Setting, ...]](
     quick=(
-        *line("fixed step", "step_ms", (1.0, 0.25), "ms"),
-        *line("tolerance", "tolerance_um", (1.0, 0.05), "um"),
-        *line("theta", "theta", (1.0,)),
+        *line("fixed step", "step_ms", (1.0,), "ms"),
+        *line("tolerance", "tolerance_um", (0.05,), "um"),
         *line("node pitch", "node_pitch_mm", (1.25,), "mm"),
         *line("scans", "scans_per_ms", (2,), "a ms"),
     ),
@@ -220,7 +221,7 @@ def summary(rows: Rows) -> dict[str, Any]:
         "trials": settings[0]["trials"],
         "reference": settings[0]["flags"],
         "trial": "evetac record --scene slip TRIAL_FLAGS",
-        "grasp": "evetac grasp --object GRASPED_OBJECT --seed N --lift-s 3.5 --balance-s 1 FLAGS",
+        "grasp": f"evetac grasp --object GRASPED_OBJECT --seed N --lift-s {LIFT_S:g} --balance-s {BALANCE_S:g} FLAGS",
     }
 
 
@@ -230,7 +231,7 @@ def size_in(rows: Rows) -> tuple[float, float]:
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Each error over the run time of the chain: a line for each kind of setting; filled where on the Pareto front."""
+    """Each error over the run time of the chain: lines lead from the defaults; filled where on the Pareto front."""
     settings = [row for row in rows if "flags" in row]
     lines: dict[str, Rows] = {}
     for row in settings[1:]:
@@ -242,7 +243,11 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         for number, (line_name, members) in enumerate(lines.items()):
             drawn = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
             style = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "markersize": 6}
-            axes.plot([row[time] for row in drawn], [row[name] for row in drawn], label=line_name, mfc="white", **style)
+            around = [row for row in (settings[1], *drawn) if row[name] is not None]
+            around.sort(key=lambda row: float(row[time]))
+            axes.plot([row[time] for row in around], [row[name] for row in around], color=style["color"], linewidth=0.8)
+            own = {"label": line_name, "mfc": "white", "linestyle": "none", **style}
+            axes.plot([row[time] for row in drawn], [row[name] for row in drawn], **own)
             best = [row for row in drawn if name.removeprefix("error_") in row["pareto"].split(", ")]
             axes.plot([row[time] for row in best], [row[name] for row in best], linestyle="none", **style)
         if settings[0][name] is not None:

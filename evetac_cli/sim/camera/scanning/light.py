@@ -198,7 +198,12 @@ def _shine(
             own[x] -= change
         if row_low[row] < light < row_high[row]:
             continue
-        optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, 0, width, line)
+        first_run, end_run = low.shape[1], 0
+        for run in range(low.shape[1]):
+            if not low[row, run] < light < high[row, run]:
+                first_run, end_run = min(first_run, run), run + 1
+        left, right = first_run * RUN_PX, min(end_run * RUN_PX, width)
+        optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, left, right, line)
         before = made
         row_low[row] = -np.inf
         row_high[row] = np.inf
@@ -208,7 +213,7 @@ def _shine(
                 end = min(first + RUN_PX, width)
                 fired = made
                 low[row, run], high[row, run], made = _compare_run(
-                    line[first:end],
+                    line[first - left : end - left],
                     own[first:end],
                     threshold[row, first:end],
                     release_us[row, first:end],
