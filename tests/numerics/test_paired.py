@@ -71,14 +71,14 @@ def test_the_interval_of_a_share_is_wilsons() -> None:
 
 
 def test_the_interval_of_a_difference_of_shares_holds_what_it_promises() -> None:
-    """Assert sign and size of a difference, and that at least 93 % of 2,000 intervals over 20 pairs hold the truth."""
+    """Assert sign and size of a difference, and that at least 93 % of 2,000 intervals over 40 pairs hold the truth."""
     ours, theirs = np.array([True, True, True, False]), np.array([True, False, False, False])
     assert share_difference(ours, theirs).mean == 0.5
     assert share_difference(theirs, ours).mean == -0.5
     rng, held = np.random.default_rng(5), 0
     for _ in range(2000):
-        of_the_trial = rng.uniform(size=20)  # both depend on how hard the trial is
-        one, other = of_the_trial + rng.normal(0, 0.1, 20) < 0.8, of_the_trial + rng.normal(0, 0.1, 20) < 0.7
+        of_the_trial = rng.uniform(size=40)  # both depend on how hard the trial is
+        one, other = of_the_trial + rng.normal(0, 0.1, 40) < 0.8, of_the_trial + rng.normal(0, 0.1, 40) < 0.7
         found = share_difference(one, other)
         held += found.low <= 0.0992 <= found.high  # the truth, of 20 million pairs
     assert held / 2000 > 0.93
