@@ -62,9 +62,9 @@ def slip(trial: Trial, setting: Setting, folder: Path) -> Row:
     with open_recording(slip_trial(trial, setting, folder).output) as recording:
         true = true_onsets(recording)
         steps = recording.read("truth/mechanical_steps")
-    found = {"t_s_ms": true["t_s_ms"], "t_every_node_ms": true["t_every_node_ms"]}
-    found |= {"label_ms": chain.label_ms, "detection_ms": chain.detection_ms, "slices": chain.slices}
-    return {**found, "steps_a_slice": float(steps.mean()), "record_us": chain.record_us}
+    onsets = {"t_s_ms": true["t_s_ms"], "t_every_node_ms": true["t_every_node_ms"]}
+    onsets |= {"label_ms": chain.label_ms, "detection_ms": chain.detection_ms}
+    return {**onsets, "slices": chain.slices, "steps_a_slice": float(steps.mean()), "record_us": chain.record_us}
 
 
 def grasp(trial: Trial, setting: Setting, folder: Path) -> Row:
@@ -139,10 +139,10 @@ def _differences(slips: list[Row], name: str) -> Row:
 
 def _shares(what: str, holds: dict[str, Flags]) -> Row:
     """In how many trials something holds by default, with the fine step, and in how many more by default."""
-    found = {one: share(holds[one]) for one in BOTH}
-    found["more_by_default"] = share_difference(holds[DEFAULT], holds[FINE])
+    shares = {one: share(holds[one]) for one in BOTH}
+    shares["more_by_default"] = share_difference(holds[DEFAULT], holds[FINE])
     row: Row = {"what": what, "trials": len(holds[DEFAULT])}
-    for name, interval in found.items():
+    for name, interval in shares.items():
         row[name] = known(interval.mean)
         row |= {f"{name}_{end}": value for end, value in _ends(interval).items()}
     return row
@@ -174,8 +174,8 @@ def _labelled(slipped: list[Row], one: str) -> Flags:
 
 def _detected(slipped: list[Row], one: str, when: str) -> Flags:
     """In which trials the first detection is early, correct or late against the truth of the same simulation."""
-    found = [(-1 if row[one]["detection_ms"] is None else row[one]["detection_ms"]) for row in slipped]
-    pairs = zip(found, slipped, strict=True)
+    first_ms = [(-1 if row[one]["detection_ms"] is None else row[one]["detection_ms"]) for row in slipped]
+    pairs = zip(first_ms, slipped, strict=True)
     return np.array([metrics.timing(first, row[one]["t_s_ms"]) == when for first, row in pairs], bool)
 
 
@@ -205,8 +205,8 @@ def main() -> None:
         with chosen.out.open("a") as file:
             file.write(text + "\n")
     compared = [row for row in rows if (row["seed"], row["step_ms"]) == (chosen.seed, chosen.step_ms)]
-    found = tables(compared)
-    (gross,) = (row for row in found if row.get("onset") == "t_s")
+    everything = tables(compared)
+    (gross,) = (row for row in everything if row.get("onset") == "t_s")
     whole = {
         "slips": gross["trials"],
         "grasps": len(compared) - gross["trials"],
@@ -214,7 +214,7 @@ def main() -> None:
         "fine_step_ms": chosen.step_ms,
         "commits": ", ".join(sorted({row["commit"] for row in compared})),
     }
-    show("compare_steps", found, whole, simulated=True, as_json=chosen.json)
+    show("compare_steps", everything, whole, simulated=True, as_json=chosen.json)
     if gross["over_1_ms"] > MOST_APART * gross["trials"]:
         raise SystemExit(1)
 
