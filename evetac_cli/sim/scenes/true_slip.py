@@ -22,9 +22,9 @@ gel relaxes unevenly, and for some slices the motion is that of no rigid body (o
 moment alone would miss slides: under a heavy object (20 of seed 10100) that slid at 40 mm/s nodes stuck and let go in
 turn every 3 to 6 ms, so that hardly ever all of them slipped at once. That each node moved a little in that time would
 be too little: where nodes are too far apart for unstable slip, all of them go on now and then while most stick. Under
-2 kg whose weight is handed over (`evaluate stability sim`) this moves the object by 2 px in 40 ms, and it comes to
-rest: translation and rotation explain at most 0.32 of that motion, which is one of the contact's edges. Of object 20,
-seed 3, which went on to slide, they explain 0.58 by the time that it has slid by half a pixel.
+2 kg whose weight is handed over (`evaluate stability sim`) this moves the object by 4 px in 100 ms, and it comes to
+rest: translation and rotation explain at most 0.45 of the motion within RECENT_MS, which is one of the contact's edges.
+Of object 20, seed 3, which went on to slide, they explain 0.58 by the time that it has slid by half a pixel.
 
 The distance is the root mean square over the visible contact: where nothing turns it is that of the translation, and
 where the object turns on the spot it does not vanish, as the mean would. The largest would hang on a node at the rim
