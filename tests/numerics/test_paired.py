@@ -79,6 +79,6 @@ def test_the_interval_of_a_difference_of_shares_holds_what_it_promises() -> None
     for _ in range(2000):
         of_the_trial = rng.uniform(size=40)  # both depend on how hard the trial is
         one, other = of_the_trial + rng.normal(0, 0.1, 40) < 0.8, of_the_trial + rng.normal(0, 0.1, 40) < 0.7
-        found = share_difference(one, other)
-        held += found.low <= 0.0992 <= found.high  # the truth, of 20 million pairs
+        apart = share_difference(one, other)
+        held += apart.low <= 0.0992 <= apart.high  # the truth, of 20 million pairs
     assert held / 2000 > 0.93
