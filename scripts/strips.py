@@ -17,6 +17,7 @@ import numpy as np
 
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.resources import PACKAGE
+from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.store.read import Recording, open_recording
 
 SHOWN_MS = 5  # the paper's images show 5 ms
@@ -26,9 +27,9 @@ INK, QUIET, WARM, COOL = "#22303f", "#8a95a1", "#b5502a", "#2f6690"
 
 def frame_times(recording: Recording) -> list[int]:
     """Slices to show: about the onset where slip is forced, else the busiest of each quarter."""
-    slip = np.flatnonzero(recording.read("truth/slip")) if recording.has("truth") else []
-    if len(slip) and recording.header["parameters"]["scene"]["kind"] == "ramp":
-        return [max(int(slip[0]) + away, 0) for away in (-200, -20, 8, 40)]
+    onset = true_onset(recording) if recording.has("truth") else None
+    if onset is not None and recording.header["parameters"]["scene"]["kind"] == "ramp":
+        return [max(onset + away, 0) for away in (-200, -20, 8, 40)]
     per_slice = np.convolve(np.diff(recording.starts), np.ones(SHOWN_MS), "valid")
     return [int(part[np.argmax(per_slice[part])]) for part in np.array_split(np.arange(len(per_slice)), IMAGES)]
 

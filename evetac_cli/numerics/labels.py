@@ -23,7 +23,7 @@ from evetac_cli.numerics.rows import Extent, Row, collect, run_times
 from evetac_cli.params import EvaluateCost, Label, Record, recipe_of
 from evetac_cli.stages import label, record
 from evetac_cli.stages.evaluate import Rows
-from evetac_cli.stages.evaluate.labels import true_onsets
+from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.stages.trials import simulated_trials
 from evetac_cli.store.read import Recording, open_recording
 
@@ -108,7 +108,7 @@ def _record(chosen: Record, folder: Path, trials: int | None) -> list[Path]:
         record.run(job, rounds)
         with open_recording(job.output) as recording:
             label.compute(recording, Label())
-            if true_onsets(recording)["t_s_ms"] is not None:
+            if true_onset(recording) is not None:
                 slipped.append(job.output)
     return slipped
 
@@ -142,7 +142,7 @@ def flow_constants(**changes: Any) -> flow.FlowConstants:
 
 
 def _true_onset(recording: Recording) -> int:
-    onset = true_onsets(recording)["t_s_ms"]
+    onset = true_onset(recording)
     assert onset is not None  # only trials that slip are labelled
     return onset
 

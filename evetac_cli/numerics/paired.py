@@ -1,7 +1,8 @@
 """Settings that were tried on the same trials: how far apart they are, how surely, and which of them are worth it.
 
 The interval is Student's for the mean of paired differences, two-sided, at CONFIDENCE. Why so: with the few trials that
-three minutes allow, a bootstrap can only draw again what it has seen, and its intervals are too narrow.
+three minutes allow, a bootstrap can only draw again what it has seen, and its intervals are too narrow. Shares of
+trials have intervals of their own: a share of 0 or 1 is not as sure as Student's would have it.
 """
 
 import math
@@ -13,12 +14,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 CONFIDENCE = 0.95
 
 
 class Interval(NamedTuple):
-    """Mean of paired differences, the ends of its interval, and over how many trials; NaN where there are too few."""
+    """A mean of paired differences or a share, the ends of its interval, and over how many trials; NaN if too few."""
 
     mean: float
     low: float
@@ -43,6 +45,37 @@ def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Interva
     spread = max(float(apart.std(ddof=1)), resolution / math.sqrt(6.0))
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * spread / math.sqrt(count)
     return Interval(mean, mean - half, mean + half, count)
+
+
+def share(held: Flags) -> Interval:
+    """The share of trials in which something holds, with Wilson's interval."""
+    count = len(held)
+    if count == 0:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    hits, z = int(np.count_nonzero(held)), _z()
+    middle = (hits + z * z / 2) / (count + z * z)
+    half = z / (count + z * z) * math.sqrt(hits * (count - hits) / count + z * z / 4)
+    return Interval(hits / count, max(middle - half, 0.0), min(middle + half, 1.0), count)
+
+
+def share_difference(ours: Flags, theirs: Flags) -> Interval:
+    """How much larger our share is than theirs over the same trials.
+
+    The interval is Wald's with half a trial more in each of the four cells of the table of pairs (Agresti and Min,
+    Statistics in Medicine 24, 2005), so that a difference of 0 is not sure either. With 40 trials it holds what it
+    promises; with 20 it may hold 91 %.
+    """
+    count = len(ours)
+    if count == 0:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    gained, lost = int(np.count_nonzero(ours & ~theirs)), int(np.count_nonzero(theirs & ~ours))
+    middle = (gained - lost) / (count + 2)
+    half = _z() * math.sqrt(gained + lost + 1 - (gained - lost) ** 2 / (count + 2)) / (count + 2)
+    return Interval((gained - lost) / count, max(middle - half, -1.0), min(middle + half, 1.0), count)
+
+
+def _z() -> float:
+    return float(stats.norm.ppf(0.5 + CONFIDENCE / 2))
 
 
 def known(value: float) -> float | None:

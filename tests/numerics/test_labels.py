@@ -57,7 +57,7 @@ def test_so_many_trials(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
 
     monkeypatch.setattr(labels.record, "run", lambda job, params: None)
     monkeypatch.setattr(labels, "open_recording", lambda path: Slips())
-    monkeypatch.setattr(labels, "true_onsets", lambda recording: {"t_s_ms": 5})
+    monkeypatch.setattr(labels, "true_onset", lambda recording: 5)
     monkeypatch.setattr(labels.label, "compute", lambda recording, params: None)
     chosen = Record(scene="slip", objects="1,3,4", seed=10_000)
     assert [path.name for path in labels._record(chosen, tmp_path, None)] == [

@@ -16,6 +16,7 @@ from evetac_cli.inspect.view.trial_files import Trial
 from evetac_cli.inspect.view.view_data import BLUE, GREEN, INK, ORANGE, PINK, Lane, Line, Panel
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.sim.gripper import gap_m
+from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
 
@@ -219,11 +220,14 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
 
 
 def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> dict[str, int | None]:
-    """First slice of slip after the start of the span, by truth, label and model or detector, as far as known."""
+    """First slice of slip after the start of the span, by truth, label and model or detector, as far as known.
+
+    By truth and label a trial begins where the gripper's current begins to fall.
+    """
     start, stop = span
     onsets: dict[str, int | None] = {}
     if trial.recording is not None and trial.recording.has("truth"):
-        onsets["truth"] = _first(trial.recording.read("truth/slip", start, stop) > 0, start)
+        onsets["truth"] = true_onset(trial.recording, start, stop)
     examined = start
     source = trial.labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
     if source is not None:

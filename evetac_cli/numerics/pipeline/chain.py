@@ -35,11 +35,15 @@ LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand has risen by 50 mm, less co
 
 
 class Trial(NamedTuple):
-    """A trial by the flags that choose it: its object, its seed, and the object of the grasp with that seed."""
+    """A trial by the flags that choose it: its object, its seed, and the object of the grasp with that seed.
+
+    number: which of the trials with that object and seed, as `--count` numbers them.
+    """
 
     object: int
     seed: int
     grasped: int
+    number: int = 0
 
 
 class Chain(NamedTuple):
@@ -77,8 +81,8 @@ class Lifted(NamedTuple):
 def slip_trial(trial: Trial, setting: Setting, folder: Path, scene: str = "slip") -> SimulatedTrial:
     """The trial that `evetac record --scene slip --object N --seed N` makes with the flags of a setting."""
     chosen: dict[str, Any] = dict(setting.solver)
-    params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, **chosen)
-    (planned,) = record.jobs([], params, folder)
+    params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, count=trial.number + 1, **chosen)
+    planned = record.jobs([], params, folder)[trial.number]
     assert isinstance(planned, SimulatedTrial)
     return planned
 
@@ -133,8 +137,9 @@ def _package_model() -> Model:
 def run_grasp(trial: Trial, setting: Setting, folder: Path) -> Lifted:
     """The grasp that `evetac grasp --object N --seed N --lift-s 3.5 --balance-s 0.5` makes with a setting's flags."""
     chosen: dict[str, Any] = dict(setting.solver)
-    params = Grasp(objects=str(trial.grasped), seed=trial.seed, lift_s=LIFT_S, balance_s=BALANCE_S, **chosen)
-    (made,) = grasp.jobs([], params, folder)
+    times: dict[str, Any] = {"count": trial.number + 1, "lift_s": LIFT_S, "balance_s": BALANCE_S}
+    params = Grasp(objects=str(trial.grasped), seed=trial.seed, **times, **chosen)
+    made = grasp.jobs([], params, folder)[trial.number]
     assert isinstance(made, SimulatedTrial)
     outcome, seconds = timed(lambda: simulated_grasp.run(made, params, force=False, progress=silent))
     (row,) = outcome.rows

@@ -166,3 +166,16 @@ def pressure(indentation_m: float, gap_m: Floats, total_force_n: float) -> Float
     if pressed_m > 0.0:
         force *= total_force_n / pressed_m
     return force
+
+
+def turning_arm(node_xy_m: Floats, nodal: Floats) -> float:
+    """Moment in N m, for each N of friction, that a contact resists with at most when it turns on the spot.
+
+    nodal: normal force of each node, in any unit. It is the mean distance of the force from its middle; 0 without
+    contact.
+    """
+    force = nodal.sum()
+    if force <= 0.0:
+        return 0.0
+    middle_m = (nodal[..., None] * node_xy_m).sum((0, 1)) / force
+    return float((nodal * np.linalg.norm(node_xy_m - middle_m, axis=-1)).sum() / force)

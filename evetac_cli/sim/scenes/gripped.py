@@ -120,6 +120,7 @@ class GraspSimulation:
             float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
         )
+        self._slip_limit_n = self._slip_limit(nodes)
         backlash_ticks = float(self._scene.get("gripper", {}).get("backlash_ticks", 0.0))
         self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor, backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
@@ -153,9 +154,24 @@ class GraspSimulation:
         self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
         self._on_table = self._kind == "lift"
 
+    def _slip_limit(self, node_xy_m: NDArray[np.float64]) -> float:
+        """Normal force at which the object slides: its weight, and the moment of one that hangs beside the fingers.
+
+        Force and moment that friction can resist together lie on an ellipse (Howe and Cutkosky, Int. J. Robotics
+        Research 15, 1996). The contact is that under the force without the moment, which is smaller, and at least one
+        node: a square resists a moment of 0.38 of its side.
+        """
+        limit_n = self.sampled.mass_kg * GRAVITY_M_S2 / (2 * self.sampled.static_friction)
+        if self.sampled.lever_m == 0.0:
+            return limit_n
+        indentation_m = float(np.interp(limit_n, self._curve.force_n, self._curve.indentation_m))
+        arm_m = contact.turning_arm(node_xy_m, contact.pressure(indentation_m, self._gap, limit_n))
+        arm_m = max(arm_m, 0.38 * math.sqrt(contact.cell_area(node_xy_m)))
+        return limit_n * math.hypot(1.0, self.sampled.lever_m / arm_m)
+
     def holding_ma(self) -> float:
         """The current that closes to the sampled multiple of the force at the slip limit, and more if named."""
-        limit_n = self.sampled.mass_kg * GRAVITY_M_S2 / (2 * self.sampled.static_friction)
+        limit_n = self._slip_limit_n
         force_n = self.sampled.start_factor * limit_n + float(self._scene.get("gripper", {}).get("start_more_n", 0.0))
         push_n = force_n * (1 + self.drive.friction_share) + self.drive.friction_n
         return float(np.ceil(push_n / self.drive.force_per_current_n_ma))

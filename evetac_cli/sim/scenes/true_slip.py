@@ -3,9 +3,10 @@
 - Gross slip. What counts is how the object's surface moves against the gel, node by node; where the gel is sheared
   along with the object nothing slips. Over the visible contact, weighted by pressure, a translation and a rotation are
   fitted to this relative motion. The object slides as one body in a slice where they explain ONE_BODY of its mean
-  square, or where ONE_BODY of the pressure rests on nodes that have slid within the last RECENT_MS slices. The fitted
-  motions are summed over such slices, and slip is gross beyond SLIP_PX. It is over when for more than EPISODE_MS slices
-  the object did not slide as one body.
+  square, or where ONE_BODY of the pressure rests on nodes that slip. It also does where as much rests on nodes that
+  slid within the last RECENT_MS slices, if a translation and a rotation explain MOSTLY of the motion of these slices
+  together. The fitted motions are summed over such slices, and slip is gross beyond SLIP_PX. It is over when for more
+  than EPISODE_MS slices the object did not slide as one body.
 - Last stuck node. The same distance, but of the mean motion over the whole pad, counted from when no loaded node
   sticks, seen or not. Beyond SLIP_PX it is what the first edition called slip.
 - Incipient slip: the share of the normal force on slipping nodes, of the visible and of the whole contact.
@@ -19,7 +20,11 @@ rotation about the contact's middle leaves nodes there stuck for long, because t
 0.45 of the contact's radius takes away 4 %, and the object slips. The fit alone would be late: where all lets go the
 gel relaxes unevenly, and for some slices the motion is that of no rigid body (object 6 of seed 3). What sticks at one
 moment alone would miss slides: under a heavy object (20 of seed 10100) that slid at 40 mm/s nodes stuck and let go in
-turn every 3 to 6 ms, so that hardly ever all of them slipped at once.
+turn every 3 to 6 ms, so that hardly ever all of them slipped at once. That each node moved a little in that time would
+be too little: where nodes are too far apart for unstable slip, all of them go on now and then while most stick. Under
+2 kg whose weight is handed over (`evaluate stability sim`) this moves the object by 4 px in 100 ms, and it comes to
+rest: translation and rotation explain at most 0.45 of the motion within RECENT_MS, which is one of the contact's edges.
+Of object 20, seed 3, which went on to slide, they explain 0.58 by the time that it has slid by half a pixel.
 
 The distance is the root mean square over the visible contact: where nothing turns it is that of the translation, and
 where the object turns on the spot it does not vanish, as the mean would. The largest would hang on a node at the rim
@@ -39,6 +44,7 @@ from evetac_cli.sim.gel.gel import GelState
 SLIP_PX = 0.5  # an object that slid further than this as one body slips: the onset
 ONE_BODY = 0.95  # share of the squared relative motion, or of the pressure, in an object that slides as one body
 RECENT_MS = 10  # slices within which nodes stick and let go in turn, as long as an object slides
+MOSTLY = 0.5  # share of the squared relative motion within that time, in an object that slides
 EPISODE_MS = 3  # gross slip is over after so many slices in which the object does not slide as one body
 SLOWEST_M = 1e-9  # in a slice, 1 um/s: anything slower is at rest
 CONTACT_N = 0.01
@@ -64,7 +70,8 @@ class GroundTruthSlip:
         self._px_per_m = 1e3 / mm_per_px
         self.visible = visible_nodes(state.node_xy_m, mm_per_px, window_px)
         self._displacement_m = state.displacement_m.copy()
-        self._stuck_for = np.full(state.stuck.shape, np.inf)  # slices since each node slid
+        self._slid_m = np.zeros((RECENT_MS, *state.displacement_m.shape))  # object against gel, in each recent slice
+        self._slices = 0
         self._pose = state.pose.copy()
         self._as_one_body = _Slide()
         self._every_node = _Slide()
@@ -74,20 +81,28 @@ class GroundTruthSlip:
 
     def follow(self, state: GelState, shares: Floats, force_n: float) -> None:
         """Take in one slice; shares: of each node in the normal force, (rows, columns); force_n: that force."""
-        arrays = (state.node_xy_m, state.displacement_m, self._displacement_m, self._stuck_for)
+        slid_m = self._slid_m[self._slices % RECENT_MS]
+        self._slices += 1
+        arrays = (state.node_xy_m, state.displacement_m, self._displacement_m, slid_m)
         whole, seen = _relative_motion(arrays, state.pose, self._pose, shares, self.visible, state.stuck)
         self._pose[:] = state.pose
         touches = force_n > CONTACT_N
-        self._share, stuck, x_m, y_m = whole if touches else (0.0, 0.0, 0.0, 0.0)
+        self._share, self._visible_share, stuck, x_m, y_m = whole if touches else (0.0, 0.0, 0.0, 0.0, 0.0)
         self._every_node.follow(touches and stuck == 0.0 and math.hypot(x_m, y_m) > SLOWEST_M, x_m, y_m, 0.0)
-        self._visible_share, recent_share, rigid_share, radius_m, x_m, y_m, turn_rad = (
-            seen if touches else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        )
+        rigid_share, radius_m, x_m, y_m, turn_rad = seen if touches else (0.0, 0.0, 0.0, 0.0, 0.0)
         if radius_m > 0.0:
             self._radius_m = radius_m
-        moves = max(rigid_share, recent_share) >= ONE_BODY and _distance(x_m, y_m, turn_rad, radius_m) > SLOWEST_M
+        moves = _distance(x_m, y_m, turn_rad, radius_m) > SLOWEST_M and (
+            max(rigid_share, self._visible_share) >= ONE_BODY
+            or self._moves_in_turn(state.node_xy_m, shares * self.visible)
+        )
         self._as_one_body.follow(moves, x_m, y_m, turn_rad)
         self._slips = moves and self.slid_px > SLIP_PX
+
+    def _moves_in_turn(self, node_xy_m: Floats, seen_n: Floats) -> bool:
+        """Whether nodes stick and let go in turn under an object that slides; seen_n: force on the visible ones."""
+        recent_share, together_m = _recently(self._slid_m, seen_n)
+        return bool(recent_share >= ONE_BODY and _rigid_motion(node_xy_m, together_m, seen_n)[0] >= MOSTLY)
 
     @property
     def slid_px(self) -> float:
@@ -151,6 +166,46 @@ def _inside(at_px: Floats, low: tuple[int, int], high: tuple[int, int]) -> Flags
 
 
 @njit(cache=True)
+def _rigid_motion(nodes: Floats, slid: Floats, weights: Floats) -> tuple[float, float, float, float, float]:
+    """The translation and rotation that explain the motion of nodes best: weighted least squares.
+
+    Returns the share of the squared motion that they explain, the rms distance of the nodes from their middle, the
+    motion of that middle, x and y, and the rotation; all 0 where there are no weights.
+    """
+    whole = middle_x = middle_y = square = x_m = y_m = spin = motion = 0.0
+    rows, columns = weights.shape
+    for row in range(rows):
+        for column in range(columns):
+            weight = weights[row, column]
+            if weight > 0.0:
+                x = nodes[row, column, 0]
+                y = nodes[row, column, 1]
+                slid_x = slid[row, column, 0]
+                slid_y = slid[row, column, 1]
+                whole += weight
+                middle_x += weight * x
+                middle_y += weight * y
+                square += weight * (x * x + y * y)
+                x_m += weight * slid_x
+                y_m += weight * slid_y
+                spin += weight * (x * slid_y - y * slid_x)
+                motion += weight * (slid_x * slid_x + slid_y * slid_y)
+    if whole == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    middle_x /= whole
+    middle_y /= whole
+    x_m /= whole
+    y_m /= whole
+    spread = max(square / whole - middle_x * middle_x - middle_y * middle_y, 0.0)
+    rotation = 0.0
+    if spread > 1e-12:  # a contact wider than 1 um
+        rotation = (spin / whole - (middle_x * y_m - middle_y * x_m)) / spread
+    rigid = x_m * x_m + y_m * y_m + rotation * rotation * spread
+    share = rigid * whole / motion if motion > 0.0 else 0.0
+    return share, math.sqrt(spread), x_m, y_m, rotation
+
+
+@njit(cache=True)
 def _relative_motion(
     arrays: tuple[Floats, Floats, Floats, Floats],
     pose: Floats,
@@ -158,68 +213,69 @@ def _relative_motion(
     nodal: Floats,
     visible: Flags,
     stuck: Flags,
-) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float, float, float, float]]:
-    """How the object has moved against the gel since pose_before; weights are the normal forces.
+) -> tuple[tuple[float, float, float, float, float], tuple[float, float, float, float, float]]:
+    """How the object has moved against the gel since pose_before, node by node; weights are the normal forces.
 
-    arrays: nodes, the gel's displacement, and that before, and for how many slices each node has stuck; the latter two
-    are brought up to now. Returns, of all nodes, the share that slips, the number that stick, and the mean motion x, y;
-    of the visible ones, the share that slips, that slid within RECENT_MS, the share of the squared motion that is
-    rigid, their rms distance from their middle, and that rigid motion: x and y of the middle, and the rotation. All are
-    0 without contact.
+    arrays: nodes, the gel's displacement, that before, which is brought up to now, and what is filled: the motion of
+    the object's surface against each node, 0 where the node bears nothing. Returns the share that slips, of all nodes
+    and of the visible ones, and of all nodes the number that stick and the mean motion x, y; then the rigid motion of
+    the visible ones. All are 0 without contact.
     """
-    nodes, displacement, before, stuck_for = arrays
+    nodes, displacement, before, slid = arrays
     move_x = pose[0] - pose_before[0]
     move_y = pose[1] - pose_before[1]
     turn = pose[2] - pose_before[2]
-    force = slipping = sticking = mean_x = mean_y = 0.0
-    seen = seen_slipping = recent = middle_x = middle_y = square = seen_x = seen_y = spin = motion = 0.0
+    force = slipping = sticking = mean_x = mean_y = seen = seen_slipping = 0.0
     rows, columns = nodal.shape
+    seen_nodal = np.zeros((rows, columns))
     for row in range(rows):
         for column in range(columns):
             load = nodal[row, column]
+            slid_x = slid_y = 0.0
             if load > 0.0:
-                x = nodes[row, column, 0]
-                y = nodes[row, column, 1]
-                slid_x = move_x - turn * (y - pose_before[1])
-                slid_y = move_y + turn * (x - pose_before[0])
+                slid_x = move_x - turn * (nodes[row, column, 1] - pose_before[1])
+                slid_y = move_y + turn * (nodes[row, column, 0] - pose_before[0])
                 slid_x -= displacement[row, column, 0] - before[row, column, 0]
                 slid_y -= displacement[row, column, 1] - before[row, column, 1]
                 slips = 0.0 if stuck[row, column] else load
-                square_m2 = slid_x * slid_x + slid_y * slid_y
-                stuck_for[row, column] = 0.0 if square_m2 > SLOWEST_M * SLOWEST_M else stuck_for[row, column] + 1.0
                 force += load
                 slipping += slips
                 sticking += stuck[row, column]
                 mean_x += load * slid_x
                 mean_y += load * slid_y
                 if visible[row, column]:
+                    seen_nodal[row, column] = load
                     seen += load
                     seen_slipping += slips
-                    recent += load if stuck_for[row, column] < RECENT_MS else 0.0
-                    middle_x += load * x
-                    middle_y += load * y
-                    square += load * (x * x + y * y)
-                    seen_x += load * slid_x
-                    seen_y += load * slid_y
-                    spin += load * (x * slid_y - y * slid_x)
-                    motion += load * square_m2
-            else:
-                stuck_for[row, column] = np.inf
+            slid[row, column, 0] = slid_x
+            slid[row, column, 1] = slid_y
             before[row, column, 0] = displacement[row, column, 0]
             before[row, column, 1] = displacement[row, column, 1]
     if force == 0.0:
-        return (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    whole = (slipping / force, sticking, mean_x / force, mean_y / force)
-    if seen == 0.0:
-        return whole, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    middle_x /= seen
-    middle_y /= seen
-    seen_x /= seen
-    seen_y /= seen
-    spread = max(square / seen - middle_x * middle_x - middle_y * middle_y, 0.0)
-    rotation = 0.0
-    if spread > 1e-12:  # a contact wider than 1 um
-        rotation = (spin / seen - (middle_x * seen_y - middle_y * seen_x)) / spread
-    rigid = seen_x * seen_x + seen_y * seen_y + rotation * rotation * spread
-    share = rigid * seen / motion if motion > 0.0 else 0.0
-    return whole, (seen_slipping / seen, recent / seen, share, math.sqrt(spread), seen_x, seen_y, rotation)
+        return (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0)
+    visible_share = seen_slipping / seen if seen > 0.0 else 0.0
+    whole = (slipping / force, visible_share, sticking, mean_x / force, mean_y / force)
+    return whole, _rigid_motion(nodes, slid, seen_nodal)
+
+
+@njit(cache=True)
+def _recently(slid: Floats, weights: Floats) -> tuple[float, Floats]:
+    """The share of the weight on nodes that slid in any of the slices, and the motion of all slices together.
+
+    slid: (slices, rows, columns, 2); the motion is (rows, columns, 2).
+    """
+    together = np.zeros(slid.shape[1:])
+    whole = recent = 0.0
+    slices, rows, columns, _ = slid.shape
+    for row in range(rows):
+        for column in range(columns):
+            fastest = 0.0
+            for number in range(slices):
+                x = slid[number, row, column, 0]
+                y = slid[number, row, column, 1]
+                together[row, column, 0] += x
+                together[row, column, 1] += y
+                fastest = max(fastest, x * x + y * y)
+            whole += weights[row, column]
+            recent += weights[row, column] if fastest > SLOWEST_M * SLOWEST_M else 0.0
+    return recent / whole if whole > 0.0 else 0.0, together

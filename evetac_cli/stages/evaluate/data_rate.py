@@ -19,7 +19,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params import EvaluateDataRate, recipe_of
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
-from evetac_cli.stages.label import ramp_start
+from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.provenance import Header
@@ -128,11 +128,10 @@ def _about_slip(recording: Recording, around_s: float) -> Interval:
     """As many slices before the onset as from it on; missing unless the recording holds them all."""
     half = round(500 * around_s)
     if recording.has("truth"):
-        start = ramp_start(recording)
-        slips = start + np.flatnonzero(recording.read("truth/slip")[start:])
-        if not len(slips):
+        true = true_onset(recording)
+        if true is None:
             return Interval(0, 0, "no slip")
-        onset = int(slips[0])
+        onset = true
     else:
         labels = _labels_beside(recording)
         if labels is None:

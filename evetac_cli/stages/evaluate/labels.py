@@ -87,13 +87,18 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     return report(job, "evaluate labels", METHOD, recipe_of(params), headers, measure, force=force)
 
 
+def true_onset(recording: Recording, first: int = 0, stop: int | None = None) -> int | None:
+    """The first slice of gross slip in first .. stop, since the current began to fall; None where there is none."""
+    start = max(first, ramp_start(recording))
+    return _first(recording.read("truth/slip")[:stop] > 0, start)
+
+
 def true_onsets(recording: Recording) -> dict[str, int | None]:
     """The first slice of gross slip, where that slip started, and the first slice by the pad's last stuck node.
 
     As for labels, a trial begins where the current starts to fall.
     """
-    start = ramp_start(recording)
-    onset = _first(recording.read("truth/slip") > 0, start)
+    start, onset = ramp_start(recording), true_onset(recording)
     return {
         "t_s_ms": onset,
         "gross_slip_start_ms": None if onset is None else _gross_start(recording.read("truth/slid_px"), onset),

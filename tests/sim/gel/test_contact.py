@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from evetac_cli.sim.gel.contact import cell_area, closing_at, force_curve, gap_profile, lookup, pad_nodes, pressure
+from evetac_cli.sim.gel.contact import (
+    cell_area,
+    closing_at,
+    force_curve,
+    gap_profile,
+    lookup,
+    pad_nodes,
+    pressure,
+    turning_arm,
+)
 
 MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M = 1.0e6, 4e-3, 1.8e3, 0.165e-3
 LENGTH_M, WIDTH_M = 20e-3, 15e-3
@@ -187,3 +196,15 @@ def test_pressure_refuses_nonsense(values):
     """Assert that values that are not finite, and negative totals, are refused."""
     with pytest.raises(ValueError, match="finite"):
         pressure(values[0], np.zeros((2, 2)), values[1])
+
+
+def test_turning_arm_of_a_disc_and_of_one_node():
+    """Assert 2/3 of the radius for an even disc, wherever it lies, and 0 for one node, and without contact."""
+    nodes = pad_nodes(120, 90, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3))
+    disc = (np.linalg.norm(nodes - (1e-3, 2e-3), axis=-1) < 5e-3).astype(float)
+    assert turning_arm(nodes, disc) == pytest.approx(2 / 3 * 5e-3, rel=0.01)
+    assert turning_arm(nodes, 7.0 * disc) == pytest.approx(turning_arm(nodes, disc), rel=1e-12)
+    one = np.zeros(nodes.shape[:2])
+    assert turning_arm(nodes, one) == 0.0
+    one[3, 5] = 2.0
+    assert turning_arm(nodes, one) == pytest.approx(0.0, abs=1e-15)

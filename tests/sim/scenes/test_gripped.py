@@ -198,6 +198,16 @@ def test_lever_turns_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
     assert turned[-2e-3] == pytest.approx(-turned[2e-3], rel=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_object_whose_weight_hangs_beside_the_fingers_is_held(seed: int) -> None:
+    """Assert that object 20, 12 mm off its centre of mass, does not turn in the grip before the current falls."""
+    (built,) = plan("slip", "20", "evetac", ("ramp",))
+    built["scene"]["gripper"]["start_factor"] = [1.5, 1.5]
+    held = GraspSimulation(built, *(np.random.default_rng([seed, part]) for part in range(2)))
+    assert not any(row["truth/slip"] for row in run(held, 900))
+    assert abs(held._gel.pose[2]) < 0.15  # the gel gives way; without a hold it turns by half a radian and more
+
+
 def test_touched_beside_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that an object touched 3 mm aside presses there, and moves the dots there most."""
     held = off_middle(monkeypatch, 8, touch_m=(0.0, 3e-3))

@@ -149,6 +149,23 @@ def test_nodes_that_stick_and_let_go_in_turn(turns: int, slips: bool) -> None:
         assert truth["slid_px"] == pytest.approx((2 * turns + 1) / turns, rel=0.1)
 
 
+@pytest.mark.parametrize(("slides", "slips"), [(0.3, False), (0.7, True)])
+def test_nodes_that_go_on_by_a_hair_now_and_then(slides: float, slips: bool) -> None:
+    """Assert that nodes which let go for a moment, one after the other, make no gross slip while most of them stay.
+
+    A share of the contact slides with the object; every node slips by 0.01 px in every fourth slice.
+    """
+    trial = Trial(evenly())
+    column = np.broadcast_to(np.arange(NODES.shape[1]), NODES.shape[:2])
+    said = []
+    for slice_ in range(4 * RECENT_MS):
+        stuck = column >= slides * NODES.shape[1]
+        lets_go = column % 4 == slice_ % 4
+        trial.state.displacement_m[stuck & lets_go, 0] -= 0.01 * M_PER_PX
+        said.append(trial.move(stuck, 1.0)["slip"])
+    assert any(said) == slips
+
+
 def test_stuck_gel_that_no_camera_sees() -> None:
     """Assert that gel outside the frame does not hinder gross slip, and does hinder the last stuck node."""
     trial = Trial(evenly())

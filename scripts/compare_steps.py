@@ -1,0 +1,223 @@
+"""Whole trials with the default steps of the mechanics, and again with a very fine fixed step: what differs?
+
+    python scripts/compare_steps.py -o steps.jsonl                           # 100 slips, then 40 grasps
+    python scripts/compare_steps.py -o steps.jsonl --kind slip --first 20 --count 20
+    python scripts/compare_steps.py -o steps.jsonl --count 0                 # the summary of what is there
+
+Both simulations of a trial have the same seeds, node pitch, friction and camera; only the steps differ. The trials are
+those of `evetac record --scene slip --object 1-20 --seed 10017 --count 5` and of `evetac grasp --object 1-20 --seed
+10017 --count 2 --lift-s 3.5 --balance-s 1`, taken object after object and then the same again. From every slip are made
+labels, tracks, features, and the detections of the package's detector, by the default methods.
+
+A trial is a line of JSON, written when both simulations are done, with the commit that made it; trials whose line is
+there are not run again. Three tables are printed, all simulated. How many slips differ, and by how much, in t_s (onset
+of gross slip), in the onset by the last stuck node, of the labels, and of the first detection. How often labels and
+detector are right against the truth of their own simulation, and how many grasps held. Every slip. Shares have their
+intervals, 95 %. Exit code 1 where t_s differs by more than 1 ms in more than 2 of 100 slips.
+
+A step of 0.0125 ms costs about 80 times a step of 1 ms: some 10 to 30 s of processor time a slip.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.console import show
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.numerics.paired import Interval, known, share, share_difference
+from evetac_cli.numerics.pipeline.chain import Trial, run_chain, run_grasp, slip_trial
+from evetac_cli.numerics.settings import Setting
+from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onsets
+from evetac_cli.store.read import open_recording
+
+Row = dict[str, Any]
+Flags = NDArray[np.bool_]
+
+OBJECTS = 20
+COUNTS = {"slip": 100, "grasp": 40}
+FINE_STEP_MS = 0.0125
+APART_MS = (1, 5)
+BOTH = DEFAULT, FINE = "default", "fine"
+TIMINGS = ("early", "correct", "late")
+MOST_APART = 0.02  # of all slips, in which t_s may differ by more than 1 ms
+ONSETS = ("t_s_ms", "t_every_node_ms", "label_ms", "detection_ms")
+
+
+def settings(step_ms: float) -> dict[str, Setting]:
+    """The two simulations of a trial."""
+    return {DEFAULT: Setting(DEFAULT), FINE: Setting("fixed step", solver={"step_ms": step_ms})}
+
+
+def slip(trial: Trial, setting: Setting, folder: Path) -> Row:
+    """Onsets of one slip, in slices from the start of the recording; None where there is none."""
+    chain = run_chain(trial, setting, folder)
+    with open_recording(slip_trial(trial, setting, folder).output) as recording:
+        true = true_onsets(recording)
+        steps = recording.read("truth/mechanical_steps")
+    onsets = {"t_s_ms": true["t_s_ms"], "t_every_node_ms": true["t_every_node_ms"]}
+    onsets |= {"label_ms": chain.label_ms, "detection_ms": chain.detection_ms}
+    return {**onsets, "slices": chain.slices, "steps_a_slice": float(steps.mean()), "record_us": chain.record_us}
+
+
+def grasp(trial: Trial, setting: Setting, folder: Path) -> Row:
+    """What became of one grasp."""
+    lifted = run_grasp(trial, setting, folder)
+    return {"held": lifted.held, "moved_mm": lifted.moved_mm, "grasp_us": lifted.grasp_us}
+
+
+def missing(chosen: argparse.Namespace, rows: list[Row]) -> Iterator[Row]:
+    """The trials that are asked for and not in rows: what tells a trial from others."""
+    done = {identity(row) for row in rows}
+    for kind in chosen.kind:
+        count = COUNTS[kind] - chosen.first if chosen.count is None else chosen.count
+        for index in range(chosen.first, chosen.first + count):
+            object_, number = index % OBJECTS + 1, index // OBJECTS
+            row = {"kind": kind, "object": object_, "number": number, "seed": chosen.seed, "step_ms": chosen.step_ms}
+            if identity(row) not in done:
+                yield row
+
+
+def identity(row: Row) -> tuple[Any, ...]:
+    """What tells a trial from others."""
+    return tuple(row[name] for name in ("kind", "object", "number", "seed", "step_ms"))
+
+
+def run(row: Row) -> Row:
+    """Run both simulations of a trial."""
+    trial = Trial(row["object"], row["seed"], row["object"], row["number"])
+    results = {}
+    for name, setting in settings(row["step_ms"]).items():
+        with tempfile.TemporaryDirectory() as folder:
+            results[name] = (slip if row["kind"] == "slip" else grasp)(trial, setting, Path(folder))
+    return {**row, "commit": commit(), **results}
+
+
+def commit() -> str:
+    """The commit that runs, marked where files were changed since."""
+    command = ("git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude", "*")
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def tables(rows: list[Row]) -> list[Row]:
+    """Three tables: how often onsets differ, how often what was made from them is right, and every slip."""
+    slips = [row for row in rows if row["kind"] == "slip"]
+    grasps = [row for row in rows if row["kind"] == "grasp"]
+    held = {one: np.array([row[one]["held"] for row in grasps], bool) for one in BOTH}
+    slipped = [row for row in slips if all(row[one]["t_s_ms"] is not None for one in BOTH)]
+    answers = [
+        _shares(f"labels {EARLIEST_MS} to {LATEST_MS} ms off", {one: _labelled(slipped, one) for one in BOTH}),
+        *(_shares(f"detection {when}", {one: _detected(slipped, one, when) for one in BOTH}) for when in TIMINGS),
+        _shares("grasp held", held),
+    ]
+    return [*(_differences(slips, name) for name in ONSETS), *answers, *map(_trial, slips)]
+
+
+def _differences(slips: list[Row], name: str) -> Row:
+    """How far an onset is apart; one that is found in one simulation alone counts as infinitely far."""
+    apart = np.array([_apart(row, name) for row in slips])
+    both = apart[np.isfinite(apart)]
+    row: Row = {
+        "onset": name.removesuffix("_ms"),
+        "trials": len(slips),
+        "in_one_alone": int(np.isinf(apart).sum()),
+        "median_apart_ms": float(np.median(both)) if len(both) else None,
+    }
+    for limit_ms in APART_MS:
+        beyond = np.abs(apart) > limit_ms
+        row[f"over_{limit_ms}_ms"] = int(beyond.sum())
+        row |= {f"share_over_{limit_ms}_ms_{end}": value for end, value in _ends(share(beyond)).items()}
+    return row
+
+
+def _shares(what: str, holds: dict[str, Flags]) -> Row:
+    """In how many trials something holds by default, with the fine step, and in how many more by default."""
+    shares = {one: share(holds[one]) for one in BOTH}
+    shares["more_by_default"] = share_difference(holds[DEFAULT], holds[FINE])
+    row: Row = {"what": what, "trials": len(holds[DEFAULT])}
+    for name, interval in shares.items():
+        row[name] = known(interval.mean)
+        row |= {f"{name}_{end}": value for end, value in _ends(interval).items()}
+    return row
+
+
+def _ends(interval: Interval) -> Row:
+    return {"low": known(interval.low), "high": known(interval.high)}
+
+
+def _trial(row: Row) -> Row:
+    """A slip by default, and by how much later each onset is than with the fine step."""
+    later = {f"{name.removesuffix('_ms')}_later_ms": known(_apart(row, name)) for name in ONSETS}
+    return {"object": row["object"], "trial": row["number"], "t_s_ms": row[DEFAULT]["t_s_ms"], **later}
+
+
+def _apart(row: Row, name: str) -> float:
+    """The onset by default less that with the fine step; 0 where neither has one."""
+    default, fine = row[DEFAULT][name], row[FINE][name]
+    if default is None or fine is None:
+        return 0.0 if default is fine else np.inf
+    return float(default - fine)
+
+
+def _labelled(slipped: list[Row], one: str) -> Flags:
+    """In which trials the labels' onset is within the bounds about the truth of the same simulation."""
+    errors = [_or_never(row[one]["label_ms"]) - row[one]["t_s_ms"] for row in slipped]
+    return np.array([EARLIEST_MS <= error <= LATEST_MS for error in errors], bool)
+
+
+def _detected(slipped: list[Row], one: str, when: str) -> Flags:
+    """In which trials the first detection is early, correct or late against the truth of the same simulation."""
+    first_ms = [(-1 if row[one]["detection_ms"] is None else row[one]["detection_ms"]) for row in slipped]
+    pairs = zip(first_ms, slipped, strict=True)
+    return np.array([metrics.timing(first, row[one]["t_s_ms"]) == when for first, row in pairs], bool)
+
+
+def _or_never(onset_ms: int | None) -> float:
+    return np.inf if onset_ms is None else float(onset_ms)
+
+
+def main() -> None:
+    """Run what is missing, print the summary."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one a trial")
+    parser.add_argument("--kind", action="append", choices=tuple(COUNTS), help="slip or grasp; default: both")
+    parser.add_argument("--first", type=int, default=0, help="trial to begin with, from 0")
+    parser.add_argument("--count", type=int, help="trials of each kind; default: to 100 slips and 40 grasps")
+    parser.add_argument("--seed", type=int, default=10_017)
+    parser.add_argument("--step-ms", type=float, default=FINE_STEP_MS, help="the fine step")
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
+    chosen = parser.parse_args()
+    chosen.kind = chosen.kind or list(COUNTS)
+
+    rows = [json.loads(line) for line in chosen.out.read_text().splitlines()] if chosen.out.exists() else []
+    for planned in missing(chosen, rows):
+        row = run(planned)
+        rows.append(row)
+        text = json.dumps(row)
+        print(text, file=sys.stderr, flush=True)
+        with chosen.out.open("a") as file:
+            file.write(text + "\n")
+    compared = [row for row in rows if (row["seed"], row["step_ms"]) == (chosen.seed, chosen.step_ms)]
+    everything = tables(compared)
+    (gross,) = (row for row in everything if row.get("onset") == "t_s")
+    whole = {
+        "slips": gross["trials"],
+        "grasps": len(compared) - gross["trials"],
+        "t_s_over_1_ms": gross["over_1_ms"],
+        "fine_step_ms": chosen.step_ms,
+        "commits": ", ".join(sorted({row["commit"] for row in compared})),
+    }
+    show("compare_steps", everything, whole, simulated=True, as_json=chosen.json)
+    if gross["over_1_ms"] > MOST_APART * gross["trials"]:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""What compare_steps makes of trials whose onsets and outcomes are known, and which trials it still has to run."""
+
+import argparse
+from typing import Any
+
+import pytest
+
+from scripts import compare_steps
+from scripts.compare_steps import DEFAULT, FINE
+
+
+def trial(kind: str, number: int, default: dict[str, Any], fine: dict[str, Any]) -> dict[str, Any]:
+    """The line of a trial."""
+    made = {"kind": kind, "object": 1, "number": number, "seed": 0, "step_ms": 0.1, "commit": "c"}
+    return {**made, DEFAULT: default, FINE: fine}
+
+
+def slip(number: int, *onsets: tuple[int | None, ...]) -> dict[str, Any]:
+    """A slip with the onsets t_s, of every node, of labels and of the detection, by default and with the fine step."""
+    default, fine = (dict(zip(compare_steps.ONSETS, of_one, strict=True)) for of_one in onsets)
+    return trial("slip", number, default, fine)
+
+
+def grasp(number: int, default: bool, fine: bool) -> dict[str, Any]:
+    """A grasp that held or not, by default and with the fine step."""
+    return trial("grasp", number, {"held": default}, {"held": fine})
+
+
+def table(rows: list[dict[str, Any]], column: str) -> dict[str, dict[str, Any]]:
+    """The table whose first column this is, by the values of that column."""
+    return {row[column]: row for row in compare_steps.tables(rows) if column in row}
+
+
+SLIPS = [
+    slip(0, (100, 103, 102, 90), (100, 103, 102, 90)),
+    slip(1, (200, 200, 200, 215), (201, 203, 190, 225)),
+    slip(2, (300, None, None, 240), (302, None, 303, 303)),
+]
+
+
+def test_onsets_that_differ() -> None:
+    """Assert how many onsets differ by more than 1 and 5 ms, and that one found in one simulation alone does."""
+    onsets = table(SLIPS, "onset")
+    assert {name: (row["over_1_ms"], row["over_5_ms"], row["in_one_alone"]) for name, row in onsets.items()} == {
+        "t_s": (1, 0, 0), "t_every_node": (1, 0, 0), "label": (2, 2, 1), "detection": (2, 2, 0),
+    }  # fmt: skip
+    assert onsets["t_s"]["median_apart_ms"] == -1.0
+    of_object = table(SLIPS, "object")
+    assert len(compare_steps.tables(SLIPS)) == 4 + 5 + 3
+    assert of_object[1]["t_s_later_ms"] == -2.0
+
+
+def test_what_is_right_against_its_own_truth() -> None:
+    """Assert that labels and detections are held against the truth of their own simulation."""
+    what = table([*SLIPS, grasp(0, True, True), grasp(1, False, True)], "what")
+    shares = {name: (row["trials"], row["default"], row["fine"], row["more_by_default"]) for name, row in what.items()}
+    third = pytest.approx(1 / 3)
+    assert shares["labels -4 to 3 ms off"] == (3, pytest.approx(2 / 3), pytest.approx(2 / 3), 0.0)
+    assert shares["detection early"] == (3, third, 0.0, third)
+    assert shares["detection correct"] == (3, pytest.approx(2 / 3), pytest.approx(2 / 3), 0.0)
+    assert shares["detection late"] == (3, 0.0, third, pytest.approx(-1 / 3))
+    assert shares["grasp held"] == (2, 0.5, 1.0, -0.5)
+
+
+def test_trials_that_are_there_are_not_run_again() -> None:
+    """Assert the order of trials, object after object, and that those in the file are left out."""
+    chosen = argparse.Namespace(kind=["slip"], first=18, count=4, seed=0, step_ms=0.1)
+    planned = list(compare_steps.missing(chosen, []))
+    assert [(row["object"], row["number"]) for row in planned] == [(19, 0), (20, 0), (1, 1), (2, 1)]
+    assert list(compare_steps.missing(chosen, planned[:3])) == planned[3:]
+    assert list(compare_steps.missing(argparse.Namespace(**{**vars(chosen), "seed": 1}), planned)) != []
