@@ -105,6 +105,7 @@ class GelCamera:
         self.dot_xy_px = self.grid_xy_px.reshape(-1, 2).copy()
         self.object_xy_px = np.zeros(2)
         bandwidth_hz = float(sensor_row.get("bandwidth_hz", 0.0))  # 0: as fast as anything moves
+        self._looked_at_rest = False
         self._lagging = None
         if bandwidth_hz:
             self._lagging = LowPass(bandwidth_hz, self.dot_xy_px), LowPass(bandwidth_hz, self.object_xy_px[None])
@@ -186,6 +187,7 @@ class GelCamera:
         *,
         cut_m: Floats | None = None,
         strength: float = 0.0,
+        still: bool = False,
     ) -> Events:
         """Events of a slice in which the dots come to be displaced by shift_m (dots, 2), and the object by object_m.
 
@@ -211,7 +213,15 @@ class GelCamera:
         else:
             events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
         self.dot_xy_px, self.object_xy_px = dots, object_px
+        # the last scan of a slice is before its end: only after one at rest has the camera seen where all came to lie
+        self._looked_at_rest = still and self._is_settled and (dots == begin).all()
         return events
+
+    @property
+    def _is_settled(self) -> bool:
+        """Whether what the camera sees stays as it is where nothing moves; not of pixels that lag, or light."""
+        lasts = self._gone_from_us == np.inf and self._lagging is None
+        return isinstance(self._camera, CameraState) and self._camera.light is None and lasts
 
     def _without_gone(
         self, path: Floats | None, seen: tuple[Floats, Floats, Floats, Floats]

@@ -80,6 +80,7 @@ class GraspSimulation:
         self._hand_m_s = 0.0
         self._shift_indentation_m = -1.0
         self._dilation_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
+        self._seen = (self._dilation_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
         self._last_slice = self._planned_slices(lift_s, balance_s)
         self._lift_starts_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
         self._drops_at = round((float(self._time.get("touch_s", 0.0)) + lift_s) * 1000)
@@ -164,13 +165,18 @@ class GraspSimulation:
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
-        before_m = self._dilation_m
+        before_m, closing_ticks = self._dilation_m, self.finger.closing_ticks
         self._move()
-        shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
-        cut_m = gel.displacement_at(self._gel, *self._at_cut)
-        object_m, contrast = (self._seen_m(), self._contrast()) if self._shows_texture else (OUT_OF_SIGHT_M, 0.0)
+        still = self._gel_slices.still_for > 0 and self.finger.closing_ticks == closing_ticks
+        if not still:
+            shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
+            cut_m = gel.displacement_at(self._gel, *self._at_cut)
+            object_m, contrast = (self._seen_m(), self._contrast()) if self._shows_texture else (OUT_OF_SIGHT_M, 0.0)
+            self._seen = (shift_m, object_m, contrast, cut_m)
+        shift_m, object_m, contrast, cut_m = self._seen
         path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
-        events = self.gel_camera.render(shift_m, object_m, contrast, self.slices * SLICE_US, path_m, cut_m=cut_m)
+        now_us = self.slices * SLICE_US
+        events = self.gel_camera.render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
         self.slices += 1
         self.finished = self.slices >= self._last_slice or self._over()
         return events
