@@ -194,7 +194,11 @@ class GelCamera:
         Dots move on straight lines, or along shift_path_m (k + 1, dots, 2): their displacement at k + 1 equally spaced
         times, from the end of the last slice to shift_m. The gel at the cut edge comes to be displaced by cut_m, of the
         shape of `cut_rest_m` (not at all without it), and the object's outline to be seen with `strength`, 0 to 1.
+        `still` says that all of this is as in the slice before.
         """
+        if still and self._looked_at_rest:
+            assert isinstance(self._camera, CameraState)
+            return camera.step_still(self._camera, t0_us, self._rng)
         to_px = 1e3 / self.mm_per_px
         at_rest = self.grid_xy_px.reshape(-1, 2)
         dots = at_rest + shift_m * to_px
@@ -214,7 +218,7 @@ class GelCamera:
             events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
         self.dot_xy_px, self.object_xy_px = dots, object_px
         # the last scan of a slice is before its end: only after one at rest has the camera seen where all came to lie
-        self._looked_at_rest = still and self._is_settled and (dots == begin).all()
+        self._looked_at_rest = still and self._is_settled and bool((dots == begin).all())
         return events
 
     @property
