@@ -36,11 +36,13 @@ class Stencil(NamedTuple):
 class Work(NamedTuple):
     """Memory for one step, (rows, columns[, 2]); `velocity` and `loose` have a border of zeros all around.
 
+    right, slip, ease and carried have two columns more, so that in memory they run along with `velocity`.
     velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
     lever: place of the nodes seen from the object's centre; bound: mu * normal force; diagonal: of the stencil.
     pull: the friction each node asks for; slip, speed: its velocity against the object's surface, and the size of that.
     loose: 1 where a node does not move along with the object.
     search_direction: how the nodes answer a move of the object.
+    ease: factor of over-relaxation / diagonal, of both components; carried: velocity of the object's surface.
     """
 
     velocity: Floats
@@ -53,6 +55,14 @@ class Work(NamedTuple):
     speed: Floats
     loose: Floats
     search_direction: Floats
+    ease: Floats
+    carried: Floats
+
+
+# numba takes an index that may be negative from the end of an array, and tests each for that; these are none.
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_FOUR = np.uint64(4)
 
 
 @njit(cache=True)
@@ -62,49 +72,87 @@ def links(index: int, count: int) -> int:
 
 
 @njit(cache=True)
-def friction_projection(x: float, y: float, bound: float) -> float:
-    """The share of a vector (x, y) that is left when its length is made less by `bound`; 0 where it is not longer.
+def carry(work: Work, twist: Floats) -> None:
+    """Fill `carried` for the object's twist."""
+    rows, columns = work.bound.shape
+    for row in range(rows):
+        for column in range(columns):
+            work.carried[row, column, 0] = twist[0] - twist[2] * work.lever[row, column, 1]
+            work.carried[row, column, 1] = twist[1] + twist[2] * work.lever[row, column, 0]
 
-    This is Coulomb's law in the search (the proximal map of friction): what a node would slip, less what its friction
-    holds.
-    """
-    square = x * x + y * y
-    return 1.0 - bound / math.sqrt(square) if square > bound * bound else 0.0
+
+@njit(cache=True, error_model="numpy")
+def _slip_alone(
+    above: Floats,
+    here: Floats,
+    below: Floats,
+    right: Floats,
+    ease: Floats,
+    carried: Floats,
+    stencil: Stencil,
+    keep: float,
+    slip: Floats,
+) -> None:
+    """What each node would slip after a sweep if there were no friction, `keep` of its velocity being left."""
+    link_x = stencil.link_x
+    link_y = stencil.link_y
+    for k in range(len(slip)):
+        total = right[k] + link_x * (here[k] + here[k + 4])
+        total += link_y * (above[k] + below[k])
+        slip[k] = keep * here[k + 2] + ease[k] * total - carried[k]
 
 
-@njit(cache=True)
-def relax(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, factor: float) -> None:
-    """One sweep of projected over-relaxation over the nodes, the object's twist held.
+@njit(cache=True, error_model="numpy")
+def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
+    """One sweep of projected over-relaxation over the nodes, with the object's velocity as in `carried`.
 
     Nodes go in the order of a chess board, first one colour, then the other: those of one colour do not wait for each
     other, neither in the processor nor in the result, which so keeps the symmetries of the problem.
+
+    Coulomb's law is the proximal map of friction: of what a node would slip is left what its friction does not hold.
+
+    Why so: what has no branch is computed for both colours at once, in flat loops that numba makes vector code of.
     """
-    velocity = work.velocity
     rows, columns = work.bound.shape
+    stride = 2 * columns + 4
+    count = rows * stride - 4
+    velocity = work.velocity.reshape(-1)
+    right = work.right.reshape(-1)
+    slip = work.slip.reshape(-1)
+    ease = work.ease.reshape(-1)
+    carried = work.carried.reshape(-1)
+    bound = work.bound.reshape(-1)
+    sticks = stuck.reshape(-1)
+    above = velocity[2:]
+    here = velocity[stride:]
+    below = velocity[2 * stride + 2 :]
     for colour in range(2):
+        _slip_alone(above, here, below, right, ease, carried, stencil, 1.0 - factor, slip[:count])
         for row in range(rows):
-            for column in range((row + colour) % 2, columns, 2):
-                sum_x = work.right[row, column, 0]
-                sum_y = work.right[row, column, 1]
-                sum_x += stencil.link_x * (velocity[row + 1, column, 0] + velocity[row + 1, column + 2, 0])
-                sum_y += stencil.link_x * (velocity[row + 1, column, 1] + velocity[row + 1, column + 2, 1])
-                sum_x += stencil.link_y * (velocity[row, column + 1, 0] + velocity[row + 2, column + 1, 0])
-                sum_y += stencil.link_y * (velocity[row, column + 1, 1] + velocity[row + 2, column + 1, 1])
-                body_x = twist[0] - twist[2] * work.lever[row, column, 1]
-                body_y = twist[1] + twist[2] * work.lever[row, column, 0]
-                ease = factor / work.diagonal[row, column]
-                slip_x = (1.0 - factor) * velocity[row + 1, column + 1, 0] + ease * sum_x - body_x
-                slip_y = (1.0 - factor) * velocity[row + 1, column + 1, 1] + ease * sum_y - body_y
-                hold = ease * work.bound[row, column]
-                left = friction_projection(slip_x, slip_y, hold)
-                if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
-                    left = 0.0
-                stuck[row, column] = hold > 0.0 and left == 0.0
-                velocity[row + 1, column + 1, 0] = body_x + left * slip_x
-                velocity[row + 1, column + 1, 1] = body_y + left * slip_y
+            first = (row + colour) % 2
+            entry = np.uint64(row * stride + 2 * first)
+            node = np.uint64(row * columns + first)
+            end = np.uint64(row * columns + columns)
+            while node < end:
+                slip_x = slip[entry]
+                slip_y = slip[entry + _ONE]
+                body_x = carried[entry]
+                body_y = carried[entry + _ONE]
+                hold = ease[entry] * bound[node]
+                square = slip_x * slip_x + slip_y * slip_y
+                left = 0.0
+                if square > hold * hold:
+                    left = 1.0 - hold / math.sqrt(square)
+                    if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
+                        left = 0.0
+                sticks[node] = hold > 0.0 and left == 0.0
+                here[entry + _TWO] = body_x + left * slip_x
+                here[entry + _TWO + _ONE] = body_y + left * slip_y
+                entry += _FOUR
+                node += _TWO
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, friction_wrench: Floats) -> float:
     """Largest force left unbalanced at a node.
 
