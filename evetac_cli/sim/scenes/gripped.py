@@ -150,7 +150,7 @@ class GraspSimulation:
             across_m, down_m = (window_px * self.gel_camera.mm_per_px * 1e-3 - self._middle_m).tolist()
             self._window_from_middle_m = (across_m, down_m)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
-        self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
+        self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = self._solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
         self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
@@ -169,8 +169,9 @@ class GraspSimulation:
         self._move()
         still = self._gel_slices.still_for > 0 and self.finger.closing_ticks == closing_ticks
         if not still:
-            shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
-            cut_m = gel.displacement_at(self._gel, *self._at_cut)
+            seen_m = gel.displacement_at(self._gel, *self._at_seen)
+            dots = len(self.gel_camera.rest_m)
+            shift_m, cut_m = seen_m[:dots] + self._dilated(), seen_m[dots:]
             object_m, contrast = (self._seen_m(), self._contrast()) if self._shows_texture else (OUT_OF_SIGHT_M, 0.0)
             self._seen = (shift_m, object_m, contrast, cut_m)
         shift_m, object_m, contrast, cut_m = self._seen

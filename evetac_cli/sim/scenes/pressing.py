@@ -84,7 +84,7 @@ class Pressing:
         self._changing_friction = ChangingFriction(self._scene, self._friction)
         self._steps = SolverTruth(self._gel)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
-        self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
+        self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
         self._dilation_m = self._shift_m = np.zeros_like(self.gel_camera.rest_m)
@@ -192,8 +192,9 @@ class Pressing:
         before_m = self._dilation_m
         if not still:
             self._dilation_m = self._dilated(self._weights_now)
-            self._shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilation_m
-            self._cut_m = gel.displacement_at(self._gel, *self._at_cut)
+            seen_m = gel.displacement_at(self._gel, *self._at_seen)
+            dots = len(self.gel_camera.rest_m)
+            self._shift_m, self._cut_m = seen_m[:dots] + self._dilation_m, seen_m[dots:]
         path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
         now_us, strength = self.slices * SLICE_US, self._strength()
         return self.gel_camera.render(
