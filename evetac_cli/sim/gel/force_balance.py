@@ -186,8 +186,10 @@ def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, frictio
                 slip_x = here_x - twist[0] + twist[2] * y
                 slip_y = here_y - twist[1] - twist[2] * x
                 speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
-                force_x = -bound * (slip_x / speed) if speed > 0.0 else 0.0
-                force_y = -bound * (slip_y / speed) if speed > 0.0 else 0.0
+                force_x = force_y = 0.0
+                if speed > 0.0 and bound > 0.0:
+                    force_x = -bound * (slip_x / speed)
+                    force_y = -bound * (slip_y / speed)
                 left = math.sqrt((pull_x - force_x) ** 2 + (pull_y - force_y) ** 2)
             worst = max(worst, left)
             work.pull[row, column, 0] = pull_x
@@ -294,14 +296,14 @@ def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
     return slope, curvature
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rubbing(work: Work, move: Floats, part: float) -> float:
     """Slope of one pad's friction potential, the sum of bound * |slip|, after a part of a move of object and nodes."""
     rows, columns = work.bound.shape
     slope = 0.0
     for row in range(rows):
         for column in range(columns):
-            if work.speed[row, column] > 0.0:
+            if work.speed[row, column] > 0.0 and work.bound[row, column] > 0.0:
                 drift_x = work.search_direction[row, column, 0] - move[0] + move[2] * work.lever[row, column, 1]
                 drift_y = work.search_direction[row, column, 1] - move[1] - move[2] * work.lever[row, column, 0]
                 slip_x = work.slip[row, column, 0] + part * drift_x

@@ -344,14 +344,13 @@ def _advance(
                     mu = min(max(coefficient[row, column], kinetic), static)
                     mu = _after(mu, speed, dt, friction)
                 coefficient[row, column] = mu
-            if speed > 0.0:
-                push_x = -work.bound[row, column] * (work.slip[row, column, 0] / speed)
-                push_y = -work.bound[row, column] * (work.slip[row, column, 1] / speed)
-            elif stuck[row, column]:
+            push_x = push_y = 0.0
+            if stuck[row, column]:
                 push_x = work.pull[row, column, 0]
                 push_y = work.pull[row, column, 1]
-            else:
-                push_x = push_y = 0.0
+            elif speed > 0.0 and load > 0.0:
+                push_x = -work.bound[row, column] * (work.slip[row, column, 0] / speed)
+                push_y = -work.bound[row, column] * (work.slip[row, column, 1] / speed)
             push_sum_x += push_x
             push_sum_y += push_y
             moment += nodes[row, column, 0] * push_y - nodes[row, column, 1] * push_x
