@@ -71,6 +71,17 @@ def links(index: int, count: int) -> int:
     return min(index, 1) + min(count - 1 - index, 1)
 
 
+@njit(cache=True, error_model="numpy")
+def friction_projection(x: float, y: float, bound: float) -> float:
+    """The share of a vector (x, y) that is left when its length is made less by `bound`; 0 where it is not longer.
+
+    This is Coulomb's law in the search (the proximal map of friction): what a node would slip, less what its friction
+    holds.
+    """
+    square = x * x + y * y
+    return 1.0 - bound / math.sqrt(square) if square > bound * bound else 0.0
+
+
 @njit(cache=True)
 def carry(work: Work, twist: Floats) -> None:
     """Fill `carried` for the object's twist."""
@@ -109,8 +120,6 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
     Nodes go in the order of a chess board, first one colour, then the other: those of one colour do not wait for each
     other, neither in the processor nor in the result, which so keeps the symmetries of the problem.
 
-    Coulomb's law is the proximal map of friction: of what a node would slip is left what its friction does not hold.
-
     Why so: what has no branch is computed for both colours at once, in flat loops that numba makes vector code of.
     """
     rows, columns = work.bound.shape
@@ -139,12 +148,9 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
                 body_x = carried[entry]
                 body_y = carried[entry + _ONE]
                 hold = ease[entry] * bound[node]
-                square = slip_x * slip_x + slip_y * slip_y
-                left = 0.0
-                if square > hold * hold:
-                    left = 1.0 - hold / math.sqrt(square)
-                    if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
-                        left = 0.0
+                left = friction_projection(slip_x, slip_y, hold)
+                if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
+                    left = 0.0
                 sticks[node] = hold > 0.0 and left == 0.0
                 here[entry + _TWO] = body_x + left * slip_x
                 here[entry + _TWO + _ONE] = body_y + left * slip_y

@@ -92,8 +92,8 @@ class GelSlices:
     ) -> Slice:
         """A slice, as for `Stepper.advance`; `twist` is what the object moves at if that is prescribed."""
         state = self._gel
-        acting = (force_n, body_force_n, friction, twist, state.pose.tolist(), state.twist.tolist())
-        acting += (state.inertia.tolist(),)
+        body = (state.pose.tolist(), state.twist.tolist(), state.inertia.tolist())
+        acting = (force_n, body_force_n, friction, twist, body)
         same = acting == self._acting and (shares is self._shares or np.array_equal(shares, self._shares))
         if same and self._rests and each is None:
             self.still_for += 1
