@@ -36,13 +36,13 @@ class Stencil(NamedTuple):
 class Work(NamedTuple):
     """Memory for one step, (rows, columns[, 2]); `velocity` and `loose` have a border of zeros all around.
 
-    right, slip, ease and carried have two columns more, so that in memory they run along with `velocity`.
+    right, slip, ease and object_velocity have two columns more, so that in memory they run along with `velocity`.
     velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
     lever: place of the nodes seen from the object's centre; bound: mu * normal force; diagonal: of the stencil.
     pull: the friction each node asks for; slip, speed: its velocity against the object's surface, and the size of that.
     loose: 1 where a node does not move along with the object.
     search_direction: how the nodes answer a move of the object.
-    ease: factor of over-relaxation / diagonal, of both components; carried: velocity of the object's surface.
+    ease: factor of over-relaxation / diagonal, of both components; object_velocity: velocity of the object's surface.
     """
 
     velocity: Floats
@@ -56,7 +56,7 @@ class Work(NamedTuple):
     loose: Floats
     search_direction: Floats
     ease: Floats
-    carried: Floats
+    object_velocity: Floats
 
 
 # numba takes an index that may be negative from the end of an array, and tests each for that; these are none.
@@ -83,13 +83,13 @@ def friction_projection(x: float, y: float, bound: float) -> float:
 
 
 @njit(cache=True)
-def carry(work: Work, twist: Floats) -> None:
-    """Fill `carried` for the object's twist."""
+def set_object_velocity(work: Work, twist: Floats) -> None:
+    """Fill `object_velocity` for the object's twist."""
     rows, columns = work.bound.shape
     for row in range(rows):
         for column in range(columns):
-            work.carried[row, column, 0] = twist[0] - twist[2] * work.lever[row, column, 1]
-            work.carried[row, column, 1] = twist[1] + twist[2] * work.lever[row, column, 0]
+            work.object_velocity[row, column, 0] = twist[0] - twist[2] * work.lever[row, column, 1]
+            work.object_velocity[row, column, 1] = twist[1] + twist[2] * work.lever[row, column, 0]
 
 
 @njit(cache=True, error_model="numpy")
@@ -99,7 +99,7 @@ def _slip_alone(
     below: Floats,
     right: Floats,
     ease: Floats,
-    carried: Floats,
+    object_velocity: Floats,
     stencil: Stencil,
     keep: float,
     slip: Floats,
@@ -110,12 +110,12 @@ def _slip_alone(
     for k in range(len(slip)):
         total = right[k] + link_x * (here[k] + here[k + 4])
         total += link_y * (above[k] + below[k])
-        slip[k] = keep * here[k + 2] + ease[k] * total - carried[k]
+        slip[k] = keep * here[k + 2] + ease[k] * total - object_velocity[k]
 
 
 @njit(cache=True, error_model="numpy")
 def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
-    """One sweep of projected over-relaxation over the nodes, with the object's velocity as in `carried`.
+    """One sweep of projected over-relaxation over the nodes, with the object's velocity as in `object_velocity`.
 
     Nodes go in the order of a chess board, first one colour, then the other: those of one colour do not wait for each
     other, neither in the processor nor in the result, which so keeps the symmetries of the problem.
@@ -129,14 +129,14 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
     right = work.right.reshape(-1)
     slip = work.slip.reshape(-1)
     ease = work.ease.reshape(-1)
-    carried = work.carried.reshape(-1)
+    object_velocity = work.object_velocity.reshape(-1)
     bound = work.bound.reshape(-1)
     sticks = stuck.reshape(-1)
     above = velocity[2:]
     here = velocity[stride:]
     below = velocity[2 * stride + 2 :]
     for colour in range(2):
-        _slip_alone(above, here, below, right, ease, carried, stencil, 1.0 - factor, slip[:count])
+        _slip_alone(above, here, below, right, ease, object_velocity, stencil, 1.0 - factor, slip[:count])
         for row in range(rows):
             first = (row + colour) % 2
             entry = np.uint64(row * stride + 2 * first)
@@ -145,8 +145,8 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
             while node < end:
                 slip_x = slip[entry]
                 slip_y = slip[entry + _ONE]
-                body_x = carried[entry]
-                body_y = carried[entry + _ONE]
+                body_x = object_velocity[entry]
+                body_y = object_velocity[entry + _ONE]
                 hold = ease[entry] * bound[node]
                 left = friction_projection(slip_x, slip_y, hold)
                 if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.gel.force_balance import Stencil, Work, carry, imbalance, links, move_object, relax
+from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax, set_object_velocity
 from evetac_cli.sim.gel.friction import coefficient_after
 
 Floats = NDArray[np.float64]
@@ -166,7 +166,7 @@ def step_nodes(
     sweeps = 0
     rounds = 0
     while True:
-        carry(work, body)
+        set_object_velocity(work, body)
         # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
             relax(work, stencil, stuck, factor)
