@@ -55,7 +55,9 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
             if simulated.slices % 2 == 0:
                 if kind == "lift":
                     phase = paper.Phase((simulated.slices >= TOUCH_MS) + (simulated.slices >= TOUCH_MS + LIFT_MS))
-                    goal = paper.step(law, phase, simulated._slip.slips, simulated.finger.position_ticks)
+                    goal = paper.step(
+                        law, phase, bool(simulated._slip.truth()["truth/slip"]), simulated.finger.position_ticks
+                    )
                     simulated.command = ("position", goal)
                 elif simulated.slices >= 900:
                     simulated.command = ("current", round(start_ma - 0.01375 * (simulated.slices - 900) / 2))
