@@ -55,7 +55,9 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
             if simulated.slices % 2 == 0:
                 if kind == "lift":
                     phase = paper.Phase((simulated.slices >= TOUCH_MS) + (simulated.slices >= TOUCH_MS + LIFT_MS))
-                    goal = paper.step(law, phase, simulated._slip.slips, simulated.finger.position_ticks)
+                    goal = paper.step(
+                        law, phase, bool(simulated._slip.truth()["truth/slip"]), simulated.finger.position_ticks
+                    )
                     simulated.command = ("position", goal)
                 elif simulated.slices >= 900:
                     simulated.command = ("current", round(start_ma - 0.01375 * (simulated.slices - 900) / 2))
@@ -80,12 +82,16 @@ def edges() -> list[dict[str, object]]:
 
 
 def stillness() -> list[dict[str, object]]:
-    """Slices in which nothing moves and all sticks: an object held in the gripper, a face that stays where it is."""
+    """Slices in which nothing slips: an object before its weight is on the gripper, held, and a face at rest."""
     rows = []
-    for name, first, end in (("slip", 700, 900), ("shear", 2300, 3000)):
+    for name, what, first, end in (
+        ("slip", "before its weight", 30, 200),
+        ("slip", "held, swinging", 700, 900),
+        ("shear", "at rest", 2300, 3000),
+    ):
         plan = scene.plan(name, "8", "evetac", ("ramp", "press"))[0]
         times = slice_times(rig(plan, np.random.SeedSequence([1, 0])), end)
-        rows.append(row(f"simulate {name}, held still", times[first:]))
+        rows.append(row(f"simulate {name}, {what}", times[first:]))
     return rows
 
 

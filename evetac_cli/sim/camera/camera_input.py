@@ -35,13 +35,43 @@ def motions(
     texture_contrast: float,
 ) -> tuple[Floats, ObjectMotion]:
     """Paths of so many dots (dots, k + 1, 2) and the object's motion, from arguments of `step`."""
+    check_range("texture_contrast", texture_contrast, 0.0, 1e3)
+    if dot_path_px is None:
+        path, ends = np.empty((dots, 2, 2)), np.empty((2, 2))
+        given = (dot_xy_px_start, dot_xy_px_end, object_xy_px_start, object_xy_px_end)
+        if all(map(_is_plain, given, ((dots, 2), (dots, 2), (2,), (2,)))) and _fill_ends(*given, path, ends):
+            return path, ObjectMotion(ends[0], ends[1], float(texture_contrast))
+    # what is given in another way, or wrong, is looked at one by one
     dots_start = positions("dot_xy_px_start", dot_xy_px_start, dots)
     dots_end = positions("dot_xy_px_end", dot_xy_px_end, dots)
     paths = dot_paths(dot_path_px, dots_start, dots_end)
     object_start = positions("object_xy_px_start", np.array(object_xy_px_start, ndmin=2), 1)[0]
     object_end = positions("object_xy_px_end", np.array(object_xy_px_end, ndmin=2), 1)[0]
-    check_range("texture_contrast", texture_contrast, 0.0, 1e3)
     return paths, ObjectMotion(object_start, object_end, float(texture_contrast))
+
+
+def _is_plain(given: ArrayLike, shape: tuple[int, ...]) -> bool:
+    """Whether this is a contiguous array of float64 of a shape."""
+    if not isinstance(given, np.ndarray):
+        return False
+    return given.shape == shape and given.dtype == np.float64 and given.flags.c_contiguous
+
+
+@njit(cache=True)
+def _fill_ends(
+    dots_start: Floats, dots_end: Floats, object_start: Floats, object_end: Floats, path: Floats, ends: Floats
+) -> bool:
+    """Fill paths (dots, 2, 2) and places of the object (2, 2) at the slice's ends; False where one is too far away."""
+    within = True
+    for axis in range(2):
+        ends[0, axis] = object_start[axis]
+        ends[1, axis] = object_end[axis]
+        within &= abs(ends[0, axis]) <= FARTHEST_PX and abs(ends[1, axis]) <= FARTHEST_PX  # false for NaN
+        for dot in range(len(path)):
+            path[dot, 0, axis] = dots_start[dot, axis]
+            path[dot, 1, axis] = dots_end[dot, axis]
+            within &= abs(dots_start[dot, axis]) <= FARTHEST_PX and abs(dots_end[dot, axis]) <= FARTHEST_PX
+    return within
 
 
 def positions(name: str, given: ArrayLike, count: int | None = None) -> Floats:

@@ -105,6 +105,7 @@ class GelCamera:
         self.dot_xy_px = self.grid_xy_px.reshape(-1, 2).copy()
         self.object_xy_px = np.zeros(2)
         bandwidth_hz = float(sensor_row.get("bandwidth_hz", 0.0))  # 0: as fast as anything moves
+        self._looked_at_rest = False
         self._lagging = None
         if bandwidth_hz:
             self._lagging = LowPass(bandwidth_hz, self.dot_xy_px), LowPass(bandwidth_hz, self.object_xy_px[None])
@@ -186,13 +187,18 @@ class GelCamera:
         *,
         cut_m: Floats | None = None,
         strength: float = 0.0,
+        still: bool = False,
     ) -> Events:
         """Events of a slice in which the dots come to be displaced by shift_m (dots, 2), and the object by object_m.
 
         Dots move on straight lines, or along shift_path_m (k + 1, dots, 2): their displacement at k + 1 equally spaced
         times, from the end of the last slice to shift_m. The gel at the cut edge comes to be displaced by cut_m, of the
         shape of `cut_rest_m` (not at all without it), and the object's outline to be seen with `strength`, 0 to 1.
+        `still` says that all of this is as in the slice before.
         """
+        if still and self._looked_at_rest:
+            assert isinstance(self._camera, CameraState)
+            return camera.step_still(self._camera, t0_us, self._rng)
         to_px = 1e3 / self.mm_per_px
         at_rest = self.grid_xy_px.reshape(-1, 2)
         dots = at_rest + shift_m * to_px
@@ -211,7 +217,15 @@ class GelCamera:
         else:
             events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
         self.dot_xy_px, self.object_xy_px = dots, object_px
+        # the last scan of a slice is before its end: only after one at rest has the camera seen where all came to lie
+        self._looked_at_rest = still and self._is_settled and bool((dots == begin).all())
         return events
+
+    @property
+    def _is_settled(self) -> bool:
+        """Whether what the camera sees stays as it is where nothing moves; not of pixels that lag, or light."""
+        lasts = self._gone_from_us == np.inf and self._lagging is None
+        return isinstance(self._camera, CameraState) and self._camera.light is None and lasts
 
     def _without_gone(
         self, path: Floats | None, seen: tuple[Floats, Floats, Floats, Floats]

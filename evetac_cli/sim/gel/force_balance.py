@@ -36,11 +36,13 @@ class Stencil(NamedTuple):
 class Work(NamedTuple):
     """Memory for one step, (rows, columns[, 2]); `velocity` and `loose` have a border of zeros all around.
 
+    right, slip, ease and object_velocity have two columns more, so that in memory they run along with `velocity`.
     velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
     lever: place of the nodes seen from the object's centre; bound: mu * normal force; diagonal: of the stencil.
     pull: the friction each node asks for; slip, speed: its velocity against the object's surface, and the size of that.
     loose: 1 where a node does not move along with the object.
     search_direction: how the nodes answer a move of the object.
+    ease: factor of over-relaxation / diagonal, of both components; object_velocity: velocity of the object's surface.
     """
 
     velocity: Floats
@@ -53,6 +55,14 @@ class Work(NamedTuple):
     speed: Floats
     loose: Floats
     search_direction: Floats
+    ease: Floats
+    object_velocity: Floats
+
+
+# numba takes an index that may be negative from the end of an array, and tests each for that; these are none.
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_FOUR = np.uint64(4)
 
 
 @njit(cache=True)
@@ -61,7 +71,7 @@ def links(index: int, count: int) -> int:
     return min(index, 1) + min(count - 1 - index, 1)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def friction_projection(x: float, y: float, bound: float) -> float:
     """The share of a vector (x, y) that is left when its length is made less by `bound`; 0 where it is not longer.
 
@@ -73,38 +83,82 @@ def friction_projection(x: float, y: float, bound: float) -> float:
 
 
 @njit(cache=True)
-def relax(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, factor: float) -> None:
-    """One sweep of projected over-relaxation over the nodes, the object's twist held.
+def set_object_velocity(work: Work, twist: Floats) -> None:
+    """Fill `object_velocity` for the object's twist."""
+    rows, columns = work.bound.shape
+    for row in range(rows):
+        for column in range(columns):
+            work.object_velocity[row, column, 0] = twist[0] - twist[2] * work.lever[row, column, 1]
+            work.object_velocity[row, column, 1] = twist[1] + twist[2] * work.lever[row, column, 0]
+
+
+@njit(cache=True, error_model="numpy")
+def _slip_alone(
+    above: Floats,
+    here: Floats,
+    below: Floats,
+    right: Floats,
+    ease: Floats,
+    object_velocity: Floats,
+    stencil: Stencil,
+    keep: float,
+    slip: Floats,
+) -> None:
+    """What each node would slip after a sweep if there were no friction, `keep` of its velocity being left."""
+    link_x = stencil.link_x
+    link_y = stencil.link_y
+    for k in range(len(slip)):
+        total = right[k] + link_x * (here[k] + here[k + 4])
+        total += link_y * (above[k] + below[k])
+        slip[k] = keep * here[k + 2] + ease[k] * total - object_velocity[k]
+
+
+@njit(cache=True, error_model="numpy")
+def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
+    """One sweep of projected over-relaxation over the nodes, with the object's velocity as in `object_velocity`.
 
     Nodes go in the order of a chess board, first one colour, then the other: those of one colour do not wait for each
     other, neither in the processor nor in the result, which so keeps the symmetries of the problem.
+
+    Why so: what has no branch is computed for both colours at once, in flat loops that numba makes vector code of.
     """
-    velocity = work.velocity
     rows, columns = work.bound.shape
+    stride = 2 * columns + 4
+    count = rows * stride - 4
+    velocity = work.velocity.reshape(-1)
+    right = work.right.reshape(-1)
+    slip = work.slip.reshape(-1)
+    ease = work.ease.reshape(-1)
+    object_velocity = work.object_velocity.reshape(-1)
+    bound = work.bound.reshape(-1)
+    sticks = stuck.reshape(-1)
+    above = velocity[2:]
+    here = velocity[stride:]
+    below = velocity[2 * stride + 2 :]
     for colour in range(2):
+        _slip_alone(above, here, below, right, ease, object_velocity, stencil, 1.0 - factor, slip[:count])
         for row in range(rows):
-            for column in range((row + colour) % 2, columns, 2):
-                sum_x = work.right[row, column, 0]
-                sum_y = work.right[row, column, 1]
-                sum_x += stencil.link_x * (velocity[row + 1, column, 0] + velocity[row + 1, column + 2, 0])
-                sum_y += stencil.link_x * (velocity[row + 1, column, 1] + velocity[row + 1, column + 2, 1])
-                sum_x += stencil.link_y * (velocity[row, column + 1, 0] + velocity[row + 2, column + 1, 0])
-                sum_y += stencil.link_y * (velocity[row, column + 1, 1] + velocity[row + 2, column + 1, 1])
-                body_x = twist[0] - twist[2] * work.lever[row, column, 1]
-                body_y = twist[1] + twist[2] * work.lever[row, column, 0]
-                ease = factor / work.diagonal[row, column]
-                slip_x = (1.0 - factor) * velocity[row + 1, column + 1, 0] + ease * sum_x - body_x
-                slip_y = (1.0 - factor) * velocity[row + 1, column + 1, 1] + ease * sum_y - body_y
-                hold = ease * work.bound[row, column]
+            first = (row + colour) % 2
+            entry = np.uint64(row * stride + 2 * first)
+            node = np.uint64(row * columns + first)
+            end = np.uint64(row * columns + columns)
+            while node < end:
+                slip_x = slip[entry]
+                slip_y = slip[entry + _ONE]
+                body_x = object_velocity[entry]
+                body_y = object_velocity[entry + _ONE]
+                hold = ease[entry] * bound[node]
                 left = friction_projection(slip_x, slip_y, hold)
                 if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
                     left = 0.0
-                stuck[row, column] = hold > 0.0 and left == 0.0
-                velocity[row + 1, column + 1, 0] = body_x + left * slip_x
-                velocity[row + 1, column + 1, 1] = body_y + left * slip_y
+                sticks[node] = hold > 0.0 and left == 0.0
+                here[entry + _TWO] = body_x + left * slip_x
+                here[entry + _TWO + _ONE] = body_y + left * slip_y
+                entry += _FOUR
+                node += _TWO
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, friction_wrench: Floats) -> float:
     """Largest force left unbalanced at a node.
 
@@ -138,8 +192,10 @@ def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, frictio
                 slip_x = here_x - twist[0] + twist[2] * y
                 slip_y = here_y - twist[1] - twist[2] * x
                 speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
-                force_x = -bound * (slip_x / speed) if speed > 0.0 else 0.0
-                force_y = -bound * (slip_y / speed) if speed > 0.0 else 0.0
+                force_x = force_y = 0.0
+                if speed > 0.0 and bound > 0.0:
+                    force_x = -bound * (slip_x / speed)
+                    force_y = -bound * (slip_y / speed)
                 left = math.sqrt((pull_x - force_x) ** 2 + (pull_y - force_y) ** 2)
             worst = max(worst, left)
             work.pull[row, column, 0] = pull_x
@@ -246,14 +302,14 @@ def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
     return slope, curvature
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rubbing(work: Work, move: Floats, part: float) -> float:
     """Slope of one pad's friction potential, the sum of bound * |slip|, after a part of a move of object and nodes."""
     rows, columns = work.bound.shape
     slope = 0.0
     for row in range(rows):
         for column in range(columns):
-            if work.speed[row, column] > 0.0:
+            if work.speed[row, column] > 0.0 and work.bound[row, column] > 0.0:
                 drift_x = work.search_direction[row, column, 0] - move[0] + move[2] * work.lever[row, column, 1]
                 drift_y = work.search_direction[row, column, 1] - move[1] - move[2] * work.lever[row, column, 0]
                 slip_x = work.slip[row, column, 0] + part * drift_x

@@ -316,6 +316,14 @@ def step_within(
             "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
             f" found {theta}, {tolerance} and {max_sweeps}"
         )
+    load = (nodal, force, prescribed_twist is not None, wanted)
+    law = (
+        float(friction.static),
+        float(friction.kinetic),
+        float(friction.stribeck_speed_m_s),
+        float(friction.memory_m),
+    )
+    settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *allowed)
     arrays = (
         state.displacement_m,
         state.velocity_m_s,
@@ -329,34 +337,17 @@ def step_within(
         state.inertia,
         state.node_xy_m,
     )
-    load = (nodal, force, prescribed_twist is not None, wanted)
-    law = (
-        float(friction.static),
-        float(friction.kinetic),
-        float(friction.stribeck_speed_m_s),
-        float(friction.memory_m),
-    )
-    settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *allowed)
     fault = step_nodes(arrays, load, law, settings, state._layer_constants, state._info)
     if fault == TOO_LONG:
         return None
     if fault:
         raise ValueError(_FAULTS[fault])
     info = state._info.tolist()
-    return StepInfo(
-        sweeps=int(info[0]),
-        residual=info[1],
-        converged=info[1] <= tolerance,
-        slip_fraction=info[2],
-        gel_velocity_m_s=(info[3], info[4]),
-        slip_velocity_m_s=(info[5], info[6]),
-        gel_displacement_m=(info[7], info[8]),
-        friction_n=(info[9], info[10], info[11]),
-        friction_change=info[12],
-        friction_heat_j=info[13],
-        slipping_force_n=info[14],
-        error_m=info[15],
-    )
+    gel_velocity, slip_velocity, gel_displacement = (info[3], info[4]), (info[5], info[6]), (info[7], info[8])
+    friction_n = (info[9], info[10], info[11])
+    sweeps, residual, slip_fraction = int(info[0]), info[1], info[2]
+    motion = (slip_fraction, gel_velocity, slip_velocity, gel_displacement)
+    return StepInfo(sweeps, residual, residual <= tolerance, *motion, friction_n, *info[12:])
 
 
 _FAULTS = (

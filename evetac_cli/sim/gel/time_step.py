@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax
+from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax, set_object_velocity
 from evetac_cli.sim.gel.friction import coefficient_after
 
 Floats = NDArray[np.float64]
@@ -136,25 +136,32 @@ def step_nodes(
         layer.pads,
     )
     grid = (rows, columns)
+    longer = (rows, columns + 2, 2)
     work = Work(  # made anew: ten arrays handed over from Python took 5 us more, of 12 for a step of one node
         np.zeros((rows + 2, columns + 2, 2)),
-        np.empty((rows, columns, 2)),
+        np.zeros(longer),
         np.empty((rows, columns, 2)),
         np.empty(grid),
         np.empty(grid),
         np.empty((rows, columns, 2)),
-        np.empty((rows, columns, 2)),
+        np.empty(longer),
         np.empty(grid),
         np.zeros((rows + 2, columns + 2)),
         np.empty((rows, columns, 2)),
+        np.zeros(longer),
+        np.zeros(longer),
     )
+    # the factor of over-relaxation that is best for a smooth pattern on this grid
+    ring = 2.0 * (stencil.link_x + stencil.link_y)
+    smoothness = ring / (stencil.own + ring)
+    factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
     falls = mu_kinetic < mu_static
     fault, scale, square = _set_up(
         (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes),
         nodal,
         pose,
         friction,
-        (h, layer.node_mass / h, keep),
+        (h, layer.node_mass / h, keep, factor),
         layer,
         stencil,
         work,
@@ -165,10 +172,6 @@ def step_nodes(
     # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
     reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
     scale = max(scale + abs(force[2]) / reach, 1e-300)
-    # the factor of over-relaxation that is best for a smooth pattern on this grid
-    ring = 2.0 * (stencil.link_x + stencil.link_y)
-    smoothness = ring / (stencil.own + ring)
-    factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
     body = wanted.copy()
     weight = inertia / h
     friction_wrench = np.zeros(3)
@@ -176,9 +179,10 @@ def step_nodes(
     sweeps = 0
     rounds = 0
     while True:
+        set_object_velocity(work, body)
         # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
-            relax(work, stencil, body, stuck, factor)
+            relax(work, stencil, stuck, factor)
             sweeps += 1
         if falls and rounds < REFRESHES:
             _refresh(work, nodal, coefficient, body, stuck, h, friction)
@@ -238,26 +242,28 @@ def _set_up(
     nodal: Floats,
     pose: Floats,
     friction: FrictionLaw,
-    factors: tuple[float, float, float],
+    factors: tuple[float, float, float, float],
     layer: Layer,
     stencil: Stencil,
     work: Work,
 ) -> tuple[int, float, float]:
     """Fill the equation of the nodes: right-hand side, diagonal, bounds, levers, and where the search starts.
 
-    factors: theta * dt, a node's mass over it, and what the Maxwell arm keeps of its force. Returns the number of what
-    is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their levers.
+    factors: theta * dt, a node's mass over it, what the Maxwell arm keeps of its force, and that of over-relaxation.
+    Returns the number of what is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their
+    levers.
     """
     displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes = state
     static, kinetic, _, _ = friction
-    h, momentum, keep = factors
+    h, momentum, keep, factor = factors
     rows, columns = nodal.shape
     falls = kinetic < static
     scale = square = 0.0
-    spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.right)
-    right, moving, lagging = work.right.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
+    spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.pull)
+    right, moving, lagging = work.pull.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
     for entry in range(right.size):
         right[entry] = momentum * moving[entry] - right[entry] - keep * lagging[entry]
+    work.right[:, :-2] = work.pull
     work.velocity[1:-1, 1:-1] = mean
     for row in range(rows):
         links_y = links(row, rows) * stencil.link_y
@@ -273,6 +279,7 @@ def _set_up(
                     mu = _after(mu, slip_speed[row, column], h, friction)
             work.bound[row, column] = mu * normal
             work.diagonal[row, column] = stencil.own + links(column, columns) * stencil.link_x + links_y
+            work.ease[row, column, 0] = work.ease[row, column, 1] = factor / work.diagonal[row, column]
             scale += layer.pads * mu * normal
             scale += layer.pads * abs(work.right[row, column, 0])
             scale += layer.pads * abs(work.right[row, column, 1])
@@ -357,14 +364,13 @@ def _advance(
                     mu = min(max(coefficient[row, column], kinetic), static)
                     mu = _after(mu, speed, dt, friction)
                 coefficient[row, column] = mu
-            if speed > 0.0:
-                push_x = -work.bound[row, column] * (work.slip[row, column, 0] / speed)
-                push_y = -work.bound[row, column] * (work.slip[row, column, 1] / speed)
-            elif stuck[row, column]:
+            push_x = push_y = 0.0
+            if stuck[row, column]:
                 push_x = work.pull[row, column, 0]
                 push_y = work.pull[row, column, 1]
-            else:
-                push_x = push_y = 0.0
+            elif speed > 0.0 and load > 0.0:
+                push_x = -work.bound[row, column] * (work.slip[row, column, 0] / speed)
+                push_y = -work.bound[row, column] * (work.slip[row, column, 1] / speed)
             push_sum_x += push_x
             push_sum_y += push_y
             moment += nodes[row, column, 0] * push_y - nodes[row, column, 1] * push_x

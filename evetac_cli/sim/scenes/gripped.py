@@ -21,11 +21,11 @@ from evetac_cli.sim import gripper, sampling
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
-from evetac_cli.sim.gel.adaptive import Slice, Stepper
+from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.disturbances import ChangingFriction, jerk_m_s
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, SolverTruth, friction_of, material, pad
-from evetac_cli.sim.scenes.true_slip import GroundTruthSlip
+from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
 GRAVITY_M_S2 = 9.81
@@ -80,6 +80,7 @@ class GraspSimulation:
         self._hand_m_s = 0.0
         self._shift_indentation_m = -1.0
         self._dilation_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
+        self._seen = (self._dilation_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
         self._last_slice = self._planned_slices(lift_s, balance_s)
         self._lift_starts_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
         self._drops_at = round((float(self._time.get("touch_s", 0.0)) + lift_s) * 1000)
@@ -138,7 +139,9 @@ class GraspSimulation:
         middle_m = (along, across) if self._down == 0 else (across, along)
         self._gel = gel.start(nodes, self._material, sampled.mass_kg, inertia, body_xy_m=middle_m)
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
-        self._stepper = Stepper(self._solver)
+        self._gel_slices = GelSlices(self._gel, self._solver)
+        self._shares = contact.pressure(self.finger.indentation_m, self._gap, 1.0)
+        self._shares_at_m = self.finger.indentation_m
         self._friction = friction_of(sampled)
         self._changing_friction = ChangingFriction(self._scene, self._friction)
         self._steps = SolverTruth(self._gel)
@@ -148,7 +151,7 @@ class GraspSimulation:
             across_m, down_m = (window_px * self.gel_camera.mm_per_px * 1e-3 - self._middle_m).tolist()
             self._window_from_middle_m = (across_m, down_m)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
-        self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
+        self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = self._solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
         self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
@@ -178,13 +181,19 @@ class GraspSimulation:
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
-        before_m = self._dilation_m
+        before_m, closing_ticks = self._dilation_m, self.finger.closing_ticks
         self._move()
-        shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilated()
-        cut_m = gel.displacement_at(self._gel, *self._at_cut)
-        object_m, contrast = (self._seen_m(), self._contrast()) if self._shows_texture else (OUT_OF_SIGHT_M, 0.0)
+        still = self._gel_slices.still_for > 0 and self.finger.closing_ticks == closing_ticks
+        if not still:
+            seen_m = gel.displacement_at(self._gel, *self._at_seen)
+            dots = len(self.gel_camera.rest_m)
+            shift_m, cut_m = seen_m[:dots] + self._dilated(), seen_m[dots:]
+            object_m, contrast = (self._seen_m(), self._contrast()) if self._shows_texture else (OUT_OF_SIGHT_M, 0.0)
+            self._seen = (shift_m, object_m, contrast, cut_m)
+        shift_m, object_m, contrast, cut_m = self._seen
         path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
-        events = self.gel_camera.render(shift_m, object_m, contrast, self.slices * SLICE_US, path_m, cut_m=cut_m)
+        now_us = self.slices * SLICE_US
+        events = self.gel_camera.render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
         self.slices += 1
         self.finished = self.slices >= self._last_slice or self._over()
         return events
@@ -226,7 +235,10 @@ class GraspSimulation:
         before_n = self.finger.force_n
         mode, command = self.command
         after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
-        shares = contact.pressure(self.finger.indentation_m, self._gap, 1.0)
+        if self.finger.indentation_m != self._shares_at_m:
+            self._shares_at_m = self.finger.indentation_m
+            self._shares = contact.pressure(self._shares_at_m, self._gap, 1.0)
+        shares = self._shares
         force_n = (before_n, after_n)
         if self._drop and self.slices == self._drops_at:
             self._catch_weight()
@@ -236,7 +248,8 @@ class GraspSimulation:
             done = self._solve(shares, force_n, 0.0, held=True)  # something else, or the floor, carries the object
         else:
             done = self._solve(shares, force_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
-        self._slip.follow(self._gel, shares, self.finger.force_n)
+        if self._gel_slices.still_for <= RECENT_MS:  # what slips is known where nothing has moved for longer
+            self._slip.follow(self._gel, shares, self.finger.force_n)
         self._steps.follow(done, self._friction)
         self._shear_n = done.friction_n[:2]
 
@@ -250,15 +263,16 @@ class GraspSimulation:
         speed: float = 0.0,
     ) -> Slice:
         """A slice of the gel with a force on the object along gravity, or (held) with the object moving at a speed."""
-        force, twist = np.zeros(3), np.zeros(3)
-        force[self._down] = weight_n
-        twist[self._down] = speed
         each = None
         if self._path is not None:
             self._path.begin()
             each = self._path.follow
-        wanted = twist if held else None
-        return self._stepper.advance(self._gel, shares, force_n, force, self._friction, wanted, each)
+        force, twist = self._along_gravity(weight_n), self._along_gravity(speed) if held else None
+        return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each)
+
+    def _along_gravity(self, value: float) -> tuple[float, float, float]:
+        """A force or a velocity (x, y, rotation) that points down."""
+        return (0.0, value, 0.0) if self._down else (value, 0.0, 0.0)
 
     def _load(self) -> float:
         """Share of the weight that hangs on the gripper: handed over smoothly after the rest."""

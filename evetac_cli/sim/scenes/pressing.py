@@ -18,11 +18,10 @@ from evetac_cli.sim import sampling
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, SolverTruth, friction_of, material, pad
-from evetac_cli.sim.scenes.true_slip import GroundTruthSlip
+from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
 Floats = NDArray[np.float64]
@@ -80,18 +79,21 @@ class Pressing:
         self._stiffness_n_m3 = float(sensor_row["normal_modulus_pa"]) / self._material.height_m
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
         sampled = self.sampled
-        self._stepper = Stepper(solver)
+        self._gel_slices = GelSlices(self._gel, solver)
         self._friction = friction_of(sampled)
         self._changing_friction = ChangingFriction(self._scene, self._friction)
         self._steps = SolverTruth(self._gel)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
-        self._at_cut = gel.interpolation(nodes, self.gel_camera.cut_rest_m)
+        self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
-        self._dilation_m = np.zeros_like(self.gel_camera.rest_m)
+        self._dilation_m = self._shift_m = np.zeros_like(self.gel_camera.rest_m)
+        self._cut_m = np.zeros_like(self.gel_camera.cut_rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
         self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
-        self._xy_m, self._force_n = self.timeline.at(0.0)
+        self._xy_m, self._hand_n = self.timeline.at(0.0)
+        self._force_n = self._hand_n
+        self._place(self._centre_m + (self._xy_m if self.follows else 0.0))
         self._shear_n = (0.0, 0.0)
         self.slices = 0
         self.finished = False
@@ -148,35 +150,56 @@ class Pressing:
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
-        before_n = self.timeline.at(self.slices * STEP_S)[1]
-        xy_m, force_n = self.timeline.at((self.slices + 1) * STEP_S)
-        weights = self._weights(self._centre_m + (xy_m if self.follows else 0.0))
-        covered = weights.sum()
-        borne = self._borne(covered)
-        before_n, force_n = borne * before_n, borne * force_n
-        shares = weights / covered if covered > 0 else weights
-        velocity = (xy_m - self._xy_m) / STEP_S
-        twist = np.array([*velocity, 0.0])
+        before_n = self._hand_n
+        xy_m, hand_n = self.timeline.at((self.slices + 1) * STEP_S)
+        (x_m, y_m), (x_before_m, y_before_m) = xy_m.tolist(), self._xy_m.tolist()
+        moved = x_m != x_before_m or y_m != y_before_m
+        if moved and self.follows:
+            self._place(self._centre_m + xy_m)
+        borne = self._borne(self._covered)
+        force_n = borne * hand_n
+        twist = ((x_m - x_before_m) / STEP_S, (y_m - y_before_m) / STEP_S, 0.0)
         self._friction = self._changing_friction.at(self.slices)
         each = None
         if self._path is not None:
             self._path.begin()
             each = self._path.follow
-        done = self._stepper.advance(self._gel, shares, (before_n, force_n), np.zeros(3), self._friction, twist, each)
-        self._xy_m, self._force_n, self._shear_n = xy_m, force_n if covered > 0 else 0.0, done.friction_n[:2]
-        self._steps.follow(done, self._friction)
-        self._slip.follow(self._gel, shares, self._force_n)
-        before_m, self._dilation_m = self._dilation_m, self._dilated(weights)
-        shift_m = gel.displacement_at(self._gel, *self._at_dots) + self._dilation_m
-        cut_m = gel.displacement_at(self._gel, *self._at_cut)
-        path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
-        events = self.gel_camera.render(
-            shift_m, self._xy_m, 0.0, self.slices * SLICE_US, path_m, cut_m=cut_m, strength=self._strength()
+        done = self._gel_slices.advance(
+            self._shares, (borne * before_n, force_n), (0.0, 0.0, 0.0), self._friction, twist, each
         )
+        still = self._gel_slices.still_for > 0 and hand_n == before_n
+        self._hand_n = hand_n
+        if not still:
+            self._xy_m, self._force_n = xy_m, force_n if self._covered > 0 else 0.0
+            self._shear_n = done.friction_n[:2]
+            self._steps.follow(done, self._friction)
+        if self._gel_slices.still_for <= RECENT_MS:  # what slips is known where nothing has moved for longer
+            self._slip.follow(self._gel, self._shares, self._force_n)
+        events = self._look(still)
         self.slices += 1
         time = self._scene["time"]
         self.finished = self.slices * STEP_S >= self.timeline.time_s[-1] + time.get("after_s", time["rest_s"])
         return events
+
+    def _place(self, centre_m: Floats) -> None:
+        """Find how the force is shared by the nodes where the face is now."""
+        self._weights_now = self._weights(centre_m)
+        self._covered = self._weights_now.sum()
+        self._shares = self._weights_now / self._covered if self._covered > 0 else self._weights_now
+
+    def _look(self, still: bool) -> Events:
+        """What the camera sees of the gel in this slice; `still` if that is what it saw in the last."""
+        before_m = self._dilation_m
+        if not still:
+            self._dilation_m = self._dilated(self._weights_now)
+            seen_m = gel.displacement_at(self._gel, *self._at_seen)
+            dots = len(self.gel_camera.rest_m)
+            self._shift_m, self._cut_m = seen_m[:dots] + self._dilation_m, seen_m[dots:]
+        path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
+        now_us, strength = self.slices * SLICE_US, self._strength()
+        return self.gel_camera.render(
+            self._shift_m, self._xy_m, 0.0, now_us, path_m, cut_m=self._cut_m, strength=strength, still=still
+        )
 
     def _borne(self, covered: float) -> float:
         """Share of the hand's force that the pad bears where it covers so many cells: all of it."""

@@ -17,7 +17,6 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.sampling import SampledTrial
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
-from evetac_cli.sim.scenes.shared import STEP_S
 
 Floats = NDArray[np.float64]
 
@@ -115,7 +114,7 @@ class Rubbing(Pressing):
 
     def _strength(self) -> float:
         """How clearly the object is seen: not at all before the hand presses."""
-        return min(self.timeline.at((self.slices + 1) * STEP_S)[1] / SEEN_FROM_N, 1.0)
+        return min(self._hand_n / SEEN_FROM_N, 1.0)
 
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""

@@ -1,24 +1,31 @@
 """What scenes share: the pad of gel nodes, the gel of a sensor, its friction, and how finely slices are simulated."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
-from evetac_cli.sim.gel.adaptive import Slice
+from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.sampling import SampledTrial
-from evetac_cli.sim.solver import from_scene
+from evetac_cli.sim.solver import Solver, from_scene
 
 STEP_S = 1e-3
 Floats = NDArray[np.float64]
 
 LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
 PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
+
+# A gel that moves more slowly than this everywhere, and whose Maxwell arms pull less, rests: it would move a dot by
+# 1e-18 px, where a position is known to 1e-14 px. A displacement that small is none.
+SLOWEST_M_S = 1e-20
+WEAKEST_N = 1e-22
+SMALLEST_M = 1e-21
 
 
 def pad(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:
@@ -55,6 +62,82 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
     return gel.Friction(
         sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s, sampled.friction_memory_m
     )
+
+
+class GelSlices:
+    """Moves gel and object on slice by slice, and does not solve again a slice that would change nothing.
+
+    That is one in which all that acts is as in the slice before, from which gel and object came out bit for bit as they
+    had gone in. `still_for` counts such slices.
+    """
+
+    def __init__(self, pad_state: gel.GelState, solver: Solver) -> None:
+        self._gel = pad_state
+        self._stepper = Stepper(solver)
+        self._done = Slice()
+        self._acting: tuple[Any, ...] = ()
+        self._shares = np.zeros(0)
+        self._before = pad_state.copy()
+        self._rests = False
+        self.still_for = 0
+
+    def advance(
+        self,
+        shares: Floats,
+        force_n: tuple[float, float],
+        body_force_n: tuple[float, float, float],
+        friction: gel.Friction,
+        twist: tuple[float, float, float] | None,
+        each: Callable[[gel.StepInfo, float], None] | None = None,
+    ) -> Slice:
+        """A slice, as for `Stepper.advance`; `twist` is what the object moves at if that is prescribed."""
+        state = self._gel
+        body = (state.pose.tolist(), state.twist.tolist(), state.inertia.tolist())
+        acting = (force_n, body_force_n, friction, twist, body)
+        same = acting == self._acting and (shares is self._shares or np.array_equal(shares, self._shares))
+        if same and self._rests and each is None:
+            self.still_for += 1
+            return self._done
+        self._acting, self._shares = acting, shares
+        self._done = self._stepper.advance(state, shares, force_n, body_force_n, friction, twist, each)
+        self.still_for = 0
+        self._rests = same and self._done.steps == self._least_steps and self._has_come_to_rest()
+        return self._done
+
+    @property
+    def _least_steps(self) -> int:
+        """Steps of a slice that is not cut finer than it has to be."""
+        return self._stepper.solver.fixed_steps or 1
+
+    def _has_come_to_rest(self) -> bool:
+        """Whether the slice has left gel and object as they were; motion too small to tell is set to 0."""
+        state, before = self._gel, self._before
+        if state.twist.any() or not _settle(state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.displacement_m):
+            return False
+        if all(
+            np.array_equal(getattr(state, name), getattr(before, name))
+            for name in ("displacement_m", "slip_m_s", "friction_coefficient", "stuck", "pose")
+        ):
+            return True
+        before.restore(state)
+        return False
+
+
+@njit(cache=True)
+def _settle(velocity: Floats, mean: Floats, maxwell: Floats, displacement: Floats) -> bool:
+    """Set velocities and Maxwell forces to 0, if all of them are too small to tell; returns whether they are."""
+    moving, lately = velocity.reshape(-1), mean.reshape(-1)
+    lagging, moved = maxwell.reshape(-1), displacement.reshape(-1)
+    for k in range(len(moving)):
+        if abs(moving[k]) > SLOWEST_M_S or abs(lately[k]) > SLOWEST_M_S or abs(lagging[k]) > WEAKEST_N:
+            return False
+    for k in range(len(moving)):
+        moving[k] = 0.0
+        lately[k] = 0.0
+        lagging[k] = 0.0
+        if abs(moved[k]) < SMALLEST_M:
+            moved[k] = 0.0
+    return True
 
 
 class SolverTruth:

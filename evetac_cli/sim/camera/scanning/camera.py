@@ -276,9 +276,29 @@ def step(
         made = _leak(first_leaking_row, drift, gel, window, times, state.keys, made)
     if state.light is not None:
         made = state.light.shine(gel, window, *times, state.keys, made)
+    return _finish(state, t0_us, rng, made)
+
+
+def step_still(state: CameraState, t0_us: int, rng: np.random.Generator) -> Events:
+    """The events of one millisecond in which nothing moves or fades, as in the one before: those of leak and noise.
+
+    They are those of `step`, which would find that no pixel has to be compared. Not for a camera whose light changes.
+    """
+    made = 0
+    if state.contact_edges is not None:
+        state.contact_edges.events = 0
+    if state.model.leak_hz > 0.0:
+        drift = np.float32(leak.drift(state.model.leak_hz))
+        times = (state.readout_us, float(t0_us), float(state.model.refractory_us))
+        made = _leak(state.slices % leak.LEAK_SLICES, drift, state.gel, state.window, times, state.keys, made)
+    return _finish(state, t0_us, rng, made)
+
+
+def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> Events:
+    """Add noise to the events of a slice, and count what does not fit."""
     state.slices += 1
     hot = (state.hot_pixel, state.hot_cumulative_hz)
-    made = add_noise(model.noise_rate_hz, *hot, model.frame_px, rng, state.keys, made)
+    made = add_noise(state.model.noise_rate_hz, *hot, state.model.frame_px, rng, state.keys, made)
     stored = min(made, len(state.keys))
     state.dropped += made - stored
     return Events(*sorted_columns(state.keys[:stored], t0_us))
