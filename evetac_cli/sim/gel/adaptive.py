@@ -85,13 +85,16 @@ class Stepper:
         done = Slice()
         solver = self.solver
         first_n, last_n = force_n
+        theta = solver.theta
+        if prescribed_twist is not None and not np.any(prescribed_twist):
+            theta = 1.0  # nothing swings on an object that is held still: damped most, the gel comes to rest soonest
         allowed_m = solver.tolerance_um * 1e-6
         anything = Allowed()
         part = 0.0
         while part < 1.0:
             share = 1.0 / solver.fixed_steps if solver.fixed_steps else 0.5**self._halved
             dt_s = share * self.slice_s
-            nodal_n = shares * (first_n + (part + solver.theta * share) * (last_n - first_n))
+            nodal_n = shares * (first_n + (part + theta * share) * (last_n - first_n))
             allowed = anything
             if not solver.fixed_steps and self._halved < MOST_HALVINGS:
                 allowed = Allowed(allowed_m, STEEPEST, self._halved >= solver.halvings)
@@ -102,7 +105,7 @@ class Stepper:
                 friction,
                 dt_s,
                 allowed,
-                theta=solver.theta,
+                theta=theta,
                 tolerance=solver.residual,
                 prescribed_twist=prescribed_twist,
             )
