@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli import console
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome
 from evetac_cli.sim.parts import parts, switched
@@ -91,6 +92,7 @@ BESIDE_SCENE = {
 
 def dry_run(trials: Sequence[SimulatedTrial], play: Play, *more_timers: Timer) -> Outcome:
     """What the first trial builds and leaves out, and what each part of it costs here."""
+    console.say("measuring what a slice costs: some seconds; up to a minute where the simulator is compiled first")
     costs = measure(trials[0], play, REPEATS, more_timers, moving_s=DRY_MOVING_S, budget_s=BUDGET_S)
     files = {"files": len(trials), "first_file": str(trials[0].output)}
     if not costs.slices:  # over before there was anything to measure
