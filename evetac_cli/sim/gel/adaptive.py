@@ -86,7 +86,7 @@ class Stepper:
         solver = self.solver
         first_n, last_n = force_n
         theta = solver.theta
-        if prescribed_twist is not None and not np.any(prescribed_twist):
+        if prescribed_twist is not None and not any(prescribed_twist):
             theta = 1.0  # nothing swings on an object that is held still: damped most, the gel comes to rest soonest
         allowed_m = solver.tolerance_um * 1e-6
         anything = Allowed()

@@ -71,6 +71,7 @@ class GroundTruthSlip:
         self.visible = visible_nodes(state.node_xy_m, mm_per_px, window_px)
         self._displacement_m = state.displacement_m.copy()
         self._slid_m = np.zeros((RECENT_MS, *state.displacement_m.shape))  # object against gel, in each recent slice
+        self._rested_for = np.full(state.stuck.shape, RECENT_MS)  # slices since each node slid
         self._slices = 0
         self._pose = state.pose.copy()
         self._as_one_body = _Slide()
@@ -83,8 +84,8 @@ class GroundTruthSlip:
         """Take in one slice; shares: of each node in the normal force, (rows, columns); force_n: that force."""
         slid_m = self._slid_m[self._slices % RECENT_MS]
         self._slices += 1
-        arrays = (state.node_xy_m, state.displacement_m, self._displacement_m, slid_m)
-        whole, seen = _relative_motion(arrays, state.pose, self._pose, shares, self.visible, state.stuck)
+        arrays = (state.node_xy_m, state.displacement_m, self._displacement_m, slid_m, self._rested_for)
+        whole, recent_share, seen = _relative_motion(arrays, state.pose, self._pose, shares, self.visible, state.stuck)
         self._pose[:] = state.pose
         touches = force_n > CONTACT_N
         self._share, self._visible_share, stuck, x_m, y_m = whole if touches else (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -94,15 +95,14 @@ class GroundTruthSlip:
             self._radius_m = radius_m
         moves = _distance(x_m, y_m, turn_rad, radius_m) > SLOWEST_M and (
             max(rigid_share, self._visible_share) >= ONE_BODY
-            or self._moves_in_turn(state.node_xy_m, shares * self.visible)
+            or (recent_share >= ONE_BODY and self._moves_in_turn(state.node_xy_m, shares * self.visible))
         )
         self._as_one_body.follow(moves, x_m, y_m, turn_rad)
         self._slips = moves and self.slid_px > SLIP_PX
 
     def _moves_in_turn(self, node_xy_m: Floats, seen_n: Floats) -> bool:
-        """Whether nodes stick and let go in turn under an object that slides; seen_n: force on the visible ones."""
-        recent_share, together_m = _recently(self._slid_m, seen_n)
-        return bool(recent_share >= ONE_BODY and _rigid_motion(node_xy_m, together_m, seen_n)[0] >= MOSTLY)
+        """Whether an object slides under which nodes stick and let go in turn; seen_n: force on the visible ones."""
+        return bool(_rigid_motion(node_xy_m, self._slid_m.sum(axis=0), seen_n)[0] >= MOSTLY)
 
     @property
     def slid_px(self) -> float:
@@ -207,25 +207,26 @@ def _rigid_motion(nodes: Floats, slid: Floats, weights: Floats) -> tuple[float, 
 
 @njit(cache=True)
 def _relative_motion(
-    arrays: tuple[Floats, Floats, Floats, Floats],
+    arrays: tuple[Floats, Floats, Floats, Floats, NDArray[np.int64]],
     pose: Floats,
     pose_before: Floats,
     nodal: Floats,
     visible: Flags,
     stuck: Flags,
-) -> tuple[tuple[float, float, float, float, float], tuple[float, float, float, float, float]]:
+) -> tuple[tuple[float, float, float, float, float], float, tuple[float, float, float, float, float]]:
     """How the object has moved against the gel since pose_before, node by node; weights are the normal forces.
 
-    arrays: nodes, the gel's displacement, that before, which is brought up to now, and what is filled: the motion of
-    the object's surface against each node, 0 where the node bears nothing. Returns the share that slips, of all nodes
-    and of the visible ones, and of all nodes the number that stick and the mean motion x, y; then the rigid motion of
-    the visible ones. All are 0 without contact.
+    arrays: nodes, the gel's displacement, that before and for how many slices each node has not slid, both of which are
+    brought up to now, and, filled, the motion of the object's surface against each node, 0 where it bears nothing.
+    Returns the share that slips, of all nodes and of the visible ones, and of all nodes the number that stick and the
+    mean motion x, y; the share of the visible ones that slid within RECENT_MS; and their rigid motion. All are 0
+    without contact.
     """
-    nodes, displacement, before, slid = arrays
+    nodes, displacement, before, slid, rested_for = arrays
     move_x = pose[0] - pose_before[0]
     move_y = pose[1] - pose_before[1]
     turn = pose[2] - pose_before[2]
-    force = slipping = sticking = mean_x = mean_y = seen = seen_slipping = 0.0
+    force = slipping = sticking = mean_x = mean_y = seen = seen_slipping = recent = 0.0
     rows, columns = nodal.shape
     seen_nodal = np.zeros((rows, columns))
     for row in range(rows):
@@ -237,6 +238,8 @@ def _relative_motion(
                 slid_y = move_y + turn * (nodes[row, column, 0] - pose_before[0])
                 slid_x -= displacement[row, column, 0] - before[row, column, 0]
                 slid_y -= displacement[row, column, 1] - before[row, column, 1]
+                square_m2 = slid_x * slid_x + slid_y * slid_y
+                rested_for[row, column] = 0 if square_m2 > SLOWEST_M * SLOWEST_M else rested_for[row, column] + 1
                 slips = 0.0 if stuck[row, column] else load
                 force += load
                 slipping += slips
@@ -247,35 +250,16 @@ def _relative_motion(
                     seen_nodal[row, column] = load
                     seen += load
                     seen_slipping += slips
+                    recent += load if rested_for[row, column] < RECENT_MS else 0.0
+            else:
+                rested_for[row, column] += 1
             slid[row, column, 0] = slid_x
             slid[row, column, 1] = slid_y
             before[row, column, 0] = displacement[row, column, 0]
             before[row, column, 1] = displacement[row, column, 1]
     if force == 0.0:
-        return (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0)
+        return (0.0, 0.0, 0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0, 0.0, 0.0)
     visible_share = seen_slipping / seen if seen > 0.0 else 0.0
     whole = (slipping / force, visible_share, sticking, mean_x / force, mean_y / force)
-    return whole, _rigid_motion(nodes, slid, seen_nodal)
-
-
-@njit(cache=True)
-def _recently(slid: Floats, weights: Floats) -> tuple[float, Floats]:
-    """The share of the weight on nodes that slid in any of the slices, and the motion of all slices together.
-
-    slid: (slices, rows, columns, 2); the motion is (rows, columns, 2).
-    """
-    together = np.zeros(slid.shape[1:])
-    whole = recent = 0.0
-    slices, rows, columns, _ = slid.shape
-    for row in range(rows):
-        for column in range(columns):
-            fastest = 0.0
-            for number in range(slices):
-                x = slid[number, row, column, 0]
-                y = slid[number, row, column, 1]
-                together[row, column, 0] += x
-                together[row, column, 1] += y
-                fastest = max(fastest, x * x + y * y)
-            whole += weights[row, column]
-            recent += weights[row, column] if fastest > SLOWEST_M * SLOWEST_M else 0.0
-    return recent / whole if whole > 0.0 else 0.0, together
+    recent_share = recent / seen if seen > 0.0 else 0.0
+    return whole, recent_share, _rigid_motion(nodes, slid, seen_nodal)
