@@ -45,7 +45,7 @@ MEMORY_MB = 1024
 ADDRESS_SPACE = 16 << 30  # so that a runaway ends before the machine does
 CODES = (0, 1, 2, 3, 130)
 COMMANDS_OF_A_CASE = 3
-WARM = ("recording", "features", "tracks", "DSEC", "grasp recording", "scene")  # kinds whose commands load all that is slow
+WARM = ("recording", "features", "tracks", "DSEC", "grasp recording", "scene")  # their commands load all that is slow
 SHOWN = 400  # characters of what a command said, kept with a problem
 
 
