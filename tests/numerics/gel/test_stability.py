@@ -101,7 +101,10 @@ def test_what_is_not_finite_is_seen(monkeypatch):
 def test_steps_without_balance_are_told(monkeypatch):
     """Assert that the outcome counts the steps whose residual is too large."""
     real = gel.step
-    replaced = lambda *given, **how: real(*given, **how)._replace(residual=1e-3)  # noqa: E731
+
+    def replaced(*given, **how):
+        return real(*given, **how)._replace(residual=1e-3)
+
     monkeypatch.setattr(gel_case.gel, "step", replaced)
     rows = gel_rows(GelCase("one node", columns=1, rows=1), 3)
     assert not_ok(rows) == [BALANCE.quantity]
