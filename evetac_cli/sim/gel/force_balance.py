@@ -148,7 +148,9 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
                 body_x = object_velocity[entry]
                 body_y = object_velocity[entry + _ONE]
                 hold = ease[entry] * bound[node]
-                left = friction_projection(slip_x, slip_y, hold)
+                left = 1.0  # as most nodes bear nothing, of them no root is taken
+                if hold > 0.0:
+                    left = friction_projection(slip_x, slip_y, hold)
                 if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
                     left = 0.0
                 sticks[node] = hold > 0.0 and left == 0.0
@@ -166,8 +168,7 @@ def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, frictio
     """
     velocity = work.velocity
     rows, columns = work.bound.shape
-    worst = 0.0
-    friction_wrench[:] = 0.0
+    worst = wrench_x = wrench_y = moment = 0.0  # sums in memory, not in registers, would wait for each other
     for row in range(rows):
         for column in range(columns):
             here_x = velocity[row + 1, column + 1, 0]
@@ -203,21 +204,23 @@ def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, frictio
             work.slip[row, column, 0] = slip_x
             work.slip[row, column, 1] = slip_y
             work.speed[row, column] = speed
-            friction_wrench[0] += force_x
-            friction_wrench[1] += force_y
-            friction_wrench[2] += x * force_y - y * force_x
+            wrench_x += force_x
+            wrench_y += force_y
+            moment += x * force_y - y * force_x
+    friction_wrench[0], friction_wrench[1], friction_wrench[2] = wrench_x, wrench_y, moment
     return worst
 
 
 @njit(cache=True)
 def _curvature(work: Work, stencil: Stencil, curvature: Floats) -> None:
-    """Add a pad's stiffness against moves of the object to curvature, (3, 3), of which only the upper triangle is kept.
+    """Set curvature, (3, 3), to a pad's stiffness against moves of the object; only the upper triangle is kept.
 
     Nodes that are not loose move along, and bring their springs. A loose node lags behind: its friction resists a turn
     of the slip, in series with the node's own diagonal.
     """
     loose = work.loose
     rows, columns = work.bound.shape
+    along_x2 = along_y2 = cross = turn_of_x = turn_of_y = turn = 0.0
     for row in range(rows):
         for column in range(columns):
             x = work.lever[row, column, 0]
@@ -230,23 +233,25 @@ def _curvature(work: Work, stencil: Stencil, curvature: Floats) -> None:
                 turn_x = 0.5 * stencil.link_x * stencil.pitch_x**2 * (links(column, columns) - free_x)
                 turn_y = 0.5 * stencil.link_y * stencil.pitch_y**2 * (links(row, rows) - free_y)
                 stiff = stencil.own + stencil.link_x * free_x + stencil.link_y * free_y
-                curvature[0, 0] += stiff
-                curvature[1, 1] += stiff
-                curvature[0, 2] -= stiff * y
-                curvature[1, 2] += stiff * x
-                curvature[2, 2] += stiff * (x * x + y * y) + turn_x + turn_y
+                along_x2 += stiff
+                along_y2 += stiff
+                turn_of_x -= stiff * y
+                turn_of_y += stiff * x
+                turn += stiff * (x * x + y * y) + turn_x + turn_y
             elif speed > 0.0 and work.bound[row, column] > 0.0:
                 along_x = work.slip[row, column, 0] / speed
                 along_y = work.slip[row, column, 1] / speed
                 arm = x * along_x + y * along_y
                 bound = work.bound[row, column]
                 stiff = bound * work.diagonal[row, column] / (bound + work.diagonal[row, column] * speed)
-                curvature[0, 0] += stiff * along_y * along_y
-                curvature[0, 1] -= stiff * along_y * along_x
-                curvature[1, 1] += stiff * along_x * along_x
-                curvature[0, 2] -= stiff * along_y * arm
-                curvature[1, 2] += stiff * along_x * arm
-                curvature[2, 2] += stiff * arm * arm
+                along_x2 += stiff * along_y * along_y
+                cross -= stiff * along_y * along_x
+                along_y2 += stiff * along_x * along_x
+                turn_of_x -= stiff * along_y * arm
+                turn_of_y += stiff * along_x * arm
+                turn += stiff * arm * arm
+    curvature[0, 0], curvature[0, 1], curvature[0, 2] = along_x2, cross, turn_of_x
+    curvature[1, 1], curvature[1, 2], curvature[2, 2] = along_y2, turn_of_y, turn
 
 
 @njit(cache=True)
@@ -288,18 +293,17 @@ def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
     direction = work.search_direction
     rows, columns = work.bound.shape
     slope = 0.0
-    curvature = 0.0
+    own = across = down = 0.0  # sums of squares
     for row in range(rows):
         for column in range(columns):
-            for axis in range(2):
-                here = direction[row, column, axis]
-                slope += here * work.pull[row, column, axis]
-                curvature += stencil.own * here * here
-                if column > 0:
-                    curvature += stencil.link_x * (here - direction[row, column - 1, axis]) ** 2
-                if row > 0:
-                    curvature += stencil.link_y * (here - direction[row - 1, column, axis]) ** 2
-    return slope, curvature
+            x, y = direction[row, column, 0], direction[row, column, 1]
+            slope += x * work.pull[row, column, 0] + y * work.pull[row, column, 1]
+            own += x * x + y * y
+            if column > 0:
+                across += (x - direction[row, column - 1, 0]) ** 2 + (y - direction[row, column - 1, 1]) ** 2
+            if row > 0:
+                down += (x - direction[row - 1, column, 0]) ** 2 + (y - direction[row - 1, column, 1]) ** 2
+    return slope, stencil.own * own + stencil.link_x * across + stencil.link_y * down
 
 
 @njit(cache=True, error_model="numpy")
@@ -353,10 +357,9 @@ def _find_move(
     for row in range(rows):
         for column in range(columns):
             work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
-    curvature = np.empty((3, 3))
+    curvature = np.zeros((3, 3))
     move = np.zeros(3)
     for _ in range(4):
-        curvature[:] = 0.0
         _curvature(work, stencil, curvature)
         curvature *= stencil.pads
         for axis in range(3):

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.friction import half_wavelength_m
-from evetac_cli.sim.gel.time_step import INFO_SIZE, TOO_LONG, Allowed, Layer, spring, step_nodes
+from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, FrictionLaw, Layer, NodeArrays, spring, step_nodes
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -94,6 +94,11 @@ class Friction:
         if self.stribeck_speed_m_s == 0:
             raise ValueError("stribeck_speed_m_s must be > 0, found 0")
 
+    @property
+    def law(self) -> FrictionLaw:
+        """The same as `step_nodes` is handed it."""
+        return float(self.static), float(self.kinetic), float(self.stribeck_speed_m_s), float(self.memory_m)
+
 
 class StepInfo(NamedTuple):
     """What one step did. Means are (x, y), weighted by pressure, and 0 without contact.
@@ -151,8 +156,25 @@ class GelState:
     stuck: Flags
     _mean_m_s: Floats
     _layer: Layer
-    _layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
-    _info: Floats
+    layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
+    info: Floats
+
+    @property
+    def arrays(self) -> NodeArrays:
+        """All arrays that a step reads or changes, as `step_nodes` is handed them."""
+        return (
+            self.displacement_m,
+            self.velocity_m_s,
+            self.maxwell_n,
+            self._mean_m_s,
+            self.slip_m_s,
+            self.friction_coefficient,
+            self.stuck,
+            self.pose,
+            self.twist,
+            self.inertia,
+            self.node_xy_m,
+        )
 
     def copy(self) -> "GelState":
         """The state as it is now, independent of what happens to this one."""
@@ -246,8 +268,8 @@ def start(
         stuck=np.zeros(grid, dtype=np.bool_),
         _mean_m_s=np.zeros((*grid, 2)),
         _layer=layer,
-        _layer_constants=tuple(layer),
-        _info=np.zeros(INFO_SIZE),
+        layer_constants=tuple(layer),
+        info=np.zeros(INFO_SIZE),
     )
 
 
@@ -272,36 +294,6 @@ def step(
     False after max_sweeps; the step is made in either case. ValueError, before anything is changed, where a value is
     not finite or out of range.
     """
-    info = step_within(
-        state,
-        nodal_force_n,
-        body_force_n,
-        friction,
-        dt_s,
-        Allowed(),
-        theta=theta,
-        tolerance=tolerance,
-        max_sweeps=max_sweeps,
-        prescribed_twist=prescribed_twist,
-    )
-    assert info is not None
-    return info
-
-
-def step_within(
-    state: GelState,
-    nodal_force_n: Floats,
-    body_force_n: Sequence[float] | Floats,
-    friction: Friction,
-    dt_s: float,
-    allowed: Allowed,
-    *,
-    theta: float = 0.51,
-    tolerance: float = 1e-6,
-    max_sweeps: int = 400,
-    prescribed_twist: Sequence[float] | Floats | None = None,
-) -> StepInfo | None:
-    """`step` if it is within what is allowed; else nothing is changed, and the answer is None."""
     nodal = np.ascontiguousarray(nodal_force_n, dtype=np.float64)
     force = np.ascontiguousarray(body_force_n, dtype=np.float64)
     wanted = state.twist if prescribed_twist is None else np.ascontiguousarray(prescribed_twist, dtype=np.float64)
@@ -317,32 +309,16 @@ def step_within(
             f" found {theta}, {tolerance} and {max_sweeps}"
         )
     load = (nodal, force, prescribed_twist is not None, wanted)
-    law = (
-        float(friction.static),
-        float(friction.kinetic),
-        float(friction.stribeck_speed_m_s),
-        float(friction.memory_m),
-    )
-    settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *allowed)
-    arrays = (
-        state.displacement_m,
-        state.velocity_m_s,
-        state.maxwell_n,
-        state._mean_m_s,
-        state.slip_m_s,
-        state.friction_coefficient,
-        state.stuck,
-        state.pose,
-        state.twist,
-        state.inertia,
-        state.node_xy_m,
-    )
-    fault = step_nodes(arrays, load, law, settings, state._layer_constants, state._info)
-    if fault == TOO_LONG:
-        return None
+    settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())
+    fault = step_nodes(state.arrays, load, friction.law, settings, state.layer_constants, state.info)
     if fault:
-        raise ValueError(_FAULTS[fault])
-    info = state._info.tolist()
+        raise ValueError(FAULTS[fault])
+    return step_info(state.info, tolerance)
+
+
+def step_info(numbers: Floats, tolerance: float) -> StepInfo:
+    """What `step_nodes` says in numbers of its last step."""
+    info = numbers.tolist()
     gel_velocity, slip_velocity, gel_displacement = (info[3], info[4]), (info[5], info[6]), (info[7], info[8])
     friction_n = (info[9], info[10], info[11])
     sweeps, residual, slip_fraction = int(info[0]), info[1], info[2]
@@ -350,7 +326,7 @@ def step_within(
     return StepInfo(sweeps, residual, residual <= tolerance, *motion, friction_n, *info[12:])
 
 
-_FAULTS = (
+FAULTS = (  # what `step_nodes` returns
     "",
     "nodal_force_n must be finite and >= 0 at every node",
     "body_force_n and prescribed_twist must be finite",

@@ -236,7 +236,7 @@ def step_nodes(
     return 0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _set_up(
     state: Fields,
     nodal: Floats,
@@ -263,8 +263,6 @@ def _set_up(
     right, moving, lagging = work.pull.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
     for entry in range(right.size):
         right[entry] = momentum * moving[entry] - right[entry] - keep * lagging[entry]
-    work.right[:, :-2] = work.pull
-    work.velocity[1:-1, 1:-1] = mean
     for row in range(rows):
         links_y = links(row, rows) * stencil.link_y
         for column in range(columns):
@@ -277,21 +275,21 @@ def _set_up(
                 mu = min(max(coefficient[row, column], kinetic), static)
                 if normal > 0.0:
                     mu = _after(mu, slip_speed[row, column], h, friction)
+            for axis in range(2):
+                work.velocity[row + 1, column + 1, axis] = mean[row, column, axis]
+                work.right[row, column, axis] = work.pull[row, column, axis]
             work.bound[row, column] = mu * normal
             work.diagonal[row, column] = stencil.own + links(column, columns) * stencil.link_x + links_y
             work.ease[row, column, 0] = work.ease[row, column, 1] = factor / work.diagonal[row, column]
-            scale += layer.pads * mu * normal
-            scale += layer.pads * abs(work.right[row, column, 0])
-            scale += layer.pads * abs(work.right[row, column, 1])
+            scale += mu * normal + abs(work.right[row, column, 0]) + abs(work.right[row, column, 1])
             x = nodes[row, column, 0] - pose[0]
             y = nodes[row, column, 1] - pose[1]
-            square += x * x
-            square += y * y
+            square += x * x + y * y
             work.lever[row, column, 0] = x
             work.lever[row, column, 1] = y
     if not math.isfinite(scale):
         return 4, 0.0, 0.0
-    return 0, scale, square
+    return 0, layer.pads * scale, square
 
 
 @njit(cache=True)
@@ -323,7 +321,7 @@ def _refresh(
                 work.bound[row, column] = normal * _after(mu, speed, h, friction)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _advance(
     state: Fields,
     nodal: Floats,
@@ -338,7 +336,10 @@ def _advance(
     displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes = state
     static, kinetic, _, _ = friction
     rows, columns = nodal.shape
-    mean[:] = work.velocity[1:-1, 1:-1]
+    for row in range(rows):
+        for column in range(columns):
+            for axis in range(2):
+                mean[row, column, axis] = work.velocity[row + 1, column + 1, axis]
     spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.search_direction)
     fade = math.exp(-dt / layer.maxwell_time)
     build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)

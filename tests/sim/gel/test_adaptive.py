@@ -6,7 +6,7 @@ import pytest
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
-from evetac_cli.sim.gel.time_step import Allowed
+from evetac_cli.sim.gel.time_step import TOO_LONG, Allowed, step_nodes
 from evetac_cli.sim.solver import Solver
 
 FRICTION = gel.Friction(0.8, 0.64, 0.01, 20e-6)
@@ -66,10 +66,9 @@ def test_a_slice_that_is_too_coarse_is_taken_back_whole() -> None:
     """Assert that a step above its error changes nothing of the state, and that it is then made in halves."""
     state, shares = cylinder()
     before = state.copy()
-    assert (
-        gel.step_within(state, 2.0 * shares, 100.0 * WEIGHT_N, FRICTION, 1e-3, Allowed(error_m=1e-9, shortest=False))
-        is None
-    )
+    load = (2.0 * shares, 100.0 * WEIGHT_N, False, state.twist)
+    settings = (1e-3, 0.51, 1e-6, 400, *Allowed(error_m=1e-9, shortest=False))
+    assert step_nodes(state.arrays, load, FRICTION.law, settings, state.layer_constants, state.info) == TOO_LONG
     for name in ("displacement_m", "velocity_m_s", "maxwell_n", "pose", "twist", "stuck", "slip_m_s", "_mean_m_s"):
         assert (getattr(state, name) == getattr(before, name)).all()
     assert (state.friction_coefficient == before.friction_coefficient).all()
