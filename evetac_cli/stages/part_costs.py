@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import console
 from evetac_cli.events import Events
-from evetac_cli.jobs import Outcome
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.parts import parts, switched
 from evetac_cli.stages.trials import SimulatedTrial
 
@@ -90,10 +89,11 @@ BESIDE_SCENE = {
 }
 
 
-def dry_run(trials: Sequence[SimulatedTrial], play: Play, *more_timers: Timer) -> Outcome:
+def dry_run(
+    trials: Sequence[SimulatedTrial], play: Play, more_timers: Sequence[Timer] = (), progress: Progress = silent
+) -> Outcome:
     """What the first trial builds and leaves out, and what each part of it costs here."""
-    console.say("measuring what a slice costs: some seconds; up to a minute where the simulator is compiled first")
-    costs = measure(trials[0], play, REPEATS, more_timers, moving_s=DRY_MOVING_S, budget_s=BUDGET_S)
+    costs = measure(trials[0], play, REPEATS, more_timers, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
     files = {"files": len(trials), "first_file": str(trials[0].output)}
     if not costs.slices:  # over before there was anything to measure
         return Outcome(parts(trials[0].plan), True, files, made=False)
@@ -116,6 +116,7 @@ def measure(
     *,
     moving_s: float = MOVING_S,
     budget_s: float = math.inf,
+    progress: Progress = silent,
 ) -> PartCosts:
     """Run the first slices of a trial again and again: as it is, and with one part of it switched.
 
@@ -136,7 +137,8 @@ def measure(
             if done and (thread_time() - started) * (done + 1) / done > budget_s:
                 break
             plain.append(_run(trial, play, slices, seconds))
-            for part, other in others.items():
+            for number, (part, other) in enumerate(others.items(), 1):
+                progress(done * (1 + len(others)) + number, repeats * (1 + len(others)))
                 with_other[part].append(_run(other, play, slices, seconds))
         in_calls = np.min(plain, axis=0)[:, 1:].T
     return PartCosts(

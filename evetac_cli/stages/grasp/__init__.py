@@ -65,7 +65,7 @@ def _gripper(params: Grasp, camera: NamedCamera) -> NamedGripper:
     return gripper
 
 
-def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False) -> Outcome:
+def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """What would be built or done, and what that costs; refused what a run refuses."""
     trials = [job for job in jobs if isinstance(job, SimulatedTrial)]
     if not trials:
@@ -75,7 +75,7 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False) -> Outco
         return real_time.dry_run(others, params, force=force)
     for trial in trials:
         up_to_date(trial.output, simulated.make_recipe(trial, params), force=force)
-    return part_costs.dry_run(trials, partial(simulated.play, params=params), *TIMERS)
+    return part_costs.dry_run(trials, partial(simulated.play, params=params), TIMERS, progress)
 
 
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:

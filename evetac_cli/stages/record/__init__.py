@@ -75,7 +75,7 @@ def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
     return cameras, gripper
 
 
-def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False) -> Outcome:
+def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """What would be built or done, and what that costs; refused what a run refuses."""
     trials = [job for job in jobs if isinstance(job, DeviceTrial)]
     if trials:
@@ -86,7 +86,7 @@ def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False) -> Outc
     for trial in scenes:
         if not params.live:
             up_to_date(trial.output, simulated.make_recipe(trial), force=force)
-    return part_costs.dry_run(scenes, simulated.play_through)
+    return part_costs.dry_run(scenes, simulated.play_through, progress=progress)
 
 
 def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -19,7 +19,7 @@ from evetac_cli.store.files import up_to_date
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import RecordingWriter
 
-METHOD = 4
+METHOD = 5
 CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
 
 
