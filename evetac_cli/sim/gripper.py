@@ -77,10 +77,12 @@ def make_drive(sensor_row: Mapping[str, Any], friction_factor: float = 1.0, back
     """The drive of a sensor's gripper: `Drive` but for what its row's `gripper` names and what a scene adds.
 
     servo_n_tick (force_per_current * gain) and two_ticks_n (what two ticks push beyond the friction) stand for
-    gain_ma_tick and friction_n, because they are what a gripper shows; ValueError as from `Drive`.
+    gain_ma_tick and friction_n, because they are what a gripper shows; friction_factor then multiplies the friction.
+    ValueError as from `Drive`.
     """
     named = dict(sensor_row.get("gripper", {}))
     named.pop("finger_stiffness_n_m", None)
+    friction_factor *= named.pop("friction_factor", 1.0)
     if "servo_n_tick" in named:
         servo_n_tick = named.pop("servo_n_tick")
         force_per_current = named.get("force_per_current_n_ma", Drive.force_per_current_n_ma)

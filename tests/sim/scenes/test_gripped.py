@@ -146,7 +146,8 @@ def test_gripper_of_a_sensor() -> None:
         drive = gripper.make_drive(row)
         servo_n_tick = drive.gain_ma_tick * drive.force_per_current_n_ma
         assert servo_n_tick == pytest.approx(row["gripper"]["servo_n_tick"])
-        assert 0.08 <= 2 * servo_n_tick - drive.friction_n <= 0.18
+        friction_n = drive.friction_n / row["gripper"]["friction_factor"]
+        assert 0.08 <= 2 * servo_n_tick - friction_n <= 0.18
         assert gripper.make_drive(row, 0.5).friction_n == pytest.approx(0.5 * drive.friction_n)
 
 
