@@ -23,7 +23,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "labels"
-METHOD = 4
+METHOD = 5
 # The border of the window is the gel's cut edge, which moves with the gel and is part of neither region.
 EDGE_LEFT_PX = 10
 EDGE_RIGHT_PX = 25
