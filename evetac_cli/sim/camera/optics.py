@@ -74,8 +74,9 @@ def profile_position(distance2_px2: np.float32, inner_px: np.float32, steps_per_
 def profile_level(position: np.float32, level: NDArray[np.float32]) -> np.float32:
     """Log brightness at a position in a profile's table, linear between its entries."""
     index = np.int32(position)
-    below = level[index]
-    return below + (position - np.float32(index)) * (level[index + 1] - below)  # type: ignore[no-any-return]
+    entry = np.uint32(index)  # a signed index may count from the end, which keeps loops from being vectorised
+    below = level[entry]
+    return below + (position - np.float32(index)) * (level[entry + np.uint32(1)] - below)  # type: ignore[no-any-return]
 
 
 @njit(cache=True)

@@ -5,7 +5,7 @@ scan shows dots, lines and texture of one time, and a pixel still has at most on
 
 Why so: what follows from a reference (see pixel_culling) holds until a line moves over its pixel. Of a dot that a line
 touches in a scan nothing is found anew then, since the next scan would drop it again: its pixels are compared as they
-are. Dots that no line touches keep their lists.
+are, in the next scans as well. Dots that no line touches keep their lists.
 """
 
 import math

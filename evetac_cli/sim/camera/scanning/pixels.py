@@ -23,11 +23,11 @@ class CandidatePixels(NamedTuple):
     Between the square roots of `lower2_px2` and `upper2_px2` (height, width) from the nearest dot a pixel surely does
     not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `list_box` (dots, 4:
     centre and half sides, NaN without a list), only the first `list_length` pixels of its list `listed` may fire, with
-    radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
-    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii. `light` (2,) is
-    what a flicker adds to all levels, less the middle of its range, and half that range (see light): radii hold
-    throughout it. `drawn` (height, width) and `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is
-    scratch of theirs: see outline.
+    radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs;
+    a negative `list_length` counts the scans that a dot has been without. `active` and `entry` are scratch, for a frame
+    and for a list. `level_index` helps to find radii. `light` (2,) is what a flicker adds to all levels, less the
+    middle of its range, and half that range (see light): radii hold throughout it. `drawn` (height, width) and
+    `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is scratch of theirs: see outline.
     """
 
     level_index: NDArray[np.int16]
