@@ -31,9 +31,10 @@ from evetac_cli.sim.camera.contact_edges import (
 )
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
 from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
-from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
+from evetac_cli.sim.camera.scanning.pixels import RUN_PX, GelPixels, ScanTimes, WindowPixels
 from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
 
+ROUNDED_UP = 1.0 + 1e-6  # more than single precision costs a difference
 SHORT_PX = 32  # pixels side by side that are quicker looked at one by one than handed on as arrays
 
 
@@ -305,16 +306,22 @@ def _shift(
 ) -> None:
     """Take what lines add to pixels first to end of a row as seen: change their references by as much the other way.
 
-    The pixels of the window have references of their own; under them those of the gel are of no account.
+    The pixels of the window have references of their own; under them those of the gel are of no account. Their runs are
+    due for comparison (see window) as much earlier as the object would have to move less to make one fire.
     """
     window_rows, window_columns = window_reference.shape
     left = max(first, first_x) - first_x
     right = min(end, first_x + window_columns) - first_x
     own = row - first_y
     if 0 <= own < window_rows and left < right:
-        for x in range(left, right):
-            window_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
-        mark_due(due_at, row_due_at, own, left, right)
+        for run in range(left // RUN_PX, (right - 1) // RUN_PX + 1):
+            most = np.float32(0.0)
+            for x in range(max(left, run * RUN_PX), min(right, (run + 1) * RUN_PX)):
+                before = window_reference[own, x]
+                window_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
+                most = max(most, abs(window_reference[own, x] - before))
+            due_at[own, run] -= most * ROUNDED_UP
+            row_due_at[own] = min(row_due_at[own], due_at[own, run])
     for k in range(end - first):
         reference[row, first + k] -= line[k] - seen_level[row, first + k]
         seen_level[row, first + k] = line[k]
@@ -355,11 +362,13 @@ def _compare_across(
     if not quiet:
         made = compare_row(
             line,
-            reference[row, first:end],
-            threshold[row, first:end],
-            release_us[row, first:end],
-            first,
+            reference,
+            threshold,
+            release_us,
             row,
+            first,
+            end,
+            (0, 0),
             *when,
             made,
         )
@@ -377,13 +386,16 @@ def _compare_across(
         if not quiet:
             made = compare_row(
                 line,
-                window_reference[row - first_y, left:right],
-                window_threshold[row - first_y, left:right],
-                window_release_us[row - first_y, left:right],
-                first_x + left,
-                row,
+                window_reference,
+                window_threshold,
+                window_release_us,
+                row - first_y,
+                left,
+                right,
+                (first_x, first_y),
                 *when,
                 made,
             )
-        mark_due(due_at, row_due_at, row - first_y, left, right)
+        if window_release_us.size:  # a pixel that has fired without getting blind has more left to its threshold
+            mark_due(due_at, row_due_at, row - first_y, left, right)
     return made
