@@ -57,19 +57,18 @@ def scan_dots(
     """
     seen_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
-    pixels = (gel.reference, gel.threshold, gel.release_us)
+    reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
     candidates = gel.candidates
     readout_us, t0_us, refractory_us = times
     dots = len(path)
     scans = len(readout_us)
-    single = end_scan == first_scan + 1 and gel.release_us.size == 0
+    single = end_scan == first_scan + 1 and release_us.size == 0
     at_xy = np.empty((dots, end_scan - first_scan, 2))
     at_scans(path, scans, first_scan, at_xy)
     box = dot_rings.boxes(at_xy, seen_xy)
     crowded = np.zeros(dots, np.bool_) if apart else dot_rings.crowded(box, outer)
     near_xy = np.empty_like(at_xy)
     near_box = np.empty((dots, 4))
-    table = (inner, outer, steps_per_px, profile)
     now_us = t0_us + first_scan * SLICE_US / scans
     last_us = t0_us + (end_scan - 1) * SLICE_US / scans
     for dot in range(dots):
@@ -81,15 +80,31 @@ def scan_dots(
             candidates.list_box[dot] = np.nan
             count = ring_pixels(box[dot], inner, outer, False, candidates)
             count = select_own(dot, count, box, inner, outer, candidates)
-            count = select_active(candidates.active[:count], near_box[:near], *table, *pixels, now_us, candidates)
+            count = select_active(
+                candidates.active[:count],
+                near_box[:near],
+                inner,
+                outer,
+                steps_per_px,
+                profile,
+                reference,
+                threshold,
+                release_us,
+                now_us,
+                candidates,
+            )
         elif single and (touched[dot] or _waits_for_list(dot, candidates)):
             candidates.list_length[dot] = -1 if touched[dot] else min(candidates.list_length[dot], 0) - 1
             count = 0
             made = _compare_ring(
                 list_reach(box[dot]),
                 at_xy[dot, 0],
-                *table,
-                *pixels[:2],
+                inner,
+                outer,
+                steps_per_px,
+                profile,
+                reference,
+                threshold,
                 candidates.lower2_px2,
                 readout_us[first_scan],
                 keys,
@@ -100,7 +115,19 @@ def scan_dots(
             count = ring_pixels(list_reach(box[dot]), inner, outer, True, candidates)
         else:
             if not is_within(box, candidates.list_box, dot):
-                make_list(dot, box[dot], *table, *pixels, now_us, candidates)
+                make_list(
+                    dot,
+                    box[dot],
+                    inner,
+                    outer,
+                    steps_per_px,
+                    profile,
+                    reference,
+                    threshold,
+                    release_us,
+                    now_us,
+                    candidates,
+                )
             if candidates.list_length[dot] >= 0:
                 count = select_listed(
                     dot,
@@ -116,7 +143,17 @@ def scan_dots(
                 count = ring_pixels(box[dot], inner, outer, not rushes, candidates)
                 if not rushes:
                     count = select_active(
-                        candidates.active[:count], box[dot : dot + 1], *table, *pixels, now_us, candidates
+                        candidates.active[:count],
+                        box[dot : dot + 1],
+                        inner,
+                        outer,
+                        steps_per_px,
+                        profile,
+                        reference,
+                        threshold,
+                        release_us,
+                        now_us,
+                        candidates,
                     )
         if count > 0:
             seen_by = near_xy[:near] if crowded[dot] else at_xy[dot : dot + 1]
@@ -126,7 +163,9 @@ def scan_dots(
                 inner,
                 steps_per_px,
                 profile,
-                *pixels,
+                reference,
+                threshold,
+                release_us,
                 candidates.lower2_px2,
                 candidates.upper2_px2,
                 readout_us,
@@ -137,7 +176,19 @@ def scan_dots(
                 made,
             )
             if not crowded[dot] and candidates.list_length[dot] >= 0:
-                renew_listed(dot, count, *table, *pixels, last_us, candidates)
+                renew_listed(
+                    dot,
+                    count,
+                    inner,
+                    outer,
+                    steps_per_px,
+                    profile,
+                    reference,
+                    threshold,
+                    release_us,
+                    last_us,
+                    candidates,
+                )
         for axis in range(2):
             seen_xy[dot, axis] = at_xy[dot, end_scan - first_scan - 1, axis]
     return made
