@@ -12,7 +12,7 @@ flat middle.
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -74,23 +74,6 @@ class LineMotion(NamedTuple):
     seen_cut_x: Floats
     seen_level: NDArray[np.float32]
     seen_cut_level: NDArray[np.float32]
-
-
-@njit(cache=True)
-def line_motion(lines: tuple[Any, ...]) -> LineMotion:
-    """Moving lines with their names, from a plain tuple in the order of LineMotion, plain inside as well."""
-    start, end, outline = lines[:3]
-    return LineMotion(
-        Place(start[0], start[1], start[2]),
-        Place(end[0], end[1], end[2]),
-        Outline(outline[0], outline[1], outline[2], outline[3]),
-        lines[3],
-        lines[4],
-        lines[5],
-        lines[6],
-        lines[7],
-        lines[8],
-    )
 
 
 @dataclass

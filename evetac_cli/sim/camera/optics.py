@@ -337,9 +337,9 @@ def sample_texture_run(
             )
             done += 1
             continue
-        ahead = np.uint64(left - done)  # also below 0: sums of unsigned integers wrap
+        offset = np.uint64(left - done)  # also below 0: sums of unsigned integers wrap
         for k in range(np.uint64(done), np.uint64(done + run)):
-            at = k + ahead
+            at = k + offset
             level[k] = (
                 upper_left * texture[upper, at]
                 + upper_right * texture[upper, at + one]

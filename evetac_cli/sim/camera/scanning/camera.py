@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_whole
-from evetac_cli.sim.camera.contact_edges import ContactEdges, Place, line_motion
+from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
@@ -42,6 +42,7 @@ from evetac_cli.sim.camera.scanning.pixels import (
     all_pixels,
     all_runs,
     gel_pixels,
+    line_motion,
     window_pixels,
 )
 from evetac_cli.sim.camera.scanning.window import scan_window

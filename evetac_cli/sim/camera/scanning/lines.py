@@ -177,8 +177,7 @@ def scan_lines(
             )
             end_row = first_row
         what = (near_xy, row_xy, ink, pixels)
-        if first_row < end_row:
-            made = _compare_across(*what, first_row, end_row, runs, *when, line, keys, made)
+        made = _compare_across(*what, first_row, end_row, runs, *when, line, keys, made)
         if cut_left < cut_right:
             made = _compare_across(*what, 0, cut_rows, cut_runs, *when, line, keys, made)
         line_events += made - before

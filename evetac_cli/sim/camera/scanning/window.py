@@ -204,9 +204,9 @@ def _least_slack(
             if release_us[row, x] > now_us:
                 return -np.inf
     least = np.float32(np.inf)
-    y, ahead = np.uint64(row), np.uint64(first)
+    y, offset = np.uint64(row), np.uint64(first)
     for x in range(np.uint64(first), np.uint64(end)):
-        least = min(least, threshold[y, x] * np.float32(1.0 - RUN_ROUNDING) - abs(level[x - ahead] - reference[y, x]))
+        least = min(least, threshold[y, x] * np.float32(1.0 - RUN_ROUNDING) - abs(level[x - offset] - reference[y, x]))
     return float(least)
 
 
@@ -238,15 +238,15 @@ def compare_row(
                 reference[row, x] = level[x - first]
     # Most rows have nothing to report, and counting vectorises.
     fired = np.int32(0)
-    y, ahead = np.uint64(row), np.uint64(first)
+    y, offset = np.uint64(row), np.uint64(first)
     for x in range(np.uint64(first), np.uint64(end)):
-        fired += np.int32(abs(level[x - ahead] - reference[y, x]) >= threshold[y, x])
+        fired += np.int32(abs(level[x - offset] - reference[y, x]) >= threshold[y, x])
     if fired == 0:
         return made
     for x in range(np.uint64(first), np.uint64(end)):
-        change = level[x - ahead] - reference[y, x]
+        change = level[x - offset] - reference[y, x]
         if abs(change) >= threshold[y, x]:
-            reference[y, x] = level[x - ahead]
+            reference[y, x] = level[x - offset]
             if blinding:
                 release_us[y, x] = now_us + refractory_us
             column = corner[0] + np.int64(x)
