@@ -149,10 +149,11 @@ def line_motion(
         raise ValueError("contact_edges_start, contact_edges_end: expected both: the camera has some, found none")
     if start is end is contact_edges.rested:
         return None
-    places = (
-        check_place("contact_edges_start", contact_edges, start),
-        check_place("contact_edges_end", contact_edges, end),
-    )
+    given, checked = contact_edges.placed
+    first = checked if start is given else check_place("contact_edges_start", contact_edges, start)
+    last = first if end is start else check_place("contact_edges_end", contact_edges, end)
+    contact_edges.placed = end, last
+    places = (first, last)
     contact_edges.rested = end if start is end else None
     if contact_edges.still(*places, contact_edges.cut_resolution_px * 0.99 if coarsely else 0.0):
         return None

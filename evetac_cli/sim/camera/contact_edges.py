@@ -56,6 +56,9 @@ class Place(NamedTuple):
     cut_x_px: Floats
 
 
+NOWHERE = Place(np.zeros(2), 0.0, np.zeros(0))
+
+
 class LineMotion(NamedTuple):
     """Lines that move in a slice: from where to where, what they look like, and how the camera last saw them.
 
@@ -80,7 +83,7 @@ class ContactEdges:
     `seen_level` and `seen_cut_level` (height, width) are the levels that an outline and the cut edge add at
     `seen_corner` (x, y, strength) and `seen_cut_x`. `events` counts those of the last slice that no moving dot and no
     texture made. `rested` is the place at which all lines were for a whole slice, and were compared: there, nothing is
-    left to do.
+    left to do. `placed` is the end of the last slice, as given and as checked.
     """
 
     frame_px: tuple[int, int]
@@ -92,6 +95,7 @@ class ContactEdges:
     seen_level: NDArray[np.float32]
     seen_cut_level: NDArray[np.float32]
     rested: Place | None = None
+    placed: tuple[Place | None, Place] = (None, NOWHERE)
     events: int = 0
 
     def still(self, start: Place, end: Place, cut_px: float = 0.0) -> bool:

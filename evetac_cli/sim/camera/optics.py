@@ -27,6 +27,10 @@ LIMIT_MARGIN = 1e-5
 LEVEL_ROUNDING = 3e-5
 
 
+# Of `texture_place`: column, row, and four weights.
+TexturePlace = tuple[int, int, np.float32, np.float32, np.float32, np.float32]
+
+
 class DotProfile(NamedTuple):
     """Log brightness over the distance from a dot's centre, in equal steps from `inner_px` to `outer_px`.
 
@@ -74,8 +78,9 @@ def profile_position(distance2_px2: np.float32, inner_px: np.float32, steps_per_
 def profile_level(position: np.float32, level: NDArray[np.float32]) -> np.float32:
     """Log brightness at a position in a profile's table, linear between its entries."""
     index = np.int32(position)
-    below = level[index]
-    return below + (position - np.float32(index)) * (level[index + 1] - below)  # type: ignore[no-any-return]
+    entry = np.uint32(index)  # a signed index may count from the end, which keeps loops from being vectorised
+    below = level[entry]
+    return below + (position - np.float32(index)) * (level[entry + np.uint32(1)] - below)  # type: ignore[no-any-return]
 
 
 @njit(cache=True)
@@ -274,7 +279,7 @@ def texture_place(
     object_x_px: float,
     object_y_px: float,
     contrast: float,
-) -> tuple[int, int, np.float32, np.float32, np.float32, np.float32]:
+) -> TexturePlace:
     """The texel under pixel (first_x, first_y) of a moved object (column, row), and the weights of it and the next.
 
     Of the four: upper left, upper right, lower left, lower right.
@@ -313,26 +318,33 @@ def sample_texture_run(
 ) -> None:
     """Fill level[: end - first] with pixels first to end of a row, counted from that of `texture_place`."""
     texture_rows, texture_columns = texture.shape
-    upper = texture[(whole_y + row) & (texture_rows - 1)]
-    lower = texture[(whole_y + row + 1) & (texture_rows - 1)]
+    # Unsigned indices, as in `profile_level`, and no slices, whose making takes longer than a short run.
+    upper = np.uint64((whole_y + row) & (texture_rows - 1))
+    lower = np.uint64((whole_y + row + 1) & (texture_rows - 1))
+    one = np.uint64(1)
     columns = end - first
     done = 0
     while done < columns:
-        # Up to the seam only: an index that may wrap keeps the loop from being vectorised, 5 times slower.
+        # Up to the seam only: an index that may wrap keeps the loop from being vectorised, too.
         left = (whole_x + first + done) & (texture_columns - 1)
         run = min(columns - done, texture_columns - 1 - left)
         if run == 0:
             level[done] = (
-                upper_left * upper[left] + upper_right * upper[0] + lower_left * lower[left] + lower_right * lower[0]
+                upper_left * texture[upper, left]
+                + upper_right * texture[upper, 0]
+                + lower_left * texture[lower, left]
+                + lower_right * texture[lower, 0]
             )
             done += 1
             continue
-        above = upper[left : left + run + 1]
-        below = lower[left : left + run + 1]
-        out = level[done : done + run]
-        for k in range(run):
-            out[k] = (
-                upper_left * above[k] + upper_right * above[k + 1] + lower_left * below[k] + lower_right * below[k + 1]
+        offset = np.uint64(left - done)  # also below 0: sums of unsigned integers wrap
+        for k in range(np.uint64(done), np.uint64(done + run)):
+            at = k + offset
+            level[k] = (
+                upper_left * texture[upper, at]
+                + upper_right * texture[upper, at + one]
+                + lower_left * texture[lower, at]
+                + lower_right * texture[lower, at + one]
             )
         done += run
 

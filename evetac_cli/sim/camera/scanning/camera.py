@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_whole
-from evetac_cli.sim.camera.contact_edges import ContactEdges, LineMotion, Place
+from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
@@ -42,6 +42,7 @@ from evetac_cli.sim.camera.scanning.pixels import (
     all_pixels,
     all_runs,
     gel_pixels,
+    line_motion,
     window_pixels,
 )
 from evetac_cli.sim.camera.scanning.window import scan_window
@@ -266,7 +267,8 @@ def step(
         state.light.forget_changed(path, gel, window, lines, first_leaking_row)
     line_events = 0
     if lines is not None:
-        made, line_events = _scan_with_lines(lines, path, gel, tuple(motion), window, times, state.keys)
+        plain = (tuple(lines.start), tuple(lines.end), tuple(lines.outline), *lines[3:])
+        made, line_events = _scan_with_lines(plain, path, gel, tuple(motion), window, times, state.keys)
     else:
         made = _scan(path, gel, tuple(motion), window, times, state.keys)
     if state.contact_edges is not None:
@@ -330,7 +332,7 @@ def _scan(
 
 @njit(cache=True)
 def _scan_with_lines(
-    lines: LineMotion,
+    lines: tuple[Any, ...],
     path: NDArray[np.float64],
     gel: tuple[Any, ...],
     motion: tuple[Any, ...],
@@ -341,7 +343,8 @@ def _scan_with_lines(
     """Scan dots and window with lines that move; returns the number of events, and of those that lines alone made."""
     scans = ScanTimes(times[0], times[1], times[2])
     object_motion = ObjectMotion(motion[0], motion[1], motion[2])
-    made, line_events = scan_lines(lines, path, gel_pixels(gel), object_motion, window_pixels(window), scans, keys)
+    moving = line_motion(lines)
+    made, line_events = scan_lines(moving, path, gel_pixels(gel), object_motion, window_pixels(window), scans, keys)
     return int(made), int(line_events)
 
 

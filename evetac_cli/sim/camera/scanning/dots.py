@@ -8,6 +8,8 @@ all the way down (dots, pixels, window as named tuples) they made the same event
 as long, and compiling 1.2 times: references to every array of a group are counted wherever it is handed on.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -29,7 +31,11 @@ from evetac_cli.sim.camera.scanning.pixel_culling import (
     select_listed,
     select_own,
 )
-from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes
+from evetac_cli.sim.camera.scanning.pixels import CandidatePixels, GelPixels, ScanTimes
+
+# A dot that has lost its list to a line gets a new one once lines have left it alone for so many scans, in which its
+# whole ring is compared: making a list costs about as much.
+LEFT_ALONE_SCANS = 10
 
 
 @njit(cache=True)
@@ -51,18 +57,18 @@ def scan_dots(
     """
     seen_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
-    pixels = (gel.reference, gel.threshold, gel.release_us)
+    reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
     candidates = gel.candidates
     readout_us, t0_us, refractory_us = times
     dots = len(path)
     scans = len(readout_us)
+    single = end_scan == first_scan + 1 and release_us.size == 0
     at_xy = np.empty((dots, end_scan - first_scan, 2))
     at_scans(path, scans, first_scan, at_xy)
     box = dot_rings.boxes(at_xy, seen_xy)
     crowded = np.zeros(dots, np.bool_) if apart else dot_rings.crowded(box, outer)
     near_xy = np.empty_like(at_xy)
     near_box = np.empty((dots, 4))
-    table = (inner, outer, steps_per_px, profile)
     now_us = t0_us + first_scan * SLICE_US / scans
     last_us = t0_us + (end_scan - 1) * SLICE_US / scans
     for dot in range(dots):
@@ -74,13 +80,54 @@ def scan_dots(
             candidates.list_box[dot] = np.nan
             count = ring_pixels(box[dot], inner, outer, False, candidates)
             count = select_own(dot, count, box, inner, outer, candidates)
-            count = select_active(candidates.active[:count], near_box[:near], *table, *pixels, now_us, candidates)
+            count = select_active(
+                candidates.active[:count],
+                near_box[:near],
+                inner,
+                outer,
+                steps_per_px,
+                profile,
+                reference,
+                threshold,
+                release_us,
+                now_us,
+                candidates,
+            )
+        elif single and (touched[dot] or _waits_for_list(dot, candidates)):
+            candidates.list_length[dot] = -1 if touched[dot] else min(candidates.list_length[dot], 0) - 1
+            count = 0
+            made = _compare_ring(
+                list_reach(box[dot]),
+                at_xy[dot, 0],
+                inner,
+                outer,
+                steps_per_px,
+                profile,
+                reference,
+                threshold,
+                candidates.lower2_px2,
+                readout_us[first_scan],
+                keys,
+                made,
+            )
         elif touched[dot]:
             candidates.list_length[dot] = -1
             count = ring_pixels(list_reach(box[dot]), inner, outer, True, candidates)
         else:
             if not is_within(box, candidates.list_box, dot):
-                make_list(dot, box[dot], *table, *pixels, now_us, candidates)
+                make_list(
+                    dot,
+                    box[dot],
+                    inner,
+                    outer,
+                    steps_per_px,
+                    profile,
+                    reference,
+                    threshold,
+                    release_us,
+                    now_us,
+                    candidates,
+                )
             if candidates.list_length[dot] >= 0:
                 count = select_listed(
                     dot,
@@ -96,7 +143,17 @@ def scan_dots(
                 count = ring_pixels(box[dot], inner, outer, not rushes, candidates)
                 if not rushes:
                     count = select_active(
-                        candidates.active[:count], box[dot : dot + 1], *table, *pixels, now_us, candidates
+                        candidates.active[:count],
+                        box[dot : dot + 1],
+                        inner,
+                        outer,
+                        steps_per_px,
+                        profile,
+                        reference,
+                        threshold,
+                        release_us,
+                        now_us,
+                        candidates,
                     )
         if count > 0:
             seen_by = near_xy[:near] if crowded[dot] else at_xy[dot : dot + 1]
@@ -106,7 +163,9 @@ def scan_dots(
                 inner,
                 steps_per_px,
                 profile,
-                *pixels,
+                reference,
+                threshold,
+                release_us,
                 candidates.lower2_px2,
                 candidates.upper2_px2,
                 readout_us,
@@ -117,10 +176,28 @@ def scan_dots(
                 made,
             )
             if not crowded[dot] and candidates.list_length[dot] >= 0:
-                renew_listed(dot, count, *table, *pixels, last_us, candidates)
+                renew_listed(
+                    dot,
+                    count,
+                    inner,
+                    outer,
+                    steps_per_px,
+                    profile,
+                    reference,
+                    threshold,
+                    release_us,
+                    last_us,
+                    candidates,
+                )
         for axis in range(2):
             seen_xy[dot, axis] = at_xy[dot, end_scan - first_scan - 1, axis]
     return made
+
+
+@njit(cache=True)
+def _waits_for_list(dot: int, candidates: CandidatePixels) -> bool:
+    """Whether a dot has no list, and has not been left alone for long enough to get one."""
+    return bool(math.isnan(candidates.list_box[dot, 0]) and candidates.list_length[dot] >= -LEFT_ALONE_SCANS)
 
 
 @njit(cache=True)
@@ -134,6 +211,58 @@ def at_scans(path: NDArray[np.float64], scans: int, first_scan: int, at_xy: NDAr
             for axis in range(2):
                 piece_px = path[dot, vertex + 1, axis] - path[dot, vertex, axis]
                 at_xy[dot, shot, axis] = path[dot, vertex, axis] + part * piece_px
+
+
+@njit(cache=True)
+def _compare_ring(
+    ring: NDArray[np.float64],
+    at_xy: NDArray[np.float64],
+    inner: float,
+    outer: float,
+    steps_per_px: float,
+    profile: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    lower2_px2: NDArray[np.float32],
+    readout_us: NDArray[np.int64],
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Compare all pixels in the ring of a box (4,) in one scan with the levels that one dot at (2,) gives them.
+
+    As `_compare_pixels`, without radii; not for pixels that get blind.
+    """
+    height, width = reference.shape
+    ink_px, steps = np.float32(inner), np.float32(steps_per_px)
+    first_row, end_row = dot_rings.ring_rows(ring, outer, height)
+    for row in range(first_row, end_row):
+        left, left_end, right, right_end = dot_rings.ring_runs(ring, inner, outer, row, width)
+        y = np.uint64(row)
+        down = np.float32(row - at_xy[1])
+        down2 = down * down
+        for first, end in ((left, left_end), (right, right_end)):
+            # Most rows have nothing to report, and counting vectorises: with unsigned indices, and nothing written.
+            fired = np.int32(0)
+            for x in range(np.uint64(first), np.uint64(end)):
+                across = np.float32(np.int32(x) - at_xy[0])
+                position = optics.profile_position(across * across + down2, ink_px, steps)
+                change = optics.profile_level(position, profile) - reference[y, x]
+                fired += np.int32(not (abs(change) < threshold[y, x]))
+            if fired == 0:
+                continue
+            for x in range(first, end):
+                across = np.float32(x - at_xy[0])
+                position = optics.profile_position(across * across + down2, ink_px, steps)
+                level = optics.profile_level(position, profile)
+                change = level - reference[row, x]
+                if abs(change) < threshold[row, x]:
+                    continue
+                reference[row, x] = level
+                lower2_px2[row, x] = np.inf
+                if made < len(keys):
+                    keys[made] = event_key(readout_us[x], x, row, change > 0)
+                made += 1
+    return made
 
 
 @njit(cache=True)

@@ -5,7 +5,7 @@ scan shows dots, lines and texture of one time, and a pixel still has at most on
 
 Why so: what follows from a reference (see pixel_culling) holds until a line moves over its pixel. Of a dot that a line
 touches in a scan nothing is found anew then, since the next scan would drop it again: its pixels are compared as they
-are. Dots that no line touches keep their lists.
+are, in the next scans as well. Dots that no line touches keep their lists.
 """
 
 import math
@@ -31,10 +31,10 @@ from evetac_cli.sim.camera.contact_edges import (
 )
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
 from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
-from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
+from evetac_cli.sim.camera.scanning.pixels import RUN_PX, GelPixels, ScanTimes, WindowPixels
 from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
 
-SHORT_PX = 32  # pixels side by side that are quicker looked at one by one than handed on as arrays
+ROUNDED_UP = 1.0 + 1e-6  # more than single precision costs a difference
 
 
 @njit(cache=True)
@@ -176,17 +176,10 @@ def scan_lines(
                 near_xy, dot_ink, touching, runs, doubtful, outline_pixels, drawn[0], readout_us[scan], keys, made
             )
             end_row = first_row
-        for row in range(first_row, end_row):
-            in_row = _dots_in_row(near_xy, row, outer, row_xy)
-            left, left_end, right, right_end = runs[row]
-            for first, beyond in ((left, left_end), (right, right_end)):
-                made = _compare_across(row_xy[:in_row], ink, pixels, row, first, beyond, *when, line, keys, made)
+        what = (near_xy, row_xy, ink, pixels)
+        made = _compare_across(*what, first_row, end_row, runs, *when, line, keys, made)
         if cut_left < cut_right:
-            for row in range(cut_rows):
-                first, beyond = cut_runs[row, 0], cut_runs[row, 1]
-                if first < beyond:
-                    in_row = _dots_in_row(near_xy, row, outer, row_xy)
-                    made = _compare_across(row_xy[:in_row], ink, pixels, row, first, beyond, *when, line, keys, made)
+            made = _compare_across(*what, 0, cut_rows, cut_runs, *when, line, keys, made)
         line_events += made - before
     return made, line_events
 
@@ -305,16 +298,22 @@ def _shift(
 ) -> None:
     """Take what lines add to pixels first to end of a row as seen: change their references by as much the other way.
 
-    The pixels of the window have references of their own; under them those of the gel are of no account.
+    The pixels of the window have references of their own; under them those of the gel are of no account. Their runs are
+    due for comparison (see window) as much earlier as the object would have to move less to make one fire.
     """
     window_rows, window_columns = window_reference.shape
     left = max(first, first_x) - first_x
     right = min(end, first_x + window_columns) - first_x
     own = row - first_y
     if 0 <= own < window_rows and left < right:
-        for x in range(left, right):
-            window_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
-        mark_due(due_at, row_due_at, own, left, right)
+        for run in range(left // RUN_PX, (right - 1) // RUN_PX + 1):
+            most = np.float32(0.0)
+            for x in range(max(left, run * RUN_PX), min(right, (run + 1) * RUN_PX)):
+                before = window_reference[own, x]
+                window_reference[own, x] -= line[x + first_x - first] - seen_level[row, x + first_x]
+                most = max(most, abs(window_reference[own, x] - before))
+            due_at[own, run] -= most * ROUNDED_UP
+            row_due_at[own] = min(row_due_at[own], due_at[own, run])
     for k in range(end - first):
         reference[row, first + k] -= line[k] - seen_level[row, first + k]
         seen_level[row, first + k] = line[k]
@@ -324,11 +323,12 @@ def _shift(
 @njit(cache=True)
 def _compare_across(
     dot_xy: NDArray[np.float64],
+    row_xy: NDArray[np.float64],
     ink: tuple[Any, ...],
     pixels: tuple[Any, ...],
-    row: int,
-    first: int,
-    end: int,
+    first_row: int,
+    end_row: int,
+    runs: NDArray[np.int64],
     readout_us: NDArray[np.int64],
     now_us: float,
     refractory_us: float,
@@ -336,54 +336,65 @@ def _compare_across(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare pixels first to end of a row of the frame, those of the gel and those of the window.
+    """Compare the pixels of `runs` (height, 4) in some rows of the frame, those of the gel and those of the window.
 
-    `dot_xy` and `ink` are what draws both, `pixels` what they have.
+    `dot_xy` and `ink` are what draws both, `pixels` what they have; `row_xy` and `line` are scratch.
     """
-    if first >= end:
-        return made
     inner, outer, steps_per_px, profile, texture, place = ink
+    whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
     reference, threshold, release_us, lower2, first_x, first_y = pixels[:6]
     window_reference, window_threshold, window_release_us, due_at, row_due_at = pixels[6:]
-    when = (readout_us, now_us, refractory_us, keys)
-    optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, first, end, line)
-    quiet = release_us.size == 0 and end - first <= SHORT_PX
-    if quiet:
-        for x in range(first, end):
-            quiet &= abs(line[x - first] - reference[row, x]) < threshold[row, x]
-            lower2[row, x] = np.inf
-    if not quiet:
-        made = compare_row(
-            line,
-            reference[row, first:end],
-            threshold[row, first:end],
-            release_us[row, first:end],
-            first,
-            row,
-            *when,
-            made,
-        )
-        lower2[row, first:end] = np.inf
     window_rows, window_columns = window_reference.shape
-    left = max(first, first_x) - first_x
-    right = min(end, first_x + window_columns) - first_x
-    if first_y <= row < first_y + window_rows and left < right:
-        optics.sample_texture_run(texture, *place, row - first_y, left, right, line)
-        quiet = window_release_us.size == 0 and right - left <= SHORT_PX
-        if quiet:
-            for x in range(left, right):
-                off = abs(line[x - left] - window_reference[row - first_y, x])
-                quiet &= off < window_threshold[row - first_y, x]
-        if not quiet:
+    for row in range(first_row, end_row):
+        if runs[row, 0] >= runs[row, 1] and runs[row, 2] >= runs[row, 3]:
+            continue
+        in_row = _dots_in_row(dot_xy, row, outer, row_xy)
+        own = row - first_y
+        for side in range(2):
+            first = runs[row, 2 * side]
+            end = runs[row, 2 * side + 1]
+            if first >= end:
+                continue
+            optics.dot_row(row_xy[:in_row], inner, outer, steps_per_px, profile, row, first, end, line)
             made = compare_row(
                 line,
-                window_reference[row - first_y, left:right],
-                window_threshold[row - first_y, left:right],
-                window_release_us[row - first_y, left:right],
-                first_x + left,
+                reference,
+                threshold,
+                release_us,
                 row,
-                *when,
+                first,
+                end,
+                (0, 0),
+                readout_us,
+                now_us,
+                refractory_us,
+                keys,
                 made,
             )
-        mark_due(due_at, row_due_at, row - first_y, left, right)
+            for x in range(first, end):
+                lower2[row, x] = np.inf
+            left = max(first, first_x) - first_x
+            right = min(end, first_x + window_columns) - first_x
+            if not 0 <= own < window_rows or left >= right:
+                continue
+            optics.sample_texture_run(
+                texture, whole_x, whole_y, upper_left, upper_right, lower_left, lower_right, own, left, right, line
+            )
+            made = compare_row(
+                line,
+                window_reference,
+                window_threshold,
+                window_release_us,
+                own,
+                left,
+                right,
+                (first_x, first_y),
+                readout_us,
+                now_us,
+                refractory_us,
+                keys,
+                made,
+            )
+            if window_release_us.size:  # a pixel that has fired without getting blind has more left to its threshold
+                mark_due(due_at, row_due_at, own, left, right)
     return made

@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.contact_edges import LineMotion, Outline, Place
 
 MOST_LISTED = 512  # pixels in the list of a dot; larger or blurred dots may do without
 # Pixels side by side in the window that are compared together: with more, the one nearest to its threshold makes more
@@ -23,11 +24,11 @@ class CandidatePixels(NamedTuple):
     Between the square roots of `lower2_px2` and `upper2_px2` (height, width) from the nearest dot a pixel surely does
     not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `list_box` (dots, 4:
     centre and half sides, NaN without a list), only the first `list_length` pixels of its list `listed` may fire, with
-    radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs.
-    `active` and `entry` are scratch, for a frame and for a list. `level_index` helps to find radii. `light` (2,) is
-    what a flicker adds to all levels, less the middle of its range, and half that range (see light): radii hold
-    throughout it. `drawn` (height, width) and `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is
-    scratch of theirs: see outline.
+    radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs;
+    a negative `list_length` counts the scans that a dot has been without. `active` and `entry` are scratch, for a frame
+    and for a list. `level_index` helps to find radii. `light` (2,) is what a flicker adds to all levels, less the
+    middle of its range, and half that range (see light): radii hold throughout it. `drawn` (height, width) and
+    `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is scratch of theirs: see outline.
     """
 
     level_index: NDArray[np.int16]
@@ -139,6 +140,23 @@ def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
         window[5],
         window[6],
         CandidateRuns(runs[0], runs[1], runs[2], runs[3], runs[4], runs[5]),
+    )
+
+
+@njit(cache=True)
+def line_motion(lines: tuple[Any, ...]) -> LineMotion:
+    """Moving lines with their names, from a plain tuple in the order of LineMotion, plain inside as well."""
+    start, end, outline = lines[:3]
+    return LineMotion(
+        Place(start[0], start[1], start[2]),
+        Place(end[0], end[1], end[2]),
+        Outline(outline[0], outline[1], outline[2], outline[3]),
+        lines[3],
+        lines[4],
+        lines[5],
+        lines[6],
+        lines[7],
+        lines[8],
     )
 
 
