@@ -64,8 +64,17 @@ def _mechanics(plan: Plan) -> list[Part]:
         touching = f"a speaker, {plan['tone_hz']:g} Hz for {resolved['time']['tone_s']:g} s"
     pushes = f"{len(resolved['push']['at_s'])} half sines" if "push" in resolved else ""
     weight = f"{resolved['drop']['mass_g']} g" if "drop" in resolved else ""
+    rubs = plan["sensor_row"].get("friction", {}) if kind != "tone" else {}
+    spread = rubs.get("patch_spread", 0.0)
+    patches = f"by {spread:.0%} over {rubs['patch_mm']:g} mm" if spread and "patch_mm" in rubs else ""
     return [
         Part("gel and friction", nodes, "nothing slips: a closed form for each wave"),
+        Part(
+            "friction that varies over the gel",
+            patches,
+            "nothing slips" if kind == "tone" else "the sensor has none",
+            _even_friction if patches else None,
+        ),
         Part("what touches", touching, ""),
         Part("gripper", modes.get(kind, ""), "a hand drives the face"),
         Part("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
@@ -190,6 +199,11 @@ def _without_sensor(*keys: str) -> Callable[[Plan], None]:
 def _show_texture(plan: Plan) -> None:
     plan["scene"]["gel"]["cut"] = True
     plan["scene"]["texture"]["show"] = True
+
+
+def _even_friction(plan: Plan) -> None:
+    named = plan["sensor_row"]["friction"]
+    plan["sensor_row"]["friction"] = {key: named[key] for key in named if not key.startswith("patch_")}
 
 
 def _hide_texture(plan: Plan) -> None:

@@ -103,6 +103,8 @@ class Friction:
 class StepInfo(NamedTuple):
     """What one step did. Means are (x, y), weighted by pressure, and 0 without contact.
 
+    Where a gel has a friction_factor, pressure and normal force stand for those times the node's factor.
+
     residual: largest force left unbalanced, of a node or of the object, as a share of all forces on the object.
     converged: whether the balance was found.
     slip_fraction: slipping / loaded nodes; 1 without contact, where nothing sticks.
@@ -135,7 +137,8 @@ class GelState:
 
     displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step.
     slip_m_s: (rows, columns), mean speed of the object's surface against the gel in the last step, 0 where it sticks.
-    friction_coefficient: (rows, columns), of each node; infinite where it bears no load, for that of rest.
+    friction_coefficient: (rows, columns), of each node; infinite where it bears no load, for that of rest. What bounds
+    its friction is this times its friction_factor, (rows, columns), where the gel has one.
     stuck: (rows, columns), loaded and not slipping.
     pose: x, y of the object's centre of mass in m and its rotation in rad; twist: its velocity.
     inertia: mass, mass and moment of inertia of the object; may be changed between steps (a weight lands on it).
@@ -158,6 +161,15 @@ class GelState:
     _layer: Layer
     layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
     info: Floats
+    friction_factor: Floats | None = None
+
+    def gripping(self, normal: Floats) -> Floats:
+        """Normal force of each node, or its share, as friction counts it: times the node's friction_factor.
+
+        Why so: a factor on both coefficients is one on the normal force, bound, memory and steepness of friction
+        included, so that the steps need not know of it.
+        """
+        return normal if self.friction_factor is None else normal * self.friction_factor
 
     @property
     def arrays(self) -> NodeArrays:
@@ -212,11 +224,12 @@ def start(
     *,
     body_xy_m: tuple[float, float] = (0.0, 0.0),
     cell_area_m2: float | None = None,
+    friction_factor: Floats | None = None,
 ) -> GelState:
     """An undeformed gel, and an object at rest with its centre of mass at body_xy_m.
 
     node_xy_m: (rows, columns, 2), a regular grid as from `contact.pad_nodes`. cell_area_m2 is read off it, and must be
-    given where there is only one row or column.
+    given where there is only one row or column. friction_factor: (rows, columns), of each node on both coefficients.
     """
     nodes = np.ascontiguousarray(node_xy_m, dtype=np.float64)
     if nodes.ndim != 3 or nodes.shape[2] != 2 or nodes.size == 0 or not np.isfinite(nodes).all():
@@ -233,6 +246,10 @@ def start(
     if len(body_xy_m) != 2 or not np.isfinite(body_xy_m).all():
         raise ValueError(f"body_xy_m must be two finite numbers, found {body_xy_m}")
     rows, columns, _ = nodes.shape
+    if friction_factor is not None and not (
+        friction_factor.shape == (rows, columns) and np.isfinite(friction_factor).all() and friction_factor.min() >= 0
+    ):
+        raise ValueError(f"friction_factor must be finite and >= 0 with shape {(rows, columns)}")
     pitch_x = float(nodes[0, 1, 0] - nodes[0, 0, 0]) if columns > 1 else math.sqrt(area)
     pitch_y = float(nodes[1, 0, 1] - nodes[0, 0, 1]) if rows > 1 else math.sqrt(area)
     regular = np.stack(np.meshgrid(pitch_x * np.arange(columns), pitch_y * np.arange(rows)), axis=-1) + nodes[0, 0]
@@ -270,6 +287,7 @@ def start(
         _layer=layer,
         layer_constants=tuple(layer),
         info=np.zeros(INFO_SIZE),
+        friction_factor=friction_factor,
     )
 
 
@@ -308,7 +326,7 @@ def step(
             "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
             f" found {theta}, {tolerance} and {max_sweeps}"
         )
-    load = (nodal, force, prescribed_twist is not None, wanted)
+    load = (state.gripping(nodal), force, prescribed_twist is not None, wanted)
     settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())
     fault = step_nodes(state.arrays, load, friction.law, settings, state.layer_constants, state.info)
     if fault:

@@ -24,7 +24,16 @@ from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.disturbances import ChangingFriction, jerk_m_s
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.shared import (
+    STEP_S,
+    DotPath,
+    GelSlices,
+    SolverTruth,
+    friction_factor,
+    friction_of,
+    material,
+    pad,
+)
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
@@ -121,6 +130,7 @@ class GraspSimulation:
             float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
         )
+        self._friction_factor = friction_factor(sensor_row, nodes)
         self._slip_limit_n = self._slip_limit(nodes)
         backlash_ticks = float(self._scene.get("gripper", {}).get("backlash_ticks", 0.0))
         self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor, backlash_ticks)
@@ -137,7 +147,14 @@ class GraspSimulation:
         inertia = sampled.mass_kg * (height_m**2 + width_m**2) / 12
         along, across = sampled.touch_m[0], sampled.touch_m[1] + sampled.lever_m
         middle_m = (along, across) if self._down == 0 else (across, along)
-        self._gel = gel.start(nodes, self._material, sampled.mass_kg, inertia, body_xy_m=middle_m)
+        self._gel = gel.start(
+            nodes,
+            self._material,
+            sampled.mass_kg,
+            inertia,
+            body_xy_m=middle_m,
+            friction_factor=self._friction_factor,
+        )
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
         self._gel_slices = GelSlices(self._gel, self._solver)
         self._shares = contact.pressure(self.finger.indentation_m, self._gap, 1.0)
@@ -162,9 +179,14 @@ class GraspSimulation:
 
         Force and moment that friction can resist together lie on an ellipse (Howe and Cutkosky, Int. J. Robotics
         Research 15, 1996). The contact is that under the force without the moment, which is smaller, and at least one
-        node: a square resists a moment of 0.38 of its side.
+        node: a square resists a moment of 0.38 of its side. Where friction varies over the gel, what counts is that
+        of the contact under the force without it.
         """
         limit_n = self.sampled.mass_kg * GRAVITY_M_S2 / (2 * self.sampled.static_friction)
+        if self._friction_factor is not None:
+            indentation_m = float(np.interp(limit_n, self._curve.force_n, self._curve.indentation_m))
+            shares = contact.pressure(indentation_m, self._gap, 1.0)
+            limit_n /= float((shares * self._friction_factor).sum()) or 1.0
         if self.sampled.lever_m == 0.0:
             return limit_n
         indentation_m = float(np.interp(limit_n, self._curve.force_n, self._curve.indentation_m))

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
+from evetac_cli.sim.gel.friction import varied
 from evetac_cli.sim.sampling import SampledTrial
 from evetac_cli.sim.solver import Solver, from_scene
 
 STEP_S = 1e-3
 Floats = NDArray[np.float64]
+
+FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher and lower
 
 LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
 PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
@@ -62,6 +65,20 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
     return gel.Friction(
         sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s, sampled.friction_memory_m
     )
+
+
+def friction_factor(sensor_row: Mapping[str, Any], node_xy_m: Floats) -> Floats | None:
+    """Factor on the friction of each node of a sensor's gel, where its row names friction.patch_spread and patch_mm.
+
+    It belongs to the gel: the sensor's own seed draws it, and it is the same in all trials and scenes.
+    """
+    friction = sensor_row.get("friction", {})
+    if ("patch_spread" in friction) != ("patch_mm" in friction):
+        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor must be named together")
+    if not friction.get("patch_spread"):
+        return None
+    rng = np.random.default_rng([sensor_row["seed"], FRICTION_SEED])
+    return varied(node_xy_m, float(friction["patch_spread"]), float(friction["patch_mm"]) * 1e-3, rng)
 
 
 class GelSlices:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import SceneError
 from evetac_cli.sim import sampling, scene
+from evetac_cli.sim.scenes import gripped
 from evetac_cli.sim.scenes.disturbances import jerk_m_s
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
@@ -202,3 +203,32 @@ def test_flicker_reaches_the_camera() -> None:
     periods = sizes.reshape(4, 10, 2).sum(axis=1)
     assert (periods > 0.9 * 640 * 480).all()
     assert np.ptp(periods, axis=0).max() == 0
+
+
+def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a sensor with uneven friction has the same in all trials, in which other nodes slip first."""
+    plan = planned("slip", "ramp", {})
+    uneven = {**plan, "sensor_row": {**plan["sensor_row"], "friction": {"patch_spread": 0.3, "patch_mm": 2.0}}}
+    trials = [
+        GraspSimulation(each, np.random.default_rng(seed), np.random.default_rng(9))
+        for each, seed in ((plan, 5), (uneven, 5), (uneven, 6))
+    ]
+    assert trials[0].sampled == trials[1].sampled
+    assert trials[0]._friction_factor is None
+    factors = [trial._friction_factor for trial in trials[1:]]
+    np.testing.assert_array_equal(*factors)
+    even, varied = (run(trial, 800)[0] for trial in trials[:2])
+    assert not even["truth/slip"].any()
+    assert not varied["truth/slip"].any()
+    assert (even["truth/slip_share"] != varied["truth/slip_share"]).any()
+    other = {**uneven, "sensor_row": {**uneven["sensor_row"], "seed": 77}}
+    elsewhere = GraspSimulation(other, np.random.default_rng(5), np.random.default_rng(9))
+    assert np.abs(elsewhere._friction_factor - factors[0]).max() > 0.1
+    monkeypatch.setattr(gripped, "friction_factor", lambda _, nodes: np.full(nodes.shape[:2], 2.0))
+    double = GraspSimulation(uneven, np.random.default_rng(5), np.random.default_rng(9))
+    assert double._slip_limit_n == pytest.approx(trials[0]._slip_limit_n / 2, rel=1e-12)
+    monkeypatch.undo()
+    for odd in ({"patch_spread": 0.3}, {"patch_mm": 2.0}, {"patch_spread": -1.0, "patch_mm": 2.0}):
+        wrong = {**plan, "sensor_row": {**plan["sensor_row"], "friction": odd}}
+        with pytest.raises(SceneError, match="friction"):
+            rig(wrong, np.random.SeedSequence(0))
