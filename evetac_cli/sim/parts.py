@@ -75,6 +75,12 @@ def _mechanics(plan: Plan) -> list[Part]:
             "nothing slips" if kind == "tone" else "the sensor has none",
             _even_friction if patches else None,
         ),
+        Part(
+            "slow creep",
+            _creep(plan["sensor_row"]),
+            "the sensor has none",
+            _without_creep if _creep(plan["sensor_row"]) else None,
+        ),
         Part("what touches", touching, ""),
         Part("gripper", modes.get(kind, ""), "a hand drives the face"),
         Part("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
@@ -199,6 +205,17 @@ def _without_sensor(*keys: str) -> Callable[[Plan], None]:
 def _show_texture(plan: Plan) -> None:
     plan["scene"]["gel"]["cut"] = True
     plan["scene"]["texture"]["show"] = True
+
+
+def _creep(sensor_row: Plan) -> str:
+    """By how much of its stiffness a sensor's gel yields, and how slowly."""
+    named = sensor_row.get("creep", {})
+    arms = zip(named.get("share", []), named.get("time_s", []), strict=False)
+    return ", ".join(f"{share:.0%} in {time_s:g} s" for share, time_s in arms)
+
+
+def _without_creep(plan: Plan) -> None:
+    del plan["sensor_row"]["creep"]
 
 
 def _even_friction(plan: Plan) -> None:
