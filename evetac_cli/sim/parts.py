@@ -149,6 +149,7 @@ def _disturbances(resolved: Plan) -> list[Part]:
     factor = factor if isinstance(factor, list) else [factor, factor]
     rubs = f"x {factor[0]:g}" + (f" to {factor[1]:g}" if factor[1] > factor[0] else "")
     mass = f"{resolved['object']['mass_g']:g} g" if "object" in resolved else ""
+    profile = {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.get("profile", ""), "")
     named = {
         ("changing light", "light"): (", ".join(lights), "steady: none named"),
         ("vanishing dots", "vanishing_dots"): (
@@ -168,6 +169,8 @@ def _disturbances(resolved: Plan) -> list[Part]:
             "as the sensor's gripper has it",
         ),
         ("backlash of the gripper", "gripper.backlash_ticks"): (f"{play:g} ticks" if play else "", "none named"),
+        ("profile of the hand's motion", "hand.profile"): (profile, "a trapezoid of speed"),
+        ("vibration of the hand", "hand.vibration"): (_vibration(hand), "none named"),
         ("jerk of the hand", "hand.jerk"): (
             f"{jerk['speed_mm_s']:g} mm/s for {jerk['lasts_s']:g} s at {jerk['at_s']:g} s" if jerk else "",
             "none named",
@@ -178,7 +181,14 @@ def _disturbances(resolved: Plan) -> list[Part]:
         ),
         ("other mass of the object", "object"): (mass, "none named"),
     }
-    measured = ("changing light", "vanishing dots", "change of friction", "jerk of the hand")  # the others cost nothing
+    measured = (  # the others cost nothing
+        "changing light",
+        "vanishing dots",
+        "change of friction",
+        "profile of the hand's motion",
+        "vibration of the hand",
+        "jerk of the hand",
+    )
     return [
         Part(name, built, why_not, _without(*place.split(".")) if built and name in measured else None)
         for (name, place), (built, why_not) in named.items()
@@ -205,6 +215,16 @@ def _without_sensor(*keys: str) -> Callable[[Plan], None]:
 def _show_texture(plan: Plan) -> None:
     plan["scene"]["gel"]["cut"] = True
     plan["scene"]["texture"]["show"] = True
+
+
+def _vibration(hand: Plan) -> str:
+    """The sine waves of a hand's vibration."""
+    named = hand.get("vibration")
+    if named is None:
+        return ""
+    waves = zip(named["acceleration_m_s2"], named["frequency_hz"], strict=True)
+    listed = ", ".join(f"{acceleration:g} m/s2 at {frequency:g} Hz" for acceleration, frequency in waves)
+    return f"{listed}, while it rises" if named.get("only_moving", False) else listed
 
 
 def _creep(sensor_row: Plan) -> str:
