@@ -149,6 +149,9 @@ def _disturbances(resolved: Plan) -> list[Part]:
     factor = factor if isinstance(factor, list) else [factor, factor]
     rubs = f"x {factor[0]:g}" + (f" to {factor[1]:g}" if factor[1] > factor[0] else "")
     mass = f"{resolved['object']['mass_g']:g} g" if "object" in resolved else ""
+    noise = gripper.get("encoder_noise_ticks", 0.0)
+    delay_ms, jitter_ms = gripper.get("command_delay_ms", 0.0), gripper.get("command_jitter_ms", 0.0)
+    late = f"by {delay_ms:g} to {delay_ms + jitter_ms:g} ms" if jitter_ms else f"by {delay_ms:g} ms" if delay_ms else ""
     profile = {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.get("profile", ""), "")
     named = {
         ("changing light", "light"): (", ".join(lights), "steady: none named"),
@@ -169,6 +172,11 @@ def _disturbances(resolved: Plan) -> list[Part]:
             "as the sensor's gripper has it",
         ),
         ("backlash of the gripper", "gripper.backlash_ticks"): (f"{play:g} ticks" if play else "", "none named"),
+        ("noise of the gripper's encoder", "gripper.encoder_noise_ticks"): (
+            f"{noise:g} ticks" if noise else "",
+            "it reads the motor's place",
+        ),
+        ("commands that come late", "gripper.command_delay_ms"): (late, "in effect in the next ms"),
         ("profile of the hand's motion", "hand.profile"): (profile, "a trapezoid of speed"),
         ("vibration of the hand", "hand.vibration"): (_vibration(hand), "none named"),
         ("jerk of the hand", "hand.jerk"): (

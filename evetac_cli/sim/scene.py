@@ -52,6 +52,9 @@ ONLY_IN = {
     "hand.profile": ("lift",),
     "hand.jerk": ("lift",),
     "gripper.backlash_ticks": GRIPPED,
+    "gripper.encoder_noise_ticks": GRIPPED,
+    "gripper.command_delay_ms": GRIPPED,
+    "gripper.command_jitter_ms": GRIPPED,
     "object": GRIPPED,
     "friction_change": (*GRIPPED, "press", "rub"),
 }

@@ -68,7 +68,8 @@ class GraspSimulation:
         self._solver = from_scene(self._scene)
         object_params, sensor_row = plan["object_row"], sampling.sensor_with_gel(self._scene, plan["sensor_row"])
         self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
-        hand_rng, _ = mechanics.spawn(2)  # each part a stream of its own, drawn from only if a scene names it
+        # each part has a stream of its own, and draws from it only where a scene names it
+        hand_rng, self._encoder_rng, commands_rng = mechanics.spawn(3)
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
         texture = self._texture(plan["object"], optics_rng)
         self._shows_texture = texture is not None
@@ -81,6 +82,12 @@ class GraspSimulation:
             scene=self._scene,
         )
         self._build_mechanics(object_params, sensor_row)
+        named = self._scene.get("gripper", {})
+        self._encoder_noise_ticks = float(named.get("encoder_noise_ticks", 0.0))
+        delay, jitter = (float(named.get(f"command_{key}_ms", 0.0)) * 1e-3 / STEP_S for key in ("delay", "jitter"))
+        self._commands = None
+        if delay > 0.0 or jitter > 0.0:
+            self._commands = gripper.DelayedCommands(self.command, delay, jitter, commands_rng)
         self.slices = 0
         self.finished = False
         self._mass_kg = self.sampled.mass_kg
@@ -257,7 +264,9 @@ class GraspSimulation:
         """One mechanical step: finger, gel, object, table."""
         self._friction = self._changing_friction.at(self.slices)
         before_n = self.finger.force_n
-        mode, command = self.command
+        mode, command = self.command if self._commands is None else self._commands.at(self.slices, self.command)
+        if self._encoder_noise_ticks > 0.0:
+            self.finger.encoder_off_ticks = self._encoder_noise_ticks * float(self._encoder_rng.normal())
         after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
         if self.finger.indentation_m != self._shares_at_m:
             self._shares_at_m = self.finger.indentation_m

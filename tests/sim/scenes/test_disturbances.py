@@ -136,6 +136,47 @@ def test_backlash_reaches_the_gripper() -> None:
     assert loose.finger.force_n == plain.finger.force_n
 
 
+def test_commands_that_come_late() -> None:
+    """Assert that a command given with a delay of 7 ms does what the same does that is given 7 ms later."""
+    late, plain = held({"gripper": {"command_delay_ms": 7.0}}), held({})
+    given = {400: ("current", 3), 430: ("current", 40), 431: ("position", plain.finger.position_ticks + 1)}
+    for k in range(500):
+        late.command = given.get(k, late.command)
+        plain.command = given.get(k - 7, plain.command)
+        for one in (late, plain):
+            one.step()
+        if k % 10 == 0 or k > 400:
+            for name, value in late.truth().items():
+                np.testing.assert_array_equal(value, plain.truth()[name])
+    jitters = [held({"gripper": {"command_jitter_ms": 20.0}}) for _ in range(2)]
+    for one in jitters:
+        one.command = ("current", 60)
+    forces = [run(one, 40)[0]["truth/normal_force_n"] for one in (*jitters, held({}))]
+    np.testing.assert_array_equal(forces[0], forces[1])
+    assert 0 <= np.flatnonzero(forces[0] != forces[2])[0] <= 20
+
+
+def test_noise_of_the_encoder() -> None:
+    """Assert that readings scatter as named about the motor's place, which under a current is as without noise."""
+    noisy, plain = held({"gripper": {"encoder_noise_ticks": 2.0}}), held({})
+    readings = []
+    for _ in range(600):
+        for one in (noisy, plain):
+            one.step()
+        readings.append(noisy.finger.position_ticks)
+        assert noisy.finger.motor_ticks == plain.finger.motor_ticks
+    off = np.array(readings) + 0.5 - noisy.finger.touch_ticks - noisy.finger.motor_ticks
+    assert off.mean() == pytest.approx(0.0, abs=0.25)
+    assert off.std() == pytest.approx(math.sqrt(4.0 + 1 / 12), rel=0.08)
+    for one in (noisy, plain):  # the servo reads its encoder too: its current scatters by its gain
+        one.command = ("position", plain.finger.position_ticks)
+    currents = []
+    for _ in range(300):
+        noisy.step()
+        currents.append(noisy.finger.current_ma)
+    assert np.std(currents) == pytest.approx(2.0 * noisy.drive.gain_ma_tick, rel=0.15)
+
+
 def test_a_calibration_that_is_off() -> None:
     """Assert that the sensor tells a grid turned about the frame's middle and moved, with equal events and truth."""
     changes = {"calibration": {"offset_px": [3.0, -1.0], "turned_deg": 1.0}}
