@@ -152,11 +152,11 @@ def _check_vibration(scene: dict[str, Any], where: str) -> None:
     vibration = scene.get("hand", {}).get("vibration")
     if vibration is None:
         return
-    waves, found = len(vibration["frequency_hz"]), vibration["acceleration_m_s2"]
-    if len(found) != waves:
+    waves, accelerations = len(vibration["frequency_hz"]), vibration["acceleration_m_s2"]
+    if len(accelerations) != waves:
         expected = f"one acceleration for each of the {waves} in frequency_hz"
         place = "hand.vibration.acceleration_m_s2: of another length"
-        raise SceneError(place, where=where, expected=expected, found=str(found))
+        raise SceneError(place, where=where, expected=expected, found=str(accelerations))
     if vibration.get("only_moving", False) and scene["kind"] != "lift":
         raise SceneError(
             "hand.vibration.only_moving is for another kind of scene: in this one the hand does not rise",

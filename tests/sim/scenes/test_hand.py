@@ -92,10 +92,10 @@ def test_a_held_object_is_shaken() -> None:
         moved.append(one.truth()["truth/object_xy_px"][0])
     hand = Hand({"hand": {"vibration": SHAKES}}, 0.0, STEP_S, np.random.default_rng(0).spawn(2)[1])
     expected = np.array([hand.accelerate(k) for k in range(900)])
-    felt = np.diff(fall_m_s, prepend=0.0) / STEP_S + 2 * np.array(friction_n) / mass_kg - GRAVITY_M_S2
+    acting = np.diff(fall_m_s, prepend=0.0) / STEP_S + 2 * np.array(friction_n) / mass_kg - GRAVITY_M_S2
     loaded = slice(600, 900)
-    np.testing.assert_allclose(felt[loaded], expected[loaded], atol=2e-3)
-    assert np.abs(felt[loaded]).max() > 0.5
+    np.testing.assert_allclose(acting[loaded], expected[loaded], atol=2e-3)
+    assert np.abs(acting[loaded]).max() > 0.5
     assert moved[0] != moved[1]
 
 
