@@ -5,6 +5,10 @@ The minimum of one convex function (see gel) is found in rounds: sweeps of proje
 search keeps the object from flipping for ever between the two directions of slip on a stiff gel. Nodes that the step
 would bring to rest are caught, so that they move along too, which keeps partial slip cheap: a single node about to
 stick would stop the object again and again (400 sweeps without balance where 20 are enough).
+
+Where the second finger's pad is not a mirror image of the first it is `Other`, and object and nodes of both pads are
+balanced together. Where it is None numba leaves out what concerns it when it compiles. It is unpacked because numba
+fails on other[0].
 """
 
 import math
@@ -57,6 +61,9 @@ class Work(NamedTuple):
     search_direction: Floats
     ease: Floats
     object_velocity: Floats
+
+
+Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick
 
 
 # numba takes an index that may be negative from the end of an array, and tests each for that; these are none.
@@ -346,32 +353,65 @@ def _solve3(matrix: Floats, right: Floats, least: Floats) -> Floats:
 
 
 @njit(cache=True)
+def _loosen(work: Work, stuck: Flags) -> None:
+    """Begin with all nodes loose that do not stick."""
+    rows, columns = stuck.shape
+    for row in range(rows):
+        for column in range(columns):
+            work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
+
+
+@njit(cache=True)
 def _find_move(
-    work: Work, stencil: Stencil, weight: Floats, inertial: Floats, friction_wrench: Floats, stuck: Flags, reach: float
+    work: Work,
+    stencil: Stencil,
+    weight: Floats,
+    inertial: Floats,
+    pads_wrench: Floats,
+    stuck: Flags,
+    reach: float,
+    other: Other,
 ) -> Floats:
     """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest.
 
     Fills search_direction.
     """
-    rows, columns = stuck.shape
-    for row in range(rows):
-        for column in range(columns):
-            work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
+    _loosen(work, stuck)
+    if other is not None:
+        there, stencil_there, stuck_there = other
+        _loosen(there, stuck_there)
     curvature = np.zeros((3, 3))
     move = np.zeros(3)
     for _ in range(4):
         _curvature(work, stencil, curvature)
         curvature *= stencil.pads
+        if other is not None:
+            more = np.zeros((3, 3))
+            _curvature(there, stencil_there, more)
+            curvature += stencil_there.pads * more
         for axis in range(3):
             curvature[axis, axis] += weight[axis]
-        move = _solve3(curvature, -inertial - stencil.pads * friction_wrench, weight)
-        if _follow(work, move, reach) == 0:
+        move = _solve3(curvature, -inertial - pads_wrench, weight)
+        caught = _follow(work, move, reach)
+        if other is not None:
+            caught += _follow(there, move, reach)
+        if caught == 0:
             break
     return move
 
 
 @njit(cache=True)
-def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial: Floats) -> float:
+def _rubbing_of_all(work: Work, stencil: Stencil, move: Floats, part: float, other: Other) -> float:
+    """Slope of the friction potential of all pads."""
+    slope: float = stencil.pads * _rubbing(work, move, part)
+    if other is not None:
+        there, stencil_there, _ = other
+        slope += stencil_there.pads * _rubbing(there, move, part)
+    return slope
+
+
+@njit(cache=True)
+def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial: Floats, other: Other) -> float:
     """Exact line search: the part, 0 to 1, of a move at which the potential is least; 0 if it only rises.
 
     The nodes move along search_direction.
@@ -379,12 +419,17 @@ def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial
     slope, bend = _smooth(work, stencil)
     slope = stencil.pads * slope + (inertial * move).sum()
     bend = stencil.pads * bend + (weight * move * move).sum()
-    start = slope + stencil.pads * _rubbing(work, move, 0.0)
+    if other is not None:
+        there, stencil_there, _ = other
+        slope_there, bend_there = _smooth(there, stencil_there)
+        slope += stencil_there.pads * slope_there
+        bend += stencil_there.pads * bend_there
+    start = slope + _rubbing_of_all(work, stencil, move, 0.0, other)
     low = 0.0
     high = 1.0
     part = 1.0
     for _ in range(50):
-        here = slope + part * bend + stencil.pads * _rubbing(work, move, part)
+        here = slope + part * bend + _rubbing_of_all(work, stencil, move, part, other)
         if here <= -1e-9 * start:
             low = part
             if part == 1.0 or here >= 1e-3 * start:
@@ -396,26 +441,42 @@ def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial
 
 
 @njit(cache=True)
-def move_object(
-    work: Work, stencil: Stencil, twist: Floats, weight: Floats, inertial: Floats, friction_wrench: Floats, stuck: Flags
-) -> None:
-    """Newton step of the object, and of the nodes that answer it.
-
-    weight: inertia / (theta dt); inertial: the object's own unbalanced force; friction_wrench: what a pad adds to it.
-    To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
-    the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
-    """
-    rows, columns = stuck.shape
-    move = np.zeros(3)
-    part = 0.0
-    for reach in REACHES:
-        move = _find_move(work, stencil, weight, inertial, friction_wrench, stuck, reach)
-        part = _search(work, stencil, move, weight, inertial)
-        if part >= WORTHWHILE:
-            break
-    for axis in range(3):
-        twist[axis] += part * move[axis]
+def _answer(work: Work, part: float) -> None:
+    """Move the nodes by a part of search_direction."""
+    rows, columns = work.bound.shape
     for row in range(rows):
         for column in range(columns):
             for axis in range(2):
                 work.velocity[row + 1, column + 1, axis] += part * work.search_direction[row, column, axis]
+
+
+@njit(cache=True)
+def move_object(
+    work: Work,
+    stencil: Stencil,
+    twist: Floats,
+    weight: Floats,
+    inertial: Floats,
+    pads_wrench: Floats,
+    stuck: Flags,
+    other: Other,
+) -> None:
+    """Newton step of the object, and of the nodes that answer it.
+
+    weight: inertia / (theta dt); inertial: the object's own unbalanced force; pads_wrench: what all pads add to it.
+    To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
+    the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
+    """
+    move = np.zeros(3)
+    part = 0.0
+    for reach in REACHES:
+        move = _find_move(work, stencil, weight, inertial, pads_wrench, stuck, reach, other)
+        part = _search(work, stencil, move, weight, inertial, other)
+        if part >= WORTHWHILE:
+            break
+    for axis in range(3):
+        twist[axis] += part * move[axis]
+    _answer(work, part)
+    if other is not None:
+        there, _, _ = other
+        _answer(there, part)

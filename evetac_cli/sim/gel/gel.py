@@ -11,7 +11,8 @@ Model, in SI units, x down, y to the side, rotation from x to y:
 - Friction. Set-valued Coulomb: the friction of a node lies in the disc of radius mu * normal force; where the node
   slips it lies on the rim, against the slip. mu is a state of the node, which falls from static to kinetic with its
   slip speed over a memory length (see friction).
-- Object. Rigid, held by two mirrored pads, of which one is simulated. Its lever arms follow it as it moves.
+- Object. Rigid, held by two pads. Where they are mirror images, one is simulated; where not, both are, each a GelState
+  of its own (see `Stepper`). Its lever arms follow it as it moves.
 
 Why so: a step minimises one convex function of the node velocities and the object's twist (Moreau's time stepping). It
 is stable for any stiffness, mass, friction and time step, and sticking is exact: no creep, no regularisation speed.
@@ -35,7 +36,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.friction import half_wavelength_m
-from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, FrictionLaw, Layer, NodeArrays, spring, step_nodes
+from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, Fields, FrictionLaw, Layer, NodeArrays, spring, step_nodes
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -213,6 +214,11 @@ class GelState:
             self._creep_arms,
         )
 
+    @property
+    def fields(self) -> Fields:
+        """The arrays of the pad alone, without the object, as `step_nodes` is handed those of a second pad."""
+        return (*self.arrays[:7], *self.arrays[10:])
+
     def copy(self) -> "GelState":
         """The state as it is now, independent of what happens to this one."""
         twin = copy.copy(self)
@@ -356,7 +362,7 @@ def step(
         )
     load = (state.gripping(nodal), force, prescribed_twist is not None, wanted)
     settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())
-    fault = step_nodes(state.arrays, load, friction.law, settings, state.layer_constants, state.info)
+    fault = step_nodes(state.arrays, load, friction.law, settings, state.layer_constants, state.info, None)
     if fault:
         raise ValueError(FAULTS[fault])
     return step_info(state.info, tolerance)
@@ -369,7 +375,7 @@ def step_info(numbers: Floats, tolerance: float) -> StepInfo:
     friction_n = (info[9], info[10], info[11])
     sweeps, residual, slip_fraction = int(info[0]), info[1], info[2]
     motion = (slip_fraction, gel_velocity, slip_velocity, gel_displacement)
-    return StepInfo(sweeps, residual, residual <= tolerance, *motion, friction_n, *info[12:])
+    return StepInfo(sweeps, residual, residual <= tolerance, *motion, friction_n, *info[12:16])
 
 
 FAULTS = (  # what `step_nodes` returns

@@ -25,7 +25,7 @@ SWEEPS_A_ROUND = 3
 # Rounds whose bounds are refreshed. More of them find no better balance, and without end they take up to 400 rounds.
 REFRESHES = 4
 TOO_LONG = 5  # what `step_nodes` returns where its step is longer than its `Allowed` allows
-INFO_SIZE = 16
+INFO_SIZE = 19
 
 
 class Layer(NamedTuple):
@@ -73,6 +73,8 @@ FrictionLaw = tuple[float, float, float, float]
 # dt, theta, tolerance, max_sweeps, and an Allowed
 StepSettings = tuple[float, float, float, int, float, float, bool]
 LayerConstants = tuple[float, ...]  # a Layer
+# the second finger's pad: its arrays, the normal force of each of its nodes, and its constants
+Second = tuple[Fields, Floats, LayerConstants] | None
 
 
 @njit(cache=True)
@@ -103,22 +105,18 @@ def step_nodes(
     settings: StepSettings,
     constants: LayerConstants,
     info: Floats,
+    second: Second,
 ) -> int:
     """One time step in place; returns 0, TOO_LONG, or the number of what is wrong, both before anything is changed.
 
-    Fills `info`: sweeps, residual, and the rest of `gel.StepInfo` in its order.
+    second: the second finger's pad, where it is simulated, too. Fills `info`: sweeps, residual, and the rest of
+    `gel.StepInfo` in its order; then the force of the object on the second pad and its moment.
     """
     displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, pose, twist, inertia, nodes, creep, arms = (
         arrays
     )
     nodal, force, prescribed, wanted = load
-    mu_static, mu_kinetic, stribeck_speed, memory = friction
-    node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
-    layer = Layer(
-        node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
-    )
     dt, theta, tolerance, max_sweeps, allowed_m, steepest, shortest = settings
-    rows, columns = nodal.shape
     for axis in range(3):
         if not (math.isfinite(force[axis]) and math.isfinite(wanted[axis])):
             return 2
@@ -126,8 +124,122 @@ def step_nodes(
             return 3
         if not (math.isfinite(pose[axis]) and math.isfinite(twist[axis])):
             return 4
-    # the Maxwell arm by its exact exponential update: what it keeps of its force, and gains per unit of K velocity
     h = theta * dt
+    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms)
+    fault, scale, square, layer, stencil, work, factor = _begin(state, nodal, pose, friction, h, constants)
+    if fault:
+        return int(fault)
+    if second is None:
+        other = None
+    else:
+        state_2, nodal_2, constants_2 = second
+        coefficient_2, stuck_2 = state_2[5], state_2[6]
+        fault, scale_2, _, layer_2, stencil_2, work_2, factor_2 = _begin(
+            state_2, nodal_2, pose, friction, h, constants_2
+        )
+        if fault:
+            return int(fault)
+        scale += scale_2
+        other = (work_2, stencil_2, stuck_2)
+        stuck_before_2 = stuck_2.copy()
+        wrench_2 = np.zeros(3)
+    falls = friction[1] < friction[0]
+    scale += abs(force[0]) + abs(force[1])
+    # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
+    reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
+    scale = max(scale + abs(force[2]) / reach, 1e-300)
+    body = wanted.copy()
+    weight = inertia / h
+    friction_wrench = np.zeros(3)
+    stuck_before = stuck.copy()
+    sweeps = 0
+    rounds = 0
+    while True:
+        set_object_velocity(work, body)
+        if second is not None:
+            set_object_velocity(work_2, body)
+        # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
+        for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
+            relax(work, stencil, stuck, factor)
+            if second is not None:
+                relax(work_2, stencil_2, stuck_2, factor_2)
+            sweeps += 1
+        if falls and rounds < REFRESHES:
+            _refresh(work, nodal, coefficient, body, stuck, h, friction)
+            if second is not None:
+                _refresh(work_2, nodal_2, coefficient_2, body, stuck_2, h, friction)
+        rounds += 1
+        worst = imbalance(work, stencil, body, stuck, friction_wrench)
+        pads_wrench = layer.pads * friction_wrench
+        if second is not None:
+            worst = max(worst, imbalance(work_2, stencil_2, body, stuck_2, wrench_2))
+            pads_wrench += layer_2.pads * wrench_2
+        inertial = weight * (body - twist) - force
+        if not prescribed:
+            left = np.abs(inertial + pads_wrench)
+            worst = max(worst, left[0], left[1], left[2] / reach)
+        if worst <= tolerance * scale or sweeps >= max_sweeps:
+            break
+        if not prescribed:
+            move_object(work, stencil, body, weight, inertial, pads_wrench, stuck, other)
+    error = 0.0
+    if not prescribed:
+        # what the step differs by from one by the trapezoidal rule, of second order
+        trapezoid_s = dt * abs(1.0 - 0.5 / theta)
+        error = trapezoid_s * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
+    change = 0.0
+    too_long, accepted = False, shortest
+    if falls:
+        change, moved_m, released, hardest = _let_go(
+            work, nodal, (coefficient, stuck_before, stuck), friction, dt, h, layer
+        )
+        error = max(error, moved_m)
+        resisted = steepest * friction[3] * stencil.own  # what the gel resists with, `Allowed.steepness`
+        too_long = released > resisted
+        accepted = shortest and hardest <= resisted
+        if second is not None:
+            nodes_2 = (coefficient_2, stuck_before_2, stuck_2)
+            change_2, moved_m, released, hardest = _let_go(work_2, nodal_2, nodes_2, friction, dt, h, layer_2)
+            change, error = max(change, change_2), max(error, moved_m)
+            resisted = steepest * friction[3] * stencil_2.own
+            too_long = too_long or released > resisted
+            accepted = accepted and hardest <= resisted
+    if too_long or (error > allowed_m and not accepted):
+        stuck[:] = stuck_before
+        if second is not None:
+            stuck_2[:] = stuck_before_2
+        return TOO_LONG
+    info[:] = 0.0
+    if second is not None:
+        _advance(state_2, nodal_2, friction, dt, theta, layer_2, work_2, info)
+        info[16:19] = info[9:12]
+        heat, pressed = info[13], info[14]
+    info[0] = sweeps
+    info[1] = worst / scale
+    info[12] = change
+    info[15] = error
+    _advance(state, nodal, friction, dt, theta, layer, work, info)
+    if second is not None:
+        info[13] += heat
+        info[14] = max(info[14], pressed)
+    for axis in range(3):
+        pose[axis] += dt * body[axis]
+        twist[axis] = body[axis] if prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
+    return 0
+
+
+@njit(cache=True)
+def _begin(
+    state: Fields, nodal: Floats, pose: Floats, friction: FrictionLaw, h: float, constants: LayerConstants
+) -> tuple[int, float, float, Layer, Stencil, Work, float]:
+    """The equation of a pad's nodes over h: what `_set_up` returns, constants, and the factor of over-relaxation."""
+    node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
+    layer = Layer(
+        node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
+    )
+    arms = state[9]
+    rows, columns = nodal.shape
+    # the Maxwell arm by its exact exponential update: what it keeps of its force, and gains per unit of K velocity
     keep = math.exp(-h / layer.maxwell_time)
     gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-h / layer.maxwell_time)
     for arm in range(len(arms)):
@@ -161,85 +273,43 @@ def step_nodes(
     ring = 2.0 * (stencil.link_x + stencil.link_y)
     smoothness = ring / (stencil.own + ring)
     factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
-    falls = mu_kinetic < mu_static
-    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms)
-    fault, scale, square = _set_up(
-        state,
-        nodal,
-        pose,
-        friction,
-        (h, layer.node_mass / h, keep, factor),
-        layer,
-        stencil,
-        work,
-    )
-    if fault:
-        return int(fault)
-    scale += abs(force[0]) + abs(force[1])
-    # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
-    reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
-    scale = max(scale + abs(force[2]) / reach, 1e-300)
-    body = wanted.copy()
-    weight = inertia / h
-    friction_wrench = np.zeros(3)
-    stuck_before = stuck.copy()
-    sweeps = 0
-    rounds = 0
-    while True:
-        set_object_velocity(work, body)
-        # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
-        for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
-            relax(work, stencil, stuck, factor)
-            sweeps += 1
-        if falls and rounds < REFRESHES:
-            _refresh(work, nodal, coefficient, body, stuck, h, friction)
-        rounds += 1
-        worst = imbalance(work, stencil, body, stuck, friction_wrench)
-        inertial = weight * (body - twist) - force
-        if not prescribed:
-            left = np.abs(inertial + layer.pads * friction_wrench)
-            worst = max(worst, left[0], left[1], left[2] / reach)
-        if worst <= tolerance * scale or sweeps >= max_sweeps:
-            break
-        if not prescribed:
-            move_object(work, stencil, body, weight, inertial, friction_wrench, stuck)
-    error = 0.0
-    if not prescribed:
-        # what the step differs by from one by the trapezoidal rule, of second order
-        trapezoid_s = dt * abs(1.0 - 0.5 / theta)
-        error = trapezoid_s * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
-    change = 0.0
-    too_long, accepted = False, shortest
-    if falls:
-        hardest = released = 0.0
-        for row in range(rows):
-            for column in range(columns):
-                hardest = max(hardest, nodal[row, column])
-                if stuck_before[row, column] and not stuck[row, column]:
-                    released = max(released, nodal[row, column])
-                if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals it exactly
-                    mu = min(max(coefficient[row, column], mu_kinetic), mu_static)
-                    change = max(change, abs(_after(mu, work.speed[row, column], dt, friction) - mu))
-        # what the gel where it is pressed hardest would be displaced by, were friction that of the start of the step;
-        # those at the rim, which bear little, are the first to let go, and what is next follows from when they do
-        error = max(error, change * hardest / layer.shear)
-        fall = (mu_static - mu_kinetic) * h  # over what the gel resists with, `Allowed.steepness`
-        resisted = steepest * memory * stencil.own
-        too_long = released * fall > resisted
-        accepted = shortest and hardest * fall <= resisted
-    if too_long or (error > allowed_m and not accepted):
-        stuck[:] = stuck_before
-        return TOO_LONG
-    info[:] = 0.0
-    info[0] = sweeps
-    info[1] = worst / scale
-    info[12] = change
-    info[15] = error
-    _advance(state, nodal, friction, dt, theta, layer, work, info)
-    for axis in range(3):
-        pose[axis] += dt * body[axis]
-        twist[axis] = body[axis] if prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
-    return 0
+    factors = (h, layer.node_mass / h, keep, factor)
+    fault, scale, square = _set_up(state, nodal, pose, friction, factors, layer, stencil, work)
+    return fault, scale, square, layer, stencil, work, factor
+
+
+@njit(cache=True)
+def _let_go(
+    work: Work,
+    nodal: Floats,
+    nodes: tuple[Floats, Flags, Flags],
+    friction: FrictionLaw,
+    dt: float,
+    h: float,
+    layer: Layer,
+) -> tuple[float, float, float, float]:
+    """How friction has fallen in a step, of a pad.
+
+    nodes: coefficient of each, and whether it stuck before and sticks now. Returns the largest change of a coefficient;
+    what the gel where it is pressed hardest would be displaced by, were friction that of the start of the step; and how
+    steeply friction falls of the hardest pressed node that lets go, and of the hardest pressed of all, to be compared
+    with what `Allowed.steepness` allows. Why so: those at the rim, which bear little, are the first to let go, and what
+    is next follows from when they do.
+    """
+    coefficient, stuck_before, stuck = nodes
+    static, kinetic, _, _ = friction
+    rows, columns = nodal.shape
+    change = hardest = released = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            hardest = max(hardest, nodal[row, column])
+            if stuck_before[row, column] and not stuck[row, column]:
+                released = max(released, nodal[row, column])
+            if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals it exactly
+                mu = min(max(coefficient[row, column], kinetic), static)
+                change = max(change, abs(_after(mu, work.speed[row, column], dt, friction) - mu))
+    fall = (static - kinetic) * h
+    return change, change * hardest / layer.shear, fall * released, fall * hardest
 
 
 @njit(cache=True, error_model="numpy")
