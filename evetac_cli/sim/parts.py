@@ -172,6 +172,7 @@ def _disturbances(resolved: Plan) -> list[Part]:
             "as the sensor's gripper has it",
         ),
         ("backlash of the gripper", "gripper.backlash_ticks"): (f"{play:g} ticks" if play else "", "none named"),
+        ("second finger of its own", "gripper.second_finger"): (_second(gripper), "a mirror image of the first"),
         ("noise of the gripper's encoder", "gripper.encoder_noise_ticks"): (
             f"{noise:g} ticks" if noise else "",
             "it reads the motor's place",
@@ -193,6 +194,7 @@ def _disturbances(resolved: Plan) -> list[Part]:
         "changing light",
         "vanishing dots",
         "change of friction",
+        "second finger of its own",
         "profile of the hand's motion",
         "vibration of the hand",
         "jerk of the hand",
@@ -223,6 +225,12 @@ def _without_sensor(*keys: str) -> Callable[[Plan], None]:
 def _show_texture(plan: Plan) -> None:
     plan["scene"]["gel"]["cut"] = True
     plan["scene"]["texture"]["show"] = True
+
+
+def _second(gripper: Plan) -> str:
+    """What a second finger has otherwise than the first."""
+    named = gripper.get("second_finger", {})
+    return ", ".join(f"{key.removesuffix('_factor')} x {named[key]:g}" for key in named)
 
 
 def _vibration(hand: Plan) -> str:

@@ -52,6 +52,7 @@ ONLY_IN = {
     "hand.profile": ("lift",),
     "hand.jerk": ("lift",),
     "gripper.backlash_ticks": GRIPPED,
+    "gripper.second_finger": GRIPPED,
     "gripper.encoder_noise_ticks": GRIPPED,
     "gripper.command_delay_ms": GRIPPED,
     "gripper.command_jitter_ms": GRIPPED,

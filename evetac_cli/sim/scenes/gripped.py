@@ -3,8 +3,8 @@
 Three kinds of scene. `ramp`: the object already hangs in a gripper under current control. `lift`: it stands on a table,
 the gripper starts just before touch, and a hand lifts the gripper; in its frame the table sinks. `hold`: the gripper
 starts open, closes on an object that is then let go, and the object is pushed at times. One of two mirrored pads is
-simulated; gripper, hand and table move in steps of 1 ms, gel and object in as many as they need (gel.adaptive). The
-camera sees the pad at the end of the slice.
+simulated, or both where they differ; gripper, hand and table move in steps of 1 ms, gel and object in as many as they
+need (gel.adaptive). The camera sees the first pad at the end of the slice.
 
 Why so: down is +x of the image in a grasp from the top, +y in one from the side; an upright object turns with it.
 """
@@ -25,6 +25,7 @@ from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.hand import Hand
+from evetac_cli.sim.scenes.second_finger import SecondFinger
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
     DotPath,
@@ -35,10 +36,10 @@ from evetac_cli.sim.scenes.shared import (
     material,
     pad,
 )
+from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, slip_limit_n
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
-GRAVITY_M_S2 = 9.81
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
 GONE_M = 0.02  # an object that slid this far is lost
 APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
@@ -131,6 +132,8 @@ class GraspSimulation:
         radius_m = float(object_params["width_mm"]) * 0.5e-3
         self._gap = contact.gap_profile(upright - sampled.touch_m, object_params["shape"], radius_m, sampled.tilt_rad)
         self._material = material(sensor_row)
+        second = self._scene.get("gripper", {}).get("second_finger")
+        self._second = None if second is None else SecondFinger(second, sensor_row, nodes)
         self._curve = contact.force_curve(
             self._gap,
             contact.cell_area(nodes),
@@ -138,9 +141,10 @@ class GraspSimulation:
             self._material.height_m,
             float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
+            second_stiffness=None if self._second is None else self._second.stiffness_factor,
         )
         self._friction_factor = friction_factor(sensor_row, nodes)
-        self._slip_limit_n = self._slip_limit(nodes)
+        self._slip_limit_n = slip_limit_n(sampled, self._curve, self._gap, nodes, self._friction_factor, self._second)
         backlash_ticks = float(self._scene.get("gripper", {}).get("backlash_ticks", 0.0))
         self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor, backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
@@ -161,13 +165,15 @@ class GraspSimulation:
             self._material,
             sampled.mass_kg,
             inertia,
+            2 if self._second is None else 1,
             body_xy_m=middle_m,
             friction_factor=self._friction_factor,
         )
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
-        self._gel_slices = GelSlices(self._gel, self._solver)
-        self._shares = contact.pressure(self.finger.indentation_m, self._gap, 1.0)
-        self._shares_at_m = self.finger.indentation_m
+        second_pad = None if self._second is None else self._second.pad(self._gel)
+        self._pads = (self._gel,) if second_pad is None else (self._gel, second_pad)
+        self._gel_slices = GelSlices(self._gel, self._solver, second_pad)
+        self._press()
         self._friction = friction_of(sampled)
         self._changing_friction = ChangingFriction(self._scene, self._friction)
         self._steps = SolverTruth(self._gel)
@@ -180,28 +186,9 @@ class GraspSimulation:
         self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = self._solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
-        self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
+        # memory for the state before a step that may have to be made again
+        self._before = tuple(one.copy() for one in self._pads)
         self._on_table = self._kind == "lift"
-
-    def _slip_limit(self, node_xy_m: NDArray[np.float64]) -> float:
-        """Normal force at which the object slides: its weight, and the moment of one that hangs beside the fingers.
-
-        Force and moment that friction can resist together lie on an ellipse (Howe and Cutkosky, Int. J. Robotics
-        Research 15, 1996). The contact is that under the force without the moment, which is smaller, and at least one
-        node: a square resists a moment of 0.38 of its side. Where friction varies over the gel, what counts is that
-        of the contact under the force without it.
-        """
-        limit_n = self.sampled.mass_kg * GRAVITY_M_S2 / (2 * self.sampled.static_friction)
-        if self._friction_factor is not None:
-            indentation_m = float(np.interp(limit_n, self._curve.force_n, self._curve.indentation_m))
-            shares = contact.pressure(indentation_m, self._gap, 1.0)
-            limit_n /= float((shares * self._friction_factor).sum()) or 1.0
-        if self.sampled.lever_m == 0.0:
-            return limit_n
-        indentation_m = float(np.interp(limit_n, self._curve.force_n, self._curve.indentation_m))
-        arm_m = contact.turning_arm(node_xy_m, contact.pressure(indentation_m, self._gap, limit_n))
-        arm_m = max(arm_m, 0.38 * math.sqrt(contact.cell_area(node_xy_m)))
-        return limit_n * math.hypot(1.0, self.sampled.lever_m / arm_m)
 
     def holding_ma(self) -> float:
         """The current that closes to the sampled multiple of the force at the slip limit, and more if named."""
@@ -269,8 +256,7 @@ class GraspSimulation:
             self.finger.encoder_off_ticks = self._encoder_noise_ticks * float(self._encoder_rng.normal())
         after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
         if self.finger.indentation_m != self._shares_at_m:
-            self._shares_at_m = self.finger.indentation_m
-            self._shares = contact.pressure(self._shares_at_m, self._gap, 1.0)
+            self._press()
         shares = self._shares
         force_n = (before_n, after_n)
         if self._drop and self.slices == self._drops_at:
@@ -288,6 +274,14 @@ class GraspSimulation:
         self._steps.follow(done, self._friction)
         self._shear_n = done.friction_n[:2]
 
+    def _press(self) -> None:
+        """Find how the nodes share the normal force where the finger is now."""
+        self._shares_at_m = self.finger.indentation_m
+        self._shares = contact.pressure(self._shares_at_m, self._gap, 1.0)
+        self._second_shares = None
+        if self._second is not None:
+            self._second_shares = self._second.shares(self._curve, self.finger.closing_ticks, self._gap)
+
     def _solve(
         self,
         shares: NDArray[np.float64],
@@ -303,7 +297,13 @@ class GraspSimulation:
             self._path.begin()
             each = self._path.follow
         force, twist = self._along_gravity(weight_n), self._along_gravity(speed) if held else None
-        return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each)
+        there = self._second_shares
+        return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each, second_shares=there)
+
+    def _restore(self) -> None:
+        """Go back to before the slice."""
+        for state, before in zip(self._pads, self._before, strict=True):
+            state.restore(before)
 
     def _along_gravity(self, value: float) -> tuple[float, float, float]:
         """A force or a velocity (x, y, rotation) that points down."""
@@ -348,17 +348,21 @@ class GraspSimulation:
         self._table_m += self._hand.speed_m_s * STEP_S
         weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration)
         speed, falling = (self._table_m - self._fallen_m()) / STEP_S, self._gel.twist[self._down]
-        self._before.restore(self._gel)
+        for state, before in zip(self._pads, self._before, strict=True):
+            before.restore(state)
         if self._on_table:
             done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
             inertial_n = self._mass_kg * (speed - falling) / (self._solver.theta * STEP_S)
-            if weight_n - 2 * done.friction_n[self._down] - inertial_n >= 0.0:
+            held_n = 2 * done.friction_n[self._down]
+            if self._second is not None:
+                held_n = done.friction_n[self._down] + done.second_friction_n[self._down]
+            if weight_n - held_n - inertial_n >= 0.0:
                 return done
-            self._gel.restore(self._before)
+            self._restore()
         done = self._solve(shares, force_n, weight_n)
         self._on_table = bool(self._fallen_m() > self._table_m)
         if self._on_table:
-            self._gel.restore(self._before)
+            self._restore()
             done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
         return done
 

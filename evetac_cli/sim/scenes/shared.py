@@ -74,17 +74,18 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
     )
 
 
-def friction_factor(sensor_row: Mapping[str, Any], node_xy_m: Floats) -> Floats | None:
+def friction_factor(sensor_row: Mapping[str, Any], node_xy_m: Floats, finger: int = 0) -> Floats | None:
     """Factor on the friction of each node of a sensor's gel, where its row names friction.patch_spread and patch_mm.
 
-    It belongs to the gel: the sensor's own seed draws it, and it is the same in all trials and scenes.
+    It belongs to the gel: the sensor's own seed draws it, and it is the same in all trials and scenes; that of the
+    second finger (1) is another one.
     """
     friction = sensor_row.get("friction", {})
     if ("patch_spread" in friction) != ("patch_mm" in friction):
         raise ValueError("friction.patch_spread and friction.patch_mm of a sensor must be named together")
     if not friction.get("patch_spread"):
         return None
-    rng = np.random.default_rng([sensor_row["seed"], FRICTION_SEED])
+    rng = np.random.default_rng([sensor_row["seed"], FRICTION_SEED, finger])
     return varied(node_xy_m, float(friction["patch_spread"]), float(friction["patch_mm"]) * 1e-3, rng)
 
 
@@ -95,13 +96,15 @@ class GelSlices:
     had gone in. `still_for` counts such slices.
     """
 
-    def __init__(self, pad_state: gel.GelState, solver: Solver) -> None:
+    def __init__(self, pad_state: gel.GelState, solver: Solver, second: gel.GelState | None = None) -> None:
+        """Start with a pad, and the second finger's where it is no mirror image of the first (see `Stepper`)."""
         self._gel = pad_state
-        self._stepper = Stepper(solver)
+        self._pads = (pad_state,) if second is None else (pad_state, second)
+        self._stepper = Stepper(solver, second=second)
         self._done = Slice()
         self._acting: tuple[Any, ...] = ()
-        self._shares = np.zeros(0)
-        self._before = pad_state.copy()
+        self._shares = self._second_shares = np.zeros(0)
+        self._before = tuple(one.copy() for one in self._pads)
         self._rests = False
         self.still_for = 0
 
@@ -113,17 +116,23 @@ class GelSlices:
         friction: gel.Friction,
         twist: tuple[float, float, float] | None,
         each: Callable[[gel.StepInfo, float], None] | None = None,
+        second_shares: Floats | None = None,
     ) -> Slice:
         """A slice, as for `Stepper.advance`; `twist` is what the object moves at if that is prescribed."""
         state = self._gel
         body = (state.pose.tolist(), state.twist.tolist(), state.inertia.tolist())
         acting = (force_n, body_force_n, friction, twist, body)
         same = acting == self._acting and (shares is self._shares or np.array_equal(shares, self._shares))
+        if second_shares is not None:
+            same = same and np.array_equal(second_shares, self._second_shares)
+            self._second_shares = second_shares
         if same and self._rests and each is None:
             self.still_for += 1
             return self._done
         self._acting, self._shares = acting, shares
-        self._done = self._stepper.advance(state, shares, force_n, body_force_n, friction, twist, each)
+        self._done = self._stepper.advance(
+            state, shares, force_n, body_force_n, friction, twist, each, second_shares=second_shares
+        )
         self.still_for = 0
         self._rests = same and self._done.steps == self._least_steps and self._has_come_to_rest()
         return self._done
@@ -135,16 +144,18 @@ class GelSlices:
 
     def _has_come_to_rest(self) -> bool:
         """Whether the slice has left gel and object as they were; motion too small to tell is set to 0."""
-        state, before = self._gel, self._before
-        fields = (state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.creep_n, state.displacement_m)
-        if state.twist.any() or not _settle(*fields):
-            return False
+        for state in self._pads:
+            fields = (state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.creep_n, state.displacement_m)
+            if state.twist.any() or not _settle(*fields):
+                return False
         if all(
             np.array_equal(getattr(state, name), getattr(before, name))
+            for state, before in zip(self._pads, self._before, strict=True)
             for name in ("displacement_m", "slip_m_s", "friction_coefficient", "stuck", "pose")
         ):
             return True
-        before.restore(state)
+        for state, before in zip(self._pads, self._before, strict=True):
+            before.restore(state)
         return False
 
 
