@@ -17,7 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.time_step import TOO_LONG, FrictionLaw, LayerConstants, NodeArrays, Second, step_nodes
+from evetac_cli.sim.gel.pad_equation import FrictionLaw, LayerConstants
+from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, Second, step_nodes
 from evetac_cli.sim.solver import MOST_HALVINGS, Solver
 
 Floats = NDArray[np.float64]

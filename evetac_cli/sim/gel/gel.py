@@ -36,7 +36,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.friction import half_wavelength_m
-from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, Fields, FrictionLaw, Layer, NodeArrays, spring, step_nodes
+from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, Layer, spring
+from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
