@@ -114,9 +114,9 @@ class Stepper:
                 raise ValueError(gel.FAULTS[fault])
             if each is not None:
                 each(gel.step_info(state.info, solver.residual), float(progress[2]))
-        steps, error_m, slip_x, slip_y, along, across, moment, slipping_force_n, heat_j, *there = sums.tolist()
-        slip_m, friction_n, second_n = (slip_x, slip_y), (along, across, moment), (there[0], there[1], there[2])
-        return Slice(int(steps), error_m, slip_m, friction_n, slipping_force_n, heat_j, second_n)
+        steps, error_m, slip_x, slip_y, x_n, y_n, moment, slipping_force_n, heat_j, x_2, y_2, moment_2 = sums.tolist()
+        first_n, second_n = (x_n, y_n, moment), (x_2, y_2, moment_2)
+        return Slice(int(steps), error_m, (slip_x, slip_y), first_n, slipping_force_n, heat_j, second_n)
 
 
 @njit(cache=True)
@@ -146,9 +146,9 @@ def _step_slice(
         normal_n = first_n + (progress[0] + theta * share) * (last_n - first_n)
         nodal_n = shares * normal_n
         if second is None:  # noqa: SIM108, numba leaves out a branch, not half of an expression
-            there = None
+            second_pad = None
         else:
-            there = (second[0], second[1] * normal_n, second[2])
+            second_pad = (second[0], second[1] * normal_n, second[2])
         most_m, steepest, shortest = math.inf, math.inf, True
         if not fixed_steps and halved < MOST_HALVINGS:
             most_m, steepest, shortest = allowed_m, STEEPEST, halved >= halvings
@@ -159,7 +159,7 @@ def _step_slice(
             (dt_s, theta, residual, MOST_SWEEPS, most_m, steepest, shortest),
             constants,
             info,
-            there,
+            second_pad,
         )
         if fault == TOO_LONG:
             progress[1] += 1

@@ -185,8 +185,8 @@ def _find_move(
     """
     _loosen(work, stuck)
     if other is not None:
-        there, stencil_there, stuck_there = other
-        _loosen(there, stuck_there)
+        work_2, stencil_2, stuck_2 = other
+        _loosen(work_2, stuck_2)
     curvature = np.zeros((3, 3))
     move = np.zeros(3)
     for _ in range(4):
@@ -194,14 +194,14 @@ def _find_move(
         curvature *= stencil.pads
         if other is not None:
             more = np.zeros((3, 3))
-            _curvature(there, stencil_there, more)
-            curvature += stencil_there.pads * more
+            _curvature(work_2, stencil_2, more)
+            curvature += stencil_2.pads * more
         for axis in range(3):
             curvature[axis, axis] += weight[axis]
         move = _solve3(curvature, -inertial - pads_wrench, weight)
         caught = _follow(work, move, reach)
         if other is not None:
-            caught += _follow(there, move, reach)
+            caught += _follow(work_2, move, reach)
         if caught == 0:
             break
     return move
@@ -212,8 +212,8 @@ def _rubbing_of_all(work: Work, stencil: Stencil, move: Floats, part: float, oth
     """Slope of the friction potential of all pads."""
     slope: float = stencil.pads * _rubbing(work, move, part)
     if other is not None:
-        there, stencil_there, _ = other
-        slope += stencil_there.pads * _rubbing(there, move, part)
+        work_2, stencil_2, _ = other
+        slope += stencil_2.pads * _rubbing(work_2, move, part)
     return slope
 
 
@@ -227,10 +227,10 @@ def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial
     slope = stencil.pads * slope + (inertial * move).sum()
     bend = stencil.pads * bend + (weight * move * move).sum()
     if other is not None:
-        there, stencil_there, _ = other
-        slope_there, bend_there = _smooth(there, stencil_there)
-        slope += stencil_there.pads * slope_there
-        bend += stencil_there.pads * bend_there
+        work_2, stencil_2, _ = other
+        slope_2, bend_2 = _smooth(work_2, stencil_2)
+        slope += stencil_2.pads * slope_2
+        bend += stencil_2.pads * bend_2
     start = slope + _rubbing_of_all(work, stencil, move, 0.0, other)
     low = 0.0
     high = 1.0
@@ -285,5 +285,5 @@ def move_object(
         twist[axis] += part * move[axis]
     _answer(work, part)
     if other is not None:
-        there, _, _ = other
-        _answer(there, part)
+        work_2, _, _ = other
+        _answer(work_2, part)

@@ -297,8 +297,8 @@ class GraspSimulation:
             self._path.begin()
             each = self._path.follow
         force, twist = self._along_gravity(weight_n), self._along_gravity(speed) if held else None
-        there = self._second_shares
-        return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each, second_shares=there)
+        second = self._second_shares
+        return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each, second_shares=second)
 
     def _restore(self) -> None:
         """Go back to before the slice."""
