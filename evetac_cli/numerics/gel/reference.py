@@ -9,7 +9,7 @@ from scipy.fft import dctn, idctn
 
 from evetac_cli.numerics.gel.trial import Motion, Trial, follow
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.time_step import Layer, spring
+from evetac_cli.sim.gel.pad_equation import Layer, spring
 
 Floats = NDArray[np.float64]
 

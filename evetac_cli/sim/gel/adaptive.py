@@ -17,7 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.time_step import TOO_LONG, FrictionLaw, LayerConstants, NodeArrays, step_nodes
+from evetac_cli.sim.gel.pad_equation import FrictionLaw, LayerConstants
+from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, Second, step_nodes
 from evetac_cli.sim.solver import MOST_HALVINGS, Solver
 
 Floats = NDArray[np.float64]
@@ -35,7 +36,8 @@ class Slice(NamedTuple):
 
     steps: how many there were. error_m: the largest estimated error of one. slip_m: how far the object slid against the
     gel, (x, y), mean over the contact. friction_n, slipping_force_n, friction_heat_j: as of `gel.StepInfo`, mean over
-    time, largest and sum.
+    time, largest and sum. second_friction_n: as friction_n, on the second finger's pad where that is simulated, too;
+    the heat and the largest force are those of both.
     """
 
     steps: int = 0
@@ -44,20 +46,26 @@ class Slice(NamedTuple):
     friction_n: tuple[float, float, float] = (0.0, 0.0, 0.0)
     slipping_force_n: float = 0.0
     friction_heat_j: float = 0.0
+    second_friction_n: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass
 class Stepper:
-    """Cuts slices into steps; remembers how short the last one was."""
+    """Cuts slices into steps; remembers how short the last one was.
+
+    second: the second finger's pad, where it is no mirror image of the first: a GelState that holds the same object,
+    of which only the pad counts; both have `pads` 1.
+    """
 
     solver: Solver
     slice_s: float = 1e-3
+    second: gel.GelState | None = None
 
     def __post_init__(self) -> None:
         self._progress = np.zeros(
             3
         )  # the part of the slice that is done, how often it is halved, and the last step in s
-        self._sums = np.zeros(9)
+        self._sums = np.zeros(12)
         self._fixed_steps = self.solver.fixed_steps or 0
         self._rule = (self.solver.tolerance_um * 1e-6, self.solver.halvings)
 
@@ -70,6 +78,7 @@ class Stepper:
         friction: gel.Friction,
         prescribed_twist: Sequence[float] | Floats | None = None,
         each: Callable[[gel.StepInfo, float], None] | None = None,
+        second_shares: Floats | None = None,
     ) -> Slice:
         """Move gel and object on by a slice.
 
@@ -87,22 +96,27 @@ class Stepper:
             if not wanted.any():  # nothing swings on an object that is held still: damped most, the gel rests soonest
                 theta = 1.0
         force = np.array(body_force_n, dtype=np.float64)
-        load = (shares, *force_n, force, prescribed_twist is not None, wanted)
+        load = (state.gripping(shares), *force_n, force, prescribed_twist is not None, wanted)
         settings = (self.slice_s, theta, solver.residual, self._fixed_steps)
         arrays, law = state.arrays, friction.law
+        second = None
+        if self.second is not None:
+            if second_shares is None or second_shares.shape != self.second.stuck.shape:
+                raise ValueError(f"second_shares must have the shape of the second grid {self.second.stuck.shape}")
+            second = (self.second.fields, self.second.gripping(second_shares), self.second.layer_constants)
         progress[0] = 0.0
         sums[:] = 0.0
         while progress[0] < 1.0:
             results = (progress, sums, state.info)
-            fault = _step_slice(
-                arrays, load, law, settings, self._rule, state.layer_constants, results, each is not None
-            )
+            one = each is not None
+            fault = _step_slice(arrays, load, law, settings, self._rule, state.layer_constants, results, one, second)
             if fault:
                 raise ValueError(gel.FAULTS[fault])
             if each is not None:
                 each(gel.step_info(state.info, solver.residual), float(progress[2]))
-        steps, error_m, slip_x, slip_y, along, across, moment, slipping_force_n, heat_j = sums.tolist()
-        return Slice(int(steps), error_m, (slip_x, slip_y), (along, across, moment), slipping_force_n, heat_j)
+        steps, error_m, slip_x, slip_y, x_n, y_n, moment, slipping_force_n, heat_j, x_2, y_2, moment_2 = sums.tolist()
+        first_n, second_n = (x_n, y_n, moment), (x_2, y_2, moment_2)
+        return Slice(int(steps), error_m, (slip_x, slip_y), first_n, slipping_force_n, heat_j, second_n)
 
 
 @njit(cache=True)
@@ -115,6 +129,7 @@ def _step_slice(
     constants: LayerConstants,
     results: tuple[Floats, Floats, Floats],
     one: bool,
+    second: Second,
 ) -> int:
     """The steps of a slice from where `progress` says, or only `one`; returns 0, or the number of what is wrong.
 
@@ -128,7 +143,12 @@ def _step_slice(
         halved = int(progress[1])
         share = 1.0 / fixed_steps if fixed_steps else math.ldexp(1.0, -halved)
         dt_s = share * slice_s
-        nodal_n = shares * (first_n + (progress[0] + theta * share) * (last_n - first_n))
+        normal_n = first_n + (progress[0] + theta * share) * (last_n - first_n)
+        nodal_n = shares * normal_n
+        if second is None:  # noqa: SIM108, numba leaves out a branch, not half of an expression
+            second_pad = None
+        else:
+            second_pad = (second[0], second[1] * normal_n, second[2])
         most_m, steepest, shortest = math.inf, math.inf, True
         if not fixed_steps and halved < MOST_HALVINGS:
             most_m, steepest, shortest = allowed_m, STEEPEST, halved >= halvings
@@ -139,6 +159,7 @@ def _step_slice(
             (dt_s, theta, residual, MOST_SWEEPS, most_m, steepest, shortest),
             constants,
             info,
+            second_pad,
         )
         if fault == TOO_LONG:
             progress[1] += 1
@@ -151,6 +172,7 @@ def _step_slice(
             sums[2 + axis] += dt_s * info[5 + axis]
         for axis in range(3):
             sums[4 + axis] += share * info[9 + axis]
+            sums[9 + axis] += share * info[16 + axis]
         sums[7] = max(sums[7], info[14])
         sums[8] += info[13]
         progress[2] = dt_s

@@ -65,13 +65,15 @@ def gap_profile(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad
 class ForceCurve:
     """Normal force of one finger and indentation of one gel against closing past first touch, at even steps from 0.
 
-    The last entry is at `reach_ticks`; `lookup` gives its value for anything beyond.
+    The last entry is at `reach_ticks`; `lookup` gives its value for anything beyond. second_indentation_m: of the
+    second finger's gel, where that is of another stiffness.
     """
 
     step_ticks: float
     metres_per_tick: float
     force_n: Floats
     indentation_m: Floats
+    second_indentation_m: Floats | None = None
 
     @property
     def reach_ticks(self) -> float:
@@ -89,6 +91,7 @@ def force_curve(
     *,
     reach_ticks: float = 120.0,
     step_ticks: float = 0.01,
+    second_stiffness: float | None = None,
 ) -> ForceCurve:
     """Table of N and indentation d over the closing c of the gripper: c * metres_per_tick = 2 d + N / stiffness.
 
@@ -96,6 +99,7 @@ def force_curve(
     mounts against the same gap. N(d) = E/H * cell area * sum of (d - gap) over the nodes pressed, which is linear
     between the gaps of two nodes, so the table is exact at its entries. It ends at reach_ticks (120 ticks are about
     20 mm, 30 N with the fingers' 1.8 N/mm), or before, where the gel would be pressed flat (d = gel height).
+    second_stiffness: of the second finger's gel over that of the first, where it is not its mirror image.
     """
     if gap_m.ndim != 2 or gap_m.size == 0 or not np.isfinite(gap_m).all() or gap_m.min() != 0.0:
         raise ValueError(f"gap_m must be finite with shape (rows, columns) and least value 0, found {gap_m.shape}")
@@ -107,6 +111,7 @@ def force_curve(
         ("metres_per_tick", metres_per_tick),
         ("reach_ticks", reach_ticks),
         ("step_ticks", step_ticks),
+        ("second_stiffness", 1.0 if second_stiffness is None else second_stiffness),
     ):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be finite and > 0, found {value}")
@@ -117,14 +122,22 @@ def force_curve(
     pressed = np.searchsorted(gaps, corner, side="right")
     gap_sum = np.concatenate([[0.0], np.cumsum(gaps)])[pressed]
     force = node_stiffness * (pressed * corner - gap_sum)
-    closing = (2 * corner + force / finger_stiffness_n_m) / metres_per_tick
+    second = corner
+    if second_stiffness is not None:  # a corner wherever one more node of either gel comes into contact
+        pushes = np.unique(np.concatenate([force, second_stiffness * force]))
+        pushes = pushes[pushes <= min(1.0, second_stiffness) * force[-1]]
+        second = np.interp(pushes / second_stiffness, force, corner)
+        force, corner = pushes, np.interp(pushes, force, corner)
+    closing = (corner + second + force / finger_stiffness_n_m) / metres_per_tick
     entries = int(min(reach_ticks, closing[-1]) / step_ticks * (1 + 1e-12)) + 1
     if entries < 2:
         raise ValueError(
             f"the gel is pressed flat {closing[-1]:.3g} ticks after touch, less than step_ticks {step_ticks}"
         )
     ticks = step_ticks * np.arange(entries)
-    return ForceCurve(step_ticks, metres_per_tick, np.interp(ticks, closing, force), np.interp(ticks, closing, corner))
+    first_m, force_n = np.interp(ticks, closing, corner), np.interp(ticks, closing, force)
+    second_m = None if second_stiffness is None else np.interp(ticks, closing, second)
+    return ForceCurve(step_ticks, metres_per_tick, force_n, first_m, second_m)
 
 
 def closing_at(curve: ForceCurve, force_n: float) -> float:

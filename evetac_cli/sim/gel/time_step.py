@@ -13,8 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.sim.gel.force_balance import Stencil, Work, imbalance, links, move_object, relax, set_object_velocity
-from evetac_cli.sim.gel.friction import coefficient_after
+from evetac_cli.sim.gel.force_balance import imbalance, relax, set_object_velocity
+from evetac_cli.sim.gel.object_move import move_object
+from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants, advance, begin, let_go, refresh
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -25,22 +26,7 @@ SWEEPS_A_ROUND = 3
 # Rounds whose bounds are refreshed. More of them find no better balance, and without end they take up to 400 rounds.
 REFRESHES = 4
 TOO_LONG = 5  # what `step_nodes` returns where its step is longer than its `Allowed` allows
-INFO_SIZE = 16
-
-
-class Layer(NamedTuple):
-    """Constants of a pad: a node's mass and spring, its links to neighbours along x and y, its cell, its losses."""
-
-    node_mass: float
-    shear: float
-    coupling_x: float
-    coupling_y: float
-    pitch_x: float
-    pitch_y: float
-    viscous_time: float
-    maxwell_share: float
-    maxwell_time: float
-    pads: float
+INFO_SIZE = 19
 
 
 class Allowed(NamedTuple):
@@ -60,37 +46,16 @@ class Allowed(NamedTuple):
 # The groups in which `step_nodes` takes its arguments. Why so: plain tuples, as named ones take 4 us more, of 9 for a
 # step of 14 x 10 nodes.
 # displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
-# twist, inertia, nodes
-NodeArrays = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats]
-# the first seven of these, and the nodes
-Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats]
+# twist, inertia, nodes, force of each slow arm (arms, rows, columns, 2), and their shares and times in s (arms, 2)
+NodeArrays = tuple[
+    Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Floats, Floats
+]
 # normal force of each node, force and moment on the object, whether its twist is prescribed, and the twist it has then
 Load = tuple[Floats, Floats, bool, Floats]
-# static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
-FrictionLaw = tuple[float, float, float, float]
 # dt, theta, tolerance, max_sweeps, and an Allowed
 StepSettings = tuple[float, float, float, int, float, float, bool]
-LayerConstants = tuple[float, ...]  # a Layer
-
-
-@njit(cache=True)
-def spring(field: Floats, shear: float, coupling_x: float, coupling_y: float, answer: Floats) -> None:
-    """Set answer to K field, both (rows, columns, 2); the edges of the pad are free."""
-    rows, columns, _ = field.shape
-    for row in range(rows):
-        for column in range(columns):
-            for axis in range(2):
-                here = field[row, column, axis]
-                pull = shear * here
-                if column > 0:
-                    pull += coupling_x * (here - field[row, column - 1, axis])
-                if column < columns - 1:
-                    pull += coupling_x * (here - field[row, column + 1, axis])
-                if row > 0:
-                    pull += coupling_y * (here - field[row - 1, column, axis])
-                if row < rows - 1:
-                    pull += coupling_y * (here - field[row + 1, column, axis])
-                answer[row, column, axis] = pull
+# the second finger's pad: its arrays, the normal force of each of its nodes, and its constants
+Second = tuple[Fields, Floats, LayerConstants] | None
 
 
 @njit(cache=True)
@@ -101,20 +66,18 @@ def step_nodes(
     settings: StepSettings,
     constants: LayerConstants,
     info: Floats,
+    second: Second,
 ) -> int:
     """One time step in place; returns 0, TOO_LONG, or the number of what is wrong, both before anything is changed.
 
-    Fills `info`: sweeps, residual, and the rest of `gel.StepInfo` in its order.
+    second: the second finger's pad, where it is simulated, too. Fills `info`: sweeps, residual, and the rest of
+    `gel.StepInfo` in its order; then the force of the object on the second pad and its moment.
     """
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, pose, twist, inertia, nodes = arrays
-    nodal, force, prescribed, wanted = load
-    mu_static, mu_kinetic, stribeck_speed, memory = friction
-    node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
-    layer = Layer(
-        node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, pose, twist, inertia, nodes, creep, arms = (
+        arrays
     )
+    nodal, force, prescribed, wanted = load
     dt, theta, tolerance, max_sweeps, allowed_m, steepest, shortest = settings
-    rows, columns = nodal.shape
     for axis in range(3):
         if not (math.isfinite(force[axis]) and math.isfinite(wanted[axis])):
             return 2
@@ -122,52 +85,26 @@ def step_nodes(
             return 3
         if not (math.isfinite(pose[axis]) and math.isfinite(twist[axis])):
             return 4
-    # the Maxwell arm by its exact exponential update: what it keeps of its force, and gains per unit of K velocity
     h = theta * dt
-    keep = math.exp(-h / layer.maxwell_time)
-    gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-h / layer.maxwell_time)
-    lag = h + layer.viscous_time + gain
-    stencil = Stencil(
-        layer.node_mass / h + lag * layer.shear,
-        lag * layer.coupling_x,
-        lag * layer.coupling_y,
-        layer.pitch_x,
-        layer.pitch_y,
-        layer.pads,
-    )
-    grid = (rows, columns)
-    longer = (rows, columns + 2, 2)
-    work = Work(  # made anew: ten arrays handed over from Python took 5 us more, of 12 for a step of one node
-        np.zeros((rows + 2, columns + 2, 2)),
-        np.zeros(longer),
-        np.empty((rows, columns, 2)),
-        np.empty(grid),
-        np.empty(grid),
-        np.empty((rows, columns, 2)),
-        np.empty(longer),
-        np.empty(grid),
-        np.zeros((rows + 2, columns + 2)),
-        np.empty((rows, columns, 2)),
-        np.zeros(longer),
-        np.zeros(longer),
-    )
-    # the factor of over-relaxation that is best for a smooth pattern on this grid
-    ring = 2.0 * (stencil.link_x + stencil.link_y)
-    smoothness = ring / (stencil.own + ring)
-    factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
-    falls = mu_kinetic < mu_static
-    fault, scale, square = _set_up(
-        (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes),
-        nodal,
-        pose,
-        friction,
-        (h, layer.node_mass / h, keep, factor),
-        layer,
-        stencil,
-        work,
-    )
+    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms)
+    fault, scale, square, layer, stencil, work, factor = begin(state, nodal, pose, friction, h, constants)
     if fault:
         return int(fault)
+    if second is None:
+        other = None
+    else:
+        state_2, nodal_2, constants_2 = second
+        coefficient_2, stuck_2 = state_2[5], state_2[6]
+        fault, scale_2, _, layer_2, stencil_2, work_2, factor_2 = begin(
+            state_2, nodal_2, pose, friction, h, constants_2
+        )
+        if fault:
+            return int(fault)
+        scale += scale_2
+        other = (work_2, stencil_2, stuck_2)
+        stuck_before_2 = stuck_2.copy()
+        wrench_2 = np.zeros(3)
+    falls = friction[1] < friction[0]
     scale += abs(force[0]) + abs(force[1])
     # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
     reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
@@ -180,22 +117,32 @@ def step_nodes(
     rounds = 0
     while True:
         set_object_velocity(work, body)
+        if second is not None:
+            set_object_velocity(work_2, body)
         # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
             relax(work, stencil, stuck, factor)
+            if second is not None:
+                relax(work_2, stencil_2, stuck_2, factor_2)
             sweeps += 1
         if falls and rounds < REFRESHES:
-            _refresh(work, nodal, coefficient, body, stuck, h, friction)
+            refresh(work, nodal, coefficient, body, stuck, h, friction)
+            if second is not None:
+                refresh(work_2, nodal_2, coefficient_2, body, stuck_2, h, friction)
         rounds += 1
         worst = imbalance(work, stencil, body, stuck, friction_wrench)
+        pads_wrench = layer.pads * friction_wrench
+        if second is not None:
+            worst = max(worst, imbalance(work_2, stencil_2, body, stuck_2, wrench_2))
+            pads_wrench += layer_2.pads * wrench_2
         inertial = weight * (body - twist) - force
         if not prescribed:
-            left = np.abs(inertial + layer.pads * friction_wrench)
+            left = np.abs(inertial + pads_wrench)
             worst = max(worst, left[0], left[1], left[2] / reach)
         if worst <= tolerance * scale or sweeps >= max_sweeps:
             break
         if not prescribed:
-            move_object(work, stencil, body, weight, inertial, friction_wrench, stuck)
+            move_object(work, stencil, body, weight, inertial, pads_wrench, stuck, other)
     error = 0.0
     if not prescribed:
         # what the step differs by from one by the trapezoidal rule, of second order
@@ -204,194 +151,39 @@ def step_nodes(
     change = 0.0
     too_long, accepted = False, shortest
     if falls:
-        hardest = released = 0.0
-        for row in range(rows):
-            for column in range(columns):
-                hardest = max(hardest, nodal[row, column])
-                if stuck_before[row, column] and not stuck[row, column]:
-                    released = max(released, nodal[row, column])
-                if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals it exactly
-                    mu = min(max(coefficient[row, column], mu_kinetic), mu_static)
-                    change = max(change, abs(_after(mu, work.speed[row, column], dt, friction) - mu))
-        # what the gel where it is pressed hardest would be displaced by, were friction that of the start of the step;
-        # those at the rim, which bear little, are the first to let go, and what is next follows from when they do
-        error = max(error, change * hardest / layer.shear)
-        fall = (mu_static - mu_kinetic) * h  # over what the gel resists with, `Allowed.steepness`
-        resisted = steepest * memory * stencil.own
-        too_long = released * fall > resisted
-        accepted = shortest and hardest * fall <= resisted
+        change, moved_m, released, hardest = let_go(
+            work, nodal, (coefficient, stuck_before, stuck), friction, dt, h, layer
+        )
+        error = max(error, moved_m)
+        resisted = steepest * friction[3] * stencil.own  # what the gel resists with, `Allowed.steepness`
+        too_long = released > resisted
+        accepted = shortest and hardest <= resisted
+        if second is not None:
+            nodes_2 = (coefficient_2, stuck_before_2, stuck_2)
+            change_2, moved_m, released, hardest = let_go(work_2, nodal_2, nodes_2, friction, dt, h, layer_2)
+            change, error = max(change, change_2), max(error, moved_m)
+            resisted = steepest * friction[3] * stencil_2.own
+            too_long = too_long or released > resisted
+            accepted = accepted and hardest <= resisted
     if too_long or (error > allowed_m and not accepted):
         stuck[:] = stuck_before
+        if second is not None:
+            stuck_2[:] = stuck_before_2
         return TOO_LONG
     info[:] = 0.0
+    if second is not None:
+        advance(state_2, nodal_2, friction, dt, theta, layer_2, work_2, info)
+        info[16:19] = info[9:12]
+        heat, pressed = info[13], info[14]
     info[0] = sweeps
     info[1] = worst / scale
     info[12] = change
     info[15] = error
-    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes)
-    _advance(state, nodal, friction, dt, theta, layer, work, info)
+    advance(state, nodal, friction, dt, theta, layer, work, info)
+    if second is not None:
+        info[13] += heat
+        info[14] = max(info[14], pressed)
     for axis in range(3):
         pose[axis] += dt * body[axis]
         twist[axis] = body[axis] if prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
     return 0
-
-
-@njit(cache=True, error_model="numpy")
-def _set_up(
-    state: Fields,
-    nodal: Floats,
-    pose: Floats,
-    friction: FrictionLaw,
-    factors: tuple[float, float, float, float],
-    layer: Layer,
-    stencil: Stencil,
-    work: Work,
-) -> tuple[int, float, float]:
-    """Fill the equation of the nodes: right-hand side, diagonal, bounds, levers, and where the search starts.
-
-    factors: theta * dt, a node's mass over it, what the Maxwell arm keeps of its force, and that of over-relaxation.
-    Returns the number of what is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their
-    levers.
-    """
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes = state
-    static, kinetic, _, _ = friction
-    h, momentum, keep, factor = factors
-    rows, columns = nodal.shape
-    falls = kinetic < static
-    scale = square = 0.0
-    spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.pull)
-    right, moving, lagging = work.pull.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
-    for entry in range(right.size):
-        right[entry] = momentum * moving[entry] - right[entry] - keep * lagging[entry]
-    for row in range(rows):
-        links_y = links(row, rows) * stencil.link_y
-        for column in range(columns):
-            normal = nodal[row, column]
-            if not (normal >= 0.0 and normal < np.inf):
-                return 1, 0.0, 0.0
-            mu = static
-            if falls:
-                # one that never bore a load is infinite, and a law that changed under a load takes hold at once
-                mu = min(max(coefficient[row, column], kinetic), static)
-                if normal > 0.0:
-                    mu = _after(mu, slip_speed[row, column], h, friction)
-            for axis in range(2):
-                work.velocity[row + 1, column + 1, axis] = mean[row, column, axis]
-                work.right[row, column, axis] = work.pull[row, column, axis]
-            work.bound[row, column] = mu * normal
-            work.diagonal[row, column] = stencil.own + links(column, columns) * stencil.link_x + links_y
-            work.ease[row, column, 0] = work.ease[row, column, 1] = factor / work.diagonal[row, column]
-            scale += mu * normal + abs(work.right[row, column, 0]) + abs(work.right[row, column, 1])
-            x = nodes[row, column, 0] - pose[0]
-            y = nodes[row, column, 1] - pose[1]
-            square += x * x + y * y
-            work.lever[row, column, 0] = x
-            work.lever[row, column, 1] = y
-    if not math.isfinite(scale):
-        return 4, 0.0, 0.0
-    return 0, layer.pads * scale, square
-
-
-@njit(cache=True)
-def _after(mu: float, slip_speed: float, seconds: float, friction: FrictionLaw) -> float:
-    """A node's coefficient after so many seconds at a slip speed; at rest it is often static, and then stays so."""
-    static, kinetic, stribeck, memory = friction
-    if slip_speed == 0.0 and mu == static:
-        return mu
-    return float(coefficient_after(mu, slip_speed, seconds, static, kinetic, stribeck, memory))
-
-
-@njit(cache=True)
-def _refresh(
-    work: Work, nodal: Floats, coefficient: Floats, twist: Floats, stuck: Flags, h: float, friction: FrictionLaw
-) -> None:
-    """Set each loaded node's bound to what its slip speed of now makes of it at the time of the balance."""
-    static, kinetic, _, _ = friction
-    rows, columns = nodal.shape
-    for row in range(rows):
-        for column in range(columns):
-            normal = nodal[row, column]
-            if normal > 0.0:
-                speed = 0.0
-                if not stuck[row, column]:
-                    slip_x = work.velocity[row + 1, column + 1, 0] - twist[0] + twist[2] * work.lever[row, column, 1]
-                    slip_y = work.velocity[row + 1, column + 1, 1] - twist[1] - twist[2] * work.lever[row, column, 0]
-                    speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
-                mu = min(max(coefficient[row, column], kinetic), static)
-                work.bound[row, column] = normal * _after(mu, speed, h, friction)
-
-
-@njit(cache=True, error_model="numpy")
-def _advance(
-    state: Fields,
-    nodal: Floats,
-    friction: FrictionLaw,
-    dt: float,
-    theta: float,
-    layer: Layer,
-    work: Work,
-    info: Floats,
-) -> None:
-    """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes = state
-    static, kinetic, _, _ = friction
-    rows, columns = nodal.shape
-    for row in range(rows):
-        for column in range(columns):
-            for axis in range(2):
-                mean[row, column, axis] = work.velocity[row + 1, column + 1, axis]
-    spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.search_direction)
-    fade = math.exp(-dt / layer.maxwell_time)
-    build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)
-    moved, moving, lagging = displacement.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
-    here, pull = mean.reshape(-1), work.search_direction.reshape(-1)
-    for entry in range(moved.size):
-        moved[entry] += dt * here[entry]
-        lagging[entry] = fade * lagging[entry] + build * pull[entry]
-        moving[entry] += (here[entry] - moving[entry]) / theta
-    falls = kinetic < static
-    total = heat = pressed = 0.0
-    gel_x = gel_y = slip_x = slip_y = shift_x = shift_y = push_sum_x = push_sum_y = moment = 0.0
-    loaded = 0
-    slipping = 0
-    for row in range(rows):
-        for column in range(columns):
-            load = nodal[row, column]
-            speed = work.speed[row, column]
-            slip_speed[row, column] = speed
-            if falls:
-                mu = np.inf
-                if load > 0.0:
-                    mu = min(max(coefficient[row, column], kinetic), static)
-                    mu = _after(mu, speed, dt, friction)
-                coefficient[row, column] = mu
-            push_x = push_y = 0.0
-            if stuck[row, column]:
-                push_x = work.pull[row, column, 0]
-                push_y = work.pull[row, column, 1]
-            elif speed > 0.0 and load > 0.0:
-                push_x = -work.bound[row, column] * (work.slip[row, column, 0] / speed)
-                push_y = -work.bound[row, column] * (work.slip[row, column, 1] / speed)
-            push_sum_x += push_x
-            push_sum_y += push_y
-            moment += nodes[row, column, 0] * push_y - nodes[row, column, 1] * push_x
-            if load > 0.0:
-                total += load
-                loaded += 1
-                if not stuck[row, column]:
-                    slipping += 1
-                    heat += layer.pads * work.bound[row, column] * speed * dt
-                    pressed = max(pressed, load)
-                gel_x += load * mean[row, column, 0]
-                gel_y += load * mean[row, column, 1]
-                slip_x -= load * work.slip[row, column, 0]
-                slip_y -= load * work.slip[row, column, 1]
-                shift_x += load * displacement[row, column, 0]
-                shift_y += load * displacement[row, column, 1]
-    info[2] = slipping / loaded if loaded > 0 else 1.0
-    share = 1.0 / total if total > 0.0 else 0.0
-    info[3], info[4] = share * gel_x, share * gel_y
-    info[5], info[6] = share * slip_x, share * slip_y
-    info[7], info[8] = share * shift_x, share * shift_y
-    info[9], info[10], info[11] = push_sum_x, push_sum_y, moment
-    info[13], info[14] = heat, pressed

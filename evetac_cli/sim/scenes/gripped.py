@@ -3,8 +3,8 @@
 Three kinds of scene. `ramp`: the object already hangs in a gripper under current control. `lift`: it stands on a table,
 the gripper starts just before touch, and a hand lifts the gripper; in its frame the table sinks. `hold`: the gripper
 starts open, closes on an object that is then let go, and the object is pushed at times. One of two mirrored pads is
-simulated; gripper, hand and table move in steps of 1 ms, gel and object in as many as they need (gel.adaptive). The
-camera sees the pad at the end of the slice.
+simulated, or both where they differ; gripper, hand and table move in steps of 1 ms, gel and object in as many as they
+need (gel.adaptive). The camera sees the first pad at the end of the slice.
 
 Why so: down is +x of the image in a grasp from the top, +y in one from the side; an upright object turns with it.
 """
@@ -23,12 +23,23 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.disturbances import ChangingFriction, jerk_m_s
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.disturbances import ChangingFriction
+from evetac_cli.sim.scenes.hand import Hand
+from evetac_cli.sim.scenes.second_finger import SecondFinger
+from evetac_cli.sim.scenes.shared import (
+    STEP_S,
+    DotPath,
+    GelSlices,
+    SolverTruth,
+    friction_factor,
+    friction_of,
+    material,
+    pad,
+)
+from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, slip_limit_n
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
-GRAVITY_M_S2 = 9.81
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
 GONE_M = 0.02  # an object that slid this far is lost
 APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
@@ -58,6 +69,8 @@ class GraspSimulation:
         self._solver = from_scene(self._scene)
         object_params, sensor_row = plan["object_row"], sampling.sensor_with_gel(self._scene, plan["sensor_row"])
         self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
+        # each part has a stream of its own, and draws from it only where a scene names it
+        hand_rng, self._encoder_rng, commands_rng = mechanics.spawn(3)
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
         texture = self._texture(plan["object"], optics_rng)
         self._shows_texture = texture is not None
@@ -70,6 +83,12 @@ class GraspSimulation:
             scene=self._scene,
         )
         self._build_mechanics(object_params, sensor_row)
+        named = self._scene.get("gripper", {})
+        self._encoder_noise_ticks = float(named.get("encoder_noise_ticks", 0.0))
+        delay, jitter = (float(named.get(f"command_{key}_ms", 0.0)) * 1e-3 / STEP_S for key in ("delay", "jitter"))
+        self._commands = None
+        if delay > 0.0 or jitter > 0.0:
+            self._commands = gripper.DelayedCommands(self.command, delay, jitter, commands_rng)
         self.slices = 0
         self.finished = False
         self._mass_kg = self.sampled.mass_kg
@@ -77,12 +96,12 @@ class GraspSimulation:
         self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
-        self._hand_m_s = 0.0
         self._shift_indentation_m = -1.0
         self._dilation_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
         self._seen = (self._dilation_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
         self._last_slice = self._planned_slices(lift_s, balance_s)
-        self._lift_starts_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
+        rises_at_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
+        self._hand = Hand(self._scene, rises_at_s, STEP_S, hand_rng)
         self._drops_at = round((float(self._time.get("touch_s", 0.0)) + lift_s) * 1000)
         if self._drop:
             self._drops_at += round(float(self._drop["after_s"]) * 1000)
@@ -113,6 +132,8 @@ class GraspSimulation:
         radius_m = float(object_params["width_mm"]) * 0.5e-3
         self._gap = contact.gap_profile(upright - sampled.touch_m, object_params["shape"], radius_m, sampled.tilt_rad)
         self._material = material(sensor_row)
+        second = self._scene.get("gripper", {}).get("second_finger")
+        self._second = None if second is None else SecondFinger(second, sensor_row, nodes)
         self._curve = contact.force_curve(
             self._gap,
             contact.cell_area(nodes),
@@ -120,8 +141,10 @@ class GraspSimulation:
             self._material.height_m,
             float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
+            second_stiffness=None if self._second is None else self._second.stiffness_factor,
         )
-        self._slip_limit_n = self._slip_limit(nodes)
+        self._friction_factor = friction_factor(sensor_row, nodes)
+        self._slip_limit_n = slip_limit_n(sampled, self._curve, self._gap, nodes, self._friction_factor, self._second)
         backlash_ticks = float(self._scene.get("gripper", {}).get("backlash_ticks", 0.0))
         self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor, backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
@@ -137,11 +160,20 @@ class GraspSimulation:
         inertia = sampled.mass_kg * (height_m**2 + width_m**2) / 12
         along, across = sampled.touch_m[0], sampled.touch_m[1] + sampled.lever_m
         middle_m = (along, across) if self._down == 0 else (across, along)
-        self._gel = gel.start(nodes, self._material, sampled.mass_kg, inertia, body_xy_m=middle_m)
+        self._gel = gel.start(
+            nodes,
+            self._material,
+            sampled.mass_kg,
+            inertia,
+            2 if self._second is None else 1,
+            body_xy_m=middle_m,
+            friction_factor=self._friction_factor,
+        )
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
-        self._gel_slices = GelSlices(self._gel, self._solver)
-        self._shares = contact.pressure(self.finger.indentation_m, self._gap, 1.0)
-        self._shares_at_m = self.finger.indentation_m
+        second_pad = None if self._second is None else self._second.pad(self._gel)
+        self._pads = (self._gel,) if second_pad is None else (self._gel, second_pad)
+        self._gel_slices = GelSlices(self._gel, self._solver, second_pad)
+        self._press()
         self._friction = friction_of(sampled)
         self._changing_friction = ChangingFriction(self._scene, self._friction)
         self._steps = SolverTruth(self._gel)
@@ -154,23 +186,9 @@ class GraspSimulation:
         self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = self._solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
-        self._before = self._gel.copy()  # memory for the state before a step that may have to be made again
+        # memory for the state before a step that may have to be made again
+        self._before = tuple(one.copy() for one in self._pads)
         self._on_table = self._kind == "lift"
-
-    def _slip_limit(self, node_xy_m: NDArray[np.float64]) -> float:
-        """Normal force at which the object slides: its weight, and the moment of one that hangs beside the fingers.
-
-        Force and moment that friction can resist together lie on an ellipse (Howe and Cutkosky, Int. J. Robotics
-        Research 15, 1996). The contact is that under the force without the moment, which is smaller, and at least one
-        node: a square resists a moment of 0.38 of its side.
-        """
-        limit_n = self.sampled.mass_kg * GRAVITY_M_S2 / (2 * self.sampled.static_friction)
-        if self.sampled.lever_m == 0.0:
-            return limit_n
-        indentation_m = float(np.interp(limit_n, self._curve.force_n, self._curve.indentation_m))
-        arm_m = contact.turning_arm(node_xy_m, contact.pressure(indentation_m, self._gap, limit_n))
-        arm_m = max(arm_m, 0.38 * math.sqrt(contact.cell_area(node_xy_m)))
-        return limit_n * math.hypot(1.0, self.sampled.lever_m / arm_m)
 
     def holding_ma(self) -> float:
         """The current that closes to the sampled multiple of the force at the slip limit, and more if named."""
@@ -233,25 +251,36 @@ class GraspSimulation:
         """One mechanical step: finger, gel, object, table."""
         self._friction = self._changing_friction.at(self.slices)
         before_n = self.finger.force_n
-        mode, command = self.command
+        mode, command = self.command if self._commands is None else self._commands.at(self.slices, self.command)
+        if self._encoder_noise_ticks > 0.0:
+            self.finger.encoder_off_ticks = self._encoder_noise_ticks * float(self._encoder_rng.normal())
         after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
         if self.finger.indentation_m != self._shares_at_m:
-            self._shares_at_m = self.finger.indentation_m
-            self._shares = contact.pressure(self._shares_at_m, self._gap, 1.0)
+            self._press()
         shares = self._shares
         force_n = (before_n, after_n)
         if self._drop and self.slices == self._drops_at:
             self._catch_weight()
+        acceleration = self._hand.accelerate(self.slices)
         if self._kind == "lift":
-            done = self._move_over_table(shares, force_n)
+            done = self._move_over_table(shares, force_n, acceleration)
         elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.sampled.floor_m):
             done = self._solve(shares, force_n, 0.0, held=True)  # something else, or the floor, carries the object
         else:
-            done = self._solve(shares, force_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
+            weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration) * self._load()
+            done = self._solve(shares, force_n, weight_n + self._push())
         if self._gel_slices.still_for <= RECENT_MS:  # what slips is known where nothing has moved for longer
             self._slip.follow(self._gel, shares, self.finger.force_n)
         self._steps.follow(done, self._friction)
         self._shear_n = done.friction_n[:2]
+
+    def _press(self) -> None:
+        """Find how the nodes share the normal force where the finger is now."""
+        self._shares_at_m = self.finger.indentation_m
+        self._shares = contact.pressure(self._shares_at_m, self._gap, 1.0)
+        self._second_shares = None
+        if self._second is not None:
+            self._second_shares = self._second.shares(self._curve, self.finger.closing_ticks, self._gap)
 
     def _solve(
         self,
@@ -268,7 +297,13 @@ class GraspSimulation:
             self._path.begin()
             each = self._path.follow
         force, twist = self._along_gravity(weight_n), self._along_gravity(speed) if held else None
-        return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each)
+        second = self._second_shares
+        return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each, second_shares=second)
+
+    def _restore(self) -> None:
+        """Go back to before the slice."""
+        for state, before in zip(self._pads, self._before, strict=True):
+            state.restore(before)
 
     def _along_gravity(self, value: float) -> tuple[float, float, float]:
         """A force or a velocity (x, y, rotation) that points down."""
@@ -304,39 +339,32 @@ class GraspSimulation:
         self._mass_kg += weight_kg
         self._gel.inertia[:2] = self._mass_kg
 
-    def _move_over_table(self, shares: NDArray[np.float64], force_n: tuple[float, float]) -> Slice:
+    def _move_over_table(self, shares: NDArray[np.float64], force_n: tuple[float, float], acceleration: float) -> Slice:
         """With the table under the object: where it would sink into the table, the table carries it.
 
         Both ways are tried at most, first that of the slice before: an object that stands on the table goes on doing so
         while the table has to push (else it would hang on it), one that hangs while it does not sink into the table.
         """
-        now_s = (self.slices + 1) * STEP_S
-        hand_m_s = self._hand_speed(now_s - self._lift_starts_s) + jerk_m_s(self._scene["hand"], now_s)
-        acceleration = (hand_m_s - self._hand_m_s) / STEP_S
-        self._hand_m_s = hand_m_s
-        self._table_m += hand_m_s * STEP_S
+        self._table_m += self._hand.speed_m_s * STEP_S
         weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration)
         speed, falling = (self._table_m - self._fallen_m()) / STEP_S, self._gel.twist[self._down]
-        self._before.restore(self._gel)
+        for state, before in zip(self._pads, self._before, strict=True):
+            before.restore(state)
         if self._on_table:
             done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
             inertial_n = self._mass_kg * (speed - falling) / (self._solver.theta * STEP_S)
-            if weight_n - 2 * done.friction_n[self._down] - inertial_n >= 0.0:
+            held_n = 2 * done.friction_n[self._down]
+            if self._second is not None:
+                held_n = done.friction_n[self._down] + done.second_friction_n[self._down]
+            if weight_n - held_n - inertial_n >= 0.0:
                 return done
-            self._gel.restore(self._before)
+            self._restore()
         done = self._solve(shares, force_n, weight_n)
         self._on_table = bool(self._fallen_m() > self._table_m)
         if self._on_table:
-            self._gel.restore(self._before)
+            self._restore()
             done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
         return done
-
-    def _hand_speed(self, since_s: float) -> float:
-        """Speed of the hand: a trapezoid that rises by the scene's height."""
-        hand = self._scene["hand"]
-        speed, acceleration = hand["speed_mm_s"] * 1e-3, hand["acceleration_mm_s2"] * 1e-3
-        ramp_s, cruise_s = speed / acceleration, hand["height_mm"] * 1e-3 / speed
-        return float(speed * min(max(min(since_s, cruise_s + ramp_s - since_s) / ramp_s, 0.0), 1.0))
 
     def _over(self) -> bool:
         """A ramp ends some time after contact is lost or the object slid away; a grasp when the object fell."""

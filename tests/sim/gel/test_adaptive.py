@@ -68,7 +68,7 @@ def test_a_slice_that_is_too_coarse_is_taken_back_whole() -> None:
     before = state.copy()
     load = (2.0 * shares, 100.0 * WEIGHT_N, False, state.twist)
     settings = (1e-3, 0.51, 1e-6, 400, *Allowed(error_m=1e-9, shortest=False))
-    assert step_nodes(state.arrays, load, FRICTION.law, settings, state.layer_constants, state.info) == TOO_LONG
+    assert step_nodes(state.arrays, load, FRICTION.law, settings, state.layer_constants, state.info, None) == TOO_LONG
     for name in ("displacement_m", "velocity_m_s", "maxwell_n", "pose", "twist", "stuck", "slip_m_s", "_mean_m_s"):
         assert (getattr(state, name) == getattr(before, name)).all()
     assert (state.friction_coefficient == before.friction_coefficient).all()

@@ -1,0 +1,289 @@
+"""A Newton step of the object in the balance of forces: the nodes that stick move along (see force_balance).
+
+Its exact line search keeps the object from flipping for ever between the two directions of slip on a stiff gel. Nodes
+that the step would bring to rest are caught, so that they move along too, which keeps partial slip cheap: a single node
+about to stick would stop the object again and again (400 sweeps without balance where 20 are enough).
+
+Where the second finger's pad is not a mirror image of the first it is `Other`, and object and nodes of both pads are
+balanced together. Where it is None numba leaves out what concerns it when it compiles. It is unpacked because numba
+fails on other[0].
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.sim.gel.force_balance import Stencil, Work, links
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick
+
+REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,
+WORTHWHILE = 0.1  # and the first step is taken of which at least this part leads down, else the last
+
+
+@njit(cache=True)
+def _curvature(work: Work, stencil: Stencil, curvature: Floats) -> None:
+    """Set curvature, (3, 3), to a pad's stiffness against moves of the object; only the upper triangle is kept.
+
+    Nodes that are not loose move along, and bring their springs. A loose node lags behind: its friction resists a turn
+    of the slip, in series with the node's own diagonal.
+    """
+    loose = work.loose
+    rows, columns = work.bound.shape
+    along_x2 = along_y2 = cross = turn_of_x = turn_of_y = turn = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            x = work.lever[row, column, 0]
+            y = work.lever[row, column, 1]
+            speed = work.speed[row, column]
+            if loose[row + 1, column + 1] == 0.0:
+                free_x = loose[row + 1, column] + loose[row + 1, column + 2]
+                free_y = loose[row, column + 1] + loose[row + 2, column + 1]
+                # a link between two nodes that move along is bent by a rotation only; each end counts half
+                turn_x = 0.5 * stencil.link_x * stencil.pitch_x**2 * (links(column, columns) - free_x)
+                turn_y = 0.5 * stencil.link_y * stencil.pitch_y**2 * (links(row, rows) - free_y)
+                stiff = stencil.own + stencil.link_x * free_x + stencil.link_y * free_y
+                along_x2 += stiff
+                along_y2 += stiff
+                turn_of_x -= stiff * y
+                turn_of_y += stiff * x
+                turn += stiff * (x * x + y * y) + turn_x + turn_y
+            elif speed > 0.0 and work.bound[row, column] > 0.0:
+                along_x = work.slip[row, column, 0] / speed
+                along_y = work.slip[row, column, 1] / speed
+                arm = x * along_x + y * along_y
+                bound = work.bound[row, column]
+                stiff = bound * work.diagonal[row, column] / (bound + work.diagonal[row, column] * speed)
+                along_x2 += stiff * along_y * along_y
+                cross -= stiff * along_y * along_x
+                along_y2 += stiff * along_x * along_x
+                turn_of_x -= stiff * along_y * arm
+                turn_of_y += stiff * along_x * arm
+                turn += stiff * arm * arm
+    curvature[0, 0], curvature[0, 1], curvature[0, 2] = along_x2, cross, turn_of_x
+    curvature[1, 1], curvature[1, 2], curvature[2, 2] = along_y2, turn_of_y, turn
+
+
+@njit(cache=True)
+def _follow(work: Work, move: Floats, reach: float) -> int:
+    """Fill search_direction, how each node answers a move of the object; returns how many nodes it would bring to rest.
+
+    Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
+    """
+    rows, columns = work.bound.shape
+    caught = 0
+    for row in range(rows):
+        for column in range(columns):
+            move_x = move[0] - move[2] * work.lever[row, column, 1]
+            move_y = move[1] + move[2] * work.lever[row, column, 0]
+            speed = work.speed[row, column]
+            bound = work.bound[row, column]
+            if work.loose[row + 1, column + 1] == 0.0:
+                work.search_direction[row, column, 0] = move_x - work.slip[row, column, 0]
+                work.search_direction[row, column, 1] = move_y - work.slip[row, column, 1]
+            elif speed > 0.0 and bound > 0.0:
+                along_x = work.slip[row, column, 0] / speed
+                along_y = work.slip[row, column, 1] / speed
+                if reach * (along_x * move_x + along_y * move_y) >= speed:
+                    work.loose[row + 1, column + 1] = 0.0
+                    caught += 1
+                across = along_x * move_y - along_y * move_x
+                across *= bound / (bound + work.diagonal[row, column] * speed)
+                work.search_direction[row, column, 0] = -across * along_y
+                work.search_direction[row, column, 1] = across * along_x
+            else:
+                work.search_direction[row, column, 0] = 0.0
+                work.search_direction[row, column, 1] = 0.0
+    return caught
+
+
+@njit(cache=True)
+def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
+    """Slope and curvature, along search_direction, of one pad's potential without friction."""
+    direction = work.search_direction
+    rows, columns = work.bound.shape
+    slope = 0.0
+    own = across = down = 0.0  # sums of squares
+    for row in range(rows):
+        for column in range(columns):
+            x, y = direction[row, column, 0], direction[row, column, 1]
+            slope += x * work.pull[row, column, 0] + y * work.pull[row, column, 1]
+            own += x * x + y * y
+            if column > 0:
+                across += (x - direction[row, column - 1, 0]) ** 2 + (y - direction[row, column - 1, 1]) ** 2
+            if row > 0:
+                down += (x - direction[row - 1, column, 0]) ** 2 + (y - direction[row - 1, column, 1]) ** 2
+    return slope, stencil.own * own + stencil.link_x * across + stencil.link_y * down
+
+
+@njit(cache=True, error_model="numpy")
+def _rubbing(work: Work, move: Floats, part: float) -> float:
+    """Slope of one pad's friction potential, the sum of bound * |slip|, after a part of a move of object and nodes."""
+    rows, columns = work.bound.shape
+    slope = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            if work.speed[row, column] > 0.0 and work.bound[row, column] > 0.0:
+                drift_x = work.search_direction[row, column, 0] - move[0] + move[2] * work.lever[row, column, 1]
+                drift_y = work.search_direction[row, column, 1] - move[1] - move[2] * work.lever[row, column, 0]
+                slip_x = work.slip[row, column, 0] + part * drift_x
+                slip_y = work.slip[row, column, 1] + part * drift_y
+                speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
+                if speed > 0.0:
+                    slope += work.bound[row, column] * (slip_x * drift_x + slip_y * drift_y) / speed
+    return slope
+
+
+@njit(cache=True)
+def _solve3(matrix: Floats, right: Floats, least: Floats) -> Floats:
+    """Solution of a symmetric 3 x 3 system of which the upper triangle is given, and of which the pivots are >= least.
+
+    That they are follows from the diagonal least being one positive summand of the matrix; rounding may forget it.
+    """
+    pivot_0 = max(matrix[0, 0], least[0])
+    low_10 = matrix[0, 1] / pivot_0
+    low_20 = matrix[0, 2] / pivot_0
+    pivot_1 = max(matrix[1, 1] - low_10 * matrix[0, 1], least[1])
+    cross = matrix[1, 2] - low_10 * matrix[0, 2]
+    low_21 = cross / pivot_1
+    pivot_2 = max(matrix[2, 2] - low_20 * matrix[0, 2] - low_21 * cross, least[2])
+    half_1 = right[1] - low_10 * right[0]
+    half_2 = right[2] - low_20 * right[0] - low_21 * half_1
+    third = half_2 / pivot_2
+    second = half_1 / pivot_1 - low_21 * third
+    first = right[0] / pivot_0 - low_10 * second - low_20 * third
+    return np.array([first, second, third])
+
+
+@njit(cache=True)
+def _loosen(work: Work, stuck: Flags) -> None:
+    """Begin with all nodes loose that do not stick."""
+    rows, columns = stuck.shape
+    for row in range(rows):
+        for column in range(columns):
+            work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
+
+
+@njit(cache=True)
+def _find_move(
+    work: Work,
+    stencil: Stencil,
+    weight: Floats,
+    inertial: Floats,
+    pads_wrench: Floats,
+    stuck: Flags,
+    reach: float,
+    other: Other,
+) -> Floats:
+    """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest.
+
+    Fills search_direction.
+    """
+    _loosen(work, stuck)
+    if other is not None:
+        work_2, stencil_2, stuck_2 = other
+        _loosen(work_2, stuck_2)
+    curvature = np.zeros((3, 3))
+    move = np.zeros(3)
+    for _ in range(4):
+        _curvature(work, stencil, curvature)
+        curvature *= stencil.pads
+        if other is not None:
+            more = np.zeros((3, 3))
+            _curvature(work_2, stencil_2, more)
+            curvature += stencil_2.pads * more
+        for axis in range(3):
+            curvature[axis, axis] += weight[axis]
+        move = _solve3(curvature, -inertial - pads_wrench, weight)
+        caught = _follow(work, move, reach)
+        if other is not None:
+            caught += _follow(work_2, move, reach)
+        if caught == 0:
+            break
+    return move
+
+
+@njit(cache=True)
+def _rubbing_of_all(work: Work, stencil: Stencil, move: Floats, part: float, other: Other) -> float:
+    """Slope of the friction potential of all pads."""
+    slope: float = stencil.pads * _rubbing(work, move, part)
+    if other is not None:
+        work_2, stencil_2, _ = other
+        slope += stencil_2.pads * _rubbing(work_2, move, part)
+    return slope
+
+
+@njit(cache=True)
+def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial: Floats, other: Other) -> float:
+    """Exact line search: the part, 0 to 1, of a move at which the potential is least; 0 if it only rises.
+
+    The nodes move along search_direction.
+    """
+    slope, bend = _smooth(work, stencil)
+    slope = stencil.pads * slope + (inertial * move).sum()
+    bend = stencil.pads * bend + (weight * move * move).sum()
+    if other is not None:
+        work_2, stencil_2, _ = other
+        slope_2, bend_2 = _smooth(work_2, stencil_2)
+        slope += stencil_2.pads * slope_2
+        bend += stencil_2.pads * bend_2
+    start = slope + _rubbing_of_all(work, stencil, move, 0.0, other)
+    low = 0.0
+    high = 1.0
+    part = 1.0
+    for _ in range(50):
+        here = slope + part * bend + _rubbing_of_all(work, stencil, move, part, other)
+        if here <= -1e-9 * start:
+            low = part
+            if part == 1.0 or here >= 1e-3 * start:
+                break
+        else:
+            high = part
+        part = 0.5 * (low + high)
+    return low if start < 0.0 else 0.0
+
+
+@njit(cache=True)
+def _answer(work: Work, part: float) -> None:
+    """Move the nodes by a part of search_direction."""
+    rows, columns = work.bound.shape
+    for row in range(rows):
+        for column in range(columns):
+            for axis in range(2):
+                work.velocity[row + 1, column + 1, axis] += part * work.search_direction[row, column, axis]
+
+
+@njit(cache=True)
+def move_object(
+    work: Work,
+    stencil: Stencil,
+    twist: Floats,
+    weight: Floats,
+    inertial: Floats,
+    pads_wrench: Floats,
+    stuck: Flags,
+    other: Other,
+) -> None:
+    """Newton step of the object, and of the nodes that answer it.
+
+    weight: inertia / (theta dt); inertial: the object's own unbalanced force; pads_wrench: what all pads add to it.
+    To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
+    the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
+    """
+    move = np.zeros(3)
+    part = 0.0
+    for reach in REACHES:
+        move = _find_move(work, stencil, weight, inertial, pads_wrench, stuck, reach, other)
+        part = _search(work, stencil, move, weight, inertial, other)
+        if part >= WORTHWHILE:
+            break
+    for axis in range(3):
+        twist[axis] += part * move[axis]
+    _answer(work, part)
+    if other is not None:
+        work_2, _, _ = other
+        _answer(work_2, part)

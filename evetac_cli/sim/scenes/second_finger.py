@@ -1,0 +1,43 @@
+"""The pad of the second finger, where a scene says that it is no mirror image of the first.
+
+Both fingers press with the same force and hold the same rigid object. The second pad has a friction and a stiffness of
+its own, and so its own indentation, contact and shear; the camera looks at the first. Left out: that the object tips
+where one finger carries more than the other, which would shift pressure along each pad.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.scenes.shared import friction_factor
+
+Floats = NDArray[np.float64]
+
+
+class SecondFinger:
+    """Friction and stiffness of the second pad, and how it is pressed."""
+
+    def __init__(self, named: Mapping[str, Any], sensor_row: Mapping[str, Any], node_xy_m: Floats) -> None:
+        """Read a scene's gripper.second_finger; where friction varies over the gel, it does otherwise over this one."""
+        self.stiffness_factor = float(named.get("stiffness_factor", 1.0))
+        varies = friction_factor(sensor_row, node_xy_m, finger=1)
+        even = np.full(node_xy_m.shape[:2], float(named.get("friction_factor", 1.0)))
+        self.friction_factor: Floats = even if varies is None else even * varies
+
+    def pad(self, first: gel.GelState) -> gel.GelState:
+        """Its gel, undeformed; it holds the object of the first pad."""
+        modulus_pa = first.material.shear_modulus_pa * self.stiffness_factor
+        material = replace(first.material, shear_modulus_pa=modulus_pa)
+        mass_kg, _, inertia = first.inertia.tolist()
+        return gel.start(first.node_xy_m, material, mass_kg, inertia, 1, friction_factor=self.friction_factor)
+
+    def shares(self, curve: contact.ForceCurve, closing_ticks: float, gap_m: Floats) -> Floats:
+        """Share of each node in the normal force at a closing of the gripper."""
+        assert curve.second_indentation_m is not None
+        indentation_m = contact.lookup(curve.second_indentation_m, curve.step_ticks, closing_ticks)
+        shares: Floats = contact.pressure(indentation_m, gap_m, 1.0)
+        return shares

@@ -1,0 +1,105 @@
+"""A second finger that is no mirror image of the first: pressure, slip limit, weight, and the mirrored trial."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.kernels.grip import paper as grip
+from evetac_cli.sim import scene
+from evetac_cli.sim.scenes.gripped import FINGER_STIFFNESS_N_M, GRAVITY_M_S2, GraspSimulation
+
+
+def trial(name: str, kind: str, second: dict[str, float] | None, **durations: float) -> GraspSimulation:
+    """A trial of a scene, with a second finger of its own or mirrored ones."""
+    (plan,) = scene.plan(name, "8", "evetac", (kind,))
+    if second is not None:
+        plan["scene"]["gripper"]["second_finger"] = second
+    plan["scene"]["randomise"].pop("touch_mm", None)  # touched off its middle, an object swings
+    plan["sensor_row"] = {**plan["sensor_row"], "noise_hz": 0.0, "hot_pixels": 0}
+    return GraspSimulation(plan, *(np.random.default_rng(part) for part in range(2)), **durations)
+
+
+def both_n(one: GraspSimulation) -> tuple[float, float]:
+    """Friction along gravity on the first and on the second pad, in the slice made last."""
+    done: Any = one._gel_slices._done
+    return done.friction_n[0], done.second_friction_n[0]
+
+
+def test_a_second_finger_that_does_not_differ() -> None:
+    """Assert that it makes the trial of mirrored fingers, from hold to loss, within 0.01 px and 1 ms of slip."""
+    mirrored, own = (trial("slip", "ramp", second) for second in (None, {"friction_factor": 1.0}))
+    held_ma = mirrored.command[1]
+    slips: dict[int, list[bool]] = {0: [], 1: []}
+    for k in range(1500):
+        for number, one in enumerate((mirrored, own)):
+            one.command = ("current", held_ma - max(0, k - 600) * 0.06)
+            one.step()
+            slips[number].append(bool(one.truth()["truth/slip"]))
+        if not slips[0][-1]:
+            np.testing.assert_allclose(
+                own.truth()["truth/dot_xy_px"], mirrored.truth()["truth/dot_xy_px"], atol=0.01, rtol=0
+            )
+    assert any(slips[0])
+    assert abs(slips[0].index(True) - slips[1].index(True)) <= 1
+
+
+@pytest.mark.parametrize("stiffness", [0.5, 2.0])
+def test_both_fingers_press_with_one_force(stiffness: float) -> None:
+    """Assert that both gels are pressed in as their stiffness says, and that these and the links make the closing."""
+    one = trial("slip", "ramp", {"stiffness_factor": stiffness})
+    finger, curve, gap_m = one.finger, one._curve, one._gap
+    row = scene.sensor_row("evetac")
+    node_n_m = row["normal_modulus_pa"] / one._material.height_m * one._gel.cell_area_m2
+    assert curve.second_indentation_m is not None
+    second_m = float(np.interp(finger.force_n, curve.force_n, curve.second_indentation_m))
+    pressed_n = [
+        factor * node_n_m * np.maximum(depth_m - gap_m, 0.0).sum()
+        for factor, depth_m in ((1.0, finger.indentation_m), (stiffness, second_m))
+    ]
+    assert pressed_n == pytest.approx([finger.force_n] * 2, rel=2e-4)
+    assert (second_m > finger.indentation_m) == (stiffness < 1.0)
+    closing_m = finger.indentation_m + second_m + finger.force_n / FINGER_STIFFNESS_N_M
+    assert finger.closing_ticks * curve.metres_per_tick == pytest.approx(closing_m, rel=1e-4)
+    assert one._second_shares is not None
+    assert one._second_shares.sum() == pytest.approx(1.0)
+    assert ((one._second_shares > 0).sum() > (one._shares > 0).sum()) == (stiffness < 1.0)
+
+
+def test_slip_limit_of_different_fingers() -> None:
+    """Assert that a second finger of a share f of the friction needs 2 / (1 + f) times the force."""
+    mirrored, half = (trial("slip", "ramp", second) for second in (None, {"friction_factor": 0.5}))
+    assert half._slip_limit_n == pytest.approx(mirrored._slip_limit_n * 2 / 1.5, rel=1e-12)
+    assert half.sampled == mirrored.sampled
+
+
+def test_a_lift_with_different_fingers() -> None:
+    """Assert that both fingers together carry the object once it hangs, the stiffer one more, and that it is lifted."""
+    one = trial("lift", "lift", {"stiffness_factor": 3.0}, lift_s=2.5)
+    law = grip.start()
+    carried_n = []
+    for k in range(2600):
+        if k % 2 == 0:
+            phase = grip.Phase(int(k >= 1500))
+            one.command = ("position", grip.step(law, phase, one._slip._slips, one.finger.position_ticks))
+        one.step()
+        carried_n.append(both_n(one))
+    assert one.truth()["truth/table_gap_mm"] > 3.0
+    assert not one.truth()["truth/slip"]
+    assert one.truth()["truth/shear_force_n"][0] == carried_n[-1][0]
+    first_n, second_n = np.mean(carried_n[-400:], axis=0)  # it swings by some 25 Hz
+    assert first_n + second_n == pytest.approx(one.sampled.mass_kg * GRAVITY_M_S2, rel=0.02)
+    assert second_n > 1.2 * first_n
+
+
+def test_fingers_differ_where_friction_varies() -> None:
+    """Assert that over a second finger friction varies otherwise than over the first, about its own mean."""
+    (plan,) = scene.plan("slip", "8", "evetac", ("ramp",))
+    plan["scene"]["gripper"]["second_finger"] = {"friction_factor": 0.6}
+    plan["sensor_row"] = {**plan["sensor_row"], "friction": {"patch_spread": 0.2, "patch_mm": 3.0}}
+    one = GraspSimulation(plan, *(np.random.default_rng(part) for part in range(2)))
+    assert one._second is not None
+    first, second = one._friction_factor, one._second.friction_factor
+    assert first is not None
+    assert second.mean() == pytest.approx(0.6)
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.5
