@@ -46,7 +46,8 @@ class Trials:
     sensor: str = parameter(
         "evetac",
         "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel; randomized: another one, and another"
-        " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named.",
+        " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named; or a TOML file, as"
+        " `evetac identify` writes one.",
     )
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     texture: str | None = parameter(
