@@ -14,6 +14,7 @@ from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.low_pass import LowPass
+from evetac_cli.sim.camera.noise import HotPixelTable
 from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
 from evetac_cli.sim.solver import from_scene
@@ -101,6 +102,11 @@ class GelCamera:
             noise_rate_hz=sensor_row["noise_hz"],
             hot_pixels=sensor_row["hot_pixels"],
             hot_rate_hz=tuple(sensor_row["hot_pixel_hz"]),
+            noise_on_share=sensor_row.get("noise_on_share", 0.5),
+            timestamp_step_us=sensor_row.get("timestamp_step_us", 0.0),
+            hot_pixel_table=HotPixelTable.read(sensor_row["hot_pixel_table"])
+            if "hot_pixel_table" in sensor_row
+            else None,
             edge_sigma_px=sensor_row["edge_sigma_px"],
             log_contrast=sensor_row["log_contrast"],
             dot_radius_px=sensor_row["dot_radius_px"],
