@@ -222,6 +222,15 @@ class Calibrate:
 
 
 @dataclass(frozen=True)
+class Identify:
+    """Estimate a sensor from recordings (at rest, pressed) and write it as TOML for --sensor, with intervals."""
+
+    like: str = parameter("evetac", "The sensor that has all which the recordings do not tell.")
+    name: str = parameter("own-sensor", "What recordings made with it call the sensor.")
+    seed: int = parameter(0, "Seed of the bootstrap intervals.", low=0, high=2**31 - 1)
+
+
+@dataclass(frozen=True)
 class Label:
     """Label when the object slips, from what the window shows against the gel."""
 

@@ -7,6 +7,7 @@ for two files of the same content: names of files and `like` do not enter a reci
 import functools
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -38,8 +39,7 @@ def read(path: Path, named_row: Callable[[str], dict[str, Any]]) -> tuple[str, d
     if like == "randomized":
         expected = "one sensor, as in evetac or randomized:7"
         raise InputError("like: not one sensor but many", where=where, expected=expected, found=like)
-    if name in packaged("sensors"):
-        raise InputError("name: that of a sensor which comes with evetac", where=where, expected="another", found=name)
+    check_name(name, where)
     base = {} if like is None else _row_of(like, named_row, where)
     row = {**base, **{key: value for key, value in table.items() if key not in ("name", "like")}}
     for group in ("gripper", "friction"):
@@ -51,6 +51,15 @@ def read(path: Path, named_row: Callable[[str], dict[str, Any]]) -> tuple[str, d
     check_row(row, where)
     result: dict[str, Any] = _with_floats(row, _rules())
     return str(name), result
+
+
+def check_name(name: str, where: str) -> None:
+    """InputError unless a sensor may be called so: in small letters, and not as one that comes with evetac."""
+    if not re.fullmatch(_rules()["properties"]["name"]["pattern"], name):
+        expected = "small letters, digits and -, as in lab-3"
+        raise InputError("name: not the name of a sensor", where=where, expected=expected, found=name)
+    if name in packaged("sensors"):
+        raise InputError("name: that of a sensor which comes with evetac", where=where, expected="another", found=name)
 
 
 def check_row(row: Mapping[str, Any], where: str) -> None:

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 FEWEST_INTERVALS = 200  # for steps and dead time
 MOST_INTERVALS = 20_000  # of which steps are looked for
 LONGEST_INTERVAL_US = 20_000.0  # for steps: in longer ones an error of the step adds up to a whole step
-HIGHEST_HZ, STEP_HZ = 20_000.0, 2.0  # of scans
+HIGHEST_HZ, STEP_HZ = 20_000.0, 5.0  # of scans
 SLOWEST_SCAN = 3.0  # in units of the mean rate: slower scans could not be told from slow pixels
 COHERENT = 0.8  # mean of the phases' unit vectors; 1 if all intervals are whole steps
 DEAD_SHARES = (0.02, 0.04)  # of the intervals, from which the shortest possible one is extrapolated
@@ -55,7 +55,7 @@ def time_step(interval_us: Floats) -> Estimate | None:
     if not len(coherent):
         return Estimate(0.0, 0.0, 0.0)
     first = coherent[0]
-    best = first + int(np.argmax(coherence[first : first + 50]))
+    best = first + int(np.argmax(coherence[first : first + 20]))
     step_us = 1e6 / scan_hz[best]
     for _ in range(3):
         steps = np.round(near / step_us)

@@ -13,8 +13,8 @@ from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 
 FRAME = (160, 120)
-SENSORS = 100
-FEWEST_HELD = 88  # of 100 where 95 are expected: one correct estimator in 600 is below
+# Of so many sensors, where 95 % are expected: a correct estimator is below once in some hundreds of times.
+FEWEST_HELD = {20: 16, 100: 88}
 
 
 def identified(model: CameraModel, seed: int, slices: int) -> tuple[RestNoise, camera.CameraState]:
@@ -25,15 +25,16 @@ def identified(model: CameraModel, seed: int, slices: int) -> tuple[RestNoise, c
     return rest.analyse(t, x, y, p, FRAME, 1000 * slices, np.random.default_rng(seed)), state
 
 
-def test_intervals_hold_the_truth() -> None:
-    """Assert that 95 % intervals of rates, shares and hot pixels' rates hold the truth in 88 to 100 of 100 sensors."""
+@pytest.mark.parametrize("sensors", [20, pytest.param(100, marks=pytest.mark.slow)])
+def test_intervals_hold_the_truth(sensors: int) -> None:
+    """Assert that 95 % intervals of rates, shares and hot pixels' rates hold the truth about as often (95 of 100)."""
     held = dict.fromkeys(("noise_hz", "noise_on_share", "hot_total_hz", "hot_on_share"), 0)
     pixels_held = pixels = 0
-    for seed in range(SENSORS):
+    for seed in range(sensors):
         model = CameraModel(
             frame_px=FRAME, noise_rate_hz=0.5, noise_on_share=0.4, hot_pixels=8, hot_rate_hz=(20.0, 200.0)
         )
-        noise, state = identified(model, seed, 800)
+        noise, state = identified(model, seed, 1500)
         rates_hz = np.diff(state.hot_cumulative_hz)
         truth = {
             "noise_hz": 0.5,
@@ -50,8 +51,8 @@ def test_intervals_hold_the_truth() -> None:
             place = listed[pixel]
             pixels += 1
             pixels_held += noise.table.low_hz[place] <= rate_hz + 0.5 <= noise.table.high_hz[place]
-    assert min(held.values()) >= FEWEST_HELD, held
-    assert pixels_held / pixels >= 0.92  # 800 pixels: 4 sd below 95 %
+    assert min(held.values()) >= FEWEST_HELD[sensors], held
+    assert pixels_held / pixels >= 0.95 - 4 * (0.95 * 0.05 / pixels) ** 0.5
 
 
 def test_a_table_comes_back() -> None:
