@@ -437,6 +437,11 @@ class EvaluateVibration:
 
 
 @dataclass(frozen=True)
+class EvaluateRealism:
+    """Compare a simulated recording with a real one: rates, polarities, times between events, hot pixels, dot edges."""
+
+
+@dataclass(frozen=True)
 class EvaluateLabels:
     """Compare the onset of labels with the true onset of gross slip (simulated recordings)."""
 

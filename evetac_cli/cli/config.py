@@ -34,6 +34,7 @@ COMMANDS = (
     "evaluate tracking",
     "evaluate grasp",
     "evaluate force",
+    "evaluate realism",
     "evaluate cost",
     "evaluate stability",
     "grasp",

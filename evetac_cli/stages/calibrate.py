@@ -85,7 +85,7 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         else:
             dots, from_default = _refined(default.dot_xy_px, places.centre_xy_px, where)
             window = default.window_px
-        jitter = _jitter_px(halves, dots, radius)
+        jitter = jitter_px(halves, dots, radius)
         if not jitter <= WORST_JITTER_PX:
             raise InputError(
                 "the dots come to rest at different places after each stroke",
@@ -240,7 +240,7 @@ def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:
     return refined.reshape(default.shape), int(np.isfinite(default[..., 0]).sum()) - len(near)
 
 
-def _jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
+def jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
     """How far from its mean a dot is found in one half of the strokes, rms over dots; NaN if the halves share none."""
     present = dots[np.isfinite(dots[..., 0])]
     if any(dot_search.contrast(half) == 0.0 for half in halves):

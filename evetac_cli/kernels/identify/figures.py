@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from evetac_cli.events import SLICE_US
 
@@ -15,6 +16,8 @@ Floats = NDArray[np.float64]
 
 HOT_HZ = 20.0
 FEWEST_INTERVALS = 10  # of a pixel that counts in the typical pixel's figures
+WINDOW_SLICES = 256  # of a spectrum
+BANDS_HZ = (3.0, 10.0, 30.0, 100.0, 500.1)  # of the spectrum's figures
 POLARITIES = {"": None, "on_": 1, "off_": 0}  # of the events between which times are taken
 
 
@@ -93,3 +96,50 @@ def _mean(values: NDArray) -> float:
 
 def _percentile(values: Floats, share: float) -> float:
     return float(np.percentile(values, share)) if len(values) else float("nan")
+
+
+def in_motion(
+    t_us: Ints, x: NDArray, y: NDArray, p: NDArray, frame_px: tuple[int, int], events_a_slice: Ints
+) -> dict[str, float]:
+    """Figures of events while something moves, in order of time; NaN where there are too few events.
+
+    `band_*` are shares of the variance of the events a slice, by frequency.
+    """
+    pixel = y.astype(np.int64) * frame_px[0] + x
+    order = np.lexsort((t_us, pixel))
+    between_us, _ = times_between(PixelEvents(pixel[order], t_us[order], p[order]))
+    counts = events_a_slice.astype(np.float64)
+    figures = {
+        "events_a_slice": _mean(counts),
+        "events_a_slice_median": _percentile(counts, 50),
+        "events_a_slice_p90": _percentile(counts, 90),
+        "on_share": _mean(p),
+        "pixels_with_events_share": len(np.unique(pixel)) / (frame_px[0] * frame_px[1]),
+        "interval_us_median": _percentile(between_us, 50),
+        "interval_us_p90": _percentile(between_us, 90),
+    }
+    frequency_hz, power = spectrum(events_a_slice)
+    for low, high in zip(BANDS_HZ, BANDS_HZ[1:], strict=False):
+        chosen = (frequency_hz >= low) & (frequency_hz < high)
+        share = power[chosen].sum() / power.sum() if power.sum() > 0 else np.nan
+        figures[f"band_{low:g}_{high:g}_hz"] = float(share)
+    return figures
+
+
+def spectrum(events_a_slice: Ints) -> tuple[Floats, Floats]:
+    """Frequencies in Hz and power of the events a slice (Welch, windows of 256 ms), no mean; empty if too short."""
+    counts = np.asarray(events_a_slice, np.float64)
+    if len(counts) < WINDOW_SLICES:
+        return np.empty(0), np.empty(0)
+    frequency_hz, power = signal.welch(counts, 1e6 / SLICE_US, nperseg=WINDOW_SLICES)
+    return frequency_hz[1:], power[1:]
+
+
+def largest_gap(first: NDArray, second: NDArray) -> float:
+    """The largest difference of two samples' cumulative shares (Kolmogorov and Smirnov); NaN if one is empty."""
+    if not len(first) or not len(second):
+        return float("nan")
+    first, second = np.sort(first), np.sort(second)
+    places = np.concatenate([first, second])
+    shares = (np.searchsorted(one, places, side="right") / len(one) for one in (first, second))
+    return float(np.abs(np.subtract(*shares)).max())

@@ -15,7 +15,7 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.params import Identify, recipe_of
 from evetac_cli.sim import scene, sensor_file
-from evetac_cli.stages.identify import at_rest
+from evetac_cli.stages.identify import at_rest, pressed
 from evetac_cli.stages.identify.sensor_text import Row, sensor_text
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
@@ -56,12 +56,18 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(headers))
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
-    rests = []
+    log_contrast = float(scene.sensor_row(params.like)["log_contrast"])
+    rests, presses = [], []
     for number, path in enumerate(job.inputs):
+        noise_rng, rim_rng = np.random.default_rng([params.seed, number]).spawn(2)
         with open_recording(path) as recording:
-            rests.append(at_rest.longest(recording, np.random.default_rng([params.seed, number])))
+            rests.append(at_rest.longest(recording, noise_rng))
+            presses.append(pressed.find(recording, log_contrast, rim_rng))
         progress(number + 1, len(job.inputs))
     rows, told = at_rest.rows(max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None))
+    best = max((one for one in presses if one), key=lambda one: one.dots, default=None)
+    more_rows, more = pressed.rows(best, log_contrast)
+    rows, told = rows + more_rows, more | told
     text = sensor_text(params.name, params.like, told, recipe, [path.name for path in job.inputs])
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
         temporary.write_text(text)
