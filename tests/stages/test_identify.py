@@ -3,6 +3,7 @@
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -11,10 +12,12 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.identify import figures
 from evetac_cli.sim import scene
+from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.stages import identify, record, trim
 from evetac_cli.store.read import open_recording
 from tests.conftest import DATA, as_toml
 
+TRUE_RATIO = 1.61 / 0.2  # of the sensor evetac
 NOISE = DATA / "dvxplorer_static_noise.aedat4"
 HALF_MS = 1350
 
@@ -89,7 +92,8 @@ def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> N
     (job,) = trim.jobs([resting], asked, short)
     trim.run(job, asked)
     rows, path = identified([short], tmp_path / "none.sensor.toml")
-    assert all(row["estimate"] is None and "make one of 3 s" in row["from"] for row in rows.values())
+    assert all(row["estimate"] is None and "cannot be told" in row["from"] for row in rows.values())
+    assert "make one of 3 s" in rows["noise_hz"]["from"]
     assert scene.named_sensor(str(path))[1]["noise_hz"] == 0.03
     assert "tell nothing" in path.read_text()
 
@@ -163,3 +167,45 @@ def test_a_press_scene_rests_before_it_presses(tmp_path: Path) -> None:
     record.run(job, chosen)
     rows, _ = identified([job.output], tmp_path)
     assert rows["noise_hz"]["low"] <= 0.1036 <= rows["noise_hz"]["high"]
+
+
+@pytest.fixture(scope="module")
+def stroked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A press of the sensor evetac, with fewer and faster strokes than the scene's."""
+    faster = scene.load("press")
+    faster["motion"] |= {"speed_mm_s": 60.0, "lines": 5, "approach_s": 0.1, "press_s": 0.05}
+    faster["solver"] = {"node_pitch_mm": 1.45}
+    folder = tmp_path_factory.mktemp("stroked")
+    (folder / "press.toml").write_text(as_toml(faster))
+    chosen = params.Record(scene=str(folder / "press.toml"), seed=3)
+    (job,) = record.jobs([], chosen, folder / "press.recording.h5")
+    record.run(job, chosen)
+    return job.output
+
+
+@pytest.mark.slow
+def test_dots_and_optics_from_a_press(stroked: Path, resting: Path, tmp_path: Path) -> None:
+    """Assert that dots, radius, blur and contrast over threshold of a simulated press are within their intervals.
+
+    Noise comes from the longer rest, the press has but 0.5 s.
+    """
+    rows, path = identified([resting, stroked], tmp_path)
+    truth = {"dots": 63.0, "dot_radius_px": 15.0, "edge_sigma_px": 1.2, "log_contrast / threshold": TRUE_RATIO}
+    for name, value in truth.items():
+        assert rows[name]["low"] <= value <= rows[name]["high"], (name, rows[name])
+        assert rows[name]["from"] == "press.recording.h5"
+    assert rows["noise_hz"]["from"].startswith("rest.recording.h5")
+    assert rows["log_contrast"]["estimate"] is None
+    _, sensor = scene.named_sensor(str(path))
+    true_dots = dot_grid(scene.sensor_row("evetac"), cut=False)
+    off_px = np.linalg.norm(dot_grid(sensor, cut=False) - true_dots, axis=2)
+    assert np.sqrt((off_px**2).mean()) < rows["error of a dot's place, 95 %"]["estimate"]
+    assert sensor["log_contrast"] / sensor["threshold"] == pytest.approx(
+        rows["log_contrast / threshold"]["estimate"], rel=1e-5
+    )
+
+
+def test_a_press_is_asked_for(resting: Path, tmp_path: Path) -> None:
+    """Assert that without a press the rows of dots say how to make one."""
+    rows, _ = identified([resting], tmp_path)
+    assert "strokes the whole gel" in rows["dot_radius_px"]["from"] and rows["dot_radius_px"]["estimate"] is None

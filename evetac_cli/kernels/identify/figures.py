@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 HOT_HZ = 20.0
 FEWEST_INTERVALS = 10  # of a pixel that counts in the typical pixel's figures
 WINDOW_SLICES = 256  # of a spectrum
-BANDS_HZ = (3.0, 10.0, 30.0, 100.0, 500.1)  # of the spectrum's figures
+BANDS_HZ = (3, 10, 30, 100, 500)  # of the spectrum's figures, the last up to half the slices a second
 POLARITIES = {"": None, "on_": 1, "off_": 0}  # of the events between which times are taken
 
 
@@ -120,9 +120,9 @@ def in_motion(
     }
     frequency_hz, power = spectrum(events_a_slice)
     for low, high in zip(BANDS_HZ, BANDS_HZ[1:], strict=False):
-        chosen = (frequency_hz >= low) & (frequency_hz < high)
+        chosen = (frequency_hz >= low) & ((frequency_hz < high) | (high == BANDS_HZ[-1]))
         share = power[chosen].sum() / power.sum() if power.sum() > 0 else np.nan
-        figures[f"band_{low:g}_{high:g}_hz"] = float(share)
+        figures[f"band_{low}_{high}_hz"] = float(share)
     return figures
 
 
