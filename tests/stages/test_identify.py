@@ -185,12 +185,13 @@ def stroked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_dots_and_optics_from_a_press(stroked: Path, resting: Path, tmp_path: Path) -> None:
-    """Assert that dots, radius, blur and contrast over threshold of a simulated press are within their intervals.
+    """Assert that dots, radius, blur, contrast over threshold and mismatch of a press are within their intervals.
 
     Noise comes from the longer rest, the press has but 0.5 s.
     """
     rows, path = identified([resting, stroked], tmp_path)
     truth = {"dots": 63.0, "dot_radius_px": 15.0, "edge_sigma_px": 1.2, "log_contrast / threshold": TRUE_RATIO}
+    truth |= {"mismatch": 0.03}
     for name, value in truth.items():
         assert rows[name]["low"] <= value <= rows[name]["high"], (name, rows[name])
         assert rows[name]["from"] == "press.recording.h5"
