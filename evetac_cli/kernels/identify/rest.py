@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.ndimage import convolve
 
 from evetac_cli.kernels.identify import intervals
 from evetac_cli.kernels.identify.estimates import BLOCKS, Estimate, of_samples, poisson_rate, rate_over_blocks, share
@@ -23,6 +24,8 @@ RESAMPLES = 1000
 FEWEST_EVENTS = 6  # of a hot pixel
 FALSE_ALARMS = 0.01  # ordinary pixels of the whole frame that may be taken for hot ones
 MOST_HOT_SHARE = 0.02  # of the pixels; with more, something moves
+FEW_HOT = 10  # so many may lie side by side by chance
+MOST_SIDE_BY_SIDE = 0.5  # of the hot pixels; with more, something moves: hot pixels lie alone (97 % of a DVXplorer's)
 LONGEST_SHARE = 0.98  # of a pixel's mean interval that dead time and short intervals may take
 
 
@@ -75,10 +78,7 @@ def analyse(
     pixel = y.astype(np.int64) * width + x
     counts = np.bincount(pixel, minlength=width * height)
     is_hot = find_hot(counts, duration_s)
-    if is_hot.mean() > MOST_HOT_SHARE:
-        raise ValueError(
-            f"expected at most {MOST_HOT_SHARE:.0%} hot pixels at rest, found {is_hot.mean():.0%}: the picture moves"
-        )
+    check_still(is_hot.reshape(height, width))
     of_hot = is_hot[pixel]
     block = np.minimum(t_us * BLOCKS // duration_us, BLOCKS - 1)
     ordinary = np.bincount(block[~of_hot], minlength=BLOCKS)
@@ -105,6 +105,17 @@ def analyse(
         timestamp_step_us=step_us,
         table=table,
     )
+
+
+def check_still(is_hot: NDArray[np.bool_]) -> None:
+    """ValueError where hot pixels (height, width) are so many, or lie so close, that something must move."""
+    around = convolve(is_hot.astype(np.int64), np.ones((3, 3), np.int64), mode="constant")
+    hot = int(is_hot.sum())
+    side_by_side = int((around[is_hot] > 1).sum())
+    if is_hot.mean() > MOST_HOT_SHARE or (hot > FEW_HOT and side_by_side > MOST_SIDE_BY_SIDE * hot):
+        raise ValueError(
+            f"expected few hot pixels that lie alone, found {hot}, {side_by_side} side by side: the picture moves"
+        )
 
 
 def find_hot(counts: Ints, duration_s: float) -> NDArray[np.bool_]:

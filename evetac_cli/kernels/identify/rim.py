@@ -29,10 +29,10 @@ FEWEST_DOTS = 8
 # What scans, thresholds of some events each and the largest of several strokes add, chosen on simulated press scenes
 # (sensors evetac, second, randomized:3 to 5; seeds 1 to 5), and how far single ones were from that (sd). Strokes of 15
 # to 60 mm/s change little; at 120 mm/s scans merge events, and 5 % more are missing than is corrected for.
-BLUR_ADDED_PX = 0.56  # in quadrature
+BLUR_KEPT = 0.899  # of the blur that is seen
 RADIUS_ADDED_PX = 0.06
 EVENTS_KEPT = 0.872  # of contrast over threshold
-RADIUS_SD_PX, SIGMA_SD_PX, EVENTS_SD = 0.015, 0.035, 0.03
+RADIUS_SD_PX, SIGMA_SD_PX, EVENTS_SD = 0.015, 0.025, 0.03
 
 
 class RimProfile(NamedTuple):
@@ -128,7 +128,7 @@ def estimate(
     def corrected(of: RimProfile) -> tuple[float, float, float]:
         radius, sigma = fit(of, radius_px, log_contrast)
         kept = of.plateau_events.sum() / max(of.plateau_pixels.sum(), 1.0)
-        return radius - RADIUS_ADDED_PX, float(np.sqrt(max(sigma**2 - BLUR_ADDED_PX**2, 0.01))), kept / EVENTS_KEPT
+        return radius - RADIUS_ADDED_PX, BLUR_KEPT * sigma, kept / EVENTS_KEPT
 
     values = corrected(rims)
     samples = np.empty((RESAMPLES, 3))

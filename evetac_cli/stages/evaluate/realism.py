@@ -20,6 +20,7 @@ from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify import figures
+from evetac_cli.kernels.identify.rest import check_still, find_hot
 from evetac_cli.params import EvaluateRealism, recipe_of
 from evetac_cli.sim import scene
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
@@ -127,6 +128,8 @@ def _side(recording: Recording) -> Side:
     first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
     stop = min(stop, first + LONGEST_REST)
     rest = _phase(recording, [(first, stop)]) if stop - first >= SHORTEST_REST else None
+    if rest is not None and not _is_still(rest, recording.frame_px):
+        rest, spells = None, []  # the slowest motion of a recording in which something always moves
     edges = [0, *(edge for spell in spells for edge in spell), len(counts)]
     moving = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
     whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
@@ -134,6 +137,17 @@ def _side(recording: Recording) -> Side:
     log_contrast = float(scene.sensor_row("evetac")["log_contrast"])
     press = pressed.find(recording, log_contrast, np.random.default_rng(0)) if motion else None
     return Side(recording.path.name, rest, motion, press)
+
+
+def _is_still(phase: Phase, frame_px: tuple[int, int]) -> bool:
+    width, height = frame_px
+    pixel = phase.events.y.astype(np.int64) * width + phase.events.x
+    hot = find_hot(np.bincount(pixel, minlength=width * height), phase.duration_us * 1e-6)
+    try:
+        check_still(hot.reshape(height, width))
+    except ValueError:
+        return False
+    return True
 
 
 def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:

@@ -16,7 +16,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.params import Identify, recipe_of
 from evetac_cli.sim import scene, sensor_file
 from evetac_cli.stages.identify import at_rest, pressed
-from evetac_cli.stages.identify.sensor_text import Row, sensor_text
+from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Row, sensor_text
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 from evetac_cli.store.provenance import Recipe
@@ -72,7 +72,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
         temporary.write_text(text)
         sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written
-    summary = {"sensor": str(job.output), "status": "made", "all_other_keys": f"as in {params.like}"}
+    summary = {"sensor": str(job.output), "status": "made", "all_other_keys": f"as in {params.like}; {NOT_ESTIMATED}"}
     return Outcome(table(rows), recipe.simulated, summary)
 
 

@@ -11,6 +11,7 @@ from evetac_cli.store.provenance import Recipe
 
 DIGITS = 6  # of an estimate: no recording tells more
 LINE = 110
+NOT_ESTIMATED = "bandwidth, leak, gel and gripper are not estimated"
 
 
 class Row(NamedTuple):
@@ -37,7 +38,7 @@ def sensor_text(name: str, like: str, told: Mapping[str, Told], recipe: Recipe, 
         f"# recipe {recipe.id}",
         f"# from {_in_a_comment(', '.join(files))}{' (simulated)' if recipe.simulated else ''}",
         f'name = "{name}"',
-        f'like = "{like}"  # which has all keys that are not below',
+        f'like = "{like}"  # which has all keys that are not below; {NOT_ESTIMATED}',
         'summary = "estimated from recordings by evetac identify"',
         "",
     ]

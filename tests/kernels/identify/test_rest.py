@@ -103,11 +103,14 @@ def test_a_silent_camera() -> None:
 
 
 def test_what_moves_is_refused() -> None:
-    """Assert that busy pixels all over the picture are not taken for hot ones."""
+    """Assert that busy pixels all over the picture, or side by side, are not taken for hot ones."""
     rng = np.random.default_rng(0)
     count = 50_000
     columns = (np.sort(rng.integers(0, 10**6, count)), rng.integers(0, 60, count), rng.integers(0, 60, count))
     with pytest.raises(ValueError, match="moves"):
         rest.analyse(*columns, np.ones(count, np.uint8), FRAME, 10**6, rng)
+    edge = (np.arange(1000) * 1000, np.arange(1000) % 20, np.full(1000, 7))  # 20 pixels in a row, 50 times each
+    with pytest.raises(ValueError, match="20 side by side"):
+        rest.analyse(*edge, np.ones(1000, np.uint8), FRAME, 10**6, rng)
     with pytest.raises(ValueError, match="lasts"):
         rest.analyse(*(column[:0] for column in columns), np.ones(0, np.uint8), FRAME, 0, rng)
