@@ -84,8 +84,8 @@ def _check_hot_pixels(table: Mapping[str, Any], where: str) -> None:
     """The lists are of one length, no pixel comes twice, and no value contradicts another of its pixel."""
     lengths = {key: len(values) for key, values in table.items() if isinstance(values, list)}
     if len(set(lengths.values())) != 1:
-        found = ", ".join(f"{length} in {key}" for key, length in lengths.items())
-        raise InputError("hot_pixel_table: lists of different lengths", where=where, found=found)
+        lengths_text = ", ".join(f"{length} in {key}" for key, length in lengths.items())
+        raise InputError("hot_pixel_table: lists of different lengths", where=where, found=lengths_text)
     columns = (table[key] for key in ("x_px", "y_px", "rate_hz", "on_share", "polarity_change_share"))
     seen = set()
     for place, (x, y, rate_hz, on, change) in enumerate(zip(*columns, strict=True)):
@@ -147,7 +147,7 @@ def _check(table: Mapping[str, Any], where: str, *, whole: bool) -> None:
     if error is None:
         return
     place = ".".join(str(step) for step in error.absolute_path)
-    found = str(error.instance)
+    given = str(error.instance)
     if error.validator == "additionalProperties":
         known = list(error.schema["properties"])
         unknown = next(key for key in error.instance if key not in known)
@@ -165,7 +165,7 @@ def _check(table: Mapping[str, Any], where: str, *, whole: bool) -> None:
         )
     if error.validator == "type":
         kind = TYPES[error.validator_value]
-        raise InputError(f"{place}: expected {kind}", where=where, expected=_meaning(error.schema), found=found)
+        raise InputError(f"{place}: expected {kind}", where=where, expected=_meaning(error.schema), found=given)
     if error.validator in ("minItems", "maxItems"):
         low, high = error.schema["minItems"], error.schema["maxItems"]
         count = f"{low}" if low == high else f"{low} to {high:,}"
@@ -179,10 +179,10 @@ def _check(table: Mapping[str, Any], where: str, *, whole: bool) -> None:
         above = "exclusiveMinimum" in error.schema
         low = error.schema["exclusiveMinimum" if above else "minimum"]
         expected = f"{'more than ' if above else ''}{low:g} to {error.schema['maximum']:g}{_of_what(error.schema)}"
-        raise InputError(f"{place}: out of range", where=where, expected=expected, found=found)
+        raise InputError(f"{place}: out of range", where=where, expected=expected, found=given)
     expected = str(error.schema.get("const", error.schema.get("pattern", "")))
     raise InputError(
-        f"{place}: not a possible value", where=where, expected=expected + _of_what(error.schema), found=found
+        f"{place}: not a possible value", where=where, expected=expected + _of_what(error.schema), found=given
     )
 
 

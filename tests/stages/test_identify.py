@@ -52,10 +52,10 @@ def test_the_noise_of_a_simulated_sensor(resting: Path, tmp_path: Path) -> None:
     assert name == "own-sensor"
     assert sensor["noise_hz"] == pytest.approx(row["estimate"], rel=1e-5)
     assert sensor["hot_pixels"] == 0 and len(sensor["hot_pixel_table"]["x_px"]) == 6
-    told = {"summary", "noise_hz", "noise_on_share", "timestamp_step_us", "hot_pixels", "hot_pixel_table"}
+    estimated = {"summary", "noise_hz", "noise_on_share", "timestamp_step_us", "hot_pixels", "hot_pixel_table"}
     usual = scene.sensor_row("evetac")
-    assert {key: value for key, value in sensor.items() if key not in told} == {
-        key: value for key, value in usual.items() if key not in told
+    assert {key: value for key, value in sensor.items() if key not in estimated} == {
+        key: value for key, value in usual.items() if key not in estimated
     }
     text = path.read_text()
     assert 'like = "evetac"' in text and "(simulated)" in text

@@ -114,8 +114,8 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
         as_halves = [row for row in known if row["distance"] <= (row["distance_of_halves"] or 0.0)]
         return rows, {
             "figures": len(known),
-            f"distance_within_{NEAR:.0%}": sum(row["distance"] <= NEAR for row in known),
-            "distance_within_that_of_halves": len(as_halves),
+            f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in known),
+            "figures_as_near_as_halves": len(as_halves),
         }
 
     outcome = report(job, "evaluate realism", METHOD, recipe_of(params), headers, measure, force=force)

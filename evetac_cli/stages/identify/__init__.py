@@ -64,11 +64,11 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
             rests.append(at_rest.longest(recording, noise_rng))
             presses.append(pressed.find(recording, log_contrast, rim_rng))
         progress(number + 1, len(job.inputs))
-    rows, told = at_rest.rows(max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None))
+    rows, values = at_rest.rows(max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None))
     best = max((one for one in presses if one), key=lambda one: one.dots, default=None)
     more_rows, more = pressed.rows(best, log_contrast)
-    rows, told = rows + more_rows, more | told
-    text = sensor_text(params.name, params.like, told, recipe, [path.name for path in job.inputs])
+    rows, values = rows + more_rows, more | values
+    text = sensor_text(params.name, params.like, values, recipe, [path.name for path in job.inputs])
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
         temporary.write_text(text)
         sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written

@@ -7,7 +7,7 @@ import numpy as np
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify import rest
 from evetac_cli.kernels.identify.rest import RestNoise
-from evetac_cli.stages.identify.sensor_text import Row, Told
+from evetac_cli.stages.identify.sensor_text import Row, Entry
 from evetac_cli.store.read import Recording
 
 SHORTEST_REST = 500  # slices
@@ -43,7 +43,7 @@ def longest(recording: Recording, rng: np.random.Generator) -> Rest | None:
     return Rest(noise, f"{recording.path.name}, {first} to {stop} ms")
 
 
-def rows(resting: Rest | None) -> tuple[list[Row], dict[str, Told]]:
+def rows(resting: Rest | None) -> tuple[list[Row], dict[str, Entry]]:
     """Rows and keys of the camera's noise."""
     units = {
         "noise_hz": "Hz a pixel",
@@ -70,17 +70,17 @@ def rows(resting: Rest | None) -> tuple[list[Row], dict[str, Told]]:
         Row(name, unit, estimate, MAKE_HOT if estimate is None else resting.source)
         for (name, unit), estimate in zip(units.items(), estimates, strict=True)
     ]
-    told = {"noise_hz": Told(noise.noise_hz.value, noise.noise_hz, resting.source)}
+    values = {"noise_hz": Entry(noise.noise_hz.value, noise.noise_hz, resting.source)}
     if np.isfinite(noise.noise_on_share.value):
-        told["noise_on_share"] = Told(noise.noise_on_share.value, noise.noise_on_share, resting.source)
+        values["noise_on_share"] = Entry(noise.noise_on_share.value, noise.noise_on_share, resting.source)
     if noise.timestamp_step_us is not None:
-        told["timestamp_step_us"] = Told(noise.timestamp_step_us.value, noise.timestamp_step_us, resting.source)
-    told["hot_pixels"] = Told(0, None, f"{resting.source}: all hot pixels are in the table")
+        values["timestamp_step_us"] = Entry(noise.timestamp_step_us.value, noise.timestamp_step_us, resting.source)
+    values["hot_pixels"] = Entry(0, None, f"{resting.source}: all hot pixels are in the table")
     listed = noise.table
     if len(listed.x_px):
         half = np.median((listed.high_hz - listed.low_hz) / 2 / listed.rate_hz)
         about = f"{resting.source}: {len(listed.x_px)} above {rest.HOT_HZ:g} Hz; rates within {half:.0%} (median, 95 %)"
         dead_us = 0.0 if noise.dead_time_us is None else noise.dead_time_us.value
         columns = {name: column for name, column in listed._asdict().items() if name not in ("low_hz", "high_hz")}
-        told["hot_pixel_table"] = Told({**columns, "dead_time_us": dead_us}, None, about)
-    return listed_rows, told
+        values["hot_pixel_table"] = Entry({**columns, "dead_time_us": dead_us}, None, about)
+    return listed_rows, values

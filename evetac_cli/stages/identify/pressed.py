@@ -11,7 +11,7 @@ from evetac_cli.kernels.identify import mismatch, rim
 from evetac_cli.kernels.identify.estimates import Estimate
 from evetac_cli.kernels.identify.rim import Rim, RimProfile
 from evetac_cli.stages import calibrate
-from evetac_cli.stages.identify.sensor_text import Row, Told
+from evetac_cli.stages.identify.sensor_text import Row, Entry
 from evetac_cli.store.read import Recording
 
 MAKE_PRESS = (
@@ -77,7 +77,7 @@ def _mismatch(recording: Recording, contrast_over_threshold: float, rng: np.rand
         return None
 
 
-def rows(press: Press | None, log_contrast: float) -> tuple[list[Row], dict[str, Told]]:
+def rows(press: Press | None, log_contrast: float) -> tuple[list[Row], dict[str, Entry]]:
     """Rows and keys of dots and optics; `log_contrast` is what the rims were read with."""
     units = {"dots": "", PLACE: "px", "dot_radius_px": "px", "edge_sigma_px": "px"}
     units |= {"log_contrast / threshold": "", "mismatch": ""}
@@ -94,16 +94,16 @@ def rows(press: Press | None, log_contrast: float) -> tuple[list[Row], dict[str,
         Row(name, unit, one, MAKE_LONGER if one is None else source)
         for (name, unit), one in zip(units.items(), (*estimates, press.mismatch), strict=True)
     ]
-    told = {
-        "dot_radius_px": Told(press.rim.radius_px.value, press.rim.radius_px, source),
-        "edge_sigma_px": Told(press.rim.edge_sigma_px.value, press.rim.edge_sigma_px, source),
-        "log_contrast": Told(log_contrast, None, "not estimated: only contrast over threshold makes events"),
-        "threshold": Told(threshold.value, threshold, f"{source}, for this log_contrast"),
+    values = {
+        "dot_radius_px": Entry(press.rim.radius_px.value, press.rim.radius_px, source),
+        "edge_sigma_px": Entry(press.rim.edge_sigma_px.value, press.rim.edge_sigma_px, source),
+        "log_contrast": Entry(log_contrast, None, "not estimated: only contrast over threshold makes events"),
+        "threshold": Entry(threshold.value, threshold, f"{source}, for this log_contrast"),
     }
     if press.mismatch is not None:
-        told["mismatch"] = Told(press.mismatch.value, press.mismatch, source)
+        values["mismatch"] = Entry(press.mismatch.value, press.mismatch, source)
     if np.isfinite(press.dot_xy_px).all():
-        told["dot_xy_px"] = Told(press.dot_xy_px, None, f"each within {half_px:.2g} px in x and in y; {source}")
+        values["dot_xy_px"] = Entry(press.dot_xy_px, None, f"each within {half_px:.2g} px in x and in y; {source}")
     else:
         listed[1] = Row(PLACE, "px", None, MAKE_WHOLE)
-    return [*listed, alone], told
+    return [*listed, alone], values

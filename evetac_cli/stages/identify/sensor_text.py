@@ -23,7 +23,7 @@ class Row(NamedTuple):
     source: str
 
 
-class Told(NamedTuple):
+class Entry(NamedTuple):
     """The value of a key, its interval if it has one, and where it comes from."""
 
     value: Any
@@ -31,8 +31,8 @@ class Told(NamedTuple):
     source: str
 
 
-def sensor_text(name: str, like: str, told: Mapping[str, Told], recipe: Recipe, files: Sequence[str]) -> str:
-    """The file's text; `told` by key, a table of columns as the value of a key that is a table."""
+def sensor_text(name: str, like: str, values: Mapping[str, Entry], recipe: Recipe, files: Sequence[str]) -> str:
+    """The file's text; `values` by key, a table of columns as the value of a key that is a table."""
     lines = [
         "# A sensor that is like the one of these recordings; intervals are of 95 %.",
         f"# recipe {recipe.id}",
@@ -42,13 +42,13 @@ def sensor_text(name: str, like: str, told: Mapping[str, Told], recipe: Recipe, 
         'summary = "estimated from recordings by evetac identify"',
         "",
     ]
-    plain = {key: one for key, one in told.items() if not isinstance(one.value, Mapping)}
+    plain = {key: one for key, one in values.items() if not isinstance(one.value, Mapping)}
     for key, one in plain.items():
         interval = "" if one.estimate is None else f"{_number(one.estimate.low)} to {_number(one.estimate.high)}; "
         lines += [f"# {interval}{_in_a_comment(one.source)}", f"{key} = {_value(one.value)}"]
-    if not told:
+    if not values:
         lines.append(f"# These recordings tell nothing of the sensor: all is as in {like}.")
-    for key, one in told.items():
+    for key, one in values.items():
         if isinstance(one.value, Mapping):
             lines += ["", f"[{key}]", f"# {_in_a_comment(one.source)}"]
             lines += [f"{column} = {_value(value, column)}" for column, value in one.value.items()]

@@ -17,9 +17,9 @@ def test_steps_are_found(step_us: float) -> None:
     """Assert that the step of stamped times is found, within its interval, whole microseconds and all."""
     times = np.cumsum(mixed(3000, 0.5, 500.0, 4000.0, 2 * step_us))
     stamped = np.floor(np.floor(times / step_us) * step_us)
-    found = intervals.time_step(np.diff(stamped))
-    assert found is not None and found.low <= step_us <= found.high
-    assert found.high - found.low < 1e-3 * step_us
+    result = intervals.time_step(np.diff(stamped))
+    assert result is not None and result.low <= step_us <= result.high
+    assert result.high - result.low < 1e-3 * step_us
 
 
 def test_no_steps() -> None:
@@ -37,9 +37,9 @@ def test_dead_time(dead_us: float) -> None:
     for seed in range(100):
         between_us = mixed(2000, 0.4, 300.0, 3000.0, dead_us, seed)
         between_us[:10] = 1.0
-        found = intervals.dead_time(between_us, 0.0, np.random.default_rng(seed))
-        assert found is not None
-        held += found.low <= dead_us <= found.high
+        result = intervals.dead_time(between_us, 0.0, np.random.default_rng(seed))
+        assert result is not None
+        held += result.low <= dead_us <= result.high
     assert held >= 85
 
 

@@ -23,15 +23,15 @@ def counted(spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("spread", [0.03, 0.05, 0.08])
 def test_the_spread_is_found(spread: float) -> None:
     """Assert that the interval holds the spread in about 95 of 100 cases, here in 16 of 20 at least."""
-    found = [mismatch.estimate(*counted(spread, seed), RATIO, np.random.default_rng(seed)) for seed in range(20)]
-    assert sum(one.low <= spread <= one.high for one in found) >= 16
-    assert np.mean([one.value for one in found]) == pytest.approx(spread, rel=0.1)
+    result = [mismatch.estimate(*counted(spread, seed), RATIO, np.random.default_rng(seed)) for seed in range(20)]
+    assert sum(one.low <= spread <= one.high for one in result) >= 16
+    assert np.mean([one.value for one in result]) == pytest.approx(spread, rel=0.1)
 
 
 def test_equal_thresholds() -> None:
     """Assert that neither chance nor what is alike in both halves is taken for a spread."""
-    found = mismatch.estimate(*counted(0.0, 1), RATIO, np.random.default_rng(0))
-    assert found.low == 0.0 and found.value < 0.01
+    result = mismatch.estimate(*counted(0.0, 1), RATIO, np.random.default_rng(0))
+    assert result.low == 0.0 and result.value < 0.01
 
 
 def test_too_few_events() -> None:
