@@ -7,7 +7,7 @@ import numpy as np
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify import rest
 from evetac_cli.kernels.identify.rest import RestNoise
-from evetac_cli.stages.identify.sensor_text import Row, Entry
+from evetac_cli.stages.identify.sensor_text import Entry, Row
 from evetac_cli.store.read import Recording
 
 SHORTEST_REST = 500  # slices

@@ -11,7 +11,7 @@ from evetac_cli.kernels.identify import mismatch, rim
 from evetac_cli.kernels.identify.estimates import Estimate
 from evetac_cli.kernels.identify.rim import Rim, RimProfile
 from evetac_cli.stages import calibrate
-from evetac_cli.stages.identify.sensor_text import Row, Entry
+from evetac_cli.stages.identify.sensor_text import Entry, Row
 from evetac_cli.store.read import Recording
 
 MAKE_PRESS = (
