@@ -46,7 +46,8 @@ class Trials:
     sensor: str = parameter(
         "evetac",
         "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel; randomized: another one, and another"
-        " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named.",
+        " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named; or a TOML file, as"
+        " `evetac identify` writes one.",
     )
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     texture: str | None = parameter(
@@ -91,7 +92,7 @@ class Record(Trials):
     """Record events: simulate a scene, record from devices, or import a foreign event file."""
 
     scene: str = parameter(
-        "slip", "Scene: slip, data-rate, shear, press, edge, vibration, vibration-randomized, or a TOML file."
+        "slip", "Scene: slip, data-rate, shear, press, rest, edge, vibration, vibration-randomized, or a TOML file."
     )
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(
@@ -218,6 +219,15 @@ class Calibrate:
         None, "What the gel is; default: as its columns say, 9 or 8, or the default grid.", choices=("cut", "closed")
     )
     any_grid: bool = parameter(False, "Take a grid that is not that of a whole Evetac, as it is.")
+
+
+@dataclass(frozen=True)
+class Identify:
+    """Estimate a sensor from recordings (at rest, pressed) and write it as TOML for --sensor, with intervals."""
+
+    like: str = parameter("evetac", "The sensor that has all which the recordings do not tell.")
+    name: str = parameter("own-sensor", "What recordings made with it call the sensor.")
+    seed: int = parameter(0, "Seed of the bootstrap intervals.", low=0, high=2**31 - 1)
 
 
 @dataclass(frozen=True)
@@ -424,6 +434,11 @@ class EvaluateVibration:
     false_alarms: float = parameter(
         0.01, "Probability that noise alone is taken for a vibration; default preset.", low=1e-9, high=0.5
     )
+
+
+@dataclass(frozen=True)
+class EvaluateRealism:
+    """Compare a simulated recording with a real one: rates, polarities, times between events, hot pixels, dot edges."""
 
 
 @dataclass(frozen=True)

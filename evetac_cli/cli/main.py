@@ -44,6 +44,7 @@ PIPELINE = (
     Command(
         "calibrate", params.Calibrate, "stages.calibrate", "Press recordings; none with --import.", files_needed=False
     ),
+    Command("identify", params.Identify, "stages.identify", "Recordings of one sensor.", "files"),
     Command("label", params.Label, "stages.label", "Recordings."),
     Command("track", params.Track, "stages.track", "Recordings."),
     Command("featurize", params.Featurize, "stages.featurize", "Recordings (tracks and labels lie beside them)."),
@@ -69,6 +70,9 @@ EVALUATE = (
     Command("tracking", params.EvaluateTracking, "stages.evaluate.tracking", "Tracks by one preset or more.", "files"),
     Command("grasp", params.EvaluateGrasp, "stages.evaluate.grasp", "Recordings made by grasp.", "files"),
     Command("force", params.EvaluateForce, "stages.evaluate.force", "Tracks of simulated shear recordings.", "files"),
+    Command(
+        "realism", params.EvaluateRealism, "stages.evaluate.realism", "A real recording, then a simulated one.", "files"
+    ),
     Command("cost", params.EvaluateCost, "numerics.cost", "Part model: features, models.", "rows", files_needed=False),
     Command("stability", params.EvaluateStability, "numerics.stability", "", "rows"),
 )

@@ -85,7 +85,7 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         else:
             dots, from_default = _refined(default.dot_xy_px, places.centre_xy_px, where)
             window = default.window_px
-        jitter = _jitter_px(halves, dots, radius)
+        jitter = jitter_px(halves, dots, radius)
         if not jitter <= WORST_JITTER_PX:
             raise InputError(
                 "the dots come to rest at different places after each stroke",
@@ -102,20 +102,25 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
 
 def rest_images(recording: Recording, progress: Progress = silent) -> tuple[RestImage, RestImage]:
     """The gel at rest as seen by every other pair of strokes, and by the other pairs; InputError without strokes."""
-    counts = np.diff(recording.starts)
-    rests = [(first + stop) // 2 for first, stop in rest_image.quiet_spells(counts)]
-    if len(rests) < 2:
-        moved = dot_search.contrast(_seen(recording, 0, len(counts))) > 0
+    stroked = strokes(recording)
+    if not stroked:
+        moved = dot_search.contrast(_seen(recording, 0, len(recording))) > 0
         message = "the gel is not at rest before and after a stroke" if moved else "no dot was seen to move"
         raise InputError(message, where=str(recording.path), hint=PRESS)
     nothing = np.zeros(recording.frame_px[::-1], np.uint8)
     halves = [RestImage(nothing, nothing), RestImage(nothing, nothing)]
-    for stroke, (start, stop) in enumerate(zip(rests, rests[1:], strict=False)):
+    for stroke, (start, stop) in enumerate(stroked):
         half = stroke // 2 % 2  # two strokes each: there and back
         for backwards in (False, True):
             halves[half] = halves[half].joined(_seen(recording, start, stop, backwards=backwards))
-        progress(stop, len(counts))
+        progress(stop, len(recording))
     return halves[0], halves[1]
+
+
+def strokes(recording: Recording) -> list[tuple[int, int]]:
+    """Slices [start, stop) of each stroke, from the middle of the rest before it to that of the rest after it."""
+    rests = [(first + stop) // 2 for first, stop in rest_image.quiet_spells(np.diff(recording.starts))]
+    return list(zip(rests, rests[1:], strict=False))
 
 
 def _seen(recording: Recording, start: int, stop: int, *, backwards: bool = False) -> RestImage:
@@ -240,7 +245,7 @@ def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:
     return refined.reshape(default.shape), int(np.isfinite(default[..., 0]).sum()) - len(near)
 
 
-def _jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
+def jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
     """How far from its mean a dot is found in one half of the strokes, rms over dots; NaN if the halves share none."""
     present = dots[np.isfinite(dots[..., 0])]
     if any(dot_search.contrast(half) == 0.0 for half in halves):

@@ -1,6 +1,7 @@
 """The contract of being a stage, run over all of them; a new stage gets these tests by a row in STAGES.
 
-Only calibrate, which writes JSON, and the evaluations that need no files (cost, stability) have tests of their own.
+Only calibrate and identify, which write JSON and TOML, and the evaluations that need no files (cost, stability) have
+tests of their own.
 """
 
 import dataclasses
@@ -23,6 +24,7 @@ from evetac_cli.stages.evaluate import data_rate as evaluate_data_rate
 from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate import labels as evaluate_labels
+from evetac_cli.stages.evaluate import realism as evaluate_realism
 from evetac_cli.stages.evaluate import slip as evaluate_slip
 from evetac_cli.stages.evaluate import tracking as evaluate_tracking
 from evetac_cli.stages.evaluate import vibration as evaluate_vibration
@@ -56,6 +58,10 @@ def of(kind: str, number: int = 0) -> Callable[[Path], list[Path]]:
 
 def every(kind: str) -> Callable[[Path], list[Path]]:
     return lambda folder: sorted(folder.glob(f"short-*.{kind}.h5"))
+
+
+def two_recordings(first: int) -> Callable[[Path], list[Path]]:
+    return lambda folder: sorted(folder.glob("short-*.recording.h5"))[first : first + 2]
 
 
 def one(name: str) -> Callable[[Path], list[Path]]:
@@ -146,6 +152,10 @@ STAGES = [
     Stage(
         "evaluate grasp", evaluate_grasp, some(params.EvaluateGrasp), some(params.EvaluateGrasp),
         one("grasp.recording.h5"), another_grasp,
+    ),
+    Stage(
+        "evaluate realism", evaluate_realism, some(params.EvaluateRealism), some(params.EvaluateRealism),
+        two_recordings(0), two_recordings(1),
     ),
 ]  # fmt: skip
 FROM_FILES = [stage for stage in STAGES if stage.name not in ("record", "grasp")]
@@ -256,6 +266,7 @@ def test_every_stage_takes_part() -> None:
     """Assert that no command that makes a stage file is missing here."""
     assert {stage.name for stage in STAGES} == set(COMMANDS) - {
         "calibrate",
+        "identify",
         "evaluate cost",
         "evaluate stability",
     }

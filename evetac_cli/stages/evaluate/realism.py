@@ -1,0 +1,287 @@
+"""evaluate realism: how far a simulated recording is from a real one, beside how far the real one's halves differ.
+
+Two phases, each where both recordings have it: the longest rest, and all slices in which something moves. Distances
+are relative differences, and between distributions the largest difference of their cumulative shares. The halves show
+what to expect of equal cameras; as they are shorter, chance moves them 1.4 times as far. Dot edges are compared where
+both recordings show dots that were stroked from rest.
+"""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US, Events, concatenate
+from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.kernels.calibration import rest_image
+from evetac_cli.kernels.identify import figures
+from evetac_cli.kernels.identify.rest import check_still, find_hot
+from evetac_cli.params import EvaluateRealism, recipe_of
+from evetac_cli.sim import scene
+from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.identify import pressed
+from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
+from evetac_cli.store.read import Recording, open_recording
+
+OUTPUT = "report"
+METHOD = 1
+SHORTEST_MOTION = 300  # slices
+MOST_EVENTS = 5_000_000  # of one phase
+NEAR = 0.10  # a distance that the summary counts as near
+RELATIVE, CUMULATIVE = "relative difference", "largest gap of cumulative shares"
+
+Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """The events of one phase, time going on without what lies between, and how many each slice has."""
+
+    events: Events
+    counts: Counts
+
+    @property
+    def duration_us(self) -> int:
+        """How long it lasts."""
+        return len(self.counts) * SLICE_US
+
+    def part(self, first: int, stop: int) -> "Phase":
+        """Some of its slices, time starting at 0."""
+        begin, end = (int(self.counts[:place].sum()) for place in (first, stop))
+        events = self.events.part(begin, end)
+        return Phase(events._replace(t=events.t - first * SLICE_US), self.counts[first:stop])
+
+    def halves(self) -> tuple["Phase", "Phase"]:
+        """Its first and its second half."""
+        middle = len(self.counts) // 2
+        return self.part(0, middle), self.part(middle, 2 * middle)
+
+
+@dataclass(frozen=True)
+class Side:
+    """What is compared of a recording: its phases, None where it has none, and its dots."""
+
+    name: str
+    rest: Phase | None
+    motion: Phase | None
+    press: pressed.Press | None
+
+
+def jobs(files: list[Path], params: EvaluateRealism, out: Path | None) -> list[Job]:
+    """One report over a real and a simulated recording, in this order."""
+    if len(files) != 2:
+        raise InputError("two recordings are compared", expected="the real one, then the simulated one",
+                         found=f"{len(files)} files")  # fmt: skip
+    return report_job(files, "realism", out)
+
+
+def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """A row for every figure: real, simulated, their distance, and that of the real recording's halves."""
+    headers = []
+    frames = []
+    for path in job.inputs:
+        with open_recording(path) as recording:
+            headers.append(recording.header)
+            frames.append(recording.frame_px)
+    if frames[0] != frames[1]:
+        raise InputError("the recordings have different frames", where=str(job.inputs[1]),
+                         expected="{} x {} px".format(*frames[0]), found="{} x {} px".format(*frames[1]))  # fmt: skip
+
+    @functools.cache
+    def sides() -> tuple[Side, Side]:
+        """Both recordings, read once, and only where they are needed."""
+        both = []
+        for number, path in enumerate(job.inputs):
+            with open_recording(path) as recording:
+                both.append(_side(recording))
+            progress(number + 1, 2)
+        return _as_long(both[0], both[1])
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        rows = compare(*sides(), frames[0])
+        if not rows:
+            raise InputError(
+                "the recordings have no phase in common",
+                where=f"{job.inputs[0]}, {job.inputs[1]}",
+                expected=f"{SHORTEST_REST} ms at rest, or {SHORTEST_MOTION} ms of motion, in both",
+            )
+        known = [row for row in rows if row["distance"] is not None]
+        as_halves = [row for row in known if row["distance"] <= (row["distance_of_halves"] or 0.0)]
+        return rows, {
+            "figures": len(known),
+            f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in known),
+            "figures_as_near_as_halves": len(as_halves),
+        }
+
+    outcome = report(job, "evaluate realism", METHOD, recipe_of(params), headers, measure, force=force)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, *sides(), frames[0]), (11.0, 7.5))
+
+
+def _side(recording: Recording) -> Side:
+    counts = np.diff(recording.starts)
+    spells = rest_image.quiet_spells(counts)
+    first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
+    stop = min(stop, first + LONGEST_REST)
+    rest = _phase(recording, [(first, stop)]) if stop - first >= SHORTEST_REST else None
+    if rest is not None and not _is_still(rest, recording.frame_px):
+        rest, spells = None, []  # the slowest motion of a recording in which something always moves
+    edges = [0, *(edge for spell in spells for edge in spell), len(counts)]
+    moving = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
+    whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
+    motion = _phase(recording, moving) if whole else None
+    log_contrast = float(scene.sensor_row("evetac")["log_contrast"])
+    press = pressed.find(recording, log_contrast, np.random.default_rng(0)) if motion else None
+    return Side(recording.path.name, rest, motion, press)
+
+
+def _is_still(phase: Phase, frame_px: tuple[int, int]) -> bool:
+    width, height = frame_px
+    pixel = phase.events.y.astype(np.int64) * width + phase.events.x
+    hot = find_hot(np.bincount(pixel, minlength=width * height), phase.duration_us * 1e-6)
+    try:
+        check_still(hot.reshape(height, width))
+    except ValueError:
+        return False
+    return True
+
+
+def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
+    """Both with rests of one length, because how many pixels are hot, and which intervals are seen, hangs on it."""
+    if real.rest is None or simulated.rest is None:
+        return real, simulated
+    slices = min(len(real.rest.counts), len(simulated.rest.counts))
+    first, second = (replace(side, rest=side.rest.part(0, slices)) for side in (real, simulated) if side.rest)
+    return first, second
+
+
+def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase:
+    """Pieces of a recording one after the other, up to MOST_EVENTS."""
+    parts, counts, slices, held = [], [], 0, 0
+    for first, end in pieces:
+        room = recording.starts[first] + MOST_EVENTS - held
+        stop = min(end, int(np.searchsorted(recording.starts, room, side="right")) - 1)
+        if stop <= first:
+            break
+        events = recording.between(first, stop)
+        parts.append(events._replace(t=events.t + (slices - first) * SLICE_US))
+        counts.append(np.diff(recording.starts[first : stop + 1]))
+        slices += stop - first
+        held += events.size
+    return Phase(concatenate(parts), np.concatenate(counts).astype(np.int64))
+
+
+def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:
+    """A row for every figure of the phases that both have."""
+    rows: Rows = []
+    if real.rest and simulated.rest:
+        rows += _phase_rows("rest", real.rest, simulated.rest, frame_px, _at_rest)
+    if real.motion and simulated.motion:
+        rows += _phase_rows("motion", real.motion, simulated.motion, frame_px, _in_motion)
+    if real.press and simulated.press:
+        rows += _edge_rows(real.press, simulated.press)
+    return rows
+
+
+def _at_rest(phase: Phase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
+    events = phase.events
+    scalars = figures.at_rest(*events, frame_px, phase.duration_us)
+    hot, ordinary, _ = figures.split_hot(*events, frame_px, phase.duration_us * 1e-6)
+    return scalars, {
+        "events_a_slice, distribution": phase.counts,
+        "hot_interval_us, distribution": figures.times_between(hot)[0],
+        "ordinary_interval_us, distribution": figures.times_between(ordinary)[0],
+    }
+
+
+def _in_motion(phase: Phase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
+    return figures.in_motion(*phase.events, frame_px, phase.counts), {"events_a_slice, distribution": phase.counts}
+
+
+def _phase_rows(
+    name: str,
+    real: Phase,
+    simulated: Phase,
+    frame_px: tuple[int, int],
+    measure: Callable[[Phase, tuple[int, int]], tuple[dict[str, float], dict[str, NDArray]]],
+) -> Rows:
+    halves = [measure(half, frame_px) for half in real.halves()]
+    (scalars, samples), (made, made_samples) = (measure(phase, frame_px) for phase in (real, simulated))
+    rows = [
+        _row(name, figure, scalars[figure], made[figure], _relative(scalars[figure], made[figure]),
+             _relative(halves[0][0][figure], halves[1][0][figure]), RELATIVE)
+        for figure in scalars
+    ]  # fmt: skip
+    for figure, sample in samples.items():
+        ours, theirs = (float(np.median(one)) if len(one) else float("nan") for one in (sample, made_samples[figure]))
+        of_halves = figures.largest_gap(halves[0][1][figure], halves[1][1][figure])
+        gap = figures.largest_gap(sample, made_samples[figure])
+        rows.append(_row(name, figure, ours, theirs, gap, of_halves, CUMULATIVE))
+    return rows
+
+
+def _edge_rows(real: pressed.Press, simulated: pressed.Press) -> Rows:
+    """Radius and blur of the dots' edges, and events from dot to gel; half of the interval stands for the halves."""
+    rows = []
+    for figure, ours, made in zip(real.rim._fields, real.rim, simulated.rim, strict=True):
+        own = (ours.high - ours.low) / 2 / ours.value
+        rows.append(_row("dot edges", figure, ours.value, made.value, _relative(ours.value, made.value), own, RELATIVE))
+    return rows
+
+
+def _row(
+    phase: str, figure: str, real: float, simulated: float, distance: float, of_halves: float, measure: str
+) -> dict[str, Any]:
+    values = {"real": real, "simulated": simulated, "distance": distance, "distance_of_halves": of_halves}
+    known = {key: float(value) if np.isfinite(value) else None for key, value in values.items()}
+    return {"phase": phase, "figure": figure, **known, "measure": measure}
+
+
+def _relative(first: float, second: float) -> float:
+    """How far the second is from the first, in shares of the first; NaN where either is unknown, or the first 0."""
+    return abs(second / first - 1.0) if first and np.isfinite(first) and np.isfinite(second) else float("nan")
+
+
+def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -> None:
+    """Times between events of hot pixels, rates of pixels, spectrum of the event rate, and the dots' edges."""
+    figure.suptitle(f"Real: {real.name}; simulated: {simulated.name}")
+    panels = figure.subplots(2, 2).ravel()
+    for side, colour, label in ((real, "black", "real"), (simulated, picture.CORRECT, "simulated")):
+        style = {"color": colour, "label": label, "linewidth": 1.2}
+        if side.rest:
+            seconds = side.rest.duration_us * 1e-6
+            hot, _, _ = figures.split_hot(*side.rest.events, frame_px, seconds)
+            for polarity, line in ((None, "-"), (1, "--"), (0, ":")):
+                named = {**style, "label": f"{label}{'' if polarity is None else (', OFF', ', ON')[polarity]}"}
+                _cumulative(panels[0], figures.times_between(hot, polarity)[0], linestyle=line, **named)
+            pixel = side.rest.events.y.astype(np.int64) * frame_px[0] + side.rest.events.x
+            busiest = np.sort(np.bincount(pixel))[::-1] / seconds
+            panels[1].loglog(1 + np.arange(len(busiest)), busiest, **style)
+        phase = side.motion or side.rest
+        if phase:
+            frequency_hz, power = figures.spectrum(phase.counts)
+            panels[2].loglog(frequency_hz, power, **style)
+        if side.press:
+            rims = side.press.profile
+            panels[3].plot(rims.distance_px - side.press.rim.radius_px.value, rims.share, **style)
+    panels[0].set(xscale="log", xlabel="time between events of a hot pixel [us]", ylabel="cumulative share")
+    panels[1].set(xlabel="pixels, the busiest first", ylabel="events a second")
+    panels[2].set(xlabel="frequency [Hz]", ylabel="power of the events a slice")
+    panels[3].set(xlabel="distance from the dot's edge [px]", ylabel="share of darkening events", xlim=(-8, 8))
+    if not (real.press or simulated.press):
+        panels[3].text(0.5, 0.5, "no dots were stroked", transform=panels[3].transAxes, ha="center", color="0.4")
+    for axes in panels:
+        picture.quiet_grid(axes)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(fontsize=7)
+
+
+def _cumulative(axes: Any, values: NDArray, **style: Any) -> None:
+    """The cumulative share of values, in a thousand steps at most."""
+    if len(values):
+        shares = np.linspace(0.0, 1.0, min(1000, len(values)))
+        axes.plot(np.quantile(values, shares), shares, **style)

@@ -1,0 +1,121 @@
+"""evaluate realism: the distance of a simulated recording from a real one, beside that of the real one's halves."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli import params
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events, slice_starts
+from evetac_cli.jobs import Outcome
+from evetac_cli.sim import scene
+from evetac_cli.stages import record
+from evetac_cli.stages.evaluate import realism
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Recipe
+from tests.conftest import as_toml
+
+
+def resting(folder: Path, sensor: str, seed: int) -> Path:
+    chosen = params.Record(scene="rest", sensor=sensor, seed=seed)
+    (job,) = record.jobs([], chosen, folder / f"{Path(sensor).stem}-{seed}.recording.h5")
+    record.run(job, chosen)
+    return job.output
+
+
+def imported(path: Path, events: Events, slices: int, frame_px: tuple[int, int] = (640, 480)) -> Path:
+    arrays: dict[str, Any] = {
+        **{f"events/{column}": getattr(events, column) for column in Events._fields},
+        "ms_to_idx": slice_starts(events.t, slices),
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array(frame_px, np.int32),
+        "sensor/name": "unknown",
+    }
+    write_stage(path, Recipe("recording", 1, {"made": path.name}, content="0" * 64), arrays)
+    return path
+
+
+def compared(real: Path, simulated: Path, out: Path) -> tuple[dict[tuple[str, str], dict[str, Any]], Outcome]:
+    (job,) = realism.jobs([real, simulated], params.EvaluateRealism(), out)
+    outcome = realism.run(job, params.EvaluateRealism())
+    return {(row["phase"], row["figure"]): row for row in outcome.rows}, outcome
+
+
+@pytest.fixture(scope="module")
+def same(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two recordings of one noisy sensor at rest."""
+    folder = tmp_path_factory.mktemp("same")
+    return resting(folder, "bare-dvxplorer", 0), resting(folder, "bare-dvxplorer", 1)
+
+
+def test_one_sensor_twice(same: tuple[Path, Path], tmp_path: Path) -> None:
+    """Assert that two recordings of one sensor differ by little, and about as its halves do; with a picture."""
+    rows, outcome = compared(*same, tmp_path)
+    assert {phase for phase, _ in rows} == {"rest"}
+    for name in ("events_a_slice", "on_share", "hot_pixels", "hot_event_share", "hot_interval_us_median"):
+        assert rows["rest", name]["distance"] < 0.05, name
+        assert rows["rest", name]["distance_of_halves"] < 0.07, name
+    gap = rows["rest", "hot_interval_us, distribution"]
+    assert gap["distance"] < 0.02 and gap["measure"] == "largest gap of cumulative shares"
+    assert outcome.simulated and outcome.summary["figures"] == len(rows)
+    picture = Path(outcome.summary["plot"])
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_another_sensor_is_far(same: tuple[Path, Path], tmp_path: Path) -> None:
+    """Assert that a sensor with another polarity, and twice the noise of ordinary pixels, is told by just that."""
+    row = scene.sensor_row("bare-dvxplorer")
+    other = tmp_path / "other.toml"
+    other.write_text(as_toml({**row, "noise_on_share": 0.8, "noise_hz": 2 * row["noise_hz"]}))
+    rows, _ = compared(same[0], resting(tmp_path, str(other), 2), tmp_path)
+    assert rows["rest", "ordinary_hz"]["distance"] == pytest.approx(1.0, abs=0.1)
+    assert rows["rest", "ordinary_on_share"]["distance"] == pytest.approx(0.6, abs=0.05)
+    assert rows["rest", "hot_pixels"]["distance"] < 0.05
+
+
+def test_motion(tmp_path: Path) -> None:
+    """Assert that bursts of events are a phase of their own, whose rate and spectrum are compared."""
+
+    def waved(seed: int, rate: float, wave_hz: float) -> tuple[Events, int]:
+        rng = np.random.default_rng(seed)
+        time_ms = np.arange(2000)
+        wave = 1.0 + 0.8 * np.sin(2 * np.pi * wave_hz * time_ms / 1000)
+        counts = rng.poisson(np.where(time_ms < 800, 2.0, rate * wave))
+        t = np.concatenate([1000 * k + np.sort(rng.integers(0, 1000, count)) for k, count in enumerate(counts)])
+        xy = rng.integers(0, (640, 480), (len(t), 2)).astype(np.uint16)
+        return Events(t, xy[:, 0].copy(), xy[:, 1].copy(), (rng.random(len(t)) < 0.5).astype(np.uint8)), 2000
+
+    real = imported(tmp_path / "real.recording.h5", *waved(0, 200.0, 20.0))
+    rows, outcome = compared(real, imported(tmp_path / "like.recording.h5", *waved(1, 200.0, 20.0)), tmp_path)
+    assert {phase for phase, _ in rows} == {"rest", "motion"} and not outcome.simulated
+    assert rows["motion", "events_a_slice"]["distance"] < 0.05
+    assert rows["motion", "band_10_30_hz"]["distance"] < 0.1
+    rows, _ = compared(real, imported(tmp_path / "unlike.recording.h5", *waved(2, 300.0, 60.0)), tmp_path / "u")
+    assert rows["motion", "events_a_slice"]["distance"] == pytest.approx(0.5, abs=0.05)
+    assert rows["motion", "band_10_30_hz"]["distance"] > 0.8
+
+
+def test_what_cannot_be_compared(same: tuple[Path, Path], tmp_path: Path) -> None:
+    """Assert that one file, other frames and recordings with no phase in common are refused in words."""
+    with pytest.raises(InputError, match="two recordings"):
+        realism.jobs([same[0]], params.EvaluateRealism(), None)
+    nothing = Events(np.empty(0, np.int64), *(np.empty(0, np.uint16),) * 2, np.empty(0, np.uint8))
+    small = imported(tmp_path / "small.recording.h5", nothing, 1000, (346, 260))
+    with pytest.raises(InputError, match="different frames"):
+        compared(same[0], small, tmp_path)
+    short = imported(tmp_path / "short.recording.h5", nothing, 100)
+    with pytest.raises(InputError, match="no phase in common"):
+        compared(same[0], short, tmp_path)
+    assert [path.name for path in tmp_path.glob("*.report.h5")] == []
+
+
+def test_on_the_command_line(same: tuple[Path, Path], tmp_path: Path) -> None:
+    """Assert the command, its table, and exit code 2 for a missing file."""
+    names = list(map(str, same))
+    shown = CliRunner().invoke(app, ["evaluate", "realism", *names, "-o", str(tmp_path)])
+    assert shown.exit_code == 0 and "events_a_slice" in shown.stdout
+    assert CliRunner().invoke(app, ["evaluate", "realism", names[0], "-o", str(tmp_path)]).exit_code == 2
