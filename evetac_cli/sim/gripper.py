@@ -10,7 +10,7 @@ current falls by 2 (Fc + fl N) / kF, and x = goal does not mean letting go.
 
 Lost motion (backlash_ticks b, 0 unless a scene names it): the finger is where it was, moved no further than keeps it
 within b / 2 of the motor, whose place the encoder reads. After a reversal it stays, and with it the force that the
-motor feels, until the motor has gone b.
+motor feels, until the motor has gone b. The encoder may be noisy, and commands may take effect late (DelayedCommands).
 
 Why so: each step is solved implicitly for the speed, force and friction at the end of the step included. The equation
 is monotone in the speed, with lost motion too, so a bracketed Newton search always ends, for any stiffness, for no
@@ -18,6 +18,7 @@ damping and for no mass.
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
@@ -103,11 +104,36 @@ class DriveState:
     current_ma: float
     force_n: float
     indentation_m: float
+    encoder_off_ticks: float = 0.0  # what the encoder is off by at this moment
 
     @property
     def position_ticks(self) -> int:
         """What the encoder reads: whole ticks of the gripper, 0 open."""
-        return math.floor(self.touch_ticks + self.motor_ticks)
+        return math.floor(self.touch_ticks + self.motor_ticks + self.encoder_off_ticks)
+
+
+class DelayedCommands:
+    """The way of commands to the motor: each takes effect some time after it was given, and none overtakes another."""
+
+    def __init__(
+        self, first: tuple[Mode, float], delay_slices: float, jitter_slices: float, rng: np.random.Generator
+    ) -> None:
+        """Start with a command in effect; a later one comes after the delay and a random part of the jitter."""
+        self._delay, self._jitter, self._rng = delay_slices, jitter_slices, rng
+        self._in_effect = self._given = first
+        self._on_the_way: deque[tuple[float, tuple[Mode, float]]] = deque()
+
+    def at(self, slice_number: int, given: tuple[Mode, float]) -> tuple[Mode, float]:
+        """The command in effect in a slice, for which one was given; a command that is given again is no new one."""
+        if given != self._given:
+            self._given = given
+            arrives = slice_number + self._delay + self._jitter * self._rng.uniform()
+            if self._on_the_way:
+                arrives = max(arrives, self._on_the_way[-1][0])
+            self._on_the_way.append((arrives, given))
+        while self._on_the_way and self._on_the_way[0][0] <= slice_number:
+            self._in_effect = self._on_the_way.popleft()[1]
+        return self._in_effect
 
 
 def gap_m(position_ticks: float) -> float:

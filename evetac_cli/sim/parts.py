@@ -64,8 +64,23 @@ def _mechanics(plan: Plan) -> list[Part]:
         touching = f"a speaker, {plan['tone_hz']:g} Hz for {resolved['time']['tone_s']:g} s"
     pushes = f"{len(resolved['push']['at_s'])} half sines" if "push" in resolved else ""
     weight = f"{resolved['drop']['mass_g']} g" if "drop" in resolved else ""
+    rubs = plan["sensor_row"].get("friction", {}) if kind != "tone" else {}
+    spread = rubs.get("patch_spread", 0.0)
+    patches = f"by {spread:.0%} over {rubs['patch_mm']:g} mm" if spread and "patch_mm" in rubs else ""
     return [
         Part("gel and friction", nodes, "nothing slips: a closed form for each wave"),
+        Part(
+            "friction that varies over the gel",
+            patches,
+            "nothing slips" if kind == "tone" else "the sensor has none",
+            _even_friction if patches else None,
+        ),
+        Part(
+            "slow creep",
+            _creep(plan["sensor_row"]),
+            "the sensor has none",
+            _without_creep if _creep(plan["sensor_row"]) else None,
+        ),
         Part("what touches", touching, ""),
         Part("gripper", modes.get(kind, ""), "a hand drives the face"),
         Part("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
@@ -134,6 +149,10 @@ def _disturbances(resolved: Plan) -> list[Part]:
     factor = factor if isinstance(factor, list) else [factor, factor]
     rubs = f"x {factor[0]:g}" + (f" to {factor[1]:g}" if factor[1] > factor[0] else "")
     mass = f"{resolved['object']['mass_g']:g} g" if "object" in resolved else ""
+    noise = gripper.get("encoder_noise_ticks", 0.0)
+    delay_ms, jitter_ms = gripper.get("command_delay_ms", 0.0), gripper.get("command_jitter_ms", 0.0)
+    late = f"by {delay_ms:g} to {delay_ms + jitter_ms:g} ms" if jitter_ms else f"by {delay_ms:g} ms" if delay_ms else ""
+    profile = {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.get("profile", ""), "")
     named = {
         ("changing light", "light"): (", ".join(lights), "steady: none named"),
         ("vanishing dots", "vanishing_dots"): (
@@ -153,6 +172,13 @@ def _disturbances(resolved: Plan) -> list[Part]:
             "as the sensor's gripper has it",
         ),
         ("backlash of the gripper", "gripper.backlash_ticks"): (f"{play:g} ticks" if play else "", "none named"),
+        ("noise of the gripper's encoder", "gripper.encoder_noise_ticks"): (
+            f"{noise:g} ticks" if noise else "",
+            "it reads the motor's place",
+        ),
+        ("commands that come late", "gripper.command_delay_ms"): (late, "in effect in the next ms"),
+        ("profile of the hand's motion", "hand.profile"): (profile, "a trapezoid of speed"),
+        ("vibration of the hand", "hand.vibration"): (_vibration(hand), "none named"),
         ("jerk of the hand", "hand.jerk"): (
             f"{jerk['speed_mm_s']:g} mm/s for {jerk['lasts_s']:g} s at {jerk['at_s']:g} s" if jerk else "",
             "none named",
@@ -163,7 +189,14 @@ def _disturbances(resolved: Plan) -> list[Part]:
         ),
         ("other mass of the object", "object"): (mass, "none named"),
     }
-    measured = ("changing light", "vanishing dots", "change of friction", "jerk of the hand")  # the others cost nothing
+    measured = (  # the others cost nothing
+        "changing light",
+        "vanishing dots",
+        "change of friction",
+        "profile of the hand's motion",
+        "vibration of the hand",
+        "jerk of the hand",
+    )
     return [
         Part(name, built, why_not, _without(*place.split(".")) if built and name in measured else None)
         for (name, place), (built, why_not) in named.items()
@@ -190,6 +223,32 @@ def _without_sensor(*keys: str) -> Callable[[Plan], None]:
 def _show_texture(plan: Plan) -> None:
     plan["scene"]["gel"]["cut"] = True
     plan["scene"]["texture"]["show"] = True
+
+
+def _vibration(hand: Plan) -> str:
+    """The sine waves of a hand's vibration."""
+    named = hand.get("vibration")
+    if named is None:
+        return ""
+    waves = zip(named["acceleration_m_s2"], named["frequency_hz"], strict=True)
+    listed = ", ".join(f"{acceleration:g} m/s2 at {frequency:g} Hz" for acceleration, frequency in waves)
+    return f"{listed}, while it rises" if named.get("only_moving", False) else listed
+
+
+def _creep(sensor_row: Plan) -> str:
+    """By how much of its stiffness a sensor's gel yields, and how slowly."""
+    named = sensor_row.get("creep", {})
+    arms = zip(named.get("share", []), named.get("time_s", []), strict=False)
+    return ", ".join(f"{share:.0%} in {time_s:g} s" for share, time_s in arms)
+
+
+def _without_creep(plan: Plan) -> None:
+    del plan["sensor_row"]["creep"]
+
+
+def _even_friction(plan: Plan) -> None:
+    named = plan["sensor_row"]["friction"]
+    plan["sensor_row"]["friction"] = {key: named[key] for key in named if not key.startswith("patch_")}
 
 
 def _hide_texture(plan: Plan) -> None:

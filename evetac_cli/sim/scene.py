@@ -33,7 +33,7 @@ HELD = ("time.rest_s", "time.load_s", "time.longest_s")
 NEEDED = {
     "ramp": (*HELD, "time.hold_s"),
     "hold": (*HELD, "gripper.open_ticks"),
-    "lift": ("time.touch_s", "hand"),
+    "lift": ("time.touch_s", "hand.height_mm", "hand.speed_mm_s", "hand.acceleration_mm_s2"),
     "press": ("time.rest_s", "face", "motion"),
     "rub": ("time.rest_s", "rub"),
     "tone": (),
@@ -45,8 +45,16 @@ NEEDED_OF_MOTION = {
 # What only some kinds of scene can have; the schema allows it in all.
 GRIPPED = ("ramp", "lift", "hold")
 ONLY_IN = {
+    "hand": GRIPPED,
+    "hand.height_mm": ("lift",),
+    "hand.speed_mm_s": ("lift",),
+    "hand.acceleration_mm_s2": ("lift",),
+    "hand.profile": ("lift",),
     "hand.jerk": ("lift",),
     "gripper.backlash_ticks": GRIPPED,
+    "gripper.encoder_noise_ticks": GRIPPED,
+    "gripper.command_delay_ms": GRIPPED,
+    "gripper.command_jitter_ms": GRIPPED,
     "object": GRIPPED,
     "friction_change": (*GRIPPED, "press", "rub"),
 }
@@ -135,7 +143,27 @@ def _check_ranges(scene: dict[str, Any], where: str) -> None:
     if push is not None and len(push["at_s"]) != len(push["force_n"]):
         expected = f"one force for each of the {len(push['at_s'])} in at_s"
         raise SceneError("push.force_n: of another length", where=where, expected=expected, found=str(push["force_n"]))
+    _check_vibration(scene, where)
     _check_tone(scene.get("tone", {}), where)
+
+
+def _check_vibration(scene: dict[str, Any], where: str) -> None:
+    """Each sine wave of the hand's vibration has a frequency and an acceleration, and only a hand that rises moves."""
+    vibration = scene.get("hand", {}).get("vibration")
+    if vibration is None:
+        return
+    waves, accelerations = len(vibration["frequency_hz"]), vibration["acceleration_m_s2"]
+    if len(accelerations) != waves:
+        expected = f"one acceleration for each of the {waves} in frequency_hz"
+        place = "hand.vibration.acceleration_m_s2: of another length"
+        raise SceneError(place, where=where, expected=expected, found=str(accelerations))
+    if vibration.get("only_moving", False) and scene["kind"] != "lift":
+        raise SceneError(
+            "hand.vibration.only_moving is for another kind of scene: in this one the hand does not rise",
+            where=where,
+            expected="kind lift",
+            found=f"kind {scene['kind']}",
+        )
 
 
 def _check_tone(tone: dict[str, Any], where: str) -> None:

@@ -51,6 +51,24 @@ def test_grasps_leave_the_window_out(name: str) -> None:
     assert "window" not in left_out(planned(name, texture="on"))
 
 
+def test_parts_of_a_sensor() -> None:
+    """Assert that what a sensor's row names is a row, and can be left out without what is named beside it."""
+    plan = planned("slip")
+    plan["sensor_row"]["friction"] = {"kinetic_share": 0.8, "patch_spread": 0.1, "patch_mm": 3.0}
+    rows = {row["part"]: row["built"] for row in parts(plan)}
+    assert rows["friction that varies over the gel"] == "by 10% over 3 mm"
+    plan["sensor_row"]["creep"] = {"share": [0.05, 0.02], "time_s": [0.3, 5.0]}
+    (row,) = [row for row in parts(plan) if row["part"] == "slow creep"]
+    assert row["built"] == "5% in 0.3 s, 2% in 5 s"
+    assert "slow creep" in left_out(switched(plan)["slow creep"])
+    other = switched(plan)["friction that varies over the gel"]
+    assert other["sensor_row"]["friction"] == {"kinetic_share": 0.8}
+    assert "friction that varies over the gel" in left_out(planned("slip"))
+    tone = planned("vibration")
+    tone["sensor_row"] = plan["sensor_row"]
+    assert "friction that varies over the gel" in left_out(tone)
+
+
 def test_parts_that_only_some_scenes_name() -> None:
     """Assert that what few scenes have is a row where it is named, and can be left out there."""
     plan = planned("slip")

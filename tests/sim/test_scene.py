@@ -1,5 +1,6 @@
 """Scenes as TOML: what is accepted, and how what is wrong is said."""
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -124,7 +125,7 @@ def test_which_sensor_is_sampled() -> None:
 CANNOT_DO_WITHOUT = [
     *(("slip", f"time.{key}") for key in ("rest_s", "load_s", "hold_s", "longest_s")),
     *(("data-rate", key) for key in ("time.rest_s", "time.load_s", "time.longest_s", "gripper", "gripper.open_ticks")),
-    *(("lift", key) for key in ("time.touch_s", "hand")),
+    *(("lift", key) for key in ("time.touch_s", "hand", "hand.height_mm", "hand.speed_mm_s")),
     *(("edge", key) for key in ("time.rest_s", "rub")),
     *(("shear", key) for key in ("time.rest_s", "face", "motion")),
     *(("shear", f"motion.{key}") for key in ("shear_n", "offset_mm", "count", "move_s", "pause_s")),
@@ -201,6 +202,7 @@ def test_an_edge_blurred_over_the_whole_view_is_refused(tmp_path: Path) -> None:
         scene.load(str(path))
 
 
+SHAKES = {"frequency_hz": [20.0], "acceleration_m_s2": [0.5]}
 OPTIONAL_PARTS: list[tuple[str, str, dict[str, Any]]] = [
     ("slip", "light", {"flicker": {"frequency_hz": 120.0, "depth": 0.1}, "step": {"at_s": 2.0, "factor": 0.5}}),
     ("slip", "calibration", {"offset_px": [2.0, 0.0], "turned_deg": 1.0}),
@@ -208,19 +210,24 @@ OPTIONAL_PARTS: list[tuple[str, str, dict[str, Any]]] = [
     ("slip", "friction_change", {"at_s": 1.0, "factor": 0.1}),
     ("slip", "object", {"mass_g": 5.0}),
     ("slip", "gripper", {"backlash_ticks": 2.0, "friction_factor": 0.7}),
+    ("slip", "gripper", {"encoder_noise_ticks": 0.5}),
+    ("slip", "gripper", {"command_delay_ms": 4.0}),
+    ("lift", "gripper", {"command_delay_ms": 1.5, "command_jitter_ms": 4.0}),
+    ("lift", "gripper", {"command_jitter_ms": 4.0}),
     ("slip", "gel", {"cut": True, "stiffness_factor": 10.0}),
-    ("lift", "hand.jerk", {"at_s": 4.0, "speed_mm_s": 100.0, "lasts_s": 0.05}),
+    ("lift", "hand", {"jerk": {"at_s": 4.0, "speed_mm_s": 100.0, "lasts_s": 0.05}}),
+    ("lift", "hand", {"profile": "s-curve"}),
+    ("lift", "hand", {"profile": "steps"}),
+    ("lift", "hand", {"vibration": {"frequency_hz": [20.0], "acceleration_m_s2": [0.5], "only_moving": True}}),
+    ("slip", "hand", {"vibration": {"frequency_hz": [20.0, 31.0], "acceleration_m_s2": [0.5, 0.2]}}),
 ]
 
 
-@pytest.mark.parametrize(("name", "group", "keys"), OPTIONAL_PARTS, ids=[group for _, group, _ in OPTIONAL_PARTS])
+@pytest.mark.parametrize(("name", "group", "keys"), OPTIONAL_PARTS)
 def test_optional_parts_are_read_and_named(name: str, group: str, keys: dict[str, Any], tmp_path: Path) -> None:
     """Assert that each part is accepted, said to be built, and said to be left out by the shipped scene."""
     more = named(name)
-    if group == "hand.jerk":
-        more["hand"]["jerk"] = keys
-    else:
-        more[group] = {**more.get(group, {}), **keys}
+    more[group] = {**more.get(group, {}), **keys}
     path = tmp_path / "more.toml"
     path.write_text(as_toml(more))
     built = [{row["part"] for row in parts(plan) if row["built"]} for plan in _plans(str(path), name)]
@@ -234,8 +241,15 @@ def _plans(*scenes: str) -> list[dict[str, Any]]:
 @pytest.mark.parametrize(
     ("name", "group", "keys", "says"),
     [
-        ("slip", "hand", {"height_mm": 1.0, "speed_mm_s": 1.0, "acceleration_mm_s2": 1.0, "jerk": None}, "hand.jerk"),
+        ("slip", "hand", {"jerk": {"at_s": 1.0, "speed_mm_s": 1.0, "lasts_s": 0.1}}, "hand.jerk"),
+        ("slip", "hand", {"height_mm": 1.0}, "hand.height_mm"),
+        ("slip", "hand", {"profile": "steps"}, "hand.profile"),
+        ("slip", "hand", {"vibration": {**SHAKES, "only_moving": True}}, "hand.vibration.only_moving"),
+        ("shear", "hand", {"vibration": SHAKES}, "hand"),
         ("shear", "gripper", {"backlash_ticks": 1.0}, "backlash_ticks"),
+        ("shear", "gripper", {"encoder_noise_ticks": 1.0}, "encoder_noise_ticks"),
+        ("shear", "gripper", {"command_delay_ms": 1.0}, "command_delay_ms"),
+        ("shear", "gripper", {"command_jitter_ms": 1.0}, "command_jitter_ms"),
         ("shear", "object", {"mass_g": 5.0}, "object"),
         ("vibration", "friction_change", {"at_s": 1.0, "factor": 0.1}, "friction_change"),
     ],
@@ -245,8 +259,6 @@ def test_parts_of_other_kinds_are_refused(
 ) -> None:
     """Assert that a part that this kind of scene cannot have is refused rather than left out in silence."""
     odd = named(name)
-    if "jerk" in keys:
-        keys = {**keys, "jerk": {"at_s": 1.0, "speed_mm_s": 1.0, "lasts_s": 0.1}}
     odd[group] = {**odd.get(group, {}), **keys}
     path = tmp_path / "odd.toml"
     path.write_text(as_toml(odd))
@@ -264,6 +276,18 @@ def test_parts_of_other_kinds_are_refused(
         ("vanishing_dots", {"dots": [], "at_s": 1.0}, "dots"),
         ("object", {"mass_g": 0.0}, "mass_g"),
         ("gripper", {"friction_factor": -0.5}, "friction_factor"),
+        ("gripper", {"encoder_noise_ticks": -0.5}, "encoder_noise_ticks"),
+        ("gripper", {"encoder_noise_ticks": math.nan}, "encoder_noise_ticks"),
+        ("gripper", {"command_delay_ms": -1.0}, "command_delay_ms"),
+        ("gripper", {"command_jitter_ms": 1e9}, "command_jitter_ms"),
+        ("hand", {}, "hand"),
+        ("hand", {"vibration": {"frequency_hz": [20.0]}}, "acceleration_m_s2"),
+        ("hand", {"vibration": {"frequency_hz": [20.0], "acceleration_m_s2": [-1.0]}}, "acceleration_m_s2"),
+        ("hand", {"vibration": {"frequency_hz": [20.0], "acceleration_m_s2": [math.nan]}}, "acceleration_m_s2"),
+        ("hand", {"vibration": {"frequency_hz": [20.0], "acceleration_m_s2": [1.0, 1.0]}}, "of another length"),
+        ("hand", {"vibration": {"frequency_hz": [1000.0], "acceleration_m_s2": [1.0]}}, "frequency_hz"),
+        ("hand", {"vibration": {"frequency_hz": [20.0] * 17, "acceleration_m_s2": [1.0] * 17}}, "hand.vibration"),
+        ("hand", {"profile": "square"}, "profile"),
     ],
 )
 def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: str, tmp_path: Path) -> None:

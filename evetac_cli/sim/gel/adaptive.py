@@ -87,7 +87,7 @@ class Stepper:
             if not wanted.any():  # nothing swings on an object that is held still: damped most, the gel rests soonest
                 theta = 1.0
         force = np.array(body_force_n, dtype=np.float64)
-        load = (shares, *force_n, force, prescribed_twist is not None, wanted)
+        load = (state.gripping(shares), *force_n, force, prescribed_twist is not None, wanted)
         settings = (self.slice_s, theta, solver.residual, self._fixed_steps)
         arrays, law = state.arrays, friction.law
         progress[0] = 0.0

@@ -9,11 +9,19 @@ solutions, and the onset of slip does not converge on finer grids. Rough elastom
 (Ronsin and Labastie Coeyrehourcq 2001), and one of the rate alone makes slow sliding unstable on every spring (Ruina
 1983, Baumberger 2004). The memory length of this gel is not known: 20 um, a contact of two asperities, is a guess, and
 it shifts onset.
+
+Over a gel friction need not be even: `varied` gives each node a factor on both coefficients, and with them on its own.
 """
 
 import math
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+WAVES = 256  # that make up a smooth random field
 
 
 @njit(cache=True)
@@ -41,3 +49,23 @@ def half_wavelength_m(
         return 0.0 if coefficient_drop * pressure_pa > 0.0 else math.inf
     surplus = coefficient_drop * pressure_pa / memory_m - shear_modulus_pa / height_m
     return math.pi * math.sqrt(shear_modulus_pa * height_m / 3 / surplus) if surplus > 0.0 else math.inf
+
+
+def varied(node_xy_m: Floats, spread: float, length_m: float, rng: np.random.Generator) -> Floats:
+    """Factor on the friction of each node, (rows, columns), that varies smoothly over the gel; its mean is 1.
+
+    Log-normal with a relative standard deviation `spread`; places a distance r apart are correlated by about
+    exp(-(r / length_m)^2 / 2). A sum of random waves, so that a gel is the same on any grid of nodes. ValueError where
+    a value is out of range.
+    """
+    if not 0.0 <= spread <= 1.0:
+        raise ValueError(f"the spread of friction over a gel must be within [0, 1], found {spread}")
+    if not 1e-4 <= length_m <= 0.1:
+        raise ValueError(f"the length over which friction varies must be within 0.1 to 100 mm, found {length_m} m")
+    field = np.zeros(node_xy_m.shape[:2])
+    waves = zip(rng.normal(0.0, 1.0 / length_m, (WAVES, 2)), rng.uniform(0.0, 2 * np.pi, WAVES), strict=True)
+    for wave_number, phase in waves:
+        field += np.cos(node_xy_m @ wave_number + phase)
+    factor: Floats = np.exp(math.sqrt(math.log1p(spread * spread) * 2.0 / WAVES) * field)
+    factor /= factor.mean()
+    return factor

@@ -6,7 +6,8 @@ Model, in SI units, x down, y to the side, rotation from x to y:
   by K u = a G/H u - (a G H/3) laplace(u), the Galerkin form for a displacement linear in depth. Its compliance to a
   pattern of wave number k is 1/(G/H + G H k^2/3), that of the exact layer tanh(kH)/(G k): 0.1 % apart at kH = 0.5, 5 %
   at 1.5, 25 % at 3 (a wavelength of 8.4 mm). A node carries the mass 4 rho H a/pi^2, which puts the first thickness
-  resonance where the exact layer has it, at sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt, and one Maxwell arm.
+  resonance where the exact layer has it, at sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt, and one Maxwell arm; slow
+  creep, where it is asked for: more arms (a Prony series). Arms are solved exactly for a velocity constant in a step.
 - Friction. Set-valued Coulomb: the friction of a node lies in the disc of radius mu * normal force; where the node
   slips it lies on the rim, against the slip. mu is a state of the node, which falls from static to kinetic with its
   slip speed over a memory length (see friction).
@@ -40,6 +41,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 MEMORY_M = 20e-6  # a guess: no memory length of friction is known for this gel
+MOST_ARMS = 8
 DECAY_M = 2.3e-3  # lateral decay of the motion of a layer 4 mm high outside a contact: H / sqrt(3)
 
 
@@ -50,6 +52,8 @@ class GelMaterial:
     Shear modulus and height are those of a GelSight Mini gel (FEATS, from the same laboratory as Evetac). Density and
     losses (tan delta 0.1-0.2 at 100-500 Hz) are generic values, to be drawn at random. To leave out on request:
     `coupled` False, each node is a spring of its own (Winkler); `with_mass` False, the gel follows without inertia.
+    creep_share, creep_time_s: of more Maxwell arms, MOST_ARMS at most. The shear modulus is that after all creep; a
+    sudden shear is resisted by 1 + all shares times as much.
     """
 
     shear_modulus_pa: float = 145e3
@@ -60,6 +64,8 @@ class GelMaterial:
     maxwell_time_s: float = 10e-3
     coupled: bool = True
     with_mass: bool = True
+    creep_share: tuple[float, ...] = ()
+    creep_time_s: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("shear_modulus_pa", "height_m", "density_kg_m3", "maxwell_time_s"):
@@ -70,6 +76,20 @@ class GelMaterial:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be finite and >= 0, found {value}")
+        if not len(self.creep_share) == len(self.creep_time_s) <= MOST_ARMS:
+            counts = f"{len(self.creep_share)} and {len(self.creep_time_s)}"
+            raise ValueError(f"creep_share and creep_time_s must have one length, {MOST_ARMS} at most, found {counts}")
+        for share, time_s in zip(self.creep_share, self.creep_time_s, strict=True):
+            if not 0 <= share <= 10:
+                raise ValueError(f"each creep_share must be within [0, 10], found {share}")
+            if not 1e-3 <= time_s <= 1e5:
+                raise ValueError(f"each creep_time_s must be within [0.001, 100000] s, found {time_s}")
+
+    @property
+    def arms(self) -> tuple[tuple[float, float], ...]:
+        """Share and time in s of all Maxwell arms."""
+        usual = (self.maxwell_share, self.maxwell_time_s)
+        return (usual, *zip(self.creep_share, self.creep_time_s, strict=True))
 
 
 @dataclass(frozen=True)
@@ -103,6 +123,8 @@ class Friction:
 class StepInfo(NamedTuple):
     """What one step did. Means are (x, y), weighted by pressure, and 0 without contact.
 
+    Where a gel has a friction_factor, pressure and normal force stand for those times the node's factor.
+
     residual: largest force left unbalanced, of a node or of the object, as a share of all forces on the object.
     converged: whether the balance was found.
     slip_fraction: slipping / loaded nodes; 1 without contact, where nothing sticks.
@@ -133,9 +155,11 @@ class StepInfo(NamedTuple):
 class GelState:
     """A pad and the object on it. Steps change the arrays in place; `copy` and `restore` allow to solve a step again.
 
-    displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step.
+    displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step. creep_n: (arms, rows,
+    columns, 2), force of the slow arms.
     slip_m_s: (rows, columns), mean speed of the object's surface against the gel in the last step, 0 where it sticks.
-    friction_coefficient: (rows, columns), of each node; infinite where it bears no load, for that of rest.
+    friction_coefficient: (rows, columns), of each node; infinite where it bears no load, for that of rest. What bounds
+    its friction is this times its friction_factor, (rows, columns), where the gel has one.
     stuck: (rows, columns), loaded and not slipping.
     pose: x, y of the object's centre of mass in m and its rotation in rad; twist: its velocity.
     inertia: mass, mass and moment of inertia of the object; may be changed between steps (a weight lands on it).
@@ -151,13 +175,24 @@ class GelState:
     displacement_m: Floats
     velocity_m_s: Floats
     maxwell_n: Floats
+    creep_n: Floats
     slip_m_s: Floats
     friction_coefficient: Floats
     stuck: Flags
     _mean_m_s: Floats
     _layer: Layer
+    _creep_arms: Floats
     layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
     info: Floats
+    friction_factor: Floats | None = None
+
+    def gripping(self, normal: Floats) -> Floats:
+        """Normal force of each node, or its share, as friction counts it: times the node's friction_factor.
+
+        Why so: a factor on both coefficients is one on the normal force, bound, memory and steepness of friction
+        included, so that the steps need not know of it.
+        """
+        return normal if self.friction_factor is None else normal * self.friction_factor
 
     @property
     def arrays(self) -> NodeArrays:
@@ -174,6 +209,8 @@ class GelState:
             self.twist,
             self.inertia,
             self.node_xy_m,
+            self.creep_n,
+            self._creep_arms,
         )
 
     def copy(self) -> "GelState":
@@ -196,6 +233,7 @@ _CHANGING = (
     "displacement_m",
     "velocity_m_s",
     "maxwell_n",
+    "creep_n",
     "slip_m_s",
     "friction_coefficient",
     "stuck",
@@ -212,11 +250,12 @@ def start(
     *,
     body_xy_m: tuple[float, float] = (0.0, 0.0),
     cell_area_m2: float | None = None,
+    friction_factor: Floats | None = None,
 ) -> GelState:
     """An undeformed gel, and an object at rest with its centre of mass at body_xy_m.
 
     node_xy_m: (rows, columns, 2), a regular grid as from `contact.pad_nodes`. cell_area_m2 is read off it, and must be
-    given where there is only one row or column.
+    given where there is only one row or column. friction_factor: (rows, columns), of each node on both coefficients.
     """
     nodes = np.ascontiguousarray(node_xy_m, dtype=np.float64)
     if nodes.ndim != 3 or nodes.shape[2] != 2 or nodes.size == 0 or not np.isfinite(nodes).all():
@@ -233,6 +272,10 @@ def start(
     if len(body_xy_m) != 2 or not np.isfinite(body_xy_m).all():
         raise ValueError(f"body_xy_m must be two finite numbers, found {body_xy_m}")
     rows, columns, _ = nodes.shape
+    if friction_factor is not None and not (
+        friction_factor.shape == (rows, columns) and np.isfinite(friction_factor).all() and friction_factor.min() >= 0
+    ):
+        raise ValueError(f"friction_factor must be finite and >= 0 with shape {(rows, columns)}")
     pitch_x = float(nodes[0, 1, 0] - nodes[0, 0, 0]) if columns > 1 else math.sqrt(area)
     pitch_y = float(nodes[1, 0, 1] - nodes[0, 0, 1]) if rows > 1 else math.sqrt(area)
     regular = np.stack(np.meshgrid(pitch_x * np.arange(columns), pitch_y * np.arange(rows)), axis=-1) + nodes[0, 0]
@@ -263,13 +306,16 @@ def start(
         displacement_m=np.zeros((*grid, 2)),
         velocity_m_s=np.zeros((*grid, 2)),
         maxwell_n=np.zeros((*grid, 2)),
+        creep_n=np.zeros((len(material.creep_share), *grid, 2)),
         slip_m_s=np.zeros(grid),
         friction_coefficient=np.full(grid, np.inf),
         stuck=np.zeros(grid, dtype=np.bool_),
         _mean_m_s=np.zeros((*grid, 2)),
         _layer=layer,
+        _creep_arms=np.array([material.creep_share, material.creep_time_s]).T.copy(),
         layer_constants=tuple(layer),
         info=np.zeros(INFO_SIZE),
+        friction_factor=friction_factor,
     )
 
 
@@ -308,7 +354,7 @@ def step(
             "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
             f" found {theta}, {tolerance} and {max_sweeps}"
         )
-    load = (nodal, force, prescribed_twist is not None, wanted)
+    load = (state.gripping(nodal), force, prescribed_twist is not None, wanted)
     settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())
     fault = step_nodes(state.arrays, load, friction.law, settings, state.layer_constants, state.info)
     if fault:

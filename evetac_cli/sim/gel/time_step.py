@@ -60,10 +60,12 @@ class Allowed(NamedTuple):
 # The groups in which `step_nodes` takes its arguments. Why so: plain tuples, as named ones take 4 us more, of 9 for a
 # step of 14 x 10 nodes.
 # displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
-# twist, inertia, nodes
-NodeArrays = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats]
-# the first seven of these, and the nodes
-Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats]
+# twist, inertia, nodes, force of each slow arm (arms, rows, columns, 2), and their shares and times in s (arms, 2)
+NodeArrays = tuple[
+    Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Floats, Floats
+]
+# the first seven of these, and the nodes and slow arms
+Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats]
 # normal force of each node, force and moment on the object, whether its twist is prescribed, and the twist it has then
 Load = tuple[Floats, Floats, bool, Floats]
 # static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
@@ -106,7 +108,9 @@ def step_nodes(
 
     Fills `info`: sweeps, residual, and the rest of `gel.StepInfo` in its order.
     """
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, pose, twist, inertia, nodes = arrays
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, pose, twist, inertia, nodes, creep, arms = (
+        arrays
+    )
     nodal, force, prescribed, wanted = load
     mu_static, mu_kinetic, stribeck_speed, memory = friction
     node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
@@ -126,6 +130,8 @@ def step_nodes(
     h = theta * dt
     keep = math.exp(-h / layer.maxwell_time)
     gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-h / layer.maxwell_time)
+    for arm in range(len(arms)):
+        gain -= arms[arm, 0] * arms[arm, 1] * math.expm1(-h / arms[arm, 1])
     lag = h + layer.viscous_time + gain
     stencil = Stencil(
         layer.node_mass / h + lag * layer.shear,
@@ -156,8 +162,9 @@ def step_nodes(
     smoothness = ring / (stencil.own + ring)
     factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
     falls = mu_kinetic < mu_static
+    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms)
     fault, scale, square = _set_up(
-        (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes),
+        state,
         nodal,
         pose,
         friction,
@@ -228,7 +235,6 @@ def step_nodes(
     info[1] = worst / scale
     info[12] = change
     info[15] = error
-    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes)
     _advance(state, nodal, friction, dt, theta, layer, work, info)
     for axis in range(3):
         pose[axis] += dt * body[axis]
@@ -253,7 +259,7 @@ def _set_up(
     Returns the number of what is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their
     levers.
     """
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes = state
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes, creep, arms = state
     static, kinetic, _, _ = friction
     h, momentum, keep, factor = factors
     rows, columns = nodal.shape
@@ -263,6 +269,10 @@ def _set_up(
     right, moving, lagging = work.pull.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
     for entry in range(right.size):
         right[entry] = momentum * moving[entry] - right[entry] - keep * lagging[entry]
+    for arm in range(len(arms)):
+        kept, creeping = math.exp(-h / arms[arm, 1]), creep[arm].reshape(-1)
+        for entry in range(right.size):
+            right[entry] -= kept * creeping[entry]
     for row in range(rows):
         links_y = links(row, rows) * stencil.link_y
         for column in range(columns):
@@ -333,7 +343,7 @@ def _advance(
     info: Floats,
 ) -> None:
     """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes = state
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms = state
     static, kinetic, _, _ = friction
     rows, columns = nodal.shape
     for row in range(rows):
@@ -349,6 +359,11 @@ def _advance(
         moved[entry] += dt * here[entry]
         lagging[entry] = fade * lagging[entry] + build * pull[entry]
         moving[entry] += (here[entry] - moving[entry]) / theta
+    for arm in range(len(arms)):
+        fade, creeping = math.exp(-dt / arms[arm, 1]), creep[arm].reshape(-1)
+        build = -arms[arm, 0] * arms[arm, 1] * math.expm1(-dt / arms[arm, 1])
+        for entry in range(moved.size):
+            creeping[entry] = fade * creeping[entry] + build * pull[entry]
     falls = kinetic < static
     total = heat = pressed = 0.0
     gel_x = gel_y = slip_x = slip_y = shift_x = shift_y = push_sum_x = push_sum_y = moment = 0.0

@@ -1,4 +1,4 @@
-"""What a scene may do to a trial on its way: friction that changes at a time, a hand that jerks. Off by default."""
+"""What a scene may do to a trial on its way: friction that changes at a time. Off by default."""
 
 import math
 from collections.abc import Mapping
@@ -27,14 +27,3 @@ class ChangingFriction:
     def at(self, slice_number: int) -> Friction:
         """The friction in a slice."""
         return self._before if slice_number < self._changes_at else self._after
-
-
-def jerk_m_s(hand: Mapping[str, Any], now_s: float) -> float:
-    """What a jerk adds to the upward speed of the hand at a time: half a sine wave, 0 without a jerk."""
-    if "jerk" not in hand:
-        return 0.0
-    jerk = hand["jerk"]
-    since_s, lasts_s = now_s - float(jerk["at_s"]), float(jerk["lasts_s"])
-    if not 0.0 < since_s < lasts_s:
-        return 0.0
-    return float(jerk["speed_mm_s"]) * 1e-3 * math.sin(math.pi * since_s / lasts_s)

@@ -23,8 +23,18 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scenes.disturbances import ChangingFriction, jerk_m_s
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.disturbances import ChangingFriction
+from evetac_cli.sim.scenes.hand import Hand
+from evetac_cli.sim.scenes.shared import (
+    STEP_S,
+    DotPath,
+    GelSlices,
+    SolverTruth,
+    friction_factor,
+    friction_of,
+    material,
+    pad,
+)
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
@@ -58,6 +68,8 @@ class GraspSimulation:
         self._solver = from_scene(self._scene)
         object_params, sensor_row = plan["object_row"], sampling.sensor_with_gel(self._scene, plan["sensor_row"])
         self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
+        # each part has a stream of its own, and draws from it only where a scene names it
+        hand_rng, self._encoder_rng, commands_rng = mechanics.spawn(3)
         self._down = 1 if self._scene["gel"].get("sideways", False) else 0
         texture = self._texture(plan["object"], optics_rng)
         self._shows_texture = texture is not None
@@ -70,6 +82,12 @@ class GraspSimulation:
             scene=self._scene,
         )
         self._build_mechanics(object_params, sensor_row)
+        named = self._scene.get("gripper", {})
+        self._encoder_noise_ticks = float(named.get("encoder_noise_ticks", 0.0))
+        delay, jitter = (float(named.get(f"command_{key}_ms", 0.0)) * 1e-3 / STEP_S for key in ("delay", "jitter"))
+        self._commands = None
+        if delay > 0.0 or jitter > 0.0:
+            self._commands = gripper.DelayedCommands(self.command, delay, jitter, commands_rng)
         self.slices = 0
         self.finished = False
         self._mass_kg = self.sampled.mass_kg
@@ -77,12 +95,12 @@ class GraspSimulation:
         self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
-        self._hand_m_s = 0.0
         self._shift_indentation_m = -1.0
         self._dilation_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
         self._seen = (self._dilation_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
         self._last_slice = self._planned_slices(lift_s, balance_s)
-        self._lift_starts_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
+        rises_at_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
+        self._hand = Hand(self._scene, rises_at_s, STEP_S, hand_rng)
         self._drops_at = round((float(self._time.get("touch_s", 0.0)) + lift_s) * 1000)
         if self._drop:
             self._drops_at += round(float(self._drop["after_s"]) * 1000)
@@ -121,6 +139,7 @@ class GraspSimulation:
             float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
             gripper.metres_per_tick(width_m),
         )
+        self._friction_factor = friction_factor(sensor_row, nodes)
         self._slip_limit_n = self._slip_limit(nodes)
         backlash_ticks = float(self._scene.get("gripper", {}).get("backlash_ticks", 0.0))
         self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor, backlash_ticks)
@@ -137,7 +156,14 @@ class GraspSimulation:
         inertia = sampled.mass_kg * (height_m**2 + width_m**2) / 12
         along, across = sampled.touch_m[0], sampled.touch_m[1] + sampled.lever_m
         middle_m = (along, across) if self._down == 0 else (across, along)
-        self._gel = gel.start(nodes, self._material, sampled.mass_kg, inertia, body_xy_m=middle_m)
+        self._gel = gel.start(
+            nodes,
+            self._material,
+            sampled.mass_kg,
+            inertia,
+            body_xy_m=middle_m,
+            friction_factor=self._friction_factor,
+        )
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
         self._gel_slices = GelSlices(self._gel, self._solver)
         self._shares = contact.pressure(self.finger.indentation_m, self._gap, 1.0)
@@ -162,9 +188,14 @@ class GraspSimulation:
 
         Force and moment that friction can resist together lie on an ellipse (Howe and Cutkosky, Int. J. Robotics
         Research 15, 1996). The contact is that under the force without the moment, which is smaller, and at least one
-        node: a square resists a moment of 0.38 of its side.
+        node: a square resists a moment of 0.38 of its side. Where friction varies over the gel, what counts is that
+        of the contact under the force without it.
         """
         limit_n = self.sampled.mass_kg * GRAVITY_M_S2 / (2 * self.sampled.static_friction)
+        if self._friction_factor is not None:
+            indentation_m = float(np.interp(limit_n, self._curve.force_n, self._curve.indentation_m))
+            shares = contact.pressure(indentation_m, self._gap, 1.0)
+            limit_n /= float((shares * self._friction_factor).sum()) or 1.0
         if self.sampled.lever_m == 0.0:
             return limit_n
         indentation_m = float(np.interp(limit_n, self._curve.force_n, self._curve.indentation_m))
@@ -233,7 +264,9 @@ class GraspSimulation:
         """One mechanical step: finger, gel, object, table."""
         self._friction = self._changing_friction.at(self.slices)
         before_n = self.finger.force_n
-        mode, command = self.command
+        mode, command = self.command if self._commands is None else self._commands.at(self.slices, self.command)
+        if self._encoder_noise_ticks > 0.0:
+            self.finger.encoder_off_ticks = self._encoder_noise_ticks * float(self._encoder_rng.normal())
         after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
         if self.finger.indentation_m != self._shares_at_m:
             self._shares_at_m = self.finger.indentation_m
@@ -242,12 +275,14 @@ class GraspSimulation:
         force_n = (before_n, after_n)
         if self._drop and self.slices == self._drops_at:
             self._catch_weight()
+        acceleration = self._hand.accelerate(self.slices)
         if self._kind == "lift":
-            done = self._move_over_table(shares, force_n)
+            done = self._move_over_table(shares, force_n, acceleration)
         elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.sampled.floor_m):
             done = self._solve(shares, force_n, 0.0, held=True)  # something else, or the floor, carries the object
         else:
-            done = self._solve(shares, force_n, self._mass_kg * GRAVITY_M_S2 * self._load() + self._push())
+            weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration) * self._load()
+            done = self._solve(shares, force_n, weight_n + self._push())
         if self._gel_slices.still_for <= RECENT_MS:  # what slips is known where nothing has moved for longer
             self._slip.follow(self._gel, shares, self.finger.force_n)
         self._steps.follow(done, self._friction)
@@ -304,17 +339,13 @@ class GraspSimulation:
         self._mass_kg += weight_kg
         self._gel.inertia[:2] = self._mass_kg
 
-    def _move_over_table(self, shares: NDArray[np.float64], force_n: tuple[float, float]) -> Slice:
+    def _move_over_table(self, shares: NDArray[np.float64], force_n: tuple[float, float], acceleration: float) -> Slice:
         """With the table under the object: where it would sink into the table, the table carries it.
 
         Both ways are tried at most, first that of the slice before: an object that stands on the table goes on doing so
         while the table has to push (else it would hang on it), one that hangs while it does not sink into the table.
         """
-        now_s = (self.slices + 1) * STEP_S
-        hand_m_s = self._hand_speed(now_s - self._lift_starts_s) + jerk_m_s(self._scene["hand"], now_s)
-        acceleration = (hand_m_s - self._hand_m_s) / STEP_S
-        self._hand_m_s = hand_m_s
-        self._table_m += hand_m_s * STEP_S
+        self._table_m += self._hand.speed_m_s * STEP_S
         weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration)
         speed, falling = (self._table_m - self._fallen_m()) / STEP_S, self._gel.twist[self._down]
         self._before.restore(self._gel)
@@ -330,13 +361,6 @@ class GraspSimulation:
             self._gel.restore(self._before)
             done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
         return done
-
-    def _hand_speed(self, since_s: float) -> float:
-        """Speed of the hand: a trapezoid that rises by the scene's height."""
-        hand = self._scene["hand"]
-        speed, acceleration = hand["speed_mm_s"] * 1e-3, hand["acceleration_mm_s2"] * 1e-3
-        ramp_s, cruise_s = speed / acceleration, hand["height_mm"] * 1e-3 / speed
-        return float(speed * min(max(min(since_s, cruise_s + ramp_s - since_s) / ramp_s, 0.0), 1.0))
 
     def _over(self) -> bool:
         """A ramp ends some time after contact is lost or the object slid away; a grasp when the object fell."""

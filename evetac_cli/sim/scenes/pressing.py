@@ -20,7 +20,16 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, SolverTruth, friction_of, material, pad
+from evetac_cli.sim.scenes.shared import (
+    STEP_S,
+    DotPath,
+    GelSlices,
+    SolverTruth,
+    friction_factor,
+    friction_of,
+    material,
+    pad,
+)
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.solver import from_scene
 
@@ -77,7 +86,9 @@ class Pressing:
         nodes = pad(self._scene, sensor_row)
         self._material = material(sensor_row)
         self._stiffness_n_m3 = float(sensor_row["normal_modulus_pa"]) / self._material.height_m
-        self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1)  # a driven face: its mass is of no account
+        varies = friction_factor(sensor_row, nodes)
+        # a driven face: its mass is of no account
+        self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1, friction_factor=varies)
         sampled = self.sampled
         self._gel_slices = GelSlices(self._gel, solver)
         self._friction = friction_of(sampled)

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
+from evetac_cli.sim.gel.friction import varied
 from evetac_cli.sim.sampling import SampledTrial
 from evetac_cli.sim.solver import Solver, from_scene
 
 STEP_S = 1e-3
 Floats = NDArray[np.float64]
+
+FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher and lower
 
 LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
 PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
@@ -41,19 +44,26 @@ def pad(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> NDArray[np.f
 
 
 def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
-    """The gel of a sensor: `GelMaterial` but for its shear modulus, and its loss_tangent where the row names one.
+    """The gel of a sensor: `GelMaterial` but for its shear modulus, and creep and loss_tangent if the row names them.
 
-    The loss tangent of spring, dashpot tau and Maxwell arm (share g, time t) at w is
-    (w tau + g wt / (1 + wt^2)) / (1 + g wt^2 / (1 + wt^2)); it is met by the choice of tau.
+    The loss tangent of spring, dashpot tau and Maxwell arms (shares g, times t) at w is
+    (w tau + sum g wt / (1 + wt^2)) / (1 + sum g wt^2 / (1 + wt^2)); it is met by the choice of tau.
     """
-    usual = gel.GelMaterial(shear_modulus_pa=float(sensor_row["shear_modulus_pa"]))
+    creep = sensor_row.get("creep", {})
+    usual = gel.GelMaterial(
+        shear_modulus_pa=float(sensor_row["shear_modulus_pa"]),
+        creep_share=tuple(map(float, creep.get("share", ()))),
+        creep_time_s=tuple(map(float, creep.get("time_s", ()))),
+    )
     if "loss_tangent" not in sensor_row:
         return usual
     omega = 2 * np.pi * LOSS_AT_HZ
-    turn = omega * usual.maxwell_time_s
-    stored = 1 + usual.maxwell_share * turn**2 / (1 + turn**2)
-    lost_in_arm = usual.maxwell_share * turn / (1 + turn**2)
-    viscous_time_s = (float(sensor_row["loss_tangent"]) * stored - lost_in_arm) / omega
+    stored, lost_in_arms = 1.0, 0.0
+    for share, time_s in usual.arms:
+        turn = omega * time_s
+        stored += share * turn**2 / (1 + turn**2)
+        lost_in_arms += share * turn / (1 + turn**2)
+    viscous_time_s = (float(sensor_row["loss_tangent"]) * stored - lost_in_arms) / omega
     return replace(usual, viscous_time_s=viscous_time_s)
 
 
@@ -62,6 +72,20 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
     return gel.Friction(
         sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s, sampled.friction_memory_m
     )
+
+
+def friction_factor(sensor_row: Mapping[str, Any], node_xy_m: Floats) -> Floats | None:
+    """Factor on the friction of each node of a sensor's gel, where its row names friction.patch_spread and patch_mm.
+
+    It belongs to the gel: the sensor's own seed draws it, and it is the same in all trials and scenes.
+    """
+    friction = sensor_row.get("friction", {})
+    if ("patch_spread" in friction) != ("patch_mm" in friction):
+        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor must be named together")
+    if not friction.get("patch_spread"):
+        return None
+    rng = np.random.default_rng([sensor_row["seed"], FRICTION_SEED])
+    return varied(node_xy_m, float(friction["patch_spread"]), float(friction["patch_mm"]) * 1e-3, rng)
 
 
 class GelSlices:
@@ -112,7 +136,8 @@ class GelSlices:
     def _has_come_to_rest(self) -> bool:
         """Whether the slice has left gel and object as they were; motion too small to tell is set to 0."""
         state, before = self._gel, self._before
-        if state.twist.any() or not _settle(state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.displacement_m):
+        fields = (state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.creep_n, state.displacement_m)
+        if state.twist.any() or not _settle(*fields):
             return False
         if all(
             np.array_equal(getattr(state, name), getattr(before, name))
@@ -124,13 +149,17 @@ class GelSlices:
 
 
 @njit(cache=True)
-def _settle(velocity: Floats, mean: Floats, maxwell: Floats, displacement: Floats) -> bool:
+def _settle(velocity: Floats, mean: Floats, maxwell: Floats, creep: Floats, displacement: Floats) -> bool:
     """Set velocities and Maxwell forces to 0, if all of them are too small to tell; returns whether they are."""
     moving, lately = velocity.reshape(-1), mean.reshape(-1)
-    lagging, moved = maxwell.reshape(-1), displacement.reshape(-1)
+    lagging, moved, creeping = maxwell.reshape(-1), displacement.reshape(-1), creep.reshape(-1)
     for k in range(len(moving)):
         if abs(moving[k]) > SLOWEST_M_S or abs(lately[k]) > SLOWEST_M_S or abs(lagging[k]) > WEAKEST_N:
             return False
+    for k in range(len(creeping)):
+        if abs(creeping[k]) > WEAKEST_N:
+            return False
+    creeping[:] = 0.0
     for k in range(len(moving)):
         moving[k] = 0.0
         lately[k] = 0.0

@@ -8,7 +8,7 @@ no time step: a dot is where the sum says, at any time. Along each dot's path th
 - squeeze and lens of the indentation s (see dilation), without delay;
 - a share of s along a fixed direction of the surface, because no speaker is mounted true, times the response of the
   layer's first thickness resonance, f_0 = c / 4H: 1 / (1 - (f / f_0)^2 / g), where g is the complex shear modulus over
-  G of the gel that all scenes have (gel.py): 1 + i w tau_v + g_1 i w tau_1 / (1 + i w tau_1).
+  G of the gel that all scenes have (gel.py): 1 + i w tau_v + the sum of g i w tau / (1 + i w tau) over its arms.
 
 Left out: friction and slip, motion of a cut gel's edge, loss of contact (so h2 and m are put in by hand, and the face
 pulls where A exceeds the indentation), modes above the first, the gel's inertia along the normal. A, h2, m and how they
@@ -66,8 +66,10 @@ def resonance(frequency_hz: Floats, layer: GelMaterial) -> Complexes:
     """How much further than its base the layer's surface moves along itself, and how late, at each frequency."""
     first_hz = math.sqrt(layer.shear_modulus_pa / layer.density_kg_m3) / (4 * layer.height_m)
     turning = 2j * np.pi * frequency_hz
-    in_arm = turning * layer.maxwell_time_s
-    modulus = 1.0 + turning * layer.viscous_time_s + layer.maxwell_share * in_arm / (1.0 + in_arm)
+    modulus = 1.0 + turning * layer.viscous_time_s
+    for share, time_s in layer.arms:
+        in_arm = turning * time_s
+        modulus = modulus + share * in_arm / (1.0 + in_arm)
     return np.asarray(1.0 / (1.0 - (frequency_hz / first_hz) ** 2 / modulus), np.complex128)
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.friction import coefficient_after, half_wavelength_m
+from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel.friction import coefficient_after, half_wavelength_m, varied
 
 LAW = (0.8, 0.64, 0.01, 20e-6)
 CELL_M2 = 1e-6
@@ -97,3 +97,77 @@ def test_the_half_wavelength_is_where_growth_begins() -> None:
     assert half_m / 0.833e-3 == pytest.approx(4.4, abs=0.1)
     assert half_wavelength_m(0.16, 1e3, memory_m, shear_pa, height_m) == math.inf
     assert half_wavelength_m(0.16, 1e3, 0.0, shear_pa, height_m) == 0.0
+
+
+def pad(columns: int, rows: int, **more: np.ndarray) -> gel.GelState:
+    """A pad of 20 x 15 mm under a face that is driven."""
+    nodes = contact.pad_nodes(columns, rows, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3))
+    return gel.start(nodes, gel.GelMaterial(), 1.0, 1.0, pads=1, **more)
+
+
+@pytest.mark.parametrize("node", range(12))
+def test_a_factor_on_the_friction_of_a_node(node: int) -> None:
+    """Assert that a node holds up to factor * static * N, and slides against factor * kinetic * N, memory included."""
+    factor = 0.5 + np.arange(12.0).reshape(3, 4) / 10
+    state = pad(4, 3, friction_factor=factor)
+    nodal = np.zeros((3, 4))
+    nodal.flat[node] = 2e-3
+    friction = gel.Friction(*LAW)
+    largest_n = 0.0
+    for _ in range(3000):  # so slowly that its friction is still that of rest when it lets go
+        info = gel.step(state, nodal, (0, 0, 0), friction, 1e-3, theta=1.0, prescribed_twist=(0.2e-3, 0, 0))
+        largest_n = max(largest_n, info.friction_n[0])
+        if info.slip_fraction == 1.0:
+            break
+    assert largest_n == pytest.approx(factor.flat[node] * 0.8 * 2e-3, rel=2e-3)
+    for _ in range(100):
+        info = gel.step(state, nodal, (0, 0, 0), friction, 1e-3, theta=1.0, prescribed_twist=(0.1, 0, 0))
+    assert info.friction_n[0] == pytest.approx(factor.flat[node] * 0.64 * 2e-3, rel=1e-9)
+    assert state.friction_coefficient.flat[node] == pytest.approx(0.64, rel=1e-9)
+    assert info.friction_heat_j == pytest.approx(info.friction_n[0] * 0.1 * 1e-3, rel=1e-6)
+
+
+def test_a_factor_of_1_changes_no_bit() -> None:
+    """Assert that a gel whose friction has the factor 1 everywhere moves as one without a factor."""
+    plain, even = pad(8, 6), pad(8, 6, friction_factor=np.ones((6, 8)))
+    nodal = np.linspace(0.0, 5e-3, 48).reshape(6, 8)
+    partial = 0
+    for k in range(60):
+        twist = (2e-3 * math.sin(k / 10), 1e-3, 0.1)
+        infos = [gel.step(s, nodal, (0, 0, 0), gel.Friction(*LAW), 1e-3, prescribed_twist=twist) for s in (plain, even)]
+        assert infos[0] == infos[1]
+        partial += 0.0 < infos[0].slip_fraction < 1.0
+    assert np.array_equal(plain.displacement_m, even.displacement_m)
+    assert partial > 10
+
+
+def test_friction_that_varies_over_a_gel() -> None:
+    """Assert mean 1, the spread and the correlation that are named, and the same gel on a finer grid."""
+    nodes = pad(40, 30).node_xy_m
+    gels = np.array([varied(nodes, 0.1, 1.5e-3, np.random.default_rng(seed)) for seed in range(200)])
+    np.testing.assert_allclose(gels.mean(axis=(1, 2)), 1.0, rtol=1e-12)
+    logs = np.log(gels) - np.log(gels).mean()
+    spread = logs.std()
+    assert 0.093 < spread < 0.102  # the mean of each gel is taken out, and with it 5 % of the variance
+    apart = (logs[:, :, :-3] * logs[:, :, 3:]).mean() / (logs * logs).mean()  # 3 nodes are 1.5 mm
+    assert apart == pytest.approx(math.exp(-0.5), abs=0.04)
+    coarse, fine = (
+        gel.field_at(
+            varied(p.node_xy_m, 0.2, 5e-3, np.random.default_rng(3))[..., None],
+            *gel.interpolation(p.node_xy_m, np.array([[0.0, 0.0], [4e-3, -3e-3], [-6e-3, 2e-3]])),
+        )
+        for p in (pad(24, 18), pad(96, 72))
+    )
+    np.testing.assert_allclose(coarse, fine, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("spread", "length"), [(-0.1, 3e-3), (math.nan, 3e-3), (1.5, 3e-3), (0.1, 0.0), (0.1, math.nan)]
+)
+def test_friction_that_varies_by_nonsense_is_refused(spread: float, length: float) -> None:
+    """Assert that a spread or a length out of range is a ValueError, as is a factor of another shape or below 0."""
+    with pytest.raises(ValueError, match="friction"):
+        varied(pad(4, 3).node_xy_m, spread, length, np.random.default_rng(0))
+    for factor in (np.ones((2, 4)), np.full((3, 4), -1.0), np.full((3, 4), math.nan)):
+        with pytest.raises(ValueError, match="friction_factor"):
+            pad(4, 3, friction_factor=factor)

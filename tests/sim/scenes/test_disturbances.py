@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import SceneError
 from evetac_cli.sim import sampling, scene
-from evetac_cli.sim.scenes.disturbances import jerk_m_s
+from evetac_cli.sim.scenes import gripped
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
+from evetac_cli.sim.scenes.hand import jerk_m_s
 from evetac_cli.sim.scenes.pressing import Pressing
 
 Rows = dict[str, NDArray[Any]]
@@ -63,9 +64,8 @@ def test_jerk_of_the_hand() -> None:
     """Assert that half a sine of speed V and time T raises the hand by 2 V T / pi: what stands on the table sinks."""
     jerk = {"at_s": 0.1, "speed_mm_s": 80.0, "lasts_s": 0.05}
     times = np.arange(1, 400) * 1e-3
-    raised_mm = sum(jerk_m_s({"jerk": jerk}, now) for now in times)
+    raised_mm = sum(jerk_m_s(jerk, now) for now in times)
     assert raised_mm == pytest.approx(2 * 80.0 * 0.05 / math.pi, rel=1e-3)
-    assert jerk_m_s({}, 0.12) == 0.0
     sunk_mm = []
     for hand in ({}, {"jerk": jerk}):
         rngs = [np.random.default_rng(part) for part in range(2)]
@@ -136,6 +136,47 @@ def test_backlash_reaches_the_gripper() -> None:
     assert loose.finger.force_n == plain.finger.force_n
 
 
+def test_commands_that_come_late() -> None:
+    """Assert that a command given with a delay of 7 ms does what the same does that is given 7 ms later."""
+    late, plain = held({"gripper": {"command_delay_ms": 7.0}}), held({})
+    given = {400: ("current", 3), 430: ("current", 40), 431: ("position", plain.finger.position_ticks + 1)}
+    for k in range(500):
+        late.command = given.get(k, late.command)
+        plain.command = given.get(k - 7, plain.command)
+        for one in (late, plain):
+            one.step()
+        if k % 10 == 0 or k > 400:
+            for name, value in late.truth().items():
+                np.testing.assert_array_equal(value, plain.truth()[name])
+    jitters = [held({"gripper": {"command_jitter_ms": 20.0}}) for _ in range(2)]
+    for one in jitters:
+        one.command = ("current", 60)
+    forces = [run(one, 40)[0]["truth/normal_force_n"] for one in (*jitters, held({}))]
+    np.testing.assert_array_equal(forces[0], forces[1])
+    assert 0 <= np.flatnonzero(forces[0] != forces[2])[0] <= 20
+
+
+def test_noise_of_the_encoder() -> None:
+    """Assert that readings scatter as named about the motor's place, which under a current is as without noise."""
+    noisy, plain = held({"gripper": {"encoder_noise_ticks": 2.0}}), held({})
+    readings = []
+    for _ in range(600):
+        for one in (noisy, plain):
+            one.step()
+        readings.append(noisy.finger.position_ticks)
+        assert noisy.finger.motor_ticks == plain.finger.motor_ticks
+    off = np.array(readings) + 0.5 - noisy.finger.touch_ticks - noisy.finger.motor_ticks
+    assert off.mean() == pytest.approx(0.0, abs=0.25)
+    assert off.std() == pytest.approx(math.sqrt(4.0 + 1 / 12), rel=0.08)
+    for one in (noisy, plain):  # the servo reads its encoder too: its current scatters by its gain
+        one.command = ("position", plain.finger.position_ticks)
+    currents = []
+    for _ in range(300):
+        noisy.step()
+        currents.append(noisy.finger.current_ma)
+    assert np.std(currents) == pytest.approx(2.0 * noisy.drive.gain_ma_tick, rel=0.15)
+
+
 def test_a_calibration_that_is_off() -> None:
     """Assert that the sensor tells a grid turned about the frame's middle and moved, with equal events and truth."""
     changes = {"calibration": {"offset_px": [3.0, -1.0], "turned_deg": 1.0}}
@@ -202,3 +243,32 @@ def test_flicker_reaches_the_camera() -> None:
     periods = sizes.reshape(4, 10, 2).sum(axis=1)
     assert (periods > 0.9 * 640 * 480).all()
     assert np.ptp(periods, axis=0).max() == 0
+
+
+def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a sensor with uneven friction has the same in all trials, in which other nodes slip first."""
+    plan = planned("slip", "ramp", {})
+    uneven = {**plan, "sensor_row": {**plan["sensor_row"], "friction": {"patch_spread": 0.3, "patch_mm": 2.0}}}
+    trials = [
+        GraspSimulation(each, np.random.default_rng(seed), np.random.default_rng(9))
+        for each, seed in ((plan, 5), (uneven, 5), (uneven, 6))
+    ]
+    assert trials[0].sampled == trials[1].sampled
+    assert trials[0]._friction_factor is None
+    factors = [trial._friction_factor for trial in trials[1:]]
+    np.testing.assert_array_equal(*factors)
+    even, varied = (run(trial, 800)[0] for trial in trials[:2])
+    assert not even["truth/slip"].any()
+    assert not varied["truth/slip"].any()
+    assert (even["truth/slip_share"] != varied["truth/slip_share"]).any()
+    other = {**uneven, "sensor_row": {**uneven["sensor_row"], "seed": 77}}
+    elsewhere = GraspSimulation(other, np.random.default_rng(5), np.random.default_rng(9))
+    assert np.abs(elsewhere._friction_factor - factors[0]).max() > 0.1
+    monkeypatch.setattr(gripped, "friction_factor", lambda _, nodes: np.full(nodes.shape[:2], 2.0))
+    double = GraspSimulation(uneven, np.random.default_rng(5), np.random.default_rng(9))
+    assert double._slip_limit_n == pytest.approx(trials[0]._slip_limit_n / 2, rel=1e-12)
+    monkeypatch.undo()
+    for odd in ({"patch_spread": 0.3}, {"patch_mm": 2.0}, {"patch_spread": -1.0, "patch_mm": 2.0}):
+        wrong = {**plan, "sensor_row": {**plan["sensor_row"], "friction": odd}}
+        with pytest.raises(SceneError, match="friction"):
+            rig(wrong, np.random.SeedSequence(0))

@@ -126,15 +126,17 @@ def test_scene_of_the_wrong_kind_is_refused() -> None:
         plan("lift", "8", "evetac", ("ramp",))
 
 
+@pytest.mark.parametrize("creep", [{}, {"share": [0.05, 0.1], "time_s": [0.003, 5.0]}])
 @pytest.mark.parametrize("tangent", [0.08, 0.12, 0.2])
-def test_loss_tangent(tangent: float) -> None:
+def test_loss_tangent(tangent: float, creep: dict[str, list[float]]) -> None:
     """Assert that a gel's complex stiffness at 100 Hz has the named loss tangent, and that none named is the usual."""
     row = scene.sensor_row("evetac")
     assert material(row) == gel.GelMaterial(shear_modulus_pa=row["shear_modulus_pa"])
-    made = material({**row, "loss_tangent": tangent})
+    made = material({**row, "loss_tangent": tangent, "creep": creep})
     turn = 2j * np.pi * 100
-    arm = made.maxwell_share * turn * made.maxwell_time_s / (1 + turn * made.maxwell_time_s)
-    stiffness = 1 + turn * made.viscous_time_s + arm
+    assert len(made.arms) == 1 + len(creep.get("share", []))
+    stiffness = 1 + turn * made.viscous_time_s
+    stiffness += sum(share * turn * time_s / (1 + turn * time_s) for share, time_s in made.arms)
     assert stiffness.imag / stiffness.real == pytest.approx(tangent, rel=1e-12)
 
 

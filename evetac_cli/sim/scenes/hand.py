@@ -1,0 +1,87 @@
+"""The hand that holds the gripper: how fast it rises as planned, a jerk, and the vibration of the robot that moves it.
+
+The planned motion is a trapezoid of speed, one with smooth corners (s-curve), or one in steps, as by a robot controller
+that updates its speed at 125 Hz (the cycle of Universal Robots' CB3 controllers, by their RTDE guide; that of the
+e-series is 500 Hz). A vibration is a sum of sine waves of acceleration with random phases.
+
+Why so: what is asked of the hand is its speed, and its acceleration in a slice is the change of that speed, so that
+motion and inertia agree to the bit. A vibration that began or ended at once would be a knock; it takes FADE_S.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+CONTROLLER_HZ = 125.0
+FADE_S = 0.05
+
+
+class Hand:
+    """Speed of a hand along gravity, positive upwards, slice by slice."""
+
+    def __init__(
+        self, scene: Mapping[str, Any], rises_at_s: float, slice_s: float, phases: np.random.Generator
+    ) -> None:
+        """Read the scene's table `[hand]`; without one the hand is still. phases: draws those of a vibration."""
+        named = scene.get("hand", {})
+        self._rises_at_s, self._slice_s = rises_at_s, slice_s
+        self._height_m = float(named.get("height_mm", 0.0)) * 1e-3
+        self._fastest_m_s = float(named.get("speed_mm_s", 1.0)) * 1e-3
+        self._profile = named.get("profile", "trapezoid")
+        self._starts_for_s = self._fastest_m_s / (float(named.get("acceleration_mm_s2", 1.0)) * 1e-3)
+        if self._profile == "s-curve":
+            self._starts_for_s *= 0.5 * math.pi  # so that the largest acceleration is the one that is named
+        self._jerk = named.get("jerk")
+        self._vibration = named.get("vibration")
+        self._turning = self._swing_m_s = self._phase_rad = np.zeros(0)
+        if self._vibration is not None:
+            self._turning = 2 * np.pi * np.array(self._vibration["frequency_hz"], dtype=np.float64)
+            self._swing_m_s = np.array(self._vibration["acceleration_m_s2"], dtype=np.float64) / self._turning
+            self._phase_rad = phases.uniform(0.0, 2 * np.pi, len(self._turning))
+        self._never_moves = named.keys() <= {"profile"}
+        self.speed_m_s = 0.0
+
+    def accelerate(self, slice_number: int) -> float:
+        """Move on by a slice: sets speed_m_s to that at its end, and returns the acceleration that this takes."""
+        if self._never_moves:
+            return 0.0
+        now_s, before_m_s = (slice_number + 1) * self._slice_s, self.speed_m_s
+        self.speed_m_s = self._planned_m_s(now_s - self._rises_at_s)
+        if self._jerk is not None:
+            self.speed_m_s += jerk_m_s(self._jerk, now_s)
+        if self._vibration is not None:
+            self.speed_m_s += self._vibrates_m_s(now_s)
+        return (self.speed_m_s - before_m_s) / self._slice_s
+
+    def _planned_m_s(self, since_s: float) -> float:
+        """Speed of the planned motion, which rises by the scene's height, so long after it began."""
+        if self._height_m == 0.0:
+            return 0.0
+        if self._profile == "steps":
+            since_s = math.floor(since_s * CONTROLLER_HZ + 1e-9) / CONTROLLER_HZ
+        ramp_s, cruise_s = self._starts_for_s, self._height_m / self._fastest_m_s
+        done = min(max(min(since_s, cruise_s + ramp_s - since_s) / ramp_s, 0.0), 1.0)
+        if self._profile == "s-curve":
+            done = 0.5 - 0.5 * math.cos(math.pi * done)
+        return self._fastest_m_s * done
+
+    def _vibrates_m_s(self, now_s: float) -> float:
+        """What the vibration adds to the speed: of an acceleration A sin(w t + p), -A/w cos(w t + p)."""
+        fades = now_s
+        if self._vibration is not None and self._vibration.get("only_moving", False):
+            since_s = now_s - self._rises_at_s
+            fades = min(since_s, self._height_m / self._fastest_m_s + self._starts_for_s - since_s)
+        if fades <= 0.0:
+            return 0.0
+        strength = 1.0 if fades >= FADE_S else 0.5 - 0.5 * math.cos(math.pi * fades / FADE_S)
+        return -strength * float((self._swing_m_s * np.cos(self._turning * now_s + self._phase_rad)).sum())
+
+
+def jerk_m_s(jerk: Mapping[str, Any], now_s: float) -> float:
+    """What a jerk adds to the upward speed of the hand at a time: half a sine wave."""
+    since_s, lasts_s = now_s - float(jerk["at_s"]), float(jerk["lasts_s"])
+    if not 0.0 < since_s < lasts_s:
+        return 0.0
+    return float(jerk["speed_mm_s"]) * 1e-3 * math.sin(math.pi * since_s / lasts_s)
