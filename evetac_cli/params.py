@@ -46,7 +46,8 @@ class Trials:
     sensor: str = parameter(
         "evetac",
         "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel; randomized: another one, and another"
-        " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named.",
+        " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named; or a TOML file, as"
+        " `evetac identify` writes one.",
     )
     gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
     texture: str | None = parameter(
@@ -218,6 +219,15 @@ class Calibrate:
         None, "What the gel is; default: as its columns say, 9 or 8, or the default grid.", choices=("cut", "closed")
     )
     any_grid: bool = parameter(False, "Take a grid that is not that of a whole Evetac, as it is.")
+
+
+@dataclass(frozen=True)
+class Identify:
+    """Estimate a sensor from recordings (at rest, pressed) and write it as TOML for --sensor, with intervals."""
+
+    like: str = parameter("evetac", "The sensor that has all which the recordings do not tell.")
+    name: str = parameter("own-sensor", "What recordings made with it call the sensor.")
+    seed: int = parameter(0, "Seed of the bootstrap intervals.", low=0, high=2**31 - 1)
 
 
 @dataclass(frozen=True)

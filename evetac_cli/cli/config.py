@@ -19,6 +19,7 @@ COMMANDS = (
     "record",
     "trim",
     "calibrate",
+    "identify",
     "label",
     "track",
     "featurize",

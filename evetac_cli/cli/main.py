@@ -44,6 +44,7 @@ PIPELINE = (
     Command(
         "calibrate", params.Calibrate, "stages.calibrate", "Press recordings; none with --import.", files_needed=False
     ),
+    Command("identify", params.Identify, "stages.identify", "Recordings of one sensor.", "files"),
     Command("label", params.Label, "stages.label", "Recordings."),
     Command("track", params.Track, "stages.track", "Recordings."),
     Command("featurize", params.Featurize, "stages.featurize", "Recordings (tracks and labels lie beside them)."),

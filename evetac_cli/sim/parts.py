@@ -100,8 +100,9 @@ def _camera(plan: Plan) -> list[Part]:
     no_window = "nobody looks at it" if textured else "nothing behind it has texture"
     rubbed = resolved["kind"] == "rub" and resolved["rub"]["edge_log_contrast"][1] > 0.0
     cut_edge = cut and sensor_row.get("cut_contrast", 0.0) > 0.0
-    noisy = sensor_row["noise_hz"] > 0.0 or sensor_row["hot_pixels"] > 0
-    noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {sensor_row['hot_pixels']} hot pixels"
+    hot_pixels = sensor_row["hot_pixels"] + len(sensor_row.get("hot_pixel_table", {}).get("x_px", ()))
+    noisy = sensor_row["noise_hz"] > 0.0 or hot_pixels > 0
+    noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {hot_pixels} hot pixels"
     return [
         Part("camera", readout, ""),
         Part("dots", f"{dots}, evaluated while they move", ""),
@@ -122,7 +123,7 @@ def _camera(plan: Plan) -> list[Part]:
             "noise",
             noise if noisy else "",
             "a camera without noise",
-            _without_sensor("noise_hz", "hot_pixels") if noisy else None,
+            _without_noise if noisy else None,
         ),
         _pixels("slow pixels", sensor_row, "bandwidth_hz", "Hz", "as fast as anything moves"),
         _pixels("leak", sensor_row, "leak_hz", "Hz a pixel", "the sensor has none"),
@@ -211,6 +212,11 @@ def _without(*place: str) -> Callable[[Plan], None]:
         del named[place[-1]]
 
     return leave_out
+
+
+def _without_noise(plan: Plan) -> None:
+    plan["sensor_row"] |= {"noise_hz": 0.0, "hot_pixels": 0}
+    plan["sensor_row"].pop("hot_pixel_table", None)
 
 
 def _without_sensor(*keys: str) -> Callable[[Plan], None]:

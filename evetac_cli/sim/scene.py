@@ -1,7 +1,8 @@
 """Scenes: what is simulated, in TOML, and the plan of each trial that follows from it.
 
 A scene names the parts that exist and the ranges from which a trial's parameters are sampled (scenes/*.toml, checked
-against schemas/scene.v1.json). Objects are rows of the paper's table (objects.toml), sensors rows of sensors.toml.
+against schemas/scene.v1.json). Objects are rows of the paper's table (objects.toml), sensors rows of sensors.toml
+or files like them (sensor_file.py).
 """
 
 import json
@@ -18,7 +19,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
-from evetac_cli.sim import sampling
+from evetac_cli.sim import sampling, sensor_file
 from evetac_cli.sim.solver import resolve
 from evetac_cli.text_files import read_toml
 
@@ -218,7 +219,8 @@ def plan(
             found=f"kind {resolved['kind']}",
             hint="lift scenes are grasped, all others are recorded",
         )
-    named = {"sensor": sensor, "sensor_row": sensor_row(sensor), "readout": readout}
+    sensor, row = named_sensor(sensor)
+    named = {"sensor": sensor, "sensor_row": row, "readout": readout}
     common = {"scene": resolved, **named}
     if resolved["kind"] == "tone":
         wanted = resolved["tone"].pop("frequency_hz")
@@ -252,6 +254,13 @@ def object_row(number: int) -> dict[str, Any]:
     return dict(row)
 
 
+def named_sensor(name_or_path: str) -> tuple[str, dict[str, Any]]:
+    """What recordings call a sensor, and its row, of a named one or of a TOML file; InputError for anything else."""
+    if name_or_path.endswith(sensor_file.SUFFIX):
+        return sensor_file.read(Path(name_or_path), sensor_row)
+    return name_or_path, sensor_row(name_or_path)
+
+
 def sensor_row(name: str) -> dict[str, Any]:
     """The row of a sensor, `randomized:7` sampled by its number; InputError if there is no such sensor."""
     rows = table("sensors")
@@ -264,7 +273,7 @@ def sensor_row(name: str) -> dict[str, Any]:
         raise InputError(
             "no such sensor",
             where="--sensor",
-            expected=", ".join(rows) + ", randomized:NUMBER",
+            expected=", ".join(rows) + ", randomized:NUMBER, or a TOML file",
             found=name,
             hint=f"did you mean {near[0]}?" if near else "",
         )

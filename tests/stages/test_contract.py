@@ -1,6 +1,7 @@
 """The contract of being a stage, run over all of them; a new stage gets these tests by a row in STAGES.
 
-Only calibrate, which writes JSON, and the evaluations that need no files (cost, stability) have tests of their own.
+Only calibrate and identify, which write JSON and TOML, and the evaluations that need no files (cost, stability) have
+tests of their own.
 """
 
 import dataclasses
@@ -256,6 +257,7 @@ def test_every_stage_takes_part() -> None:
     """Assert that no command that makes a stage file is missing here."""
     assert {stage.name for stage in STAGES} == set(COMMANDS) - {
         "calibrate",
+        "identify",
         "evaluate cost",
         "evaluate stability",
     }

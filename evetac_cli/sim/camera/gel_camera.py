@@ -15,6 +15,7 @@ from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.low_pass import LowPass
+from evetac_cli.sim.camera.noise import HotPixelTable
 from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
 from evetac_cli.sim.solver import from_scene
@@ -30,8 +31,11 @@ AWAY_PX = 100.0  # how far outside the frame a dot is put that the camera sees n
 def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
     """Dot centres at rest (rows, columns, 2) in px: the sensor's grid, turned, with its jitter.
 
-    A cut gel lacks the columns that the window took away.
+    A cut gel lacks the columns that the window took away. A sensor may name the place of every dot instead.
     """
+    if "dot_xy_px" in sensor_row:
+        named = np.array(sensor_row["dot_xy_px"], np.float64)
+        return _beside_window(named, sensor_row) if cut else named
     columns, rows = sensor_row["dot_columns_px"], sensor_row["dot_rows_px"]
     rng = np.random.default_rng(sensor_row["seed"])
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
@@ -40,9 +44,13 @@ def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
     middle = np.array(sensor_row["frame_px"]) / 2
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     grid = (grid - middle) @ turn + middle
-    beside_window = grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]
-    dots: Floats = grid[:, beside_window] if cut else grid
+    dots: Floats = _beside_window(grid, sensor_row) if cut else grid
     return dots
+
+
+def _beside_window(grid: Floats, sensor_row: Mapping[str, Any]) -> Floats:
+    beside: Floats = grid[:, grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]]
+    return beside
 
 
 def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: Mapping[str, Any]) -> Floats:
@@ -114,6 +122,11 @@ class GelCamera:
             noise_rate_hz=sensor_row["noise_hz"],
             hot_pixels=sensor_row["hot_pixels"],
             hot_rate_hz=tuple(sensor_row["hot_pixel_hz"]),
+            noise_on_share=sensor_row.get("noise_on_share", 0.5),
+            timestamp_step_us=sensor_row.get("timestamp_step_us", 0.0),
+            hot_pixel_table=HotPixelTable.read(sensor_row["hot_pixel_table"])
+            if "hot_pixel_table" in sensor_row
+            else None,
             edge_sigma_px=sensor_row["edge_sigma_px"],
             log_contrast=sensor_row["log_contrast"],
             dot_radius_px=sensor_row["dot_radius_px"],

@@ -1,7 +1,17 @@
 """Events that nothing in the picture makes: background noise of all pixels, and hot pixels.
 
-They come at uniform times on top of the others: they do not wait for a scan and leave the references alone.
+They come on top of the others and leave the references alone; at uniform times, unless the sensor names a
+`timestamp_step_us`. Hot pixels are Poisson processes at places that are drawn, or those of a `hot_pixel_table`: places,
+rates, polarities and times between events as measured on a camera.
+
+Why so, after 2.7 s of a real DVXplorer at rest: times between events of a hot pixel are at least two scans, hardly
+depend on those before, and mix short ones with long ones (two exponentials; a gamma distribution is 15 to 25 % off in
+the median). The polarity of an event depends on that before: most pixels alternate more, or less, than by chance.
 """
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -25,16 +35,84 @@ def add_noise(
     rng: np.random.Generator,
     keys: NDArray[np.int64],
     made: int,
+    on_share: float = 0.5,
+    step_us: float = 0.0,
+    t0_us: int = 0,
 ) -> int:
     """Add the noise of a slice to `made` events; returns their number, also of those that do not fit into `keys`.
 
     One Poisson process of all rates; a uniform number says whose event it is. `noise_rate_hz` is that of a pixel,
-    `hot_pixel` y * width + x, `hot_cumulative_hz` the summed rates before each hot pixel, and of all.
+    `hot_pixel` y * width + x, `hot_cumulative_hz` the summed rates before each hot pixel, and of all. `t0_us`, when the
+    slice starts, matters only to time stamps in steps.
     """
     background_hz = noise_rate_hz * frame_px[0] * frame_px[1]
     total_hz = background_hz + hot_cumulative_hz[-1]
     uniform = rng.random((rng.poisson(total_hz * SLICE_US * 1e-6), 2))
-    return int(_place(uniform, background_hz, hot_pixel, hot_cumulative_hz, frame_px, keys, made))
+    if on_share == 0.5 and step_us == 0.0:
+        return int(_place(uniform, background_hz, hot_pixel, hot_cumulative_hz, frame_px, keys, made))
+    hot = (hot_pixel, hot_cumulative_hz)
+    return int(_place_in_steps(uniform, background_hz, *hot, frame_px, on_share, step_us, t0_us, keys, made))
+
+
+@dataclass(frozen=True)
+class HotPixelTable:
+    """Hot pixels of known place, an entry for each: where, how often, which polarity, at which intervals.
+
+    Times between events are `dead_time_us` plus one of two exponentials: with `short_interval_share` one of the mean
+    `short_interval_us`, else one that makes the rate right. A share `polarity_change_share` of events changes polarity.
+    """
+
+    x_px: tuple[int, ...]
+    y_px: tuple[int, ...]
+    rate_hz: tuple[float, ...]
+    on_share: tuple[float, ...]
+    polarity_change_share: tuple[float, ...]
+    short_interval_share: tuple[float, ...]
+    short_interval_us: tuple[float, ...]
+    dead_time_us: float
+
+    @classmethod
+    def read(cls, row: Mapping[str, Any]) -> "HotPixelTable":
+        """From the table of a sensor's row."""
+        columns: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in row.items()
+        }
+        return cls(**columns)
+
+
+class HotPixels:
+    """The hot pixels of a table, from slice to slice; `rng` is theirs alone from now on."""
+
+    def __init__(self, table: HotPixelTable, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._x, self._y = np.array(table.x_px, np.int64), np.array(table.y_px, np.int64)
+        share, short_us = np.array(table.short_interval_share), np.array(table.short_interval_us, np.float64)
+        mean_us = 1e6 / np.array(table.rate_hz, np.float64)
+        long_us = (mean_us - table.dead_time_us - share * short_us) / (1.0 - share)
+        on, change = np.array(table.on_share), np.array(table.polarity_change_share)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_off = np.where(on > 0.0, change / (2 * on), 1.0)
+            to_on = np.where(on < 1.0, change / (2 * (1 - on)), 1.0)
+        self._law = np.stack([np.full_like(share, table.dead_time_us), share, short_us, long_us, to_off, to_on], axis=1)
+        self._brighter = (rng.random(len(on)) < on).astype(np.uint8)
+        self._next_us = self._first_us(mean_us)
+        self._last_us = np.full(len(on), -np.inf)
+
+    def _first_us(self, mean_us: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Times to the first event of pixels that have been on for long: long intervals are met more often."""
+        dead_us, share, short_us, long_us = self._law[:, :4].T
+        met_short = share * (dead_us + short_us) / mean_us
+        tail_us = np.where(self._rng.random(len(share)) < met_short, short_us, long_us)
+        length_biased = self._rng.random(len(share)) < tail_us / np.maximum(dead_us + tail_us, 1e-9)
+        beyond_us = tail_us * self._rng.gamma(np.where(length_biased, 2.0, 1.0))
+        first_us: NDArray[np.float64] = self._rng.random(len(share)) * (dead_us + beyond_us)
+        return first_us
+
+    def add(self, t0_us: int, width: int, step_us: float, keys: NDArray[np.int64], made: int) -> int:
+        """Add the events of the slice that starts at `t0_us` to `made` events, and return their number."""
+        state = (self._next_us, self._last_us, self._brighter)
+        places = (self._x, self._y)
+        return int(_hot_events(self._rng, *places, self._law, *state, float(t0_us), width, step_us, keys, made))
 
 
 @njit(cache=True)
@@ -60,4 +138,87 @@ def _place(
         if made < len(keys):
             keys[made] = event_key(time_and_sign >> 1, pixel % width, pixel // width, time_and_sign & 1 == 1)
         made += 1
+    return made
+
+
+@njit(cache=True)
+def _grid_time(time_us: float, x: int, width: int, step_us: float) -> float:
+    """The first time at or after `time_us` at which column x is read out, if time stamps come in steps."""
+    if step_us == 0.0:
+        return time_us
+    phase_us = step_us * x / width
+    return float(np.ceil((time_us - phase_us) / step_us) * step_us + phase_us)
+
+
+@njit(cache=True)
+def _place_in_steps(
+    uniform: NDArray[np.float64],
+    background_hz: float,
+    hot_pixel: NDArray[np.int64],
+    hot_cumulative_hz: NDArray[np.float64],
+    frame_px: tuple[int, int],
+    on_share: float,
+    step_us: float,
+    t0_us: int,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """As _place, with a share of ON events, and at one of the times in the slice at which the column is read out."""
+    width, height = frame_px
+    total_hz = background_hz + hot_cumulative_hz[-1]
+    for event in range(len(uniform)):
+        place_hz = uniform[event, 0] * total_hz
+        if place_hz < background_hz:
+            pixel = min(int(place_hz / background_hz * width * height), width * height - 1)
+        else:
+            hot = np.searchsorted(hot_cumulative_hz, place_hz - background_hz, side="right") - 1
+            pixel = hot_pixel[min(hot, len(hot_pixel) - 1)]
+        brighter = uniform[event, 1] < on_share
+        share = uniform[event, 1] / on_share if brighter else (uniform[event, 1] - on_share) / (1.0 - on_share)
+        time_us = share * SLICE_US
+        if step_us > 0.0:
+            first_us = _grid_time(float(t0_us), pixel % width, width, step_us) - t0_us
+            readouts = int(np.ceil((SLICE_US - first_us) / step_us))
+            time_us = first_us + int(share * readouts) * step_us
+        if made < len(keys):
+            time = min(int(time_us), SLICE_US - 1)
+            keys[made] = event_key(time, pixel % width, pixel // width, brighter)
+        made += 1
+    return made
+
+
+@njit(cache=True)
+def _hot_events(
+    rng: np.random.Generator,
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    law: NDArray[np.float64],
+    next_us: NDArray[np.float64],
+    last_us: NDArray[np.float64],
+    brighter: NDArray[np.uint8],
+    t0_us: float,
+    width: int,
+    step_us: float,
+    keys: NDArray[np.int64],
+    made: int,
+) -> int:
+    """Events of hot pixels before the end of a slice; of two in one step the second is lost, as in a scan."""
+    end_us = t0_us + SLICE_US
+    for pixel in range(len(x)):
+        while next_us[pixel] < end_us:
+            time_us = _grid_time(next_us[pixel], x[pixel], width, step_us)
+            if time_us >= end_us:
+                break
+            dead_us, short_share, short_us, long_us, to_off, to_on = law[pixel]
+            mean_us = short_us if rng.random() < short_share else long_us
+            next_us[pixel] += dead_us - mean_us * np.log(1.0 - rng.random())
+            if time_us <= last_us[pixel]:
+                continue
+            last_us[pixel] = time_us
+            if made < len(keys):
+                time = max(0, min(int(time_us - t0_us), SLICE_US - 1))
+                keys[made] = event_key(time, x[pixel], y[pixel], brighter[pixel] == 1)
+            made += 1
+            if rng.random() < (to_off if brighter[pixel] == 1 else to_on):
+                brighter[pixel] = 1 - brighter[pixel]
     return made

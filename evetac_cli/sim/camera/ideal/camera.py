@@ -23,7 +23,6 @@ from evetac_cli.sim.camera.ideal.dots import find_all_radii, solve_dots
 from evetac_cli.sim.camera.ideal.lines import LINE_STEP_PX, line_steps, solve_line_pixels
 from evetac_cli.sim.camera.ideal.pixels import IdealGelPixels, IdealWindowPixels, SliceTimes
 from evetac_cli.sim.camera.ideal.window import NO_LINES, solve_window
-from evetac_cli.sim.camera.noise import add_noise
 from evetac_cli.sim.camera.scanning import camera as scanning
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 
@@ -169,8 +168,7 @@ def step(
     made = solve_dots(path, gel, times, shared.keys, made)
     if shared.model.leak_hz > 0.0:
         made = _leak(state, times, made)
-    hot = (shared.hot_pixel, shared.hot_cumulative_hz)
-    made = add_noise(shared.model.noise_rate_hz, *hot, shared.model.frame_px, rng, shared.keys, made)
+    made = scanning.noise_of_slice(shared, t0_us, rng, made)
     stored = min(made, len(shared.keys))
     shared.dropped += made - stored
     return Events(*sorted_columns(shared.keys[:stored], t0_us))

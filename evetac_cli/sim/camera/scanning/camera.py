@@ -31,7 +31,7 @@ from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_whole
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.event_keys import sorted_columns
-from evetac_cli.sim.camera.noise import add_noise, hot_rates
+from evetac_cli.sim.camera.noise import HotPixels, HotPixelTable, add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
 from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines
@@ -57,10 +57,10 @@ class CameraModel:
 
     Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. The noise rate
     is per pixel; every hot pixel has a rate of its own, whose distribution has the evenly spaced quantiles
-    `hot_rate_hz` (two: uniform between them). `leak_hz` is the rate a pixel of the events that leak makes; after an
-    event a pixel is held in reset for `refractory_us`, and its next reference is the level at the end of that time. A
-    slice holds at most `max_events`; what is beyond is lost, as on a full bus (the pixels have fired nevertheless),
-    and counted.
+    `hot_rate_hz` (two: uniform between them); a `hot_pixel_table` has more of them, at known places. `leak_hz` is the
+    rate a pixel of the events that leak makes; after an event a pixel is held in reset for `refractory_us`, and its
+    next reference is the level at the end of that time. A slice holds at most `max_events`; what is beyond is lost, as
+    on a full bus (the pixels have fired nevertheless), and counted.
     """
 
     frame_px: tuple[int, int] = FRAME_PX
@@ -70,6 +70,9 @@ class CameraModel:
     noise_rate_hz: float = 0.03
     hot_pixels: int = 10
     hot_rate_hz: tuple[float, ...] = (20.0, 200.0)
+    noise_on_share: float = 0.5
+    timestamp_step_us: float = 0.0
+    hot_pixel_table: HotPixelTable | None = None
     edge_sigma_px: float = optics.EDGE_SIGMA_PX
     log_contrast: float = optics.LOG_CONTRAST
     dot_radius_px: float = 15.0
@@ -89,6 +92,8 @@ class CameraModel:
         check_whole("hot_rate_hz, how many", len(self.hot_rate_hz), 2, 1000)
         for lower, rate in zip((0.0, *self.hot_rate_hz), self.hot_rate_hz, strict=False):
             check_range("hot_rate_hz, rising", rate, lower, 1e5)
+        check_range("noise_on_share", self.noise_on_share, 0.0, 1.0)
+        check_range("timestamp_step_us", self.timestamp_step_us, 0.0, SLICE_US / 2)
         check_range("edge_sigma_px", self.edge_sigma_px, 0.01, 100.0)
         check_range("log_contrast", self.log_contrast, 0.01, 20.0)
         check_range("dot_radius_px", self.dot_radius_px, 0.01, 1000.0)
@@ -127,6 +132,7 @@ class CameraState:
     candidate_runs: CandidateRuns
     contact_edges: ContactEdges | None = None
     light: Light | None = None
+    table_hot_pixels: HotPixels | None = None
     slices: int = 0
     dropped: int = 0
     # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code is handed them:
@@ -222,6 +228,7 @@ def start(
         candidate_runs=all_runs(window_reference.shape, pattern),
         contact_edges=contact_edges,
         light=light,
+        table_hot_pixels=None if model.hot_pixel_table is None else HotPixels(model.hot_pixel_table, rng.spawn(1)[0]),
     )
 
 
@@ -299,11 +306,21 @@ def step_still(state: CameraState, t0_us: int, rng: np.random.Generator) -> Even
 def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> Events:
     """Add noise to the events of a slice, and count what does not fit."""
     state.slices += 1
-    hot = (state.hot_pixel, state.hot_cumulative_hz)
-    made = add_noise(state.model.noise_rate_hz, *hot, state.model.frame_px, rng, state.keys, made)
+    made = noise_of_slice(state, t0_us, rng, made)
     stored = min(made, len(state.keys))
     state.dropped += made - stored
     return Events(*sorted_columns(state.keys[:stored], t0_us))
+
+
+def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> int:
+    """Add the noise of a slice and the events of hot pixels; returns the number of events so far."""
+    model = state.model
+    hot = (state.hot_pixel, state.hot_cumulative_hz)
+    on_share, step_us = model.noise_on_share, model.timestamp_step_us
+    made = add_noise(model.noise_rate_hz, *hot, model.frame_px, rng, state.keys, made, on_share, step_us, t0_us)
+    if state.table_hot_pixels is not None:
+        made = state.table_hot_pixels.add(t0_us, model.frame_px[0], model.timestamp_step_us, state.keys, made)
+    return made
 
 
 # Why so: Python hands over plain tuples, which are named here. As named tuples a slice of a grasp took 4 to 6 us more,

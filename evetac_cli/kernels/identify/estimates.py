@@ -1,0 +1,60 @@
+"""An estimate with its 95 % interval, and the intervals of counts and shares."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+LEVEL = 0.95
+BLOCKS = 20  # of time, over which a rate is seen to vary
+
+
+class Estimate(NamedTuple):
+    """A value and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def poisson_rate(events: int, exposure: float) -> Estimate:
+    """A rate from a Poisson count in an exposure (time, or pixels times time), with its exact interval."""
+    tail = (1 - LEVEL) / 2
+    low = stats.chi2.ppf(tail, 2 * events) / 2 if events else 0.0
+    high = stats.chi2.ppf(1 - tail, 2 * events + 2) / 2
+    return Estimate(events / exposure, low / exposure, high / exposure)
+
+
+def rate_over_blocks(counts: NDArray[np.integer], exposure: float) -> Estimate:
+    """A rate from counts in equal blocks of time; `exposure` is that of all blocks.
+
+    Poisson where the counts vary no more than that allows, else from their own spread (Student's t).
+    """
+    events = int(counts.sum())
+    poisson = poisson_rate(events, exposure)
+    degrees = len(counts) - 1
+    if degrees < 1 or events == 0:
+        return poisson
+    dispersion = float(np.sum((counts - counts.mean()) ** 2) / counts.mean())
+    if dispersion <= stats.chi2.ppf(0.99, degrees):
+        return poisson
+    half = stats.t.ppf((1 + LEVEL) / 2, degrees) * counts.std(ddof=1) * np.sqrt(len(counts)) / exposure
+    return Estimate(poisson.value, max(0.0, poisson.value - half), poisson.value + half)
+
+
+def share(part: int, of: int) -> Estimate:
+    """A share from a count, with Wilson's interval; between 0 and 1 where nothing was counted."""
+    if of == 0:
+        return Estimate(float("nan"), 0.0, 1.0)
+    z = float(stats.norm.ppf((1 + LEVEL) / 2))
+    observed = part / of
+    middle = (observed + z**2 / (2 * of)) / (1 + z**2 / of)
+    half = z / (1 + z**2 / of) * np.sqrt(observed * (1 - observed) / of + z**2 / (4 * of**2))
+    return Estimate(observed, max(0.0, middle - half), min(1.0, middle + half))
+
+
+def of_samples(value: float, samples: NDArray[np.float64]) -> Estimate:
+    """A value with the interval that resampled values span (percentiles)."""
+    low, high = np.percentile(samples, [50 * (1 - LEVEL), 50 * (1 + LEVEL)])
+    return Estimate(value, float(min(low, value)), float(max(high, value)))

@@ -1,0 +1,95 @@
+"""Figures by which two recordings are compared: rates, polarities, hot pixels, times between events, spectra, edges.
+
+Hot here are pixels above 20 Hz, the usual limit, however a sensor lists them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+HOT_HZ = 20.0
+FEWEST_INTERVALS = 10  # of a pixel that counts in the typical pixel's figures
+POLARITIES = {"": None, "on_": 1, "off_": 0}  # of the events between which times are taken
+
+
+class PixelEvents(NamedTuple):
+    """Events of hot, or of ordinary pixels, sorted by pixel and then by time."""
+
+    pixel: Ints
+    t_us: Ints
+    p: NDArray[np.uint8]
+
+
+def split_hot(
+    t_us: Ints, x: NDArray, y: NDArray, p: NDArray, frame_px: tuple[int, int], duration_s: float
+) -> tuple[PixelEvents, PixelEvents, int]:
+    """Events of hot pixels, those of all others, and how many pixels are hot."""
+    pixel = y.astype(np.int64) * frame_px[0] + x
+    is_hot = np.bincount(pixel, minlength=frame_px[0] * frame_px[1]) > HOT_HZ * duration_s
+    order = np.lexsort((t_us, pixel))
+    events = PixelEvents(pixel[order], t_us[order], p[order])
+    hot = is_hot[events.pixel]
+    first, second = (PixelEvents(events.pixel[own], events.t_us[own], events.p[own]) for own in (hot, ~hot))
+    return first, second, int(is_hot.sum())
+
+
+def times_between(events: PixelEvents, polarity: int | None = None) -> tuple[Floats, Ints]:
+    """Times from each event to the next of the same pixel, in us, of one polarity or all, and the pixel of each."""
+    pixel, t_us = events.pixel, events.t_us
+    if polarity is not None:
+        pixel, t_us = pixel[events.p == polarity], t_us[events.p == polarity]
+    same = pixel[1:] == pixel[:-1]
+    return np.diff(t_us)[same].astype(np.float64), pixel[1:][same]
+
+
+def at_rest(
+    t_us: Ints, x: NDArray, y: NDArray, p: NDArray, frame_px: tuple[int, int], duration_us: int
+) -> dict[str, float]:
+    """Figures of events at rest, in order of time; NaN where there are too few events.
+
+    `interval_*` are quantiles over all times between events of hot pixels, `typical_*` medians over hot pixels of each
+    one's own quantile; `on_` and `off_` are times between events of one polarity.
+    """
+    duration_s = duration_us * 1e-6
+    hot, ordinary, hot_pixels = split_hot(t_us, x, y, p, frame_px, duration_s)
+    pixels = frame_px[0] * frame_px[1]
+    figures = {
+        "events_a_slice": len(t_us) * SLICE_US / duration_us,
+        "on_share": _mean(p),
+        "ordinary_hz": len(ordinary.t_us) / duration_s / max(1, pixels - hot_pixels),
+        "ordinary_on_share": _mean(ordinary.p),
+        "hot_pixels": float(hot_pixels),
+        "hot_event_share": len(hot.t_us) / len(t_us) if len(t_us) else np.nan,
+        "hot_on_share": _mean(hot.p),
+    }
+    for name, polarity in POLARITIES.items():
+        between_us, pixel = times_between(hot, polarity)
+        for quantile, share in (("median", 50), ("p90", 90)):
+            figures[f"hot_{name}interval_us_{quantile}"] = _percentile(between_us, share)
+        own = _own_quantiles(between_us, pixel)
+        for place, quantile in enumerate(("median", "p90")):
+            figures[f"hot_{name}interval_us_{quantile}_of_typical_pixel"] = _percentile(own[:, place], 50)
+    return figures
+
+
+def _own_quantiles(between_us: Floats, pixel: Ints) -> Floats:
+    """Median and 90th percentile of each pixel's times (pixels, 2), of those that have enough."""
+    if not len(pixel):
+        return np.empty((0, 2))
+    first = np.flatnonzero(np.diff(pixel)) + 1
+    parts = [part for part in np.split(between_us, first) if len(part) >= FEWEST_INTERVALS]
+    return np.array([np.percentile(part, [50, 90]) for part in parts]).reshape(-1, 2)
+
+
+def _mean(values: NDArray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _percentile(values: Floats, share: float) -> float:
+    return float(np.percentile(values, share)) if len(values) else float("nan")

@@ -1,0 +1,154 @@
+"""The noise of a camera from events at rest: ordinary pixels, and a table of hot ones.
+
+Nothing may move in the picture. A pixel is listed as hot above HOT_HZ, where the rate of ordinary pixels cannot explain
+its count. Why so low: a camera's pixels have all rates, and a sensor that is listed down to 5 Hz has as many pixels
+above 20 Hz, the usual limit, as the camera.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from evetac_cli.kernels.identify import intervals
+from evetac_cli.kernels.identify.estimates import BLOCKS, Estimate, of_samples, poisson_rate, rate_over_blocks, share
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+HOT_HZ = 5.0
+SHOWN_HZ = 20.0
+RESAMPLES = 1000
+FEWEST_EVENTS = 6  # of a hot pixel
+FALSE_ALARMS = 0.01  # ordinary pixels of the whole frame that may be taken for hot ones
+MOST_HOT_SHARE = 0.02  # of the pixels; with more, something moves
+LONGEST_SHARE = 0.98  # of a pixel's mean interval that dead time and short intervals may take
+
+
+class HotPixels(NamedTuple):
+    """Hot pixels, an entry for each; `low_hz` and `high_hz` are the 95 % intervals of `rate_hz`."""
+
+    x_px: Ints
+    y_px: Ints
+    rate_hz: Floats
+    low_hz: Floats
+    high_hz: Floats
+    on_share: Floats
+    polarity_change_share: Floats
+    short_interval_share: Floats
+    short_interval_us: Floats
+
+
+class RestNoise(NamedTuple):
+    """What a camera shows at rest; None what the events do not tell."""
+
+    duration_s: float
+    noise_hz: Estimate
+    noise_on_share: Estimate
+    hot_pixels: Estimate  # how many are above SHOWN_HZ
+    hot_total_hz: Estimate  # their events a second, of all together
+    hot_on_share: Estimate
+    dead_time_us: Estimate | None
+    timestamp_step_us: Estimate | None
+    table: HotPixels
+
+
+def analyse(
+    t_us: Ints,
+    x: NDArray,
+    y: NDArray,
+    p: NDArray,
+    frame_px: tuple[int, int],
+    duration_us: int,
+    rng: np.random.Generator,
+) -> RestNoise:
+    """Estimate the noise from events of `duration_us`, in order of time, t from 0; `rng` is for bootstrap intervals.
+
+    Rates and shares have exact or Wilson intervals, rates from their spread over blocks of time where that is wider.
+    ValueError where so many pixels are busy that something must move, or nothing was recorded.
+    """
+    width, height = frame_px
+    if duration_us <= 0:
+        raise ValueError("expected a recording that lasts, found none")
+    duration_s = duration_us * 1e-6
+    pixel = y.astype(np.int64) * width + x
+    counts = np.bincount(pixel, minlength=width * height)
+    is_hot = find_hot(counts, duration_s)
+    if is_hot.mean() > MOST_HOT_SHARE:
+        raise ValueError(
+            f"expected at most {MOST_HOT_SHARE:.0%} hot pixels at rest, found {is_hot.mean():.0%}: the picture moves"
+        )
+    of_hot = is_hot[pixel]
+    block = np.minimum(t_us * BLOCKS // duration_us, BLOCKS - 1)
+    ordinary = np.bincount(block[~of_hot], minlength=BLOCKS)
+    busy = np.bincount(block[of_hot], minlength=BLOCKS)
+    order = np.lexsort((t_us[of_hot], pixel[of_hot]))
+    hot_t, hot_pixel, hot_p = (column[of_hot][order] for column in (t_us, pixel, p))
+    follows = hot_pixel[1:] == hot_pixel[:-1]
+    between_us = np.diff(hot_t)[follows].astype(np.float64)
+    step_us = intervals.time_step(between_us)
+    dead_us = intervals.dead_time(between_us, step_us.value if step_us else 0.0, rng)
+    laws = (dead_us.value if dead_us else 0.0, step_us.value if step_us else 0.0)
+    table = _table(hot_t, hot_pixel, hot_p, width, duration_s, *laws)
+    busiest = counts[counts > SHOWN_HZ * duration_s]
+    near = counts[(counts > SHOWN_HZ * duration_s / 3) & is_hot]
+    resampled = (rng.poisson(near, (RESAMPLES, len(near))) > SHOWN_HZ * duration_s).sum(axis=1)
+    return RestNoise(
+        duration_s=duration_s,
+        noise_hz=rate_over_blocks(ordinary, duration_s * int((~is_hot).sum())),
+        noise_on_share=share(int(p[~of_hot].sum()), int(ordinary.sum())),
+        hot_pixels=of_samples(float(len(busiest)), resampled.astype(np.float64)),
+        hot_total_hz=rate_over_blocks(busy, duration_s),
+        hot_on_share=share(int(hot_p.sum()), len(hot_p)),
+        dead_time_us=dead_us,
+        timestamp_step_us=step_us,
+        table=table,
+    )
+
+
+def find_hot(counts: Ints, duration_s: float) -> NDArray[np.bool_]:
+    """Which pixels are hot, from the events of each."""
+    hot = counts > max(FEWEST_EVENTS - 1, HOT_HZ * duration_s)
+    for _ in range(2):  # the second time with the rate of those that are not hot
+        usual = counts[~hot].mean() if not hot.all() else 0.0
+        limit = stats.poisson.isf(FALSE_ALARMS / len(counts), usual)
+        hot = counts > max(FEWEST_EVENTS - 1, HOT_HZ * duration_s, limit)
+    return np.asarray(hot, np.bool_)
+
+
+def _table(
+    t_us: Ints, pixel: Ints, p: NDArray, width: int, duration_s: float, dead_us: float, step_us: float
+) -> HotPixels:
+    """The table of hot pixels from their events, sorted by pixel and then by time."""
+    numbers, first = np.unique(pixel, return_index=True)
+    rows = [
+        _row(times, signs, duration_s, dead_us, step_us)
+        for times, signs in zip(np.split(t_us, first[1:]), np.split(p.astype(np.int64), first[1:]), strict=True)
+        if len(times)
+    ]
+    columns = np.array(rows, np.float64).reshape(-1, 7).T
+    return HotPixels(numbers % width, numbers // width, *columns)
+
+
+def _row(
+    t_us: Ints, p: Ints, duration_s: float, dead_us: float, step_us: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Rate with its interval, share of ON, share of changes, and law of intervals of one pixel."""
+    count = len(t_us)
+    between_us = np.diff(t_us).astype(np.float64)
+    rate = poisson_rate(count, duration_s)
+    # A renewal process counts with the variance of its intervals: more evenly than Poisson, or in bursts.
+    spread = between_us.std() / between_us.mean() if count > 2 and between_us.mean() > 0 else 1.0
+    spread = max(spread, 0.1) if count > FEWEST_EVENTS * 4 else max(spread, 1.0)
+    low, high = (max(0.0, rate.value + (end - rate.value) * spread) for end in rate[1:])
+    on = (p.sum() + 0.5) / (count + 1)
+    change = (np.count_nonzero(p[1:] != p[:-1]) + 0.5) / count
+    change = min(change, 2 * min(on, 1 - on))
+    mean_us = 1e6 / rate.value
+    law = intervals.two_exponentials(between_us, dead_us, step_us)
+    room_us = LONGEST_SHARE * mean_us - dead_us
+    short_us = law.short_us
+    if law.short_share * short_us > room_us:
+        short_us = max(0.0, room_us / law.short_share)
+    return rate.value, low, high, float(on), float(change), law.short_share, short_us

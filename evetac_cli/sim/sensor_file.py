@@ -1,0 +1,212 @@
+"""Reads one's own sensor, a TOML file with the keys of a row of sensors.toml: `--sensor mine.sensor.toml`.
+
+`like = "evetac"` takes every key that the file leaves out from a named sensor. What comes out is a whole row, the same
+for two files of the same content: names of files and `like` do not enter a recipe.
+"""
+
+import functools
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+
+from evetac_cli.errors import InputError
+from evetac_cli.resources import schemas
+from evetac_cli.resources import table as packaged
+from evetac_cli.text_files import read_toml
+
+SUFFIX = ".toml"
+UNNAMED = "own-sensor"  # what recordings call a sensor whose file has no `name`
+TYPES = {"number": "a number", "integer": "a whole number", "string": "a text", "array": "a list", "object": "a table"}
+DOT_PLACES = ("dot_columns_px", "dot_rows_px", "hot_pixel_hz")  # lists that rise
+
+
+def read(path: Path, named_row: Callable[[str], dict[str, Any]]) -> tuple[str, dict[str, Any]]:
+    """The name and the whole row of a sensor's file; InputError for anything that is no sensor.
+
+    named_row: the row of a sensor by its name, for `like`.
+    """
+    table = read_toml(path)
+    where = str(path)
+    _check_finite(table, where, "")
+    name, like = table.get("name", UNNAMED), table.get("like")
+    _check(table, where, whole=False)
+    if like == "randomized":
+        expected = "one sensor, as in evetac or randomized:7"
+        raise InputError("like: not one sensor but many", where=where, expected=expected, found=like)
+    check_name(name, where)
+    base = {} if like is None else _row_of(like, named_row, where)
+    row = {**base, **{key: value for key, value in table.items() if key not in ("name", "like")}}
+    for group in ("gripper", "friction"):
+        if group in base and group in table:
+            row[group] = {**base[group], **table[group]}
+    if "dot_xy_px" in table and "dot_columns_px" not in table:
+        row |= _columns_and_rows(table["dot_xy_px"], where)
+    row.setdefault("summary", f"read from a file, like {like}" if like else "read from a file")
+    check_row(row, where)
+    result: dict[str, Any] = _with_floats(row, _rules())
+    return str(name), result
+
+
+def check_name(name: str, where: str) -> None:
+    """InputError unless a sensor may be called so: in small letters, and not as one that comes with evetac."""
+    if not re.fullmatch(_rules()["properties"]["name"]["pattern"], name):
+        expected = "small letters, digits and -, as in lab-3"
+        raise InputError("name: not the name of a sensor", where=where, expected=expected, found=name)
+    if name in packaged("sensors"):
+        raise InputError("name: that of a sensor which comes with evetac", where=where, expected="another", found=name)
+
+
+def check_row(row: Mapping[str, Any], where: str) -> None:
+    """InputError unless this is a whole row of a sensor whose values fit together."""
+    _check(row, where, whole=True)
+    for key in DOT_PLACES:
+        if any(after < before for before, after in zip(row[key], row[key][1:], strict=False)):
+            raise InputError(f"{key}: expected rising values", where=where, found=str(row[key]))
+    x0, y0, x1, y1 = row["window_px"]
+    if not (x0 < x1 and y0 < y1 <= row["frame_px"][1]):
+        expected = "x0 < x1 and y0 < y1 within the frame"
+        raise InputError("window_px: not a window", where=where, expected=expected, found=str(row["window_px"]))
+    if ("servo_n_tick" in row.get("gripper", {})) != ("two_ticks_n" in row.get("gripper", {})):
+        raise InputError("gripper: servo_n_tick and two_ticks_n need each other", where=where)
+    if "dot_xy_px" in row and len({len(dots) for dots in row["dot_xy_px"]}) != 1:
+        raise InputError("dot_xy_px: expected rows of equally many dots", where=where)
+    if "hot_pixel_table" in row:
+        _check_hot_pixels(row["hot_pixel_table"], where)
+
+
+def _check_hot_pixels(table: Mapping[str, Any], where: str) -> None:
+    """The lists are of one length, no pixel comes twice, and no value contradicts another of its pixel."""
+    lengths = {key: len(values) for key, values in table.items() if isinstance(values, list)}
+    if len(set(lengths.values())) != 1:
+        found = ", ".join(f"{length} in {key}" for key, length in lengths.items())
+        raise InputError("hot_pixel_table: lists of different lengths", where=where, found=found)
+    columns = (table[key] for key in ("x_px", "y_px", "rate_hz", "on_share", "polarity_change_share"))
+    seen = set()
+    for place, (x, y, rate_hz, on, change) in enumerate(zip(*columns, strict=True)):
+        what = f"hot_pixel_table: pixel {place} at ({x}, {y})"
+        if (x, y) in seen:
+            raise InputError(f"{what} comes twice", where=where)
+        seen.add((x, y))
+        if change > 2 * min(on, 1 - on) + 1e-9:
+            expected = (
+                f"polarity_change_share of at most {2 * min(on, 1 - on):g}, twice the share of the rarer polarity"
+            )
+            raise InputError(
+                f"{what} changes its polarity too often", where=where, expected=expected, found=f"{change}"
+            )
+        quick_us = table["short_interval_share"][place] * table["short_interval_us"][place]
+        if (table["dead_time_us"] + quick_us) * rate_hz * 1e-6 >= 1.0:
+            raise InputError(
+                f"{what} has no time for so many events",
+                where=where,
+                expected="dead_time_us + short_interval_share * short_interval_us below the mean time between events",
+                found=f"{table['dead_time_us'] + quick_us:g} us of {1e6 / rate_hz:g} us",
+            )
+
+
+@functools.cache
+def _rules() -> dict[str, Any]:
+    rules: dict[str, Any] = json.loads((schemas() / "sensor.v1.json").read_text())
+    return rules
+
+
+def _row_of(like: str, named_row: Callable[[str], dict[str, Any]], where: str) -> dict[str, Any]:
+    try:
+        return named_row(like)
+    except InputError as error:
+        raise InputError(
+            f"like: {error.message}", where=where, expected=error.expected, found=error.found, hint=error.hint
+        ) from None
+
+
+def _columns_and_rows(dot_xy_px: list[list[list[float]]], where: str) -> dict[str, list[float]]:
+    """Means of the columns and rows of dots, which say how many there are."""
+    columns = {len(row) for row in dot_xy_px}
+    if len(columns) != 1:
+        raise InputError("dot_xy_px: expected rows of equally many dots", where=where)
+    down = range(len(dot_xy_px))
+    across = range(columns.pop())
+    return {
+        "dot_columns_px": [sum(dot_xy_px[row][column][0] for row in down) / len(down) for column in across],
+        "dot_rows_px": [sum(dot_xy_px[row][column][1] for column in across) / len(across) for row in down],
+    }
+
+
+def _check(table: Mapping[str, Any], where: str, *, whole: bool) -> None:
+    """Refuse what the schema does not allow, in words; `whole` asks for every key that a sensor needs."""
+    rules = _rules() if whole else {**_rules(), "required": []}
+    errors = list(jsonschema.Draft202012Validator(rules).iter_errors(table))
+    misspelt = [error for error in errors if error.validator == "additionalProperties"]  # also why another is missing
+    error = (misspelt or sorted(errors, key=lambda error: list(map(str, error.absolute_path))) or [None])[0]
+    if error is None:
+        return
+    place = ".".join(str(step) for step in error.absolute_path)
+    found = str(error.instance)
+    if error.validator == "additionalProperties":
+        known = list(error.schema["properties"])
+        unknown = next(key for key in error.instance if key not in known)
+        near = get_close_matches(unknown, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
+        raise InputError(f"unknown key {f'{place}.' if place else ''}{unknown}", where=where, hint=hint)
+    if error.validator == "required":
+        missing = [key for key in error.validator_value if key not in error.instance]
+        raise InputError(
+            f"keys are missing{f' in {place}' if place else ''}",
+            where=where,
+            expected=", ".join(missing),
+            found="none of them",
+            hint='`like = "evetac"` takes what is left out from that sensor' if not place else "",
+        )
+    if error.validator == "type":
+        kind = TYPES[error.validator_value]
+        raise InputError(f"{place}: expected {kind}", where=where, expected=_meaning(error.schema), found=found)
+    if error.validator in ("minItems", "maxItems"):
+        low, high = error.schema["minItems"], error.schema["maxItems"]
+        count = f"{low}" if low == high else f"{low} to {high:,}"
+        raise InputError(
+            f"{place}: a list of another length",
+            where=where,
+            expected=f"{count} entries{_of_what(error.schema)}",
+            found=f"{len(error.instance):,} entries",
+        )
+    if error.validator in ("minimum", "maximum", "exclusiveMinimum"):
+        above = "exclusiveMinimum" in error.schema
+        low = error.schema["exclusiveMinimum" if above else "minimum"]
+        expected = f"{'more than ' if above else ''}{low:g} to {error.schema['maximum']:g}{_of_what(error.schema)}"
+        raise InputError(f"{place}: out of range", where=where, expected=expected, found=found)
+    expected = str(error.schema.get("const", error.schema.get("pattern", "")))
+    raise InputError(
+        f"{place}: not a possible value", where=where, expected=expected + _of_what(error.schema), found=found
+    )
+
+
+def _meaning(rules: Mapping[str, Any]) -> str:
+    return str(rules.get("description", ""))
+
+
+def _of_what(rules: Mapping[str, Any]) -> str:
+    return f" ({rules['description']})" if "description" in rules else ""
+
+
+def _check_finite(value: Any, where: str, place: str) -> None:
+    """Refuse nan and inf, which TOML can write and JSON Schema does not see."""
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in inner:
+        _check_finite(item, where, f"{place}.{key}" if place else str(key))
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{place}: not a finite number", where=where, found=str(value))
+
+
+def _with_floats(value: Any, rules: Mapping[str, Any]) -> Any:
+    """The same values, with a float wherever the schema says number: 15 and 15.0 are one recipe."""
+    if isinstance(value, dict):
+        return {key: _with_floats(item, rules["properties"][key]) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_floats(item, rules.get("items", {})) for item in value]
+    return float(value) if rules.get("type") == "number" else value

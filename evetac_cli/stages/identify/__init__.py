@@ -1,0 +1,102 @@
+"""identify: a sensor like the one that made recordings, as a TOML file for `--sensor`, each key with its interval.
+
+What comes from which recording: the noise of the camera from the longest rest among them, dots and optics from the one
+that shows most dots moved. What no recording tells keeps the value of the sensor that is named as its like.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import FRAME_PX
+from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.params import Identify, recipe_of
+from evetac_cli.sim import scene, sensor_file
+from evetac_cli.stages.identify import at_rest
+from evetac_cli.stages.identify.sensor_text import Row, sensor_text
+from evetac_cli.store.disk import taking_the_place_of
+from evetac_cli.store.files import stem
+from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.read import open_recording
+
+OUTPUT = "sensor"
+METHOD = 1
+
+
+def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
+    """One sensor from all recordings: `<first recording's name>.sensor.toml`."""
+    if params.like.endswith(sensor_file.SUFFIX) or params.like == scene.FOR_EACH_TRIAL:
+        expected = "a named sensor, as in evetac or randomized:7"
+        raise InputError("not the name of one sensor", where="--like", expected=expected, found=params.like)
+    scene.sensor_row(params.like)
+    sensor_file.check_name(params.name, "--name")
+    if out is not None and out.suffix in (".h5", ".json"):
+        raise InputError("a sensor is TOML", where="--out", expected="a name that ends in .toml", found=str(out))
+    if out is not None and out.suffix == sensor_file.SUFFIX:
+        return [Job(tuple(files), out)]
+    return [Job(tuple(files), (out or files[0].parent) / f"{stem(files[0])}.{OUTPUT}.toml")]
+
+
+def run(job: Job, params: Identify, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Estimate what the recordings tell, print it as a table, and write the sensor's file."""
+    headers = []
+    for path in job.inputs:
+        with open_recording(path) as recording:
+            headers.append(recording.header)
+            if recording.frame_px != FRAME_PX:
+                raise InputError(
+                    "another frame than that of a sensor which can be simulated",
+                    where=str(path),
+                    expected="{} x {} px".format(*FRAME_PX),
+                    found="{} x {} px".format(*recording.frame_px),
+                )
+    recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(headers))
+    if _up_to_date(job.output, recipe, force=force):
+        return outcome(job, made=False, simulated=recipe.simulated)
+    rests = []
+    for number, path in enumerate(job.inputs):
+        with open_recording(path) as recording:
+            rests.append(at_rest.longest(recording, np.random.default_rng([params.seed, number])))
+        progress(number + 1, len(job.inputs))
+    rows, told = at_rest.rows(max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None))
+    text = sensor_text(params.name, params.like, told, recipe, [path.name for path in job.inputs])
+    with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
+        temporary.write_text(text)
+        sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written
+    summary = {"sensor": str(job.output), "status": "made", "all_other_keys": f"as in {params.like}"}
+    return Outcome(table(rows), recipe.simulated, summary)
+
+
+def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Flat rows for the table and --json."""
+    return [
+        {
+            "parameter": row.parameter,
+            "unit": row.unit or None,
+            "estimate": None if row.estimate is None else float(row.estimate.value),
+            "low": None if row.estimate is None else float(row.estimate.low),
+            "high": None if row.estimate is None else float(row.estimate.high),
+            "from": row.source,
+        }
+        for row in rows
+    ]
+
+
+def _up_to_date(path: Path, recipe: Recipe, *, force: bool) -> bool:
+    """Whether the file was made by this recipe; InputError if it was made otherwise and is not to be replaced."""
+    if force or not path.exists():
+        return False
+    try:
+        written = path.read_text(encoding="utf-8").splitlines()[:5]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("cannot be read", where=str(path), found=str(error)) from None
+    if f"# recipe {recipe.id}" in written:
+        return True
+    raise InputError(
+        "the file exists and was made otherwise, or by hand",
+        where=str(path),
+        hint="--force replaces it, -o writes another",
+    )

@@ -1,0 +1,92 @@
+"""The text of a sensor's TOML file: what was estimated, each key with its interval and source, and what was not."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.kernels.identify.estimates import Estimate
+from evetac_cli.store.provenance import Recipe
+
+DIGITS = 6  # of an estimate: no recording tells more
+LINE = 110
+
+
+class Row(NamedTuple):
+    """A row of the table: what was estimated and from what, or with what recording it could be."""
+
+    parameter: str
+    unit: str
+    estimate: Estimate | None
+    source: str
+
+
+class Told(NamedTuple):
+    """The value of a key, its interval if it has one, and where it comes from."""
+
+    value: Any
+    estimate: Estimate | None
+    source: str
+
+
+def sensor_text(name: str, like: str, told: Mapping[str, Told], recipe: Recipe, files: Sequence[str]) -> str:
+    """The file's text; `told` by key, a table of columns as the value of a key that is a table."""
+    lines = [
+        "# A sensor that is like the one of these recordings; intervals are of 95 %.",
+        f"# recipe {recipe.id}",
+        f"# from {_in_a_comment(', '.join(files))}{' (simulated)' if recipe.simulated else ''}",
+        f'name = "{name}"',
+        f'like = "{like}"  # which has all keys that are not below',
+        'summary = "estimated from recordings by evetac identify"',
+        "",
+    ]
+    plain = {key: one for key, one in told.items() if not isinstance(one.value, Mapping)}
+    for key, one in plain.items():
+        interval = "" if one.estimate is None else f"{_number(one.estimate.low)} to {_number(one.estimate.high)}; "
+        lines += [f"# {interval}{_in_a_comment(one.source)}", f"{key} = {_value(one.value)}"]
+    if not told:
+        lines.append(f"# These recordings tell nothing of the sensor: all is as in {like}.")
+    for key, one in told.items():
+        if isinstance(one.value, Mapping):
+            lines += ["", f"[{key}]", f"# {_in_a_comment(one.source)}"]
+            lines += [f"{column} = {_value(value, column)}" for column, value in one.value.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _in_a_comment(text: str) -> str:
+    """A comment ends with its line, and TOML allows no control characters in it."""
+    return "".join(sign if sign.isprintable() else "?" for sign in text)
+
+
+def _value(value: Any, column: str = "") -> str:
+    if isinstance(value, np.ndarray) and value.ndim > 1:
+        return "[\n" + "".join(f"    {_row(row)},\n" for row in value) + "]"
+    if isinstance(value, np.ndarray):
+        # a share of changes must not be rounded above what the share of ON allows
+        round_down = column == "polarity_change_share"
+        return _in_lines([_number(item, round_down=round_down) for item in value.tolist()])
+    return _number(value)
+
+
+def _row(row: Any) -> str:
+    return "[" + ", ".join(_row(item) if np.ndim(item) else _number(float(item)) for item in row) + "]"
+
+
+def _in_lines(items: Sequence[str]) -> str:
+    lines, line = [], "    "
+    for item in items:
+        if len(line) + len(item) > LINE:
+            lines.append(line.rstrip())
+            line = "    "
+        line += f"{item}, "
+    return "[\n" + "\n".join([*lines, line.rstrip()]) + "\n]"
+
+
+def _number(value: float | int, *, round_down: bool = False) -> str:
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    if round_down:
+        return f"{math.floor(value * 1e4) / 1e4:.4f}"
+    rounded = float(f"{value:.{DIGITS}g}")
+    return repr(rounded)

@@ -1,0 +1,113 @@
+"""The noise of a camera from events at rest: intervals hold the truth, and a table of hot pixels comes back.
+
+Simulated sensors, seeds below 10,000.
+"""
+
+import numpy as np
+import pytest
+
+from evetac_cli.kernels.identify import rest
+from evetac_cli.kernels.identify.rest import RestNoise
+from evetac_cli.sim.camera.noise import HotPixelTable
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.camera.scanning.camera import CameraModel
+
+FRAME = (160, 120)
+# Of so many sensors, where 95 % are expected: a correct estimator is below once in some hundreds of times.
+FEWEST_HELD = {20: 16, 100: 88}
+
+
+def identified(model: CameraModel, seed: int, slices: int) -> tuple[RestNoise, camera.CameraState]:
+    rng = np.random.default_rng(seed)
+    state = camera.start(model, np.empty((0, 2)), None, None, None, rng)
+    parts = [camera.step_still(state, 1000 * number, rng) for number in range(slices)]
+    t, x, y, p = (np.concatenate([getattr(part, column) for part in parts]) for column in "txyp")
+    return rest.analyse(t, x, y, p, FRAME, 1000 * slices, np.random.default_rng(seed)), state
+
+
+@pytest.mark.parametrize("sensors", [20, pytest.param(100, marks=pytest.mark.slow)])
+def test_intervals_hold_the_truth(sensors: int) -> None:
+    """Assert that 95 % intervals of rates, shares and hot pixels' rates hold the truth about as often (95 of 100)."""
+    held = dict.fromkeys(("noise_hz", "noise_on_share", "hot_total_hz", "hot_on_share"), 0)
+    pixels_held = pixels = 0
+    for seed in range(sensors):
+        model = CameraModel(
+            frame_px=FRAME, noise_rate_hz=0.5, noise_on_share=0.4, hot_pixels=8, hot_rate_hz=(20.0, 200.0)
+        )
+        noise, state = identified(model, seed, 1500)
+        rates_hz = np.diff(state.hot_cumulative_hz)
+        truth = {
+            "noise_hz": 0.5,
+            "noise_on_share": 0.4,
+            "hot_total_hz": rates_hz.sum() + 8 * 0.5,
+            "hot_on_share": 0.4,
+        }
+        for name, value in truth.items():
+            estimate = getattr(noise, name)
+            held[name] += estimate.low <= value <= estimate.high
+        listed = dict(zip((noise.table.y_px * FRAME[0] + noise.table.x_px).tolist(), range(8), strict=False))
+        assert set(listed) == set(state.hot_pixel.tolist())
+        for pixel, rate_hz in zip(state.hot_pixel.tolist(), rates_hz, strict=True):
+            place = listed[pixel]
+            pixels += 1
+            pixels_held += noise.table.low_hz[place] <= rate_hz + 0.5 <= noise.table.high_hz[place]
+    assert min(held.values()) >= FEWEST_HELD[sensors], held
+    assert pixels_held / pixels >= 0.95 - 4 * (0.95 * 0.05 / pixels) ** 0.5
+
+
+def test_a_table_comes_back() -> None:
+    """Assert that steps, dead time, rates, polarities and the law of intervals of a table are found again."""
+    rng = np.random.default_rng(5)
+    count = 60
+    table = HotPixelTable(
+        x_px=tuple(range(0, 120, 2)),
+        y_px=tuple(range(0, 60)),
+        rate_hz=tuple(rng.uniform(100.0, 400.0, count).tolist()),
+        on_share=tuple(rng.uniform(0.4, 0.6, count).tolist()),
+        polarity_change_share=(0.7,) * count,
+        short_interval_share=(0.5,) * count,
+        short_interval_us=(300.0,) * count,
+        dead_time_us=400.0,
+    )
+    model = CameraModel(frame_px=FRAME, noise_rate_hz=0.1, hot_pixels=0, timestamp_step_us=200.0, hot_pixel_table=table)
+    noise, _ = identified(model, 5, 4000)
+    assert noise.timestamp_step_us is not None and noise.dead_time_us is not None
+    assert noise.timestamp_step_us.value == pytest.approx(200.0, abs=0.01)
+    assert noise.timestamp_step_us.low <= 200.0 <= noise.timestamp_step_us.high
+    assert noise.dead_time_us.low <= 400.0 <= noise.dead_time_us.high + 1e-6
+    assert noise.table.x_px.tolist() == list(table.x_px) and noise.table.y_px.tolist() == list(table.y_px)
+    np.testing.assert_allclose(noise.table.rate_hz / table.rate_hz, 1.0, atol=0.3)
+    assert np.mean(noise.table.rate_hz / table.rate_hz) == pytest.approx(1.0, abs=0.02)
+    np.testing.assert_allclose(noise.table.polarity_change_share, 0.7, atol=0.12)
+    assert np.median(noise.table.short_interval_share) == pytest.approx(0.5, abs=0.05)
+    assert np.median(noise.table.short_interval_us) == pytest.approx(300.0, rel=0.15)
+
+
+def test_poisson_pixels_have_no_steps() -> None:
+    """Assert that uniform times are told from steps, and that there is no dead time."""
+    model = CameraModel(frame_px=FRAME, noise_rate_hz=0.1, hot_pixels=20, hot_rate_hz=(50.0, 200.0))
+    noise, _ = identified(model, 7, 3000)
+    assert noise.timestamp_step_us == (0.0, 0.0, 0.0)
+    assert noise.dead_time_us is not None and noise.dead_time_us.low == 0.0
+    assert (noise.table.short_interval_share > 0).mean() < 0.3
+    assert noise.hot_pixels.low <= 20 <= noise.hot_pixels.high
+
+
+def test_a_silent_camera() -> None:
+    """Assert that no event is a result too: a rate of 0 with its upper end, and what is not told."""
+    noise, _ = identified(CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0), 1, 1000)
+    assert noise.noise_hz.value == noise.noise_hz.low == 0.0
+    assert noise.noise_hz.high == pytest.approx(3.69 / (160 * 120), rel=0.01)
+    assert np.isnan(noise.noise_on_share.value) and (noise.noise_on_share.low, noise.noise_on_share.high) == (0.0, 1.0)
+    assert noise.timestamp_step_us is None and noise.dead_time_us is None and len(noise.table.x_px) == 0
+
+
+def test_what_moves_is_refused() -> None:
+    """Assert that busy pixels all over the picture are not taken for hot ones."""
+    rng = np.random.default_rng(0)
+    count = 50_000
+    columns = (np.sort(rng.integers(0, 10**6, count)), rng.integers(0, 60, count), rng.integers(0, 60, count))
+    with pytest.raises(ValueError, match="moves"):
+        rest.analyse(*columns, np.ones(count, np.uint8), FRAME, 10**6, rng)
+    with pytest.raises(ValueError, match="lasts"):
+        rest.analyse(*(column[:0] for column in columns), np.ones(0, np.uint8), FRAME, 0, rng)

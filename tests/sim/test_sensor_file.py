@@ -1,0 +1,133 @@
+"""A sensor as a file: what is accepted, how what is wrong is said, and that only the content counts."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli import params
+from evetac_cli.errors import InputError
+from evetac_cli.resources import table
+from evetac_cli.sim import scene, sensor_file
+from evetac_cli.sim.camera.gel_camera import dot_grid
+from evetac_cli.stages import record
+from evetac_cli.stages.record import simulated
+from tests.conftest import as_toml
+
+HOT = {
+    "x_px": [3, 600],
+    "y_px": [4, 470],
+    "rate_hz": [50.0, 900.0],
+    "on_share": [0.7, 0.5],
+    "polarity_change_share": [0.2, 0.9],
+    "dead_time_us": 400.0,
+    "short_interval_share": [0.0, 0.4],
+    "short_interval_us": [0.0, 300.0],
+}
+
+
+def written(folder: Path, stem: str = "mine", /, **keys: Any) -> str:
+    path = folder / f"{stem}.sensor.toml"
+    path.write_text(as_toml({"like": "evetac", **keys}))
+    return str(path)
+
+
+@pytest.mark.parametrize("name", [*(name for name in table("sensors") if name != "randomized"), "randomized:3"])
+def test_sensors_of_the_package_pass_the_schema(name: str, tmp_path: Path) -> None:
+    """Assert that every named sensor is a whole row, and that the same row comes back from a file that holds it."""
+    row = scene.sensor_row(name)
+    sensor_file.check_row(row, name)
+    path = tmp_path / "same.toml"
+    path.write_text(as_toml(row))
+    called, again = scene.named_sensor(str(path))
+    assert called == "own-sensor" and again == row
+
+
+def test_what_a_file_leaves_out_is_as_in_the_sensor_it_is_like(tmp_path: Path) -> None:
+    """Assert that named keys replace those of the sensor, tables key by key, and that all others stay."""
+    _, row = scene.named_sensor(written(tmp_path, noise_hz=1, gripper={"mass_kg": 3}))
+    assert row == {**scene.sensor_row("evetac"), "noise_hz": 1.0, "gripper": {"mass_kg": 3.0}}
+    assert isinstance(row["noise_hz"], float)
+    path = written(tmp_path, like="randomized:2", gripper={"mass_kg": 3.0})
+    other = scene.sensor_row("randomized:2")
+    assert scene.named_sensor(path)[1]["gripper"] == {**other["gripper"], "mass_kg": 3.0}
+
+
+def test_places_of_all_dots(tmp_path: Path) -> None:
+    """Assert that a sensor shows its dots exactly where its file has them, a cut gel those beside its window."""
+    dots = dot_grid(scene.sensor_row("randomized:4"), cut=False) + 0.25
+    _, row = scene.named_sensor(written(tmp_path, dot_xy_px=dots.tolist()))
+    np.testing.assert_array_equal(dot_grid(row, cut=False), dots)
+    np.testing.assert_array_equal(dot_grid(row, cut=True), dots[:, :8])
+    assert len(row["dot_columns_px"]) == 9 and len(row["dot_rows_px"]) == 7
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"noise": 1.0}, "did you mean noise_hz"),
+        ({"gripper": {"mass": 1.0}}, "gripper.mass"),
+        ({"noise_hz": "much"}, "noise_hz: expected a number"),
+        ({"noise_hz": True}, "noise_hz: expected a number"),
+        ({"noise_hz": float("nan")}, "noise_hz: not a finite number"),
+        ({"hot_pixel_hz": [20.0, float("inf")]}, "hot_pixel_hz.1: not a finite number"),
+        ({"noise_hz": -1.0}, "0 to 10000"),
+        ({"hot_pixels": 1.5}, "hot_pixels: expected a whole number"),
+        ({"hot_pixel_hz": [1.0] * 5000}, "2 to 1,000 entries"),
+        ({"hot_pixel_hz": [9.0, 1.0]}, "hot_pixel_hz: expected rising values"),
+        ({"window_px": [640, 0, 540, 480]}, "window_px: not a window"),
+        ({"frame_px": [320, 240]}, "frame_px: not a possible value"),
+        ({"like": "evtac"}, "did you mean evetac"),
+        ({"like": "randomized"}, "not one sensor but many"),
+        ({"name": "second"}, "comes with evetac"),
+        ({"name": "A name"}, "name: not a possible value"),
+        ({"gripper": {"servo_n_tick": 2.0}}, "need each other"),
+        ({"dot_xy_px": [[[1.0, 2.0], [3.0, 4.0]], [[1.0, 9.0], [3.0, 9.0], [5.0, 9.0]]]}, "equally many dots"),
+        ({"hot_pixel_table": {**HOT, "x_px": [3]}}, "lists of different lengths"),
+        ({"hot_pixel_table": {**HOT, "x_px": [3, 3], "y_px": [4, 4]}}, "comes twice"),
+        ({"hot_pixel_table": {**HOT, "on_share": [0.95, 0.5]}}, "changes its polarity too often"),
+        ({"hot_pixel_table": {**HOT, "rate_hz": [50.0, 2600.0]}}, "no time for so many events"),
+        ({"hot_pixel_table": {**HOT, "rate_hz": [0.0, 9.0]}}, "hot_pixel_table.rate_hz.0: out of range"),
+        ({"hot_pixel_table": {"x_px": [3]}}, "keys are missing in hot_pixel_table"),
+    ],
+)
+def test_what_is_wrong_is_said(keys: dict[str, Any], says: str, tmp_path: Path) -> None:
+    """Assert that what cannot be a sensor is refused with its place, at exit code 2."""
+    with pytest.raises(InputError) as refused:
+        scene.named_sensor(written(tmp_path, **keys))
+    assert says in str(refused.value)
+    assert "mine.sensor.toml" in str(refused.value)
+
+
+def test_a_sensor_without_base_needs_all_keys(tmp_path: Path) -> None:
+    """Assert that a file that is like no sensor is told what it lacks."""
+    path = tmp_path / "bare.toml"
+    path.write_text("noise_hz = 0.1\n")
+    with pytest.raises(InputError, match="keys are missing") as refused:
+        scene.named_sensor(str(path))
+    assert "threshold" in str(refused.value) and "like" in str(refused.value)
+
+
+def test_no_file(tmp_path: Path) -> None:
+    """Assert that a missing file, and one that is no TOML, are refused with their name."""
+    with pytest.raises(InputError, match=r"none\.toml"):
+        scene.named_sensor(str(tmp_path / "none.toml"))
+    (tmp_path / "odd.toml").write_text("[[[")
+    with pytest.raises(InputError, match="not valid TOML"):
+        scene.named_sensor(str(tmp_path / "odd.toml"))
+
+
+def test_the_recipe_hangs_on_the_content(tmp_path: Path) -> None:
+    """Assert that another file of the same content, or like another sensor of the same row, is the same recipe."""
+
+    def recipe_id(sensor: str) -> str:
+        (job, *_) = record.jobs([], params.Record(scene="press", sensor=sensor), tmp_path)
+        return simulated.make_recipe(job).id
+
+    first = recipe_id(written(tmp_path, "one", noise_hz=0.5, summary="mine"))
+    assert recipe_id(written(tmp_path, "two", noise_hz=0.5, summary="mine")) == first
+    assert recipe_id(written(tmp_path, "two", noise_hz=0.6, summary="mine")) != first
+    whole = tmp_path / "whole.toml"
+    whole.write_text(as_toml({**scene.sensor_row("evetac"), "noise_hz": 0.5, "summary": "mine"}))
+    assert recipe_id(str(whole)) == first

@@ -1,0 +1,165 @@
+"""identify: a sensor's file from recordings, and that it makes recordings like those that it comes from."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli import params
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.identify import figures
+from evetac_cli.sim import scene
+from evetac_cli.stages import identify, record, trim
+from evetac_cli.store.read import open_recording
+from tests.conftest import DATA, as_toml
+
+NOISE = DATA / "dvxplorer_static_noise.aedat4"
+HALF_MS = 1350
+
+
+def recorded(folder: Path, sensor: str = "evetac", seed: int = 0, name: str = "rest") -> Path:
+    chosen = params.Record(scene="rest", sensor=sensor, seed=seed)
+    (job,) = record.jobs([], chosen, folder / f"{name}.recording.h5")
+    record.run(job, chosen)
+    return job.output
+
+
+def identified(files: list[Path], out: Path, **chosen: str) -> tuple[dict[str, dict], Path]:
+    asked = params.Identify(**chosen)
+    (job,) = identify.jobs(files, asked, out)
+    rows = identify.run(job, asked).rows
+    return {row["parameter"]: row for row in rows}, job.output
+
+
+@pytest.fixture(scope="module")
+def resting(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("resting"))
+
+
+def test_the_noise_of_a_simulated_sensor(resting: Path, tmp_path: Path) -> None:
+    """Assert that the file holds the sensor's own noise, within the interval that stands beside it, and where it is."""
+    rows, path = identified([resting], tmp_path)
+    assert path == tmp_path / "rest.sensor.toml"
+    row = rows["noise_hz"]
+    assert row["low"] <= 0.03 <= row["high"] and row["high"] < 1.1 * row["low"]
+    assert rows["hot pixels above 20 Hz"]["estimate"] == 6
+    name, sensor = scene.named_sensor(str(path))
+    assert name == "own-sensor"
+    assert sensor["noise_hz"] == pytest.approx(row["estimate"], rel=1e-5)
+    assert sensor["hot_pixels"] == 0 and len(sensor["hot_pixel_table"]["x_px"]) == 6
+    told = {"summary", "noise_hz", "noise_on_share", "timestamp_step_us", "hot_pixels", "hot_pixel_table"}
+    usual = scene.sensor_row("evetac")
+    assert {key: value for key, value in sensor.items() if key not in told} == {
+        key: value for key, value in usual.items() if key not in told
+    }
+    text = path.read_text()
+    assert 'like = "evetac"' in text and "(simulated)" in text
+    assert f"# {row['low']:.6g} to {row['high']:.6g}; rest.recording.h5, 0 to " in text
+
+
+def test_its_own_sensor_records(resting: Path, tmp_path: Path) -> None:
+    """Assert that the file simulates, and that what it simulates is identified as the same again."""
+    rows, path = identified([resting], tmp_path)
+    again, _ = identified([recorded(tmp_path, str(path), seed=1, name="again")], tmp_path / "again.sensor.toml")
+    for name in ("noise_hz", "noise_on_share", "hot pixels above 20 Hz", "events of hot pixels"):
+        assert again[name]["low"] <= rows[name]["high"] and again[name]["high"] >= rows[name]["low"], name
+
+
+def test_a_second_time(resting: Path, tmp_path: Path) -> None:
+    """Assert that the same recipe is not made again, another not without --force, and that none is half written."""
+    _, path = identified([resting], tmp_path)
+    before = path.read_bytes()
+    (job,) = identify.jobs([resting], params.Identify(), tmp_path)
+    assert not identify.run(job, params.Identify()).made
+    other = params.Identify(name="lab-3")
+    with pytest.raises(InputError, match="made otherwise"):
+        identify.run(job, other)
+    assert path.read_bytes() == before
+    identify.run(job, other, force=True)
+    assert tomllib.loads(path.read_text())["name"] == "lab-3"
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> None:
+    """Assert that a recording without a rest says for each figure which recording it takes, and names no value."""
+    short = tmp_path / "short.recording.h5"
+    asked = params.Trim(to_ms=300)
+    (job,) = trim.jobs([resting], asked, short)
+    trim.run(job, asked)
+    rows, path = identified([short], tmp_path / "none.sensor.toml")
+    assert all(row["estimate"] is None and "make one of 3 s" in row["from"] for row in rows.values())
+    assert scene.named_sensor(str(path))[1]["noise_hz"] == 0.03
+    assert "tell nothing" in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"like": "evtac"}, "did you mean evetac"),
+        ({"like": "randomized"}, "not the name of one sensor"),
+        ({"name": "Mine!"}, "not the name of a sensor"),
+        ({"name": "evetac"}, "comes with evetac"),
+    ],
+)
+def test_what_is_wrong_is_said(given: dict[str, str], says: str, tmp_path: Path) -> None:
+    """Assert that names which cannot be are refused before any work."""
+    with pytest.raises(InputError, match=says):
+        identify.jobs([tmp_path / "a.recording.h5"], params.Identify(**given), None)
+
+
+def test_on_the_command_line(resting: Path, tmp_path: Path) -> None:
+    """Assert a table with intervals on stdout, and exit code 2 for what is no recording."""
+    out = ["-o", str(tmp_path / "mine.sensor.toml")]
+    shown = CliRunner().invoke(app, ["identify", str(resting), *out])
+    assert shown.exit_code == 0 and "noise_hz" in shown.stdout and "(simulated)" in shown.stdout
+    wrong = tmp_path / "wrong.recording.h5"
+    wrong.write_text("no recording")
+    assert CliRunner().invoke(app, ["identify", str(wrong), *out]).exit_code == 2
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not NOISE.exists(), reason="the recording of a real camera is not here")
+def test_a_real_camera_at_rest(tmp_path: Path) -> None:
+    """Assert that a DVXplorer identified from the first half of a recording simulates its second half, within 10 %.
+
+    Rates, hot pixels and their share of all events, and median and 90th percentile of the times between two events of a
+    hot pixel, and between two of one polarity. Simulated with seed 10,000, which chose nothing.
+    """
+    asked = params.Record(source=NOISE)
+    (job,) = record.jobs([], asked, tmp_path / "noise.recording.h5")
+    record.run(job, asked)
+    halves = []
+    for number in range(2):
+        cut = params.Trim(from_ms=number * HALF_MS, to_ms=(number + 1) * HALF_MS)
+        (part,) = trim.jobs([job.output], cut, tmp_path / f"half{number}.recording.h5")
+        trim.run(part, cut)
+        halves.append(part.output)
+    _, sensor = identified(halves[:1], tmp_path / "dvxplorer.sensor.toml", name="dvxplorer")
+    simulated = recorded(tmp_path, str(sensor), seed=10_000)
+    real, made = (rest_figures(path) for path in (halves[1], simulated))
+    compared = [name for name in real if not name.endswith("_of_typical_pixel")]
+    assert len(compared) == 13
+    off = {name: made[name] / real[name] - 1 for name in compared}
+    assert all(abs(share) <= 0.10 for share in off.values()), off
+
+
+def rest_figures(path: Path) -> dict[str, float]:
+    """Figures of the first HALF_MS of a recording."""
+    with open_recording(path) as recording:
+        events = recording.between(0, HALF_MS)
+    return figures.at_rest(*events, (640, 480), 1000 * HALF_MS)
+
+
+def test_a_press_scene_rests_before_it_presses(tmp_path: Path) -> None:
+    """Assert that the noise comes from the rest of a recording in which something moves later on."""
+    short = scene.load("rest")
+    short["time"]["rest_s"] = 0.6
+    short["motion"] |= {"normal_n": 2.0, "shear_n": 1.0, "move_s": [0.2, 0.2]}
+    (tmp_path / "touch.toml").write_text(as_toml(short))
+    chosen = params.Record(scene=str(tmp_path / "touch.toml"), sensor="bare-dvxplorer")
+    (job,) = record.jobs([], chosen, tmp_path / "touch.recording.h5")
+    record.run(job, chosen)
+    rows, _ = identified([job.output], tmp_path)
+    assert rows["noise_hz"]["low"] <= 0.1036 <= rows["noise_hz"]["high"]
