@@ -125,6 +125,12 @@ def _camera(plan: Plan) -> list[Part]:
             "a camera without noise",
             _without_noise if noisy else None,
         ),
+        Part(
+            "OFF threshold of its own",
+            f"{sensor_row['threshold_off']:g}, ON {sensor_row['threshold']:g}" if "threshold_off" in sensor_row else "",
+            "as that of ON",
+            _unnamed_in_sensor("threshold_off") if "threshold_off" in sensor_row else None,
+        ),
         _pixels("slow pixels", sensor_row, "bandwidth_hz", "Hz", "as fast as anything moves"),
         _pixels("leak", sensor_row, "leak_hz", "Hz a pixel", "the sensor has none"),
         _pixels("blind pixels", sensor_row, "refractory_us", "us after an event", "the sensor has none"),
@@ -222,6 +228,13 @@ def _without_noise(plan: Plan) -> None:
 def _without_sensor(*keys: str) -> Callable[[Plan], None]:
     def leave_out(plan: Plan) -> None:
         plan["sensor_row"] |= {key: type(plan["sensor_row"][key])(0) for key in keys}
+
+    return leave_out
+
+
+def _unnamed_in_sensor(key: str) -> Callable[[Plan], None]:
+    def leave_out(plan: Plan) -> None:
+        del plan["sensor_row"][key]
 
     return leave_out
 

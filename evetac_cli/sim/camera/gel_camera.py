@@ -118,6 +118,7 @@ class GelCamera:
             frame_px=tuple(sensor_row["frame_px"]),
             scans_per_ms=from_scene(parts).scans_per_ms,
             threshold=sensor_row["threshold"],
+            threshold_off=sensor_row.get("threshold_off"),
             mismatch=sensor_row["mismatch"],
             noise_rate_hz=sensor_row["noise_hz"],
             hot_pixels=sensor_row["hot_pixels"],

@@ -55,7 +55,8 @@ LOWEST_THRESHOLD = 0.25
 class CameraModel:
     """The constants of one camera; ValueError where a value is out of range.
 
-    Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. The noise rate
+    Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. With
+    `threshold_off` those of ON and OFF are apart: each pixel has two, drawn independently. The noise rate
     is per pixel; every hot pixel has a rate of its own, whose distribution has the evenly spaced quantiles
     `hot_rate_hz` (two: uniform between them); a `hot_pixel_table` has more of them, at known places. `leak_hz` is the
     rate a pixel of the events that leak makes; after an event a pixel is held in reset for `refractory_us`, and its
@@ -66,6 +67,7 @@ class CameraModel:
     frame_px: tuple[int, int] = FRAME_PX
     scans_per_ms: int = 5
     threshold: float = 0.2
+    threshold_off: float | None = None
     mismatch: float = 0.03
     noise_rate_hz: float = 0.03
     hot_pixels: int = 10
@@ -86,6 +88,8 @@ class CameraModel:
         check_whole("frame_px, height", height, 1, 4096)
         check_whole("scans_per_ms", self.scans_per_ms, 1, 100)
         check_range("threshold", self.threshold, 0.01, 100.0)
+        if self.threshold_off is not None:
+            check_range("threshold_off", self.threshold_off, 0.01, 100.0)
         check_range("mismatch", self.mismatch, 0.0, 1.0)
         check_range("noise_rate_hz", self.noise_rate_hz, 0.0, 1e4)
         check_whole("hot_pixels", self.hot_pixels, 0, width * height)
@@ -130,6 +134,8 @@ class CameraState:
     window_release_us: NDArray[np.float64]
     candidates: CandidatePixels
     candidate_runs: CandidateRuns
+    middle_shift: NDArray[np.float32]  # see GelPixels
+    window_middle_shift: NDArray[np.float32]
     contact_edges: ContactEdges | None = None
     light: Light | None = None
     table_hot_pixels: HotPixels | None = None
@@ -148,6 +154,7 @@ class CameraState:
             self.threshold,
             self.release_us,
             tuple(self.candidates),
+            self.middle_shift,
         )
         self.window = (
             *self.window_px[:2],
@@ -157,6 +164,7 @@ class CameraState:
             self.window_threshold,
             self.window_release_us,
             tuple(self.candidate_runs),
+            self.window_middle_shift,
         )
 
 
@@ -191,8 +199,7 @@ def start(
     pattern = camera_input.window_texture(texture, window_px)
 
     built = rng if camera_rng is None else camera_rng
-    nominal = model.threshold * (1.0 + model.mismatch * built.standard_normal((height, width)))
-    threshold: NDArray[np.float32] = np.maximum(nominal, LOWEST_THRESHOLD * model.threshold).astype(np.float32)
+    threshold, middle_shift = _thresholds(model, built)
     phase: NDArray[np.float32] = threshold * rng.uniform(-1.0, 1.0, (height, width)).astype(np.float32)
     window_threshold = threshold[y0:y1, x0:x1].copy()
     window_reference = phase[y0:y1, x0:x1].copy()
@@ -226,10 +233,28 @@ def start(
         window_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
         candidates=all_pixels((height, width), len(dots), profile, steady if light is None else light.candidate_light),
         candidate_runs=all_runs(window_reference.shape, pattern),
+        middle_shift=middle_shift,
+        window_middle_shift=middle_shift[y0:y1, x0:x1].copy(),
         contact_edges=contact_edges,
         light=light,
         table_hot_pixels=None if model.hot_pixel_table is None else HotPixels(model.hot_pixel_table, rng.spawn(1)[0]),
     )
+
+
+def _thresholds(model: CameraModel, built: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Draw every pixel's threshold; the mean of two where ON and OFF are apart, and by how much (see GelPixels)."""
+    width, height = model.frame_px
+
+    def drawn(threshold: float, rng: np.random.Generator) -> NDArray[np.float32]:
+        each = threshold * (1.0 + model.mismatch * rng.standard_normal((height, width)))
+        return np.maximum(each, LOWEST_THRESHOLD * threshold).astype(np.float32)
+
+    on = drawn(model.threshold, built)
+    if model.threshold_off is None:
+        return on, np.empty((0, 0), np.float32)
+    off = drawn(model.threshold_off, built.spawn(1)[0])
+    half = np.float32(0.5)
+    return half * (on + off), half * (on - off)
 
 
 def step(

@@ -58,7 +58,7 @@ def scan_dots(
     seen_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
-    candidates = gel.candidates
+    candidates, middle_shift = gel.candidates, gel.middle_shift
     readout_us, t0_us, refractory_us = times
     dots = len(path)
     scans = len(readout_us)
@@ -105,6 +105,7 @@ def scan_dots(
                 profile,
                 reference,
                 threshold,
+                middle_shift,
                 candidates.lower2_px2,
                 readout_us[first_scan],
                 keys,
@@ -165,6 +166,7 @@ def scan_dots(
                 profile,
                 reference,
                 threshold,
+                middle_shift,
                 release_us,
                 candidates.lower2_px2,
                 candidates.upper2_px2,
@@ -223,6 +225,7 @@ def _compare_ring(
     profile: NDArray[np.float32],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     lower2_px2: NDArray[np.float32],
     readout_us: NDArray[np.int64],
     keys: NDArray[np.int64],
@@ -234,6 +237,7 @@ def _compare_ring(
     """
     height, width = reference.shape
     ink_px, steps = np.float32(inner), np.float32(steps_per_px)
+    shifted = middle_shift.size > 0
     first_row, end_row = dot_rings.ring_rows(ring, outer, height)
     for row in range(first_row, end_row):
         left, left_end, right, right_end = dot_rings.ring_runs(ring, inner, outer, row, width)
@@ -257,7 +261,7 @@ def _compare_ring(
                 change = level - reference[row, x]
                 if abs(change) < threshold[row, x]:
                     continue
-                reference[row, x] = level
+                reference[row, x] = level + middle_shift[row, x] if shifted else level
                 lower2_px2[row, x] = np.inf
                 if made < len(keys):
                     keys[made] = event_key(readout_us[x], x, row, change > 0)
@@ -274,6 +278,7 @@ def _compare_pixels(
     profile: NDArray[np.float32],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     release_us: NDArray[np.float64],
     lower2_px2: NDArray[np.float32],
     upper2_px2: NDArray[np.float32],
@@ -291,6 +296,7 @@ def _compare_pixels(
     near, shots, _ = near_xy.shape
     scan_us = SLICE_US / len(readout_us)
     blinding = release_us.size > 0
+    shifted = middle_shift.size > 0
     for pixel in active:
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
@@ -308,12 +314,12 @@ def _compare_pixels(
             position = optics.profile_position(distance2, np.float32(inner), np.float32(steps_per_px))
             level = optics.profile_level(position, profile)
             if blinding and release_us[y, x] > now_us:
-                reference[y, x] = level
+                reference[y, x] = level + middle_shift[y, x] if shifted else level
                 continue
             change = level - reference[y, x]
             if abs(change) < threshold[y, x]:
                 continue
-            reference[y, x] = level
+            reference[y, x] = level + middle_shift[y, x] if shifted else level
             if made < len(keys):
                 keys[made] = event_key(readout_us[first_scan + shot, x], x, y, change > 0)
             made += 1

@@ -62,7 +62,17 @@ def scan_lines(
     outlined = height if rows else 0
     runs = np.zeros((outlined, 4), np.int64)
     cut_runs = np.zeros((cut_rows, 4), np.int64)
-    first_x, first_y, object_seen, texture, window_reference, window_threshold, window_release_us, due_runs = window
+    (
+        first_x,
+        first_y,
+        object_seen,
+        texture,
+        window_reference,
+        window_threshold,
+        window_release_us,
+        due_runs,
+        window_middle_shift,
+    ) = window
     contrast = motion.contrast
     at_xy = np.empty((len(path), scans, 2))
     at_scans(path, scans, 0, at_xy)
@@ -162,8 +172,16 @@ def scan_lines(
         when = (readout_us[scan], now_us, refractory_us)
         texture_at = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
         ink = (inner, outer, steps_per_px, profile, texture, texture_at)
-        gel_pixels = (reference, gel.threshold, gel.release_us, candidates.lower2_px2)
-        window_pixels = (first_x, first_y, window_reference, window_threshold, window_release_us, *due)
+        gel_pixels = (reference, gel.threshold, gel.middle_shift, gel.release_us, candidates.lower2_px2)
+        window_pixels = (
+            first_x,
+            first_y,
+            window_reference,
+            window_threshold,
+            window_middle_shift,
+            window_release_us,
+            *due,
+        )
         pixels = (*gel_pixels, *window_pixels)
         dots = 0
         for dot in range(len(near)):
@@ -173,7 +191,16 @@ def scan_lines(
         if few:
             dot_ink = (inner, outer, steps_per_px, profile)
             made = compare_outline(
-                near_xy, dot_ink, touching, runs, doubtful, outline_pixels, drawn[0], readout_us[scan], keys, made
+                near_xy,
+                dot_ink,
+                touching,
+                runs,
+                doubtful,
+                (reference, gel.threshold, gel.middle_shift),
+                drawn[0],
+                readout_us[scan],
+                keys,
+                made,
             )
             end_row = first_row
         what = (near_xy, row_xy, ink, pixels)
@@ -342,8 +369,8 @@ def _compare_across(
     """
     inner, outer, steps_per_px, profile, texture, place = ink
     whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
-    reference, threshold, release_us, lower2, first_x, first_y = pixels[:6]
-    window_reference, window_threshold, window_release_us, due_at, row_due_at = pixels[6:]
+    reference, threshold, middle_shift, release_us, lower2, first_x, first_y = pixels[:7]
+    window_reference, window_threshold, window_middle_shift, window_release_us, due_at, row_due_at = pixels[7:]
     window_rows, window_columns = window_reference.shape
     for row in range(first_row, end_row):
         if runs[row, 0] >= runs[row, 1] and runs[row, 2] >= runs[row, 3]:
@@ -360,6 +387,7 @@ def _compare_across(
                 line,
                 reference,
                 threshold,
+                middle_shift,
                 release_us,
                 row,
                 first,
@@ -384,6 +412,7 @@ def _compare_across(
                 line,
                 window_reference,
                 window_threshold,
+                window_middle_shift,
                 window_release_us,
                 own,
                 left,

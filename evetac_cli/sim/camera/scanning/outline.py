@@ -177,9 +177,10 @@ def compare_outline(
     """Compare the doubtful pixels of `shift_outline` with the picture of dots (dots, 2); returns the number of events.
 
     They are looked for eight at a time. Scans of the dots in between may have made a pixel fire, and then it is quiet;
-    they make none fire that was not doubtful.
+    they make none fire that was not doubtful. `pixels` are references, thresholds and shifts (see GelPixels).
     """
-    reference, threshold, _ = pixels
+    reference, threshold, middle_shift = pixels
+    shifted = middle_shift.size > 0
     in_a_row = doubtful.shape[1] // 8
     eights = doubtful.reshape(-1).view(np.uint64)
     for row in range(rows[0], rows[1]):
@@ -200,7 +201,7 @@ def compare_outline(
                     change = level - reference[row, x]
                     if abs(change) < threshold[row, x]:
                         continue
-                    reference[row, x] = level
+                    reference[row, x] = level + middle_shift[row, x] if shifted else level
                     if made < len(keys):
                         keys[made] = event_key(readout_us[x], x, row, change > 0)
                     made += 1

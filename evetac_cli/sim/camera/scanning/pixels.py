@@ -64,7 +64,9 @@ class CandidateRuns(NamedTuple):
 class GelPixels(NamedTuple):
     """The gel: where its dots were at the last scan (dots, 2), how a dot looks, and its pixels, (height, width) each.
 
-    `release_us` is the time until which a pixel is blind; its rows are empty where scans cannot tell.
+    `release_us` is the time until which a pixel is blind; its rows are empty where scans cannot tell. `middle_shift` is
+    by how much a pixel's reference lies above the level of its last event: half of what its ON threshold is larger than
+    its OFF threshold. Then `threshold` is their mean, and a pixel fires as if both were equal. Empty where they are.
     """
 
     seen_dot_xy_px: NDArray[np.float64]
@@ -73,12 +75,14 @@ class GelPixels(NamedTuple):
     threshold: NDArray[np.float32]
     release_us: NDArray[np.float64]
     candidates: CandidatePixels
+    middle_shift: NDArray[np.float32]
 
 
 class WindowPixels(NamedTuple):
     """The window: its first pixel in the frame, the texture that slides by, and its pixels, (rows, columns) each.
 
-    `seen_object` is the object's x, y in px and the texture's contrast at the last scan, NaN before the first.
+    `seen_object` is the object's x, y in px and the texture's contrast at the last scan, NaN before the first. For
+    `middle_shift` see GelPixels.
     """
 
     first_x: int
@@ -89,6 +93,7 @@ class WindowPixels(NamedTuple):
     threshold: NDArray[np.float32]
     release_us: NDArray[np.float64]
     candidate_runs: CandidateRuns
+    middle_shift: NDArray[np.float32]
 
 
 class ScanTimes(NamedTuple):
@@ -124,6 +129,7 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
             candidates[11],
             candidates[12],
         ),
+        gel[6],
     )
 
 
@@ -140,6 +146,7 @@ def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
         window[5],
         window[6],
         CandidateRuns(runs[0], runs[1], runs[2], runs[3], runs[4], runs[5]),
+        window[8],
     )
 
 
