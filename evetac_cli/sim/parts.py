@@ -131,6 +131,12 @@ def _camera(plan: Plan) -> list[Part]:
             "as that of ON",
             _unnamed_in_sensor("threshold_off") if "threshold_off" in sensor_row else None,
         ),
+        Part(
+            "limit of the readout",
+            f"{sensor_row['readout']['events_per_s']:g} events a second" if "readout" in sensor_row else "",
+            "as fast as events come",
+            _unnamed_in_sensor("readout") if "readout" in sensor_row else None,
+        ),
         _pixels("slow pixels", sensor_row, "bandwidth_hz", "Hz", "as fast as anything moves"),
         _pixels("leak", sensor_row, "leak_hz", "Hz a pixel", "the sensor has none"),
         _pixels("blind pixels", sensor_row, "refractory_us", "us after an event", "the sensor has none"),

@@ -133,6 +133,7 @@ class GelCamera:
             dot_radius_px=sensor_row["dot_radius_px"],
             leak_hz=sensor_row.get("leak_hz", 0.0),
             refractory_us=sensor_row.get("refractory_us", 0.0),
+            events_per_s=sensor_row.get("readout", {}).get("events_per_s"),
         )
         self._rng = rng
         self._texture_at_px = rng.uniform(0, texture.shape[0], 2) if texture is not None else np.zeros(2)

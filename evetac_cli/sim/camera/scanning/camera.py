@@ -45,6 +45,7 @@ from evetac_cli.sim.camera.scanning.pixels import (
     line_motion,
     window_pixels,
 )
+from evetac_cli.sim.camera.scanning.readout import Readout
 from evetac_cli.sim.camera.scanning.window import scan_window
 
 # No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
@@ -61,7 +62,7 @@ class CameraModel:
     `hot_rate_hz` (two: uniform between them); a `hot_pixel_table` has more of them, at known places. `leak_hz` is the
     rate a pixel of the events that leak makes; after an event a pixel is held in reset for `refractory_us`, and its
     next reference is the level at the end of that time. A slice holds at most `max_events`; what is beyond is lost, as
-    on a full bus (the pixels have fired nevertheless), and counted.
+    on a full bus (the pixels have fired nevertheless), and counted. `events_per_s` limits the readout (see readout).
     """
 
     frame_px: tuple[int, int] = FRAME_PX
@@ -81,6 +82,7 @@ class CameraModel:
     leak_hz: float = 0.0
     refractory_us: float = 0.0
     max_events: int = 1_000_000
+    events_per_s: float | None = None
 
     def __post_init__(self) -> None:
         width, height = self.frame_px
@@ -139,6 +141,7 @@ class CameraState:
     contact_edges: ContactEdges | None = None
     light: Light | None = None
     table_hot_pixels: HotPixels | None = None
+    readout: Readout | None = None
     slices: int = 0
     dropped: int = 0
     # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code is handed them:
@@ -238,6 +241,7 @@ def start(
         contact_edges=contact_edges,
         light=light,
         table_hot_pixels=None if model.hot_pixel_table is None else HotPixels(model.hot_pixel_table, rng.spawn(1)[0]),
+        readout=None if model.events_per_s is None else Readout(model.events_per_s, model.frame_px),
     )
 
 
@@ -334,7 +338,8 @@ def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int)
     made = noise_of_slice(state, t0_us, rng, made)
     stored = min(made, len(state.keys))
     state.dropped += made - stored
-    return Events(*sorted_columns(state.keys[:stored], t0_us))
+    columns = sorted_columns(state.keys[:stored], t0_us)
+    return Events(*(columns if state.readout is None else state.readout.read(columns, t0_us)))
 
 
 def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> int:
