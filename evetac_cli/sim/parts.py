@@ -103,6 +103,8 @@ def _camera(plan: Plan) -> list[Part]:
     hot_pixels = sensor_row["hot_pixels"] + len(sensor_row.get("hot_pixel_table", {}).get("x_px", ()))
     noisy = sensor_row["noise_hz"] > 0.0 or hot_pixels > 0
     noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {hot_pixels} hot pixels"
+    by_light = sensor_row.get("bandwidth_by_light", False) and sensor_row.get("bandwidth_hz", 0.0) > 0.0
+    gradient, distortion = sensor_row.get("light_gradient", 0.0), sensor_row.get("distortion", [0.0, 0.0])
     return [
         Part("camera", readout, ""),
         Part("dots", f"{dots}, evaluated while they move", ""),
@@ -138,6 +140,24 @@ def _camera(plan: Plan) -> list[Part]:
             _unnamed_in_sensor("readout") if "readout" in sensor_row else None,
         ),
         _pixels("slow pixels", sensor_row, "bandwidth_hz", "Hz", "as fast as anything moves"),
+        Part(
+            "bandwidth that falls with light",
+            "proportional to brightness" if by_light else "",
+            "one bandwidth of all pixels" if sensor_row.get("bandwidth_hz", 0.0) else "no pixel is slow",
+            _unnamed_in_sensor("bandwidth_by_light") if by_light else None,
+        ),
+        Part(
+            "uneven light",
+            f"{gradient:.0%} less in the corners" if by_light and gradient else "",
+            "seen only where bandwidth falls with light" if gradient else "the sensor has none",
+            _without_sensor("light_gradient") if by_light and gradient else None,
+        ),
+        Part(
+            "lens distortion",
+            f"k1 {distortion[0]:g}, k2 {distortion[1]:g}" if any(distortion) else "",
+            "the sensor has none",
+            _unnamed_in_sensor("distortion") if any(distortion) else None,
+        ),
         _pixels("leak", sensor_row, "leak_hz", "Hz a pixel", "the sensor has none"),
         _pixels("blind pixels", sensor_row, "refractory_us", "us after an event", "the sensor has none"),
     ]

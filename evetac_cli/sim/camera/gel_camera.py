@@ -14,7 +14,8 @@ from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
-from evetac_cli.sim.camera.low_pass import LowPass
+from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.camera.low_pass import LowPass, light_at, rim_bandwidth
 from evetac_cli.sim.camera.noise import HotPixelTable
 from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
@@ -103,7 +104,9 @@ class GelCamera:
         displaced. Whoever moves the gel moves its cut edge at `cut_rest_m` (CUT_NODES, 2), empty where none is seen.
         `scene` may name the tables of a scene that are the camera's.
         """
-        self.grid_xy_px = dot_grid(sensor_row, cut)
+        self._lens = Lens.of_sensor(sensor_row)
+        self._flat_xy_px = dot_grid(sensor_row, cut)  # without the lens
+        self.grid_xy_px = self._flat_xy_px if self._lens is None else self._lens.seen(self._flat_xy_px)
         parts = scene or {}
         self.calibrated_grid_xy_px = self.grid_xy_px
         if "calibration" in parts:
@@ -113,7 +116,7 @@ class GelCamera:
         self.window_px: tuple[int, int, int, int] | None = (x0, y0, x1, y1) if cut else None
         self.mm_per_px = float(sensor_row["mm_per_px"])
         frame = np.array(sensor_row["frame_px"])
-        self.rest_m = (self.grid_xy_px.reshape(-1, 2) - frame / 2) * self.mm_per_px * 1e-3
+        self.rest_m = (self._flat_xy_px.reshape(-1, 2) - frame / 2) * self.mm_per_px * 1e-3
         model = camera.CameraModel(
             frame_px=tuple(sensor_row["frame_px"]),
             scans_per_ms=from_scene(parts).scans_per_ms,
@@ -143,11 +146,15 @@ class GelCamera:
         self._looked_at_rest = False
         self._lagging = None
         if bandwidth_hz:
-            self._lagging = LowPass(bandwidth_hz, self.dot_xy_px), LowPass(bandwidth_hz, self.object_xy_px[None])
+            dots_hz, object_hz = self._bandwidths(sensor_row, bandwidth_hz)
+            self._lagging = LowPass(dots_hz, self.dot_xy_px), LowPass(object_hz, self.object_xy_px[None])
         window = self.window_px if texture is not None else None
         built = np.random.default_rng([sensor_row["seed"], 1])
         self._outline = outline
         self._outline_at_px = frame / 2 if outline_at_px is None else outline_at_px
+        self._object_at_px = self._outline_at_px if outline else self._window_middle_px(sensor_row)
+        if self._lens is not None:
+            self._outline_at_px = self._lens.seen(self._outline_at_px)
         self._outline_half_px = 0.5 * (np.array(outline.picture.shape[::-1]) - 1.0) if outline else np.zeros(2)
         self._cut_x_px, self.cut_rest_m = self._cut_edge(sensor_row, cut)
         self._cut_m = np.zeros_like(self.cut_rest_m)
@@ -165,6 +172,19 @@ class GelCamera:
         self._camera: CameraState | IdealState = (
             ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change)
         )
+
+    def _bandwidths(self, sensor_row: Mapping[str, Any], bandwidth_hz: float) -> tuple[float | Floats, float | Floats]:
+        """The bandwidths of the pixels that see the dots' rims, of each dot, and the window."""
+        if not sensor_row.get("bandwidth_by_light", False):
+            return bandwidth_hz, bandwidth_hz
+        gradient = float(sensor_row.get("light_gradient", 0.0))
+        places = self.dot_xy_px, self._window_middle_px(sensor_row)
+        rims, window = (light_at(place, sensor_row["frame_px"], gradient) for place in places)
+        return bandwidth_hz * rim_bandwidth(float(sensor_row["log_contrast"])) * rims, bandwidth_hz * window
+
+    def _window_middle_px(self, sensor_row: Mapping[str, Any]) -> Floats:
+        x0, y0, x1, y1 = sensor_row["window_px"]
+        return np.array([x0 + x1, y0 + y1]) / 2
 
     def _vanishing(self, named: Mapping[str, Any] | None) -> tuple[NDArray[np.intp], float]:
         """Which dots vanish (numbers, row by row) and when, in us; ValueError if there is no such dot."""
@@ -203,6 +223,8 @@ class GelCamera:
         cut_x = self._cut_x_px
         if len(cut_x):
             cut_x = _moved_cut(cut_x, self._cut_node_rows, cut_m, self.mm_per_px)
+            if self._lens is not None:
+                cut_x = self._lens.seen_line(cut_x)
         return contact_edges.Place(corner, strength, cut_x)
 
     @property
@@ -233,10 +255,14 @@ class GelCamera:
             assert isinstance(self._camera, CameraState)
             return camera.step_still(self._camera, t0_us, self._rng)
         to_px = 1e3 / self.mm_per_px
-        at_rest = self.grid_xy_px.reshape(-1, 2)
+        at_rest = self._flat_xy_px.reshape(-1, 2)
         dots = at_rest + shift_m * to_px
         path = None if shift_path_m is None else at_rest + shift_path_m * to_px
         object_px = object_m * to_px
+        if self._lens is not None:
+            dots = self._lens.seen(dots)
+            path = None if path is None else self._lens.seen(path)
+            object_px = self._lens.seen(self._object_at_px + object_px) - self._lens.seen(self._object_at_px)
         begin = self.dot_xy_px if path is None else path[0]
         seen = (begin, dots, self.object_xy_px, object_px)
         if self._lagging is not None:

@@ -61,7 +61,7 @@ def _take_turns(
 ) -> tuple[int, float]:
     """Move the events that are not lost to the front, with the times at which they are read.
 
-    Returns their number, and when the readout is free again. `read_at_us` (height, width) is when a pixel was last read.
+    Returns their number, and when the readout is free again. `read_at_us` (height, width): when a pixel was last read.
     """
     kept = 0
     for event in range(len(t_us)):
