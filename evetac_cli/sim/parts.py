@@ -12,6 +12,8 @@ from evetac_cli.sim.solver import from_scene
 
 Plan = dict[str, Any]
 
+DOT_SPREADS = ("dot_radius_spread", "dot_contrast_spread")
+
 
 class Part(NamedTuple):
     """A part of a scene: what is built of it ("" where it is left out), why it is left out, how to have it otherwise.
@@ -104,10 +106,17 @@ def _camera(plan: Plan) -> list[Part]:
     noisy = sensor_row["noise_hz"] > 0.0 or hot_pixels > 0
     noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {hot_pixels} hot pixels"
     by_light = sensor_row.get("bandwidth_by_light", False) and sensor_row.get("bandwidth_hz", 0.0) > 0.0
+    sizes, inks = (sensor_row.get(key, 0.0) for key in DOT_SPREADS)
     gradient, distortion = sensor_row.get("light_gradient", 0.0), sensor_row.get("distortion", [0.0, 0.0])
     return [
         Part("camera", readout, ""),
         Part("dots", f"{dots}, evaluated while they move", ""),
+        Part(
+            "dots that differ",
+            f"radius by {sizes:.0%}, contrast by {inks:.0%}" if sizes or inks else "",
+            "all dots are alike",
+            _without_sensor(*(key for key in DOT_SPREADS if key in sensor_row)) if sizes or inks else None,
+        ),
         Part(
             "window",
             "texture of the object, moved with it" if shown else "",

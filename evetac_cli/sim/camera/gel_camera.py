@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 CUT_NODES = 13  # places along the cut edge at which the gel's displacement is asked for
 FARTHEST_CUT_PX = 4.0  # from where the window begins
 CUT_STEP_PX = 1e-3  # the cut edge is placed anew once it has moved by more: a level has changed by 2e-4
+FAINTEST = 0.2  # least share of the usual radius and contrast that a dot has
 AWAY_PX = 100.0  # how far outside the frame a dot is put that the camera sees no more; farther than any ring
 
 
@@ -50,8 +51,30 @@ def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
 
 
 def _beside_window(grid: Floats, sensor_row: Mapping[str, Any]) -> Floats:
-    beside: Floats = grid[:, grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]]
+    beside: Floats = grid[:, _columns_beside_window(grid, sensor_row)]
     return beside
+
+
+def _columns_beside_window(grid: Floats, sensor_row: Mapping[str, Any]) -> NDArray[np.bool_]:
+    beside: NDArray[np.bool_] = grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]
+    return beside
+
+
+def dots_differ(sensor_row: Mapping[str, Any], cut: bool) -> tuple[Floats, Floats] | None:
+    """Factors of radius and log contrast of every dot (dots,), drawn by the sensor's seed; None where dots are alike.
+
+    Standard deviations are the sensor's dot_radius_spread and dot_contrast_spread; nothing is beyond three of them, or
+    below FAINTEST.
+    """
+    spreads = sensor_row.get("dot_radius_spread", 0.0), sensor_row.get("dot_contrast_spread", 0.0)
+    if not any(spreads):
+        return None
+    grid = dot_grid(sensor_row, cut=False)
+    drawn = np.random.default_rng([sensor_row["seed"], 3]).standard_normal((2, *grid.shape[:2])).clip(-3.0, 3.0)
+    if cut:
+        drawn = drawn[:, :, _columns_beside_window(grid, sensor_row)]
+    radii, contrasts = np.maximum(1.0 + np.array(spreads)[:, None] * drawn.reshape(2, -1), FAINTEST)
+    return radii, contrasts
 
 
 def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: Mapping[str, Any]) -> Floats:
@@ -168,9 +191,12 @@ class GelCamera:
         change = light.of_scene(parts)
         if readout == "ideal" and change is not None:
             raise ValueError("light that flickers or steps: expected the readout dvxplorer, found ideal")
+        differ = dots_differ(sensor_row, cut)
+        if readout == "ideal" and differ is not None:
+            raise ValueError("dots that differ: expected the readout dvxplorer, found ideal")
         at_start = (model, self.dot_xy_px, None, window, texture, rng, built, self._lines)
         self._camera: CameraState | IdealState = (
-            ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change)
+            ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change, differ)
         )
 
     def _bandwidths(self, sensor_row: Mapping[str, Any], bandwidth_hz: float) -> tuple[float | Floats, float | Floats]:

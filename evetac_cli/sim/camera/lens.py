@@ -1,8 +1,8 @@
 """A lens that shows straight lines curved: radial distortion about the middle of the frame.
 
 A point at distance r from the middle is seen at r (1 + k1 r^2 + k2 r^4); the frame's corners are at r = 1. Negative
-numbers are a barrel, positive ones a pincushion. Dots, the cut edge and the middle of an outline are moved to where they
-are seen. Left out: dots and outlines keep their shape, and a texture moves as the middle of its window does.
+numbers are a barrel, positive ones a pincushion. Dots, the cut edge and the middle of an outline are moved to where
+they are seen. Left out: dots and outlines keep their shape, and a texture moves as the middle of its window does.
 """
 
 from collections.abc import Mapping

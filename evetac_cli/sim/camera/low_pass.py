@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 
 def rim_bandwidth(log_contrast: float) -> float:
-    """The bandwidth of a dot's rim over that of bare gel, by light: 1 over the mean of exp(-L) for L from ink to gel."""
+    """The bandwidth of a dot's rim, by light, over that of bare gel: 1 / mean of exp(-L), for L from ink to gel."""
     return log_contrast / math.expm1(log_contrast)
 
 

@@ -30,6 +30,7 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_whole
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
+from evetac_cli.sim.camera.dot_shapes import DotShapes, alike, dot_shapes, shaped_level
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import HotPixels, HotPixelTable, add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
@@ -138,6 +139,7 @@ class CameraState:
     candidate_runs: CandidateRuns
     middle_shift: NDArray[np.float32]  # see GelPixels
     window_middle_shift: NDArray[np.float32]
+    shapes: DotShapes  # none where dots are alike
     contact_edges: ContactEdges | None = None
     light: Light | None = None
     table_hot_pixels: HotPixels | None = None
@@ -158,6 +160,7 @@ class CameraState:
             self.release_us,
             tuple(self.candidates),
             self.middle_shift,
+            tuple(self.shapes),
         )
         self.window = (
             *self.window_px[:2],
@@ -181,6 +184,7 @@ def start(
     camera_rng: np.random.Generator | None = None,
     contact_edges: ContactEdges | None = None,
     light_change: LightChange | None = None,
+    dots_differ: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> CameraState:
     """Switch the camera on before dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
 
@@ -190,7 +194,8 @@ def start(
     first `step` starts, so an object that is there already makes no flash. Without texture they see nothing.
     `camera_rng` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
     `contact_edges`, from `contact_edges.start` for this frame, are lines that are not dots; the camera owns them from
-    now on. `light_change` says how the light changes, if it does.
+    now on. `light_change` says how the light changes, if it does. `dots_differ` are factors of the radius (dots,) and
+    of the log contrast (dots,) of each dot, where dots are not alike.
     ValueError on non-finite positions, a window outside the frame, a texture that cannot be used or has no window.
     """
     width, height = model.frame_px
@@ -198,6 +203,11 @@ def start(
     radius_px = model.dot_radius_px if dot_radius_px is None else float(dot_radius_px)
     check_range("dot_radius_px", radius_px, 0.01, 1000.0)
     profile = optics.dot_profile(radius_px, model.edge_sigma_px, model.log_contrast)
+    shapes = alike()
+    if dots_differ is not None:
+        radii, contrasts = (np.broadcast_to(np.asarray(factors, np.float64), len(dots)) for factors in dots_differ)
+        shapes = dot_shapes(profile, radius_px * (radii - 1.0), contrasts)
+        profile = profile._replace(inner_px=float(shapes.inner_px.min()), outer_px=float(shapes.outer_px.max()))
     x0, y0, x1, y1 = camera_input.window_corners(window_px, model.frame_px)
     pattern = camera_input.window_texture(texture, window_px)
 
@@ -208,7 +218,7 @@ def start(
     window_reference = phase[y0:y1, x0:x1].copy()
     threshold[y0:y1, x0:x1] = np.inf
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
-    level = optics.gel_level(model.frame_px, dots, profile)
+    level = shaped_level(model.frame_px, dots, profile, shapes)
     if contact_edges is not None and contact_edges.frame_px != (width, height):
         raise ValueError(
             f"contact_edges: expected those of a frame {model.frame_px}, found one of {contact_edges.frame_px}"
@@ -238,6 +248,7 @@ def start(
         candidate_runs=all_runs(window_reference.shape, pattern),
         middle_shift=middle_shift,
         window_middle_shift=middle_shift[y0:y1, x0:x1].copy(),
+        shapes=shapes,
         contact_edges=contact_edges,
         light=light,
         table_hot_pixels=None if model.hot_pixel_table is None else HotPixels(model.hot_pixel_table, rng.spawn(1)[0]),

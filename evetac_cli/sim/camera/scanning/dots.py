@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.scanning.differing_dots import compare_crowded, forget_exchanged
 from evetac_cli.sim.camera.scanning.pixel_culling import (
     COLUMN_MASK,
     PIXEL_SHIFT,
@@ -59,6 +60,9 @@ def scan_dots(
     inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
     candidates, middle_shift = gel.candidates, gel.middle_shift
+    least_inner, greatest_outer = inner, outer
+    own_inner, own_outer, own_level, visited = gel.shapes
+    differing = len(own_inner) > 0
     readout_us, t0_us, refractory_us = times
     dots = len(path)
     scans = len(readout_us)
@@ -67,6 +71,8 @@ def scan_dots(
     at_scans(path, scans, first_scan, at_xy)
     box = dot_rings.boxes(at_xy, seen_xy)
     crowded = np.zeros(dots, np.bool_) if apart else dot_rings.crowded(box, outer)
+    if differing:
+        forget_exchanged(box, outer, visited, candidates)
     near_xy = np.empty_like(at_xy)
     near_box = np.empty((dots, 4))
     now_us = t0_us + first_scan * SLICE_US / scans
@@ -75,7 +81,33 @@ def scan_dots(
         if max(box[dot, 2], box[dot, 3]) <= 0.5 * RESOLUTION_PX:
             continue
         near = 1
-        if crowded[dot]:
+        if differing:
+            inner, outer, profile = own_inner[dot], own_outer[dot], own_level[dot]
+        if crowded[dot] and differing:
+            candidates.list_box[dot] = np.nan
+            count = ring_pixels(box[dot], least_inner, greatest_outer, False, candidates)
+            count = select_own(dot, count, box, least_inner, greatest_outer, candidates)
+            made = compare_crowded(
+                candidates.active[:count],
+                at_xy,
+                own_inner,
+                own_outer,
+                steps_per_px,
+                own_level,
+                reference,
+                threshold,
+                middle_shift,
+                release_us,
+                candidates.lower2_px2,
+                readout_us,
+                t0_us,
+                refractory_us,
+                first_scan,
+                keys,
+                made,
+            )
+            count = 0
+        elif crowded[dot]:
             near = dot_rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
             candidates.list_box[dot] = np.nan
             count = ring_pixels(box[dot], inner, outer, False, candidates)

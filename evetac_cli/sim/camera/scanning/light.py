@@ -27,6 +27,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.camera_input import check_range
 from evetac_cli.sim.camera.contact_edges import LineMotion
+from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.leak import LEAK_SLICES
 from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
@@ -205,7 +206,11 @@ def _shine(
             if not low[row, run] < light < high[row, run]:
                 first_run, end_run = min(first_run, run), run + 1
         left, right = first_run * RUN_PX, min(end_run * RUN_PX, width)
-        optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, left, right, line)
+        if len(gel.shapes.inner_px):
+            shapes = (gel.shapes.inner_px, gel.shapes.outer_px, steps_per_px, gel.shapes.level)
+            differing_row(gel.seen_dot_xy_px, *shapes, row, left, right, line)
+        else:
+            optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, left, right, line)
         before = made
         row_low[row] = -np.inf
         row_high[row] = np.inf

@@ -96,19 +96,19 @@ def shift_outline(
     rows: tuple[int, int],
     runs: NDArray[np.int64],
     seen_level: Pixels,
-    pixels: tuple[Pixels, Pixels, Pixels],
+    pixels: tuple[Pixels, Pixels, Pixels, Pixels],
     drawn: tuple[Pixels, float],
     line: Pixels,
     doubtful: NDArray[np.uint8],
 ) -> None:
     """Take an outline at a place (corner x, y, strength) as seen: change the references by as much the other way.
 
-    `runs` (height, 4) are its pixels in these rows (first, end); `pixels` are their references, thresholds and squared
-    quiet radii, `drawn` the drawn dots and how far off they are. Fills the runs in `doubtful` (height, a multiple of
-    eight): 1 for pixels that may fire, else 0.
+    `runs` (height, 4) are its pixels in these rows (first, end); `pixels` are their references, thresholds, squared
+    quiet radii and shifts (see GelPixels), `drawn` the drawn dots and how far off they are. Fills the runs in
+    `doubtful` (height, a multiple of eight): 1 for pixels that may fire, else 0.
     """
     corner_x, corner_y, strength = place
-    reference, threshold, lower2 = pixels
+    reference, threshold, lower2, _ = pixels
     dots, margin_level = drawn
     margin = np.float32(margin_level)
     picture_rows, picture_columns = picture.shape
@@ -168,7 +168,7 @@ def compare_outline(
     rows: tuple[int, int],
     runs: NDArray[np.int64],
     doubtful: NDArray[np.uint8],
-    pixels: tuple[Pixels, Pixels, Pixels],
+    pixels: tuple[Pixels, Pixels, Pixels, Pixels],
     drawn: Pixels,
     readout_us: NDArray[np.int64],
     keys: NDArray[np.int64],
@@ -177,9 +177,9 @@ def compare_outline(
     """Compare the doubtful pixels of `shift_outline` with the picture of dots (dots, 2); returns the number of events.
 
     They are looked for eight at a time. Scans of the dots in between may have made a pixel fire, and then it is quiet;
-    they make none fire that was not doubtful. `pixels` are references, thresholds and shifts (see GelPixels).
+    they make none fire that was not doubtful.
     """
-    reference, threshold, middle_shift = pixels
+    reference, threshold, _, middle_shift = pixels
     shifted = middle_shift.size > 0
     in_a_row = doubtful.shape[1] // 8
     eights = doubtful.reshape(-1).view(np.uint64)

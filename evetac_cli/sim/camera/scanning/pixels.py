@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import LineMotion, Outline, Place
+from evetac_cli.sim.camera.dot_shapes import DotShapes
 
 MOST_LISTED = 512  # pixels in the list of a dot; larger or blurred dots may do without
 # Pixels side by side in the window that are compared together: with more, the one nearest to its threshold makes more
@@ -67,6 +68,7 @@ class GelPixels(NamedTuple):
     `release_us` is the time until which a pixel is blind; its rows are empty where scans cannot tell. `middle_shift` is
     by how much a pixel's reference lies above the level of its last event: half of what its ON threshold is larger than
     its OFF threshold. Then `threshold` is their mean, and a pixel fires as if both were equal. Empty where they are.
+    Where dots are not alike they have `shapes`, and `profile` has the least inner and the greatest outer radius.
     """
 
     seen_dot_xy_px: NDArray[np.float64]
@@ -76,6 +78,7 @@ class GelPixels(NamedTuple):
     release_us: NDArray[np.float64]
     candidates: CandidatePixels
     middle_shift: NDArray[np.float32]
+    shapes: DotShapes
 
 
 class WindowPixels(NamedTuple):
@@ -130,6 +133,7 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
             candidates[12],
         ),
         gel[6],
+        DotShapes(gel[7][0], gel[7][1], gel[7][2], gel[7][3]),
     )
 
 
