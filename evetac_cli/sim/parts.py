@@ -144,7 +144,7 @@ def _camera(plan: Plan) -> list[Part]:
         ),
         Part(
             "limit of the readout",
-            f"{sensor_row['readout']['events_per_s']:g} events a second" if "readout" in sensor_row else "",
+            f"{sensor_row['readout']['events_per_s']:,.0f} events a second" if "readout" in sensor_row else "",
             "as fast as events come",
             _unnamed_in_sensor("readout") if "readout" in sensor_row else None,
         ),

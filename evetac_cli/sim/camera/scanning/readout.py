@@ -40,10 +40,11 @@ class Readout:
         """
         kept, self._free_us = _take_turns(*made, self._event_us, self._free_us, self._read_at_us)
         self.lost += len(made[0]) - kept
-        if self._waiting is None:
-            t, x, y, p = (column[:kept] for column in made)
-        else:
-            t, x, y, p = (np.concatenate((old, new[:kept])) for old, new in zip(self._waiting, made, strict=True))
+        t, x, y, p = made[0][:kept], made[1][:kept], made[2][:kept], made[3][:kept]
+        if self._waiting is not None:
+            old_t, old_x, old_y, old_p = self._waiting
+            t, x = np.concatenate((old_t, t)), np.concatenate((old_x, x))
+            y, p = np.concatenate((old_y, y)), np.concatenate((old_p, p))
         now = int(np.searchsorted(t, t0_us + SLICE_US))
         self._waiting = (t[now:], x[now:], y[now:], p[now:]) if now < len(t) else None
         return t[:now], x[:now], y[:now], p[:now]
