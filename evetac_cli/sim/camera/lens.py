@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
@@ -39,11 +40,10 @@ class Lens:
 
     def seen(self, xy_px: ArrayLike) -> Floats:
         """Where points (..., 2) are seen."""
-        middle = np.asarray(self.frame_px) / 2
-        away = np.asarray(xy_px, np.float64) - middle
-        r2 = np.minimum((away**2).sum(axis=-1, keepdims=True) / (middle**2).sum(), FARTHEST**2)
-        seen: Floats = middle + away * (1.0 + r2 * (self.k1 + r2 * self.k2))
-        return seen
+        points = np.ascontiguousarray(xy_px, np.float64)
+        width, height = self.frame_px
+        seen: Floats = _seen(points.reshape(-1, 2), 0.5 * width, 0.5 * height, self.k1, self.k2)
+        return seen.reshape(points.shape)
 
     def seen_line(self, x_px: Floats) -> Floats:
         """Where a line that crosses every row of the frame at x_px (height,) is seen to cross them."""
@@ -52,3 +52,17 @@ class Lens:
         rows = np.arange(-beyond, height + beyond, dtype=np.float64)
         points = self.seen(np.stack([np.pad(x_px, beyond, mode="edge"), rows], axis=1))
         return np.interp(np.arange(height, dtype=np.float64), points[:, 1], points[:, 0])
+
+
+@njit(cache=True)
+def _seen(xy_px: Floats, middle_x: float, middle_y: float, k1: float, k2: float) -> Floats:
+    seen = np.empty_like(xy_px)
+    corner2 = middle_x * middle_x + middle_y * middle_y
+    for point in range(len(xy_px)):
+        across = xy_px[point, 0] - middle_x
+        down = xy_px[point, 1] - middle_y
+        r2 = min((across * across + down * down) / corner2, FARTHEST * FARTHEST)
+        factor = 1.0 + r2 * (k1 + r2 * k2)
+        seen[point, 0] = middle_x + across * factor
+        seen[point, 1] = middle_y + down * factor
+    return seen

@@ -65,11 +65,11 @@ def test_as_every_pixel_of_dots_apart(speed: float) -> None:
 def test_as_every_pixel_where_dots_come_after_each_other() -> None:
     """Assert that what was found for one dot does not hold for another that comes to where it was."""
 
-    def path(t: float) -> Any:
-        away = 0.6 * t
-        return np.array([[25.0 - 3 * away, 40.0], [75.0 - away, 40.0]])
+    def path(t: float) -> Any:  # slowly at first, so that radii are found, and the other slowly enough to use them
+        away = 2.0 * max(t - 20.0, 0.0)
+        return np.array([[25.0 + 0.05 * t - away, 40.0], [85.0 - 0.4 * t, 40.0]])
 
-    wrong, made = misfits(start(path(0)), path, 80)
+    wrong, made = misfits(start(path(0)), path, 160)
     assert wrong == 0
     assert made > 5000
 
