@@ -205,8 +205,8 @@ class GelCamera:
             return bandwidth_hz, bandwidth_hz
         gradient = float(sensor_row.get("light_gradient", 0.0))
         places = self.dot_xy_px, self._window_middle_px(sensor_row)
-        rims, window = (light_at(place, sensor_row["frame_px"], gradient) for place in places)
-        return bandwidth_hz * rim_bandwidth(float(sensor_row["log_contrast"])) * rims, bandwidth_hz * window
+        dots, window = (light_at(place, sensor_row["frame_px"], gradient) for place in places)
+        return bandwidth_hz * rim_bandwidth(float(sensor_row["log_contrast"])) * dots, bandwidth_hz * window
 
     def _window_middle_px(self, sensor_row: Mapping[str, Any]) -> Floats:
         x0, y0, x1, y1 = sensor_row["window_px"]

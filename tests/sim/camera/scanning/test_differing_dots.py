@@ -36,9 +36,9 @@ def misfits(state: CameraState, path: Path, slices: int) -> tuple[int, int]:
     profile = optics.dot_profile(MODEL.dot_radius_px, MODEL.edge_sigma_px, MODEL.log_contrast)
     shapes = state.shapes
     expected: set[tuple[int, int, int, int]] = set()
-    found: set[tuple[int, int, int, int]] = set()
+    made: set[tuple[int, int, int, int]] = set()
     for k, events in enumerate(play(state, path, slices)):
-        found |= set(zip(*(column.tolist() for column in events), strict=True))
+        made |= set(zip(*(column.tolist() for column in events), strict=True))
         start_xy, end_xy = path(k), path(k + 1)
         for scan in range(5):
             level = shaped_level(FRAME, start_xy + scan / 5 * (end_xy - start_xy), profile, shapes)
@@ -49,7 +49,7 @@ def misfits(state: CameraState, path: Path, slices: int) -> tuple[int, int]:
                 when = 1000 * k + int(state.readout_us[scan, x])
                 expected.add((when, int(x), int(y), int(change[y, x] > 0)))
             last[fires] = level[fires]
-    wrong = [event for event in found ^ expected if not unsure[event[2], event[1]]]
+    wrong = [event for event in made ^ expected if not unsure[event[2], event[1]]]
     return len(wrong), len(expected)
 
 
@@ -65,7 +65,7 @@ def test_as_every_pixel_of_dots_apart(speed: float) -> None:
 def test_as_every_pixel_where_dots_come_after_each_other() -> None:
     """Assert that what was found for one dot does not hold for another that comes to where it was."""
 
-    def path(t: float) -> Any:  # slowly at first, so that radii are found, and the other slowly enough to use them
+    def path(t: float) -> Any:  # slowly at first, so that radii are remembered, and the other slowly enough to use them
         away = 2.0 * max(t - 20.0, 0.0)
         return np.array([[25.0 + 0.05 * t - away, 40.0], [85.0 - 0.4 * t, 40.0]])
 

@@ -39,9 +39,7 @@ def test_as_every_pixel_compared_with_its_two_thresholds() -> None:
     state = start()
     on, off = state.threshold + state.middle_shift, state.threshold - state.middle_shift
     last = state.reference - state.middle_shift
-    found = {
-        event for part in there_and_back(state, 0.3, 60) for event in zip(*(c.tolist() for c in part), strict=True)
-    }
+    made = {event for part in there_and_back(state, 0.3, 60) for event in zip(*(c.tolist() for c in part), strict=True)}
     expected, in_doubt = set(), set()
     for scan in range(5 * 120):
         moved_px = 0.3 * (60 - abs(60 - scan / 5))
@@ -55,7 +53,7 @@ def test_as_every_pixel_compared_with_its_two_thresholds() -> None:
         last[fires] = level[fires]
     assert len(expected) > 5000
     in_place = {event[1:3] for event in in_doubt}
-    assert all(event[1:3] in in_place for event in found ^ expected)
+    assert all(event[1:3] in in_place for event in made ^ expected)
 
 
 def test_window_has_both_thresholds() -> None:
