@@ -45,7 +45,7 @@ class Trials:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     sensor: str = parameter(
         "evetac",
-        "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel; randomized: another one, and another"
+        "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel, realistic; randomized: another one, and another"
         " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named; or a TOML file, as"
         " `evetac identify` writes one.",
     )

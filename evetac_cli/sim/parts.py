@@ -12,6 +12,8 @@ from evetac_cli.sim.solver import from_scene
 
 Plan = dict[str, Any]
 
+DOT_SPREADS = ("dot_radius_spread", "dot_contrast_spread")
+
 
 class Part(NamedTuple):
     """A part of a scene: what is built of it ("" where it is left out), why it is left out, how to have it otherwise.
@@ -103,9 +105,18 @@ def _camera(plan: Plan) -> list[Part]:
     hot_pixels = sensor_row["hot_pixels"] + len(sensor_row.get("hot_pixel_table", {}).get("x_px", ()))
     noisy = sensor_row["noise_hz"] > 0.0 or hot_pixels > 0
     noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {hot_pixels} hot pixels"
+    by_light = sensor_row.get("bandwidth_by_light", False) and sensor_row.get("bandwidth_hz", 0.0) > 0.0
+    sizes, inks = (sensor_row.get(key, 0.0) for key in DOT_SPREADS)
+    gradient, distortion = sensor_row.get("light_gradient", 0.0), sensor_row.get("distortion", [0.0, 0.0])
     return [
         Part("camera", readout, ""),
         Part("dots", f"{dots}, evaluated while they move", ""),
+        Part(
+            "dots that differ",
+            f"radius by {sizes:.0%}, contrast by {inks:.0%}" if sizes or inks else "",
+            "all dots are alike",
+            _without_sensor(*(key for key in DOT_SPREADS if key in sensor_row)) if sizes or inks else None,
+        ),
         Part(
             "window",
             "texture of the object, moved with it" if shown else "",
@@ -125,7 +136,37 @@ def _camera(plan: Plan) -> list[Part]:
             "a camera without noise",
             _without_noise if noisy else None,
         ),
+        Part(
+            "OFF threshold of its own",
+            f"{sensor_row['threshold_off']:g}, ON {sensor_row['threshold']:g}" if "threshold_off" in sensor_row else "",
+            "as that of ON",
+            _unnamed_in_sensor("threshold_off") if "threshold_off" in sensor_row else None,
+        ),
+        Part(
+            "limit of the readout",
+            f"{sensor_row['readout']['events_per_s']:,.0f} events a second" if "readout" in sensor_row else "",
+            "as fast as events come",
+            _unnamed_in_sensor("readout") if "readout" in sensor_row else None,
+        ),
         _pixels("slow pixels", sensor_row, "bandwidth_hz", "Hz", "as fast as anything moves"),
+        Part(
+            "bandwidth that falls with light",
+            "proportional to brightness" if by_light else "",
+            "one bandwidth of all pixels" if sensor_row.get("bandwidth_hz", 0.0) else "no pixel is slow",
+            _unnamed_in_sensor("bandwidth_by_light") if by_light else None,
+        ),
+        Part(
+            "uneven light",
+            f"{gradient:.0%} less in the corners" if by_light and gradient else "",
+            "seen only where bandwidth falls with light" if gradient else "the sensor has none",
+            _without_sensor("light_gradient") if by_light and gradient else None,
+        ),
+        Part(
+            "lens distortion",
+            f"k1 {distortion[0]:g}, k2 {distortion[1]:g}" if any(distortion) else "",
+            "the sensor has none",
+            _unnamed_in_sensor("distortion") if any(distortion) else None,
+        ),
         _pixels("leak", sensor_row, "leak_hz", "Hz a pixel", "the sensor has none"),
         _pixels("blind pixels", sensor_row, "refractory_us", "us after an event", "the sensor has none"),
     ]
@@ -224,6 +265,13 @@ def _without_noise(plan: Plan) -> None:
 def _without_sensor(*keys: str) -> Callable[[Plan], None]:
     def leave_out(plan: Plan) -> None:
         plan["sensor_row"] |= {key: type(plan["sensor_row"][key])(0) for key in keys}
+
+    return leave_out
+
+
+def _unnamed_in_sensor(key: str) -> Callable[[Plan], None]:
+    def leave_out(plan: Plan) -> None:
+        del plan["sensor_row"][key]
 
     return leave_out
 

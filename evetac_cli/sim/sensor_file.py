@@ -22,7 +22,14 @@ from evetac_cli.text_files import read_toml
 
 SUFFIX = ".toml"
 UNNAMED = "own-sensor"  # what recordings call a sensor whose file has no `name`
-TYPES = {"number": "a number", "integer": "a whole number", "string": "a text", "array": "a list", "object": "a table"}
+TYPES = {
+    "number": "a number",
+    "integer": "a whole number",
+    "string": "a text",
+    "array": "a list",
+    "object": "a table",
+    "boolean": "true or false",
+}
 DOT_PLACES = ("dot_columns_px", "dot_rows_px", "hot_pixel_hz")  # lists that rise
 
 

@@ -79,3 +79,41 @@ def test_parts_that_only_some_scenes_name() -> None:
     (row,) = [row for row in parts(planned("slip")) if row["part"] == "changing light"]
     assert (row["built"], row["left_out"]) == (None, "steady: none named")
     assert "changing light" not in switched(planned("slip"))
+
+
+@pytest.mark.parametrize(
+    ("part", "built", "named"),
+    [
+        ("OFF threshold of its own", "0.25, ON 0.2", {"threshold_off": 0.25}),
+        ("limit of the readout", "30,000,000 events a second", {"readout": {"events_per_s": 3e7}}),
+        (
+            "bandwidth that falls with light",
+            "proportional to brightness",
+            {"bandwidth_hz": 800.0, "bandwidth_by_light": True},
+        ),
+        (
+            "uneven light",
+            "30% less in the corners",
+            {"bandwidth_hz": 800.0, "bandwidth_by_light": True, "light_gradient": 0.3},
+        ),
+        ("dots that differ", "radius by 4%, contrast by 0%", {"dot_radius_spread": 0.04}),
+        ("lens distortion", "k1 -0.05, k2 0", {"distortion": [-0.05, 0.0]}),
+    ],
+)
+def test_parts_of_a_sensors_camera(part: str, built: str, named: dict[str, Any]) -> None:
+    """Assert that each part of the camera is left out unless named, and can be left out alone where it is named."""
+    plan = planned("slip")
+    assert part in left_out(plan)
+    plan["sensor_row"] = plan["sensor_row"] | named
+    assert {row["part"]: row["built"] for row in parts(plan)}[part] == built
+    other = switched(plan)[part]
+    assert left_out(plan) ^ left_out(other) == {part}
+    assert all(other["sensor_row"][key] == named[key] for key in list(named)[:-1])
+
+
+def test_uneven_light_is_seen_only_by_slow_pixels() -> None:
+    """Assert that uneven light is left out, in words, where all pixels are equally fast."""
+    plan = planned("slip")
+    plan["sensor_row"] = plan["sensor_row"] | {"light_gradient": 0.3, "bandwidth_by_light": True}
+    (row,) = [row for row in parts(plan) if row["part"] == "uneven light"]
+    assert row["left_out"] == "seen only where bandwidth falls with light"

@@ -14,7 +14,8 @@ from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
-from evetac_cli.sim.camera.low_pass import LowPass
+from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.camera.low_pass import LowPass, light_at, rim_bandwidth
 from evetac_cli.sim.camera.noise import HotPixelTable
 from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
@@ -25,6 +26,7 @@ Floats = NDArray[np.float64]
 CUT_NODES = 13  # places along the cut edge at which the gel's displacement is asked for
 FARTHEST_CUT_PX = 4.0  # from where the window begins
 CUT_STEP_PX = 1e-3  # the cut edge is placed anew once it has moved by more: a level has changed by 2e-4
+FAINTEST = 0.2  # least share of the usual radius and contrast that a dot has
 AWAY_PX = 100.0  # how far outside the frame a dot is put that the camera sees no more; farther than any ring
 
 
@@ -49,8 +51,30 @@ def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
 
 
 def _beside_window(grid: Floats, sensor_row: Mapping[str, Any]) -> Floats:
-    beside: Floats = grid[:, grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]]
+    beside: Floats = grid[:, _columns_beside_window(grid, sensor_row)]
     return beside
+
+
+def _columns_beside_window(grid: Floats, sensor_row: Mapping[str, Any]) -> NDArray[np.bool_]:
+    beside: NDArray[np.bool_] = grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]
+    return beside
+
+
+def dots_differ(sensor_row: Mapping[str, Any], cut: bool) -> tuple[Floats, Floats] | None:
+    """Factors of radius and log contrast of every dot (dots,), drawn by the sensor's seed; None where dots are alike.
+
+    Standard deviations are the sensor's dot_radius_spread and dot_contrast_spread; nothing is beyond three of them, or
+    below FAINTEST.
+    """
+    spreads = sensor_row.get("dot_radius_spread", 0.0), sensor_row.get("dot_contrast_spread", 0.0)
+    if not any(spreads):
+        return None
+    grid = dot_grid(sensor_row, cut=False)
+    drawn = np.random.default_rng([sensor_row["seed"], 3]).standard_normal((2, *grid.shape[:2])).clip(-3.0, 3.0)
+    if cut:
+        drawn = drawn[:, :, _columns_beside_window(grid, sensor_row)]
+    radii, contrasts = np.maximum(1.0 + np.array(spreads)[:, None] * drawn.reshape(2, -1), FAINTEST)
+    return radii, contrasts
 
 
 def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: Mapping[str, Any]) -> Floats:
@@ -103,7 +127,9 @@ class GelCamera:
         displaced. Whoever moves the gel moves its cut edge at `cut_rest_m` (CUT_NODES, 2), empty where none is seen.
         `scene` may name the tables of a scene that are the camera's.
         """
-        self.grid_xy_px = dot_grid(sensor_row, cut)
+        self._lens = Lens.of_sensor(sensor_row)
+        self._flat_xy_px = dot_grid(sensor_row, cut)  # without the lens
+        self.grid_xy_px = self._flat_xy_px if self._lens is None else self._lens.seen(self._flat_xy_px)
         parts = scene or {}
         self.calibrated_grid_xy_px = self.grid_xy_px
         if "calibration" in parts:
@@ -113,11 +139,12 @@ class GelCamera:
         self.window_px: tuple[int, int, int, int] | None = (x0, y0, x1, y1) if cut else None
         self.mm_per_px = float(sensor_row["mm_per_px"])
         frame = np.array(sensor_row["frame_px"])
-        self.rest_m = (self.grid_xy_px.reshape(-1, 2) - frame / 2) * self.mm_per_px * 1e-3
+        self.rest_m = (self._flat_xy_px.reshape(-1, 2) - frame / 2) * self.mm_per_px * 1e-3
         model = camera.CameraModel(
             frame_px=tuple(sensor_row["frame_px"]),
             scans_per_ms=from_scene(parts).scans_per_ms,
             threshold=sensor_row["threshold"],
+            threshold_off=sensor_row.get("threshold_off"),
             mismatch=sensor_row["mismatch"],
             noise_rate_hz=sensor_row["noise_hz"],
             hot_pixels=sensor_row["hot_pixels"],
@@ -132,6 +159,7 @@ class GelCamera:
             dot_radius_px=sensor_row["dot_radius_px"],
             leak_hz=sensor_row.get("leak_hz", 0.0),
             refractory_us=sensor_row.get("refractory_us", 0.0),
+            events_per_s=sensor_row.get("readout", {}).get("events_per_s"),
         )
         self._rng = rng
         self._texture_at_px = rng.uniform(0, texture.shape[0], 2) if texture is not None else np.zeros(2)
@@ -141,11 +169,15 @@ class GelCamera:
         self._looked_at_rest = False
         self._lagging = None
         if bandwidth_hz:
-            self._lagging = LowPass(bandwidth_hz, self.dot_xy_px), LowPass(bandwidth_hz, self.object_xy_px[None])
+            dots_hz, object_hz = self._bandwidths(sensor_row, bandwidth_hz)
+            self._lagging = LowPass(dots_hz, self.dot_xy_px), LowPass(object_hz, self.object_xy_px[None])
         window = self.window_px if texture is not None else None
         built = np.random.default_rng([sensor_row["seed"], 1])
         self._outline = outline
         self._outline_at_px = frame / 2 if outline_at_px is None else outline_at_px
+        self._object_at_px = self._outline_at_px if outline else self._window_middle_px(sensor_row)
+        if self._lens is not None:
+            self._outline_at_px = self._lens.seen(self._outline_at_px)
         self._outline_half_px = 0.5 * (np.array(outline.picture.shape[::-1]) - 1.0) if outline else np.zeros(2)
         self._cut_x_px, self.cut_rest_m = self._cut_edge(sensor_row, cut)
         self._cut_m = np.zeros_like(self.cut_rest_m)
@@ -159,10 +191,26 @@ class GelCamera:
         change = light.of_scene(parts)
         if readout == "ideal" and change is not None:
             raise ValueError("light that flickers or steps: expected the readout dvxplorer, found ideal")
+        differ = dots_differ(sensor_row, cut)
+        if readout == "ideal" and differ is not None:
+            raise ValueError("dots that differ: expected the readout dvxplorer, found ideal")
         at_start = (model, self.dot_xy_px, None, window, texture, rng, built, self._lines)
         self._camera: CameraState | IdealState = (
-            ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change)
+            ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change, differ)
         )
+
+    def _bandwidths(self, sensor_row: Mapping[str, Any], bandwidth_hz: float) -> tuple[float | Floats, float | Floats]:
+        """The bandwidths of the pixels that see the dots' rims, of each dot, and the window."""
+        if not sensor_row.get("bandwidth_by_light", False):
+            return bandwidth_hz, bandwidth_hz
+        gradient = float(sensor_row.get("light_gradient", 0.0))
+        places = self.dot_xy_px, self._window_middle_px(sensor_row)
+        dots, window = (light_at(place, sensor_row["frame_px"], gradient) for place in places)
+        return bandwidth_hz * rim_bandwidth(float(sensor_row["log_contrast"])) * dots, bandwidth_hz * window
+
+    def _window_middle_px(self, sensor_row: Mapping[str, Any]) -> Floats:
+        x0, y0, x1, y1 = sensor_row["window_px"]
+        return np.array([x0 + x1, y0 + y1]) / 2
 
     def _vanishing(self, named: Mapping[str, Any] | None) -> tuple[NDArray[np.intp], float]:
         """Which dots vanish (numbers, row by row) and when, in us; ValueError if there is no such dot."""
@@ -201,6 +249,8 @@ class GelCamera:
         cut_x = self._cut_x_px
         if len(cut_x):
             cut_x = _moved_cut(cut_x, self._cut_node_rows, cut_m, self.mm_per_px)
+            if self._lens is not None:
+                cut_x = self._lens.seen_line(cut_x)
         return contact_edges.Place(corner, strength, cut_x)
 
     @property
@@ -231,10 +281,14 @@ class GelCamera:
             assert isinstance(self._camera, CameraState)
             return camera.step_still(self._camera, t0_us, self._rng)
         to_px = 1e3 / self.mm_per_px
-        at_rest = self.grid_xy_px.reshape(-1, 2)
+        at_rest = self._flat_xy_px.reshape(-1, 2)
         dots = at_rest + shift_m * to_px
         path = None if shift_path_m is None else at_rest + shift_path_m * to_px
         object_px = object_m * to_px
+        if self._lens is not None:
+            dots = self._lens.seen(dots)
+            path = None if path is None else self._lens.seen(path)
+            object_px = self._lens.seen(self._object_at_px + object_px) - self._lens.seen(self._object_at_px)
         begin = self.dot_xy_px if path is None else path[0]
         seen = (begin, dots, self.object_xy_px, object_px)
         if self._lagging is not None:

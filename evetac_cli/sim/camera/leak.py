@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.ideal.pixels import SliceTimes
 from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
@@ -40,6 +41,8 @@ def leak_in_scans(
     dot_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us, candidates = gel.reference, gel.threshold, gel.release_us, gel.candidates
+    shifted, nothing = gel.middle_shift.size > 0, np.empty(0, np.float32)
+    shapes = gel.shapes
     first_x, first_y, object_seen, texture = window.first_x, window.first_y, window.seen_object, window.texture
     readout_us, t0_us, refractory_us = times
     height, width = reference.shape
@@ -50,17 +53,23 @@ def leak_in_scans(
     for row in range(first_row, height, LEAK_SLICES):
         scan = (row // LEAK_SLICES) % scans
         when = (drift, row, readout_us[scan], t0_us + scan * SLICE_US / scans, refractory_us, keys)
-        optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, 0, width, line)
-        made = _leak_row(line, reference[row], threshold[row], release_us[row], 0, *when, made)
+        if len(shapes.inner_px):
+            own = (shapes.inner_px, shapes.outer_px, steps_per_px, shapes.level)
+            differing_row(dot_xy, *own, row, 0, width, line)
+        else:
+            optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, 0, width, line)
+        own_shift = gel.middle_shift[row] if shifted else nothing
+        made = _leak_row(line, reference[row], threshold[row], own_shift, release_us[row], 0, *when, made)
         candidates.lower2_px2[row] = np.inf
-        own = row - first_y
-        if 0 <= own < window_rows:
+        in_window = row - first_y
+        if 0 <= in_window < window_rows:
             place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], object_seen[2])
-            optics.sample_texture_run(texture, *place, own, 0, window_columns, line)
-            pixels = (window.reference[own], window.threshold[own], window.release_us[own])
+            optics.sample_texture_run(texture, *place, in_window, 0, window_columns, line)
+            own_shift = window.middle_shift[in_window] if shifted else nothing
+            pixels = (window.reference[in_window], window.threshold[in_window], own_shift, window.release_us[in_window])
             made = _leak_row(line, *pixels, first_x, *when, made)
-            window.candidate_runs.due_at[own] = -np.inf
-            window.candidate_runs.row_due_at[own] = -np.inf
+            window.candidate_runs.due_at[in_window] = -np.inf
+            window.candidate_runs.row_due_at[in_window] = -np.inf
     return made
 
 
@@ -69,6 +78,7 @@ def _leak_row(
     level: NDArray[np.float32],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     release_us: NDArray[np.float64],
     first_x: int,
     drift: np.float32,
@@ -85,12 +95,13 @@ def _leak_row(
         if step == np.inf:  # a pixel of the window, which has references of its own
             continue
         if len(release_us) and release_us[k] > now_us:
-            reference[k] = level[k]
+            reference[k] = level[k] + middle_shift[k] if len(middle_shift) else level[k]
             continue
-        reference[k] -= drift * step
+        to_on = step + middle_shift[k] if len(middle_shift) else step
+        reference[k] -= drift * to_on
         if level[k] - reference[k] < step:
             continue
-        reference[k] += step
+        reference[k] += to_on
         if len(release_us):
             release_us[k] = now_us + refractory_us
         if made < len(keys):

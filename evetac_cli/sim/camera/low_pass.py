@@ -7,13 +7,18 @@ position over the distance moved within tau, and that is where an edge moves by 
 Beyond that a true low pass blurs the passing edge as well, so that events come more spread in time, while here it is
 only late. tests/sim/camera/test_low_pass.py measures it against a low pass of every pixel. Changes of contrast (the
 object that comes into focus) and noise are not filtered.
+
+A photoreceptor is the slower the darker its pixel (Lichtsteiner 2008; v2e, Hu 2021): its bandwidth is proportional to
+brightness. A rim that passes takes a pixel through all levels from gel to ink, each late by the time constant at that
+level; a dot lags by their mean (`rim_bandwidth`). What it leaves out is the spread about it: the bright side of a rim
+is earlier, the dark one later.
 """
 
 import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import SLICE_US
 
@@ -27,14 +32,34 @@ SCANS = 5
 Floats = NDArray[np.float64]
 
 
+def rim_bandwidth(log_contrast: float) -> float:
+    """The bandwidth of a dot's rim, by light, over that of bare gel: 1 / mean of exp(-L), for L from ink to gel."""
+    return log_contrast / math.expm1(log_contrast)
+
+
+def light_at(xy_px: Floats, frame_px: ArrayLike, light_gradient: float) -> Floats:
+    """Brightness at places (..., 2) over its mean in the frame, if by that share less light falls on the corners.
+
+    It falls as the square of the distance from the frame's middle, which in the mean is a third of that at a corner.
+    """
+    middle = np.asarray(frame_px, np.float64) / 2
+    share = ((xy_px - middle) ** 2).sum(axis=-1) / (middle**2).sum()
+    light: Floats = (1.0 - light_gradient * share) / (1.0 - light_gradient / 3.0)
+    return np.maximum(light, 1.0 - light_gradient)
+
+
 class LowPass:
     """Follows points with the lag of a first-order low pass; `now` (points, 2) is where it sees them."""
 
-    def __init__(self, bandwidth_hz: float, at: Floats) -> None:
-        """Start settled at `at` (points, 2), gain 1/sqrt 2 at the bandwidth; ValueError unless positive and finite."""
-        if not 0.0 < bandwidth_hz < math.inf:
+    def __init__(self, bandwidth_hz: float | Floats, at: Floats) -> None:
+        """Start settled at `at` (points, 2), gain 1/sqrt 2 at the bandwidth, one of all points or of each (points,).
+
+        ValueError unless positive and finite.
+        """
+        each_hz = np.full(len(at), bandwidth_hz, np.float64)
+        if not ((each_hz > 0.0) & (each_hz < np.inf)).all():
             raise ValueError(f"bandwidth_hz: expected a positive finite number, found {bandwidth_hz}")
-        self._tau_us = 1e6 / (2 * math.pi * bandwidth_hz)
+        self._tau_us = 1e6 / (2 * math.pi * each_hz)
         self.now = at.copy()
 
     def follow(self, path: Floats) -> Floats:
@@ -44,7 +69,8 @@ class LowPass:
         The answer is exact at its vertices. Where `path` starts elsewhere than the last one ended, the points jumped.
         """
         pieces = len(path) - 1
-        parts = math.ceil(min(SLICE_US / self._tau_us, MOST_PIECES) / pieces)
+        shortest_us = float(self._tau_us.min(initial=SLICE_US))
+        parts = math.ceil(min(SLICE_US / shortest_us, MOST_PIECES) / pieces)
         if pieces % SCANS:
             parts = SCANS * math.ceil(parts / SCANS)
         seen = np.empty((pieces * parts + 1, *path.shape[1:]))
@@ -54,19 +80,19 @@ class LowPass:
 
 
 @njit(cache=True)
-def _follow(path: Floats, parts: int, tau_us: float, now: Floats, seen: Floats) -> None:
+def _follow(path: Floats, parts: int, tau_us: Floats, now: Floats, seen: Floats) -> None:
     """The exact answer to straight pieces: a lag of velocity * tau, and what is left of the start dies away."""
     pieces = len(path) - 1
     part_us = SLICE_US / (pieces * parts)
-    left = math.exp(-part_us / tau_us)
     for point in range(path.shape[1]):
+        left = math.exp(-part_us / tau_us[point])
         for axis in range(2):
             at = now[point, axis]
             seen[0, point, axis] = at
             for piece in range(pieces):
                 begin = path[piece, point, axis]
                 step = (path[piece + 1, point, axis] - begin) / parts
-                lag = step / part_us * tau_us
+                lag = step / part_us * tau_us[point]
                 for part in range(parts):
                     target = begin + part * step
                     at = target + step - lag + (at - target + lag) * left

@@ -170,12 +170,12 @@ def gel_level(frame_px: tuple[int, int], dot_xy_px: NDArray[np.float64], profile
     """Log brightness of the frame, shape (height, width), for dots (dots, 2); the nearest counts."""
     width, height = frame_px
     picture = np.zeros((height, width), np.float32)
-    _draw_dots(picture, dot_xy_px, *profile)
+    draw_dots(picture, dot_xy_px, *profile)
     return picture
 
 
 @njit(cache=True)
-def _draw_dots(
+def draw_dots(
     picture: NDArray[np.float32],
     dot_xy_px: NDArray[np.float64],
     inner_px: float,
@@ -183,6 +183,7 @@ def _draw_dots(
     steps_per_px: float,
     level: NDArray[np.float32],
 ) -> None:
+    """Draw dots (dots, 2) into a picture (height, width) of levels; the darkest counts."""
     height, width = picture.shape
     for dot in range(len(dot_xy_px)):
         dot_x = dot_xy_px[dot, 0]

@@ -1,9 +1,11 @@
-"""The cut edge of a gel as its camera places it."""
+"""The cut edge of a gel as its camera places it, and a sensor with all that a row can name of a camera."""
 
 import numpy as np
 import pytest
 
-from evetac_cli.sim.camera.gel_camera import CUT_NODES, _moved_cut
+from evetac_cli.events import concatenate
+from evetac_cli.sim.camera.gel_camera import CUT_NODES, GelCamera, _moved_cut
+from evetac_cli.sim.scene import sensor_row
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -16,3 +18,24 @@ def test_cut_edge_moves_as_between_its_nodes(seed: int) -> None:
     cut_m = rng.normal(0.0, 1e-4, (CUT_NODES, 2))
     expected = rest_px + np.interp(np.arange(480.0), rows, cut_m[:, 0] * 1e3 / mm_per_px)
     np.testing.assert_array_equal(_moved_cut(rest_px, rows, cut_m, mm_per_px), expected)
+
+
+def test_realistic_sensor_sees_the_gel_move() -> None:
+    """Assert that dots of the sensor `realistic` make ON and OFF events at their rims, the same when made again."""
+    row = sensor_row("realistic")
+    made = []
+    for _ in range(2):
+        gel_camera = GelCamera(row, cut=True, texture=None, rng=np.random.default_rng(0))
+        shift_m, cut_m = np.zeros_like(gel_camera.rest_m), np.zeros_like(gel_camera.cut_rest_m)
+        slices = []
+        for k in range(40):
+            shift_m, cut_m = shift_m + [2e-6, 0.0], cut_m + [2e-6, 0.0]
+            slices.append(gel_camera.render(shift_m, np.zeros(2), 0.0, 1000 * k, cut_m=cut_m))
+        made.append(concatenate(slices))
+        assert np.abs(gel_camera.dot_xy_px - gel_camera.grid_xy_px.reshape(-1, 2)).max() > 2.0
+    assert all((one == other).all() for one, other in zip(*made, strict=True))
+    at_px = np.stack([made[0].x, made[0].y], axis=1).astype(float)
+    near = np.linalg.norm(at_px[:, None] - gel_camera.dot_xy_px, axis=2).min(axis=1)
+    at_rims = (near > 9.0) & (near < 23.0)
+    assert at_rims.mean() > 0.7
+    assert 0.25 < made[0].p[at_rims].mean() < 0.75

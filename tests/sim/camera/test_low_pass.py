@@ -12,7 +12,7 @@ from evetac_cli.events import concatenate
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.camera.ideal import camera as ideal
-from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass
+from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass, light_at, rim_bandwidth
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.scene import sensor_row
 
@@ -97,14 +97,16 @@ def by_motion(motion: Motion, bandwidth_hz: float | None, slices: int) -> tuple[
     return fired, reference
 
 
-def by_level(motion: Motion, bandwidth_hz: float, slices: int, reference: Floats) -> Fired:
-    """The same from the definition: every pixel's level is low-passed, in steps so short that it runs straight."""
+def by_level(motion: Motion, bandwidth_hz: float, slices: int, reference: Floats, *, by_light: bool = False) -> Fired:
+    """The same from the definition: every pixel's level is low-passed, in steps so short that it runs straight.
+
+    With `by_light` each pixel has the time constant of the brightness that it is shown.
+    """
     tau = tau_us(bandwidth_hz)
     inner, _, steps_per_px, profile = optics.dot_profile(MODEL.dot_radius_px)
     y, x = np.mgrid[: MODEL.frame_px[1], : MODEL.frame_px[0]]
     time_us = np.arange(0.0, slices * 1000.0 + FINE_US, FINE_US)
     place = motion(time_us)
-    left = math.exp(-FINE_US / tau)
     fired: Fired = defaultdict(list)
     for k in range(len(time_us)):
         radius = np.hypot(x - place[k, 0], y - place[k, 1])
@@ -112,8 +114,9 @@ def by_level(motion: Motion, bandwidth_hz: float, slices: int, reference: Floats
         if k == 0:
             before, seen = level, level
             continue
-        lag = (level - before) / FINE_US * tau
-        was, seen, before = seen, level - lag + (seen - before + lag) * left, level
+        pixel_tau = tau / np.exp(0.5 * (level + before)) if by_light else np.full_like(level, tau)
+        lag = (level - before) / FINE_US * pixel_tau
+        was, seen, before = seen, level - lag + (seen - before + lag) * np.exp(-FINE_US / pixel_tau), level
         while (far := np.abs(seen - reference) >= MODEL.threshold).any():
             towards = np.sign(seen - reference)
             target = reference + towards * MODEL.threshold
@@ -152,6 +155,59 @@ def test_motion_stands_for_levels(
     assert count <= count_within
     assert late_us <= median_us
     assert compare(plain, wanted)[1] > 0.9 * tau_us(bandwidth_hz)
+
+
+@pytest.mark.parametrize("bandwidth_hz", [1000.0, 3000.0])
+def test_dots_lag_by_the_mean_of_their_levels(bandwidth_hz: float) -> None:
+    """Assert that a dot whose pixels are slower where it is dark makes its events as late, in the mean, as they do."""
+    filtered, reference = by_motion(straight, bandwidth_hz * rim_bandwidth(MODEL.log_contrast), 12)
+    plain, _ = by_motion(straight, None, 12)
+    wanted = by_level(straight, bandwidth_hz, 12, reference, by_light=True)
+    late_us = [
+        np.mean(np.concatenate([np.subtract(other[key], plain[key]) for key in plain if is_like(key, plain, other)]))
+        for other in (filtered, wanted)
+    ]
+    assert late_us[0] == pytest.approx(late_us[1], rel=0.1)
+    assert late_us[0] > 2.0 * tau_us(bandwidth_hz)
+    assert compare(filtered, wanted)[0] < 0.01
+
+
+def is_like(key: tuple[int, int, int], one: Fired, other: Fired) -> bool:
+    return len(one[key]) == len(other[key])
+
+
+def test_light_falls_to_the_corners() -> None:
+    """Assert that light is 1 in the mean over the frame, and by its gradient less in a corner than in the middle."""
+    assert rim_bandwidth(1e-9) == pytest.approx(1.0)
+    y, x = np.mgrid[:480, :640] + 0.5
+    light = light_at(np.stack([x, y], axis=-1), (640, 480), 0.4)
+    assert light.mean() == pytest.approx(1.0, rel=1e-3)
+    middle, corner = light_at(np.array([[320.0, 240.0], [0.0, 480.0]]), (640, 480), 0.4)
+    assert corner / middle == pytest.approx(0.6)
+
+
+def test_bandwidth_by_light_delays_dark_dots_and_dark_corners() -> None:
+    """Assert that a sensor's dots come later by the brightness of their rims, and later still where light is less."""
+    row = sensor_row("evetac") | {"noise_hz": 0.0, "hot_pixels": 0, "bandwidth_hz": 500.0}
+    late_us = {}
+    for name, more in {
+        "all alike": {},
+        "by light": {"bandwidth_by_light": True},
+        "uneven": {"bandwidth_by_light": True, "light_gradient": 0.6},
+        "no effect": {"light_gradient": 0.6},
+    }.items():
+        gel_camera = GelCamera(row | more, cut=False, texture=None, rng=np.random.default_rng(0))
+        at_m, slices = np.zeros_like(gel_camera.rest_m), []
+        for k in range(30):
+            at_m = at_m + [1e-5, 0.0] if k < 3 else at_m
+            slices.append(gel_camera.render(at_m, np.zeros(2), 0.0, k * 1000))
+        events = concatenate(slices)
+        corner = (events.x < 100) & ((events.y < 80) | (events.y > 380))
+        late_us[name] = events.t.mean(), events.t[corner].mean()
+    assert late_us["no effect"] == late_us["all alike"]
+    behind_us = late_us["by light"][0] - late_us["all alike"][0]
+    assert behind_us == pytest.approx(tau_us(500.0) * (1 / rim_bandwidth(1.61) - 1), rel=0.25)
+    assert late_us["uneven"][1] > late_us["by light"][1] + 0.3 * tau_us(500.0)
 
 
 def test_a_sensor_with_a_bandwidth_sees_less_and_later() -> None:

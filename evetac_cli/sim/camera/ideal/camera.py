@@ -76,7 +76,17 @@ def start(
 
 
 def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> IdealState:
-    """An ideal camera that goes on from the references in `shared`, which it owns from now on; ValueError on NaN."""
+    """An ideal camera that goes on from the references in `shared`, which it owns from now on; ValueError on NaN.
+
+    Also on what only the scanning camera has: thresholds of ON and OFF that are apart, a limit of its readout, dots
+    that are not alike.
+    """
+    if len(shared.shapes.inner_px):
+        raise ValueError("dots that differ: expected none with an ideal camera, found some")
+    if shared.readout is not None:
+        raise ValueError("readout.events_per_s: expected none with an ideal camera, found one")
+    if shared.middle_shift.size:
+        raise ValueError("threshold_off: expected none with an ideal camera, found one")
     if np.isnan(shared.reference).any() or np.isnan(shared.window_reference).any():
         raise ValueError("reference: expected finite levels, found those of refractory pixels")
     if not 1e-3 <= line_step_px <= 10.0:

@@ -30,6 +30,7 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_whole
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
+from evetac_cli.sim.camera.dot_shapes import DotShapes, alike, dot_shapes, shaped_level
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import HotPixels, HotPixelTable, add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
@@ -45,6 +46,7 @@ from evetac_cli.sim.camera.scanning.pixels import (
     line_motion,
     window_pixels,
 )
+from evetac_cli.sim.camera.scanning.readout import Readout
 from evetac_cli.sim.camera.scanning.window import scan_window
 
 # No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
@@ -55,17 +57,19 @@ LOWEST_THRESHOLD = 0.25
 class CameraModel:
     """The constants of one camera; ValueError where a value is out of range.
 
-    Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. The noise rate
+    Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. With
+    `threshold_off` those of ON and OFF are apart: each pixel has two, drawn independently. The noise rate
     is per pixel; every hot pixel has a rate of its own, whose distribution has the evenly spaced quantiles
     `hot_rate_hz` (two: uniform between them); a `hot_pixel_table` has more of them, at known places. `leak_hz` is the
     rate a pixel of the events that leak makes; after an event a pixel is held in reset for `refractory_us`, and its
     next reference is the level at the end of that time. A slice holds at most `max_events`; what is beyond is lost, as
-    on a full bus (the pixels have fired nevertheless), and counted.
+    on a full bus (the pixels have fired nevertheless), and counted. `events_per_s` limits the readout (see readout).
     """
 
     frame_px: tuple[int, int] = FRAME_PX
     scans_per_ms: int = 5
     threshold: float = 0.2
+    threshold_off: float | None = None
     mismatch: float = 0.03
     noise_rate_hz: float = 0.03
     hot_pixels: int = 10
@@ -79,6 +83,7 @@ class CameraModel:
     leak_hz: float = 0.0
     refractory_us: float = 0.0
     max_events: int = 1_000_000
+    events_per_s: float | None = None
 
     def __post_init__(self) -> None:
         width, height = self.frame_px
@@ -86,6 +91,8 @@ class CameraModel:
         check_whole("frame_px, height", height, 1, 4096)
         check_whole("scans_per_ms", self.scans_per_ms, 1, 100)
         check_range("threshold", self.threshold, 0.01, 100.0)
+        if self.threshold_off is not None:
+            check_range("threshold_off", self.threshold_off, 0.01, 100.0)
         check_range("mismatch", self.mismatch, 0.0, 1.0)
         check_range("noise_rate_hz", self.noise_rate_hz, 0.0, 1e4)
         check_whole("hot_pixels", self.hot_pixels, 0, width * height)
@@ -130,9 +137,13 @@ class CameraState:
     window_release_us: NDArray[np.float64]
     candidates: CandidatePixels
     candidate_runs: CandidateRuns
+    middle_shift: NDArray[np.float32]  # see GelPixels
+    window_middle_shift: NDArray[np.float32]
+    shapes: DotShapes  # none where dots are alike
     contact_edges: ContactEdges | None = None
     light: Light | None = None
     table_hot_pixels: HotPixels | None = None
+    readout: Readout | None = None
     slices: int = 0
     dropped: int = 0
     # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code is handed them:
@@ -148,6 +159,8 @@ class CameraState:
             self.threshold,
             self.release_us,
             tuple(self.candidates),
+            self.middle_shift,
+            tuple(self.shapes),
         )
         self.window = (
             *self.window_px[:2],
@@ -157,6 +170,7 @@ class CameraState:
             self.window_threshold,
             self.window_release_us,
             tuple(self.candidate_runs),
+            self.window_middle_shift,
         )
 
 
@@ -170,6 +184,7 @@ def start(
     camera_rng: np.random.Generator | None = None,
     contact_edges: ContactEdges | None = None,
     light_change: LightChange | None = None,
+    dots_differ: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> CameraState:
     """Switch the camera on before dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
 
@@ -179,7 +194,8 @@ def start(
     first `step` starts, so an object that is there already makes no flash. Without texture they see nothing.
     `camera_rng` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
     `contact_edges`, from `contact_edges.start` for this frame, are lines that are not dots; the camera owns them from
-    now on. `light_change` says how the light changes, if it does.
+    now on. `light_change` says how the light changes, if it does. `dots_differ` are factors of the radius (dots,) and
+    of the log contrast (dots,) of each dot, where dots are not alike.
     ValueError on non-finite positions, a window outside the frame, a texture that cannot be used or has no window.
     """
     width, height = model.frame_px
@@ -187,18 +203,22 @@ def start(
     radius_px = model.dot_radius_px if dot_radius_px is None else float(dot_radius_px)
     check_range("dot_radius_px", radius_px, 0.01, 1000.0)
     profile = optics.dot_profile(radius_px, model.edge_sigma_px, model.log_contrast)
+    shapes = alike()
+    if dots_differ is not None:
+        radii, contrasts = (np.broadcast_to(np.asarray(factors, np.float64), len(dots)) for factors in dots_differ)
+        shapes = dot_shapes(profile, radius_px * (radii - 1.0), contrasts)
+        profile = profile._replace(inner_px=float(shapes.inner_px.min()), outer_px=float(shapes.outer_px.max()))
     x0, y0, x1, y1 = camera_input.window_corners(window_px, model.frame_px)
     pattern = camera_input.window_texture(texture, window_px)
 
     built = rng if camera_rng is None else camera_rng
-    nominal = model.threshold * (1.0 + model.mismatch * built.standard_normal((height, width)))
-    threshold: NDArray[np.float32] = np.maximum(nominal, LOWEST_THRESHOLD * model.threshold).astype(np.float32)
+    threshold, middle_shift = _thresholds(model, built)
     phase: NDArray[np.float32] = threshold * rng.uniform(-1.0, 1.0, (height, width)).astype(np.float32)
     window_threshold = threshold[y0:y1, x0:x1].copy()
     window_reference = phase[y0:y1, x0:x1].copy()
     threshold[y0:y1, x0:x1] = np.inf
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
-    level = optics.gel_level(model.frame_px, dots, profile)
+    level = shaped_level(model.frame_px, dots, profile, shapes)
     if contact_edges is not None and contact_edges.frame_px != (width, height):
         raise ValueError(
             f"contact_edges: expected those of a frame {model.frame_px}, found one of {contact_edges.frame_px}"
@@ -226,10 +246,30 @@ def start(
         window_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
         candidates=all_pixels((height, width), len(dots), profile, steady if light is None else light.candidate_light),
         candidate_runs=all_runs(window_reference.shape, pattern),
+        middle_shift=middle_shift,
+        window_middle_shift=middle_shift[y0:y1, x0:x1].copy(),
+        shapes=shapes,
         contact_edges=contact_edges,
         light=light,
         table_hot_pixels=None if model.hot_pixel_table is None else HotPixels(model.hot_pixel_table, rng.spawn(1)[0]),
+        readout=None if model.events_per_s is None else Readout(model.events_per_s, model.frame_px),
     )
+
+
+def _thresholds(model: CameraModel, built: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Draw every pixel's threshold; the mean of two where ON and OFF are apart, and by how much (see GelPixels)."""
+    width, height = model.frame_px
+
+    def drawn(threshold: float, rng: np.random.Generator) -> NDArray[np.float32]:
+        each = threshold * (1.0 + model.mismatch * rng.standard_normal((height, width)))
+        return np.maximum(each, LOWEST_THRESHOLD * threshold).astype(np.float32)
+
+    on = drawn(model.threshold, built)
+    if model.threshold_off is None:
+        return on, np.empty((0, 0), np.float32)
+    off = drawn(model.threshold_off, built.spawn(1)[0])
+    half = np.float32(0.5)
+    return half * (on + off), half * (on - off)
 
 
 def step(
@@ -309,7 +349,8 @@ def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int)
     made = noise_of_slice(state, t0_us, rng, made)
     stored = min(made, len(state.keys))
     state.dropped += made - stored
-    return Events(*sorted_columns(state.keys[:stored], t0_us))
+    columns = sorted_columns(state.keys[:stored], t0_us)
+    return Events(*(columns if state.readout is None else state.readout.read(columns, t0_us)))
 
 
 def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> int:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.scanning.differing_dots import compare_crowded, forget_exchanged
 from evetac_cli.sim.camera.scanning.pixel_culling import (
     COLUMN_MASK,
     PIXEL_SHIFT,
@@ -58,7 +59,10 @@ def scan_dots(
     seen_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
-    candidates = gel.candidates
+    candidates, middle_shift = gel.candidates, gel.middle_shift
+    least_inner, greatest_outer = inner, outer
+    own_inner, own_outer, own_level, visited = gel.shapes
+    differing = len(own_inner) > 0
     readout_us, t0_us, refractory_us = times
     dots = len(path)
     scans = len(readout_us)
@@ -67,6 +71,8 @@ def scan_dots(
     at_scans(path, scans, first_scan, at_xy)
     box = dot_rings.boxes(at_xy, seen_xy)
     crowded = np.zeros(dots, np.bool_) if apart else dot_rings.crowded(box, outer)
+    if differing:
+        forget_exchanged(box, outer, visited, candidates)
     near_xy = np.empty_like(at_xy)
     near_box = np.empty((dots, 4))
     now_us = t0_us + first_scan * SLICE_US / scans
@@ -75,7 +81,33 @@ def scan_dots(
         if max(box[dot, 2], box[dot, 3]) <= 0.5 * RESOLUTION_PX:
             continue
         near = 1
-        if crowded[dot]:
+        if differing:
+            inner, outer, profile = own_inner[dot], own_outer[dot], own_level[dot]
+        if crowded[dot] and differing:
+            candidates.list_box[dot] = np.nan
+            count = ring_pixels(box[dot], least_inner, greatest_outer, False, candidates)
+            count = select_own(dot, count, box, least_inner, greatest_outer, candidates)
+            made = compare_crowded(
+                candidates.active[:count],
+                at_xy,
+                own_inner,
+                own_outer,
+                steps_per_px,
+                own_level,
+                reference,
+                threshold,
+                middle_shift,
+                release_us,
+                candidates.lower2_px2,
+                readout_us,
+                t0_us,
+                refractory_us,
+                first_scan,
+                keys,
+                made,
+            )
+            count = 0
+        elif crowded[dot]:
             near = dot_rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
             candidates.list_box[dot] = np.nan
             count = ring_pixels(box[dot], inner, outer, False, candidates)
@@ -105,6 +137,7 @@ def scan_dots(
                 profile,
                 reference,
                 threshold,
+                middle_shift,
                 candidates.lower2_px2,
                 readout_us[first_scan],
                 keys,
@@ -165,6 +198,7 @@ def scan_dots(
                 profile,
                 reference,
                 threshold,
+                middle_shift,
                 release_us,
                 candidates.lower2_px2,
                 candidates.upper2_px2,
@@ -223,6 +257,7 @@ def _compare_ring(
     profile: NDArray[np.float32],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     lower2_px2: NDArray[np.float32],
     readout_us: NDArray[np.int64],
     keys: NDArray[np.int64],
@@ -234,6 +269,7 @@ def _compare_ring(
     """
     height, width = reference.shape
     ink_px, steps = np.float32(inner), np.float32(steps_per_px)
+    shifted = middle_shift.size > 0
     first_row, end_row = dot_rings.ring_rows(ring, outer, height)
     for row in range(first_row, end_row):
         left, left_end, right, right_end = dot_rings.ring_runs(ring, inner, outer, row, width)
@@ -257,7 +293,7 @@ def _compare_ring(
                 change = level - reference[row, x]
                 if abs(change) < threshold[row, x]:
                     continue
-                reference[row, x] = level
+                reference[row, x] = level + middle_shift[row, x] if shifted else level
                 lower2_px2[row, x] = np.inf
                 if made < len(keys):
                     keys[made] = event_key(readout_us[x], x, row, change > 0)
@@ -274,6 +310,7 @@ def _compare_pixels(
     profile: NDArray[np.float32],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     release_us: NDArray[np.float64],
     lower2_px2: NDArray[np.float32],
     upper2_px2: NDArray[np.float32],
@@ -291,6 +328,7 @@ def _compare_pixels(
     near, shots, _ = near_xy.shape
     scan_us = SLICE_US / len(readout_us)
     blinding = release_us.size > 0
+    shifted = middle_shift.size > 0
     for pixel in active:
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
@@ -308,12 +346,12 @@ def _compare_pixels(
             position = optics.profile_position(distance2, np.float32(inner), np.float32(steps_per_px))
             level = optics.profile_level(position, profile)
             if blinding and release_us[y, x] > now_us:
-                reference[y, x] = level
+                reference[y, x] = level + middle_shift[y, x] if shifted else level
                 continue
             change = level - reference[y, x]
             if abs(change) < threshold[y, x]:
                 continue
-            reference[y, x] = level
+            reference[y, x] = level + middle_shift[y, x] if shifted else level
             if made < len(keys):
                 keys[made] = event_key(readout_us[first_scan + shot, x], x, y, change > 0)
             made += 1

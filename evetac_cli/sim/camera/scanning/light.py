@@ -27,6 +27,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.camera_input import check_range
 from evetac_cli.sim.camera.contact_edges import LineMotion
+from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.leak import LEAK_SLICES
 from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
@@ -190,6 +191,8 @@ def _shine(
     low, high, row_low, row_high, window_low, window_high, seen_object = bounds
     inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
+    middle_shift = gel.middle_shift
+    shifted, nothing = middle_shift.size > 0, np.empty(0, np.float32)
     height, width = reference.shape
     line = np.empty(width, np.float32)
     for row in range(height):
@@ -203,7 +206,11 @@ def _shine(
             if not low[row, run] < light < high[row, run]:
                 first_run, end_run = min(first_run, run), run + 1
         left, right = first_run * RUN_PX, min(end_run * RUN_PX, width)
-        optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, left, right, line)
+        if len(gel.shapes.inner_px):
+            shapes = (gel.shapes.inner_px, gel.shapes.outer_px, steps_per_px, gel.shapes.level)
+            differing_row(gel.seen_dot_xy_px, *shapes, row, left, right, line)
+        else:
+            optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, left, right, line)
         before = made
         row_low[row] = -np.inf
         row_high[row] = np.inf
@@ -216,6 +223,7 @@ def _shine(
                     line[first - left : end - left],
                     own[first:end],
                     threshold[row, first:end],
+                    middle_shift[row, first:end] if shifted else nothing,
                     release_us[row, first:end],
                     first,
                     row,
@@ -252,6 +260,7 @@ def _shine(
             line[:columns],
             own,
             window.threshold[row],
+            window.middle_shift[row] if shifted else nothing,
             window.release_us[row],
             window.first_x,
             window.first_y + row,
@@ -268,6 +277,7 @@ def _compare_run(
     level: NDArray[np.float32],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     release_us: Floats,
     first_x: int,
     y: int,
@@ -285,16 +295,16 @@ def _compare_run(
     high = np.inf
     for k in range(len(reference)):
         if len(release_us) and release_us[k] > now_us:
-            reference[k] = level[k]
+            reference[k] = level[k] + middle_shift[k] if len(middle_shift) else level[k]
             high = -np.inf
             continue
         change = level[k] - reference[k]
         if abs(change) >= threshold[k]:
-            reference[k] = level[k]
+            reference[k] = level[k] + middle_shift[k] if len(middle_shift) else level[k]
             if made < len(keys):
                 keys[made] = event_key(readout_us[first_x + k], first_x + k, y, change > 0)
             made += 1
-            change = np.float32(0.0)
+            change = level[k] - reference[k]
             if len(release_us):
                 release_us[k] = now_us + refractory_us
                 high = -np.inf

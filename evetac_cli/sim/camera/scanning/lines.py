@@ -29,6 +29,7 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_cut,
     sample_row,
 )
+from evetac_cli.sim.camera.dot_shapes import DotShapes, differing_row
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
 from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
 from evetac_cli.sim.camera.scanning.pixels import RUN_PX, GelPixels, ScanTimes, WindowPixels
@@ -62,7 +63,17 @@ def scan_lines(
     outlined = height if rows else 0
     runs = np.zeros((outlined, 4), np.int64)
     cut_runs = np.zeros((cut_rows, 4), np.int64)
-    first_x, first_y, object_seen, texture, window_reference, window_threshold, window_release_us, due_runs = window
+    (
+        first_x,
+        first_y,
+        object_seen,
+        texture,
+        window_reference,
+        window_threshold,
+        window_release_us,
+        due_runs,
+        window_middle_shift,
+    ) = window
     contrast = motion.contrast
     at_xy = np.empty((len(path), scans, 2))
     at_scans(path, scans, 0, at_xy)
@@ -83,13 +94,15 @@ def scan_lines(
         near[dot] = _reaches(box[dot], outer, outline_reach) or (cut_rows > 0 and _reaches(box[dot], outer, cut_reach))
         at_lines = at_lines or _reaches(box[dot], outer, union)
     apart = not dot_rings.crowded(box, outer + 2.0).any()
-    # Where dots are apart, no pixel gets blind and no texture shows, most pixels of an outline can be left out.
-    few = rows > 0 and apart and window_reference.size == 0 and gel.release_us.size == 0
+    # Where dots are apart and alike, no pixel gets blind and no texture shows, most pixels of an outline are left out.
+    differing = len(gel.shapes.inner_px) > 0
+    few = rows > 0 and apart and not differing and window_reference.size == 0 and gel.release_us.size == 0
+    near_shapes = _shapes_of(gel.shapes, near)
     off_level = 0.0
     if few:
         off_level = draw_dots(box, near, inner, outer, steps_per_px, profile, candidates.drawn_at, candidates.drawn)
     drawn = (candidates.drawn, off_level)
-    outline_pixels = (reference, gel.threshold, candidates.lower2_px2)
+    outline_pixels = (reference, gel.threshold, candidates.lower2_px2, gel.middle_shift)
     doubtful = candidates.doubtful
     touched = np.zeros(len(path), np.uint8)
     near_xy = np.empty((near.sum(), 2))
@@ -161,9 +174,17 @@ def scan_lines(
         before = made
         when = (readout_us[scan], now_us, refractory_us)
         texture_at = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
-        ink = (inner, outer, steps_per_px, profile, texture, texture_at)
-        gel_pixels = (reference, gel.threshold, gel.release_us, candidates.lower2_px2)
-        window_pixels = (first_x, first_y, window_reference, window_threshold, window_release_us, *due)
+        ink = (inner, outer, steps_per_px, profile, near_shapes, texture, texture_at)
+        gel_pixels = (reference, gel.threshold, gel.middle_shift, gel.release_us, candidates.lower2_px2)
+        window_pixels = (
+            first_x,
+            first_y,
+            window_reference,
+            window_threshold,
+            window_middle_shift,
+            window_release_us,
+            *due,
+        )
         pixels = (*gel_pixels, *window_pixels)
         dots = 0
         for dot in range(len(near)):
@@ -182,6 +203,16 @@ def scan_lines(
             made = _compare_across(*what, 0, cut_rows, cut_runs, *when, line, keys, made)
         line_events += made - before
     return made, line_events
+
+
+@njit(cache=True)
+def _shapes_of(
+    shapes: DotShapes, chosen: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
+    """Radii and levels of some dots; empty where dots are alike."""
+    if len(shapes.inner_px) == 0:
+        return shapes.inner_px, shapes.outer_px, shapes.level
+    return shapes.inner_px[chosen], shapes.outer_px[chosen], shapes.level[chosen]
 
 
 # A box that holds all pixels whose level can change: left, top, right, bottom.
@@ -340,10 +371,10 @@ def _compare_across(
 
     `dot_xy` and `ink` are what draws both, `pixels` what they have; `row_xy` and `line` are scratch.
     """
-    inner, outer, steps_per_px, profile, texture, place = ink
+    inner, outer, steps_per_px, profile, (own_inner, own_outer, own_level), texture, place = ink
     whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
-    reference, threshold, release_us, lower2, first_x, first_y = pixels[:6]
-    window_reference, window_threshold, window_release_us, due_at, row_due_at = pixels[6:]
+    reference, threshold, middle_shift, release_us, lower2, first_x, first_y = pixels[:7]
+    window_reference, window_threshold, window_middle_shift, window_release_us, due_at, row_due_at = pixels[7:]
     window_rows, window_columns = window_reference.shape
     for row in range(first_row, end_row):
         if runs[row, 0] >= runs[row, 1] and runs[row, 2] >= runs[row, 3]:
@@ -355,11 +386,16 @@ def _compare_across(
             end = runs[row, 2 * side + 1]
             if first >= end:
                 continue
-            optics.dot_row(row_xy[:in_row], inner, outer, steps_per_px, profile, row, first, end, line)
+            if len(own_inner):
+                own_shapes = (own_inner, own_outer, steps_per_px, own_level)
+                differing_row(dot_xy, *own_shapes, row, first, end, line)
+            else:
+                optics.dot_row(row_xy[:in_row], inner, outer, steps_per_px, profile, row, first, end, line)
             made = compare_row(
                 line,
                 reference,
                 threshold,
+                middle_shift,
                 release_us,
                 row,
                 first,
@@ -384,6 +420,7 @@ def _compare_across(
                 line,
                 window_reference,
                 window_threshold,
+                window_middle_shift,
                 window_release_us,
                 own,
                 left,

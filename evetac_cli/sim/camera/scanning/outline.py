@@ -96,19 +96,19 @@ def shift_outline(
     rows: tuple[int, int],
     runs: NDArray[np.int64],
     seen_level: Pixels,
-    pixels: tuple[Pixels, Pixels, Pixels],
+    pixels: tuple[Pixels, Pixels, Pixels, Pixels],
     drawn: tuple[Pixels, float],
     line: Pixels,
     doubtful: NDArray[np.uint8],
 ) -> None:
     """Take an outline at a place (corner x, y, strength) as seen: change the references by as much the other way.
 
-    `runs` (height, 4) are its pixels in these rows (first, end); `pixels` are their references, thresholds and squared
-    quiet radii, `drawn` the drawn dots and how far off they are. Fills the runs in `doubtful` (height, a multiple of
-    eight): 1 for pixels that may fire, else 0.
+    `runs` (height, 4) are its pixels in these rows (first, end); `pixels` are their references, thresholds, squared
+    quiet radii and shifts (see GelPixels), `drawn` the drawn dots and how far off they are. Fills the runs in
+    `doubtful` (height, a multiple of eight): 1 for pixels that may fire, else 0.
     """
     corner_x, corner_y, strength = place
-    reference, threshold, lower2 = pixels
+    reference, threshold, lower2, _ = pixels
     dots, margin_level = drawn
     margin = np.float32(margin_level)
     picture_rows, picture_columns = picture.shape
@@ -168,7 +168,7 @@ def compare_outline(
     rows: tuple[int, int],
     runs: NDArray[np.int64],
     doubtful: NDArray[np.uint8],
-    pixels: tuple[Pixels, Pixels, Pixels],
+    pixels: tuple[Pixels, Pixels, Pixels, Pixels],
     drawn: Pixels,
     readout_us: NDArray[np.int64],
     keys: NDArray[np.int64],
@@ -179,7 +179,8 @@ def compare_outline(
     They are looked for eight at a time. Scans of the dots in between may have made a pixel fire, and then it is quiet;
     they make none fire that was not doubtful.
     """
-    reference, threshold, _ = pixels
+    reference, threshold, _, middle_shift = pixels
+    shifted = middle_shift.size > 0
     in_a_row = doubtful.shape[1] // 8
     eights = doubtful.reshape(-1).view(np.uint64)
     for row in range(rows[0], rows[1]):
@@ -200,7 +201,7 @@ def compare_outline(
                     change = level - reference[row, x]
                     if abs(change) < threshold[row, x]:
                         continue
-                    reference[row, x] = level
+                    reference[row, x] = level + middle_shift[row, x] if shifted else level
                     if made < len(keys):
                         keys[made] = event_key(readout_us[x], x, row, change > 0)
                     made += 1

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import LineMotion, Outline, Place
+from evetac_cli.sim.camera.dot_shapes import DotShapes
 
 MOST_LISTED = 512  # pixels in the list of a dot; larger or blurred dots may do without
 # Pixels side by side in the window that are compared together: with more, the one nearest to its threshold makes more
@@ -64,7 +65,10 @@ class CandidateRuns(NamedTuple):
 class GelPixels(NamedTuple):
     """The gel: where its dots were at the last scan (dots, 2), how a dot looks, and its pixels, (height, width) each.
 
-    `release_us` is the time until which a pixel is blind; its rows are empty where scans cannot tell.
+    `release_us` is the time until which a pixel is blind; its rows are empty where scans cannot tell. `middle_shift` is
+    by how much a pixel's reference lies above the level of its last event: half of what its ON threshold is larger than
+    its OFF threshold. Then `threshold` is their mean, and a pixel fires as if both were equal. Empty where they are.
+    Where dots are not alike they have `shapes`, and `profile` has the least inner and the greatest outer radius.
     """
 
     seen_dot_xy_px: NDArray[np.float64]
@@ -73,12 +77,15 @@ class GelPixels(NamedTuple):
     threshold: NDArray[np.float32]
     release_us: NDArray[np.float64]
     candidates: CandidatePixels
+    middle_shift: NDArray[np.float32]
+    shapes: DotShapes
 
 
 class WindowPixels(NamedTuple):
     """The window: its first pixel in the frame, the texture that slides by, and its pixels, (rows, columns) each.
 
-    `seen_object` is the object's x, y in px and the texture's contrast at the last scan, NaN before the first.
+    `seen_object` is the object's x, y in px and the texture's contrast at the last scan, NaN before the first. For
+    `middle_shift` see GelPixels.
     """
 
     first_x: int
@@ -89,6 +96,7 @@ class WindowPixels(NamedTuple):
     threshold: NDArray[np.float32]
     release_us: NDArray[np.float64]
     candidate_runs: CandidateRuns
+    middle_shift: NDArray[np.float32]
 
 
 class ScanTimes(NamedTuple):
@@ -124,6 +132,8 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
             candidates[11],
             candidates[12],
         ),
+        gel[6],
+        DotShapes(gel[7][0], gel[7][1], gel[7][2], gel[7][3]),
     )
 
 
@@ -140,6 +150,7 @@ def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
         window[5],
         window[6],
         CandidateRuns(runs[0], runs[1], runs[2], runs[3], runs[4], runs[5]),
+        window[8],
     )
 
 

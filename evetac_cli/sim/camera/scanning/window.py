@@ -34,7 +34,7 @@ def scan_window(
 ) -> int:
     """Compare the window's runs of pixels that may fire, in every scan at which the picture is another."""
     start_xy, end_xy, contrast = motion
-    first_x, first_y, seen, texture, reference, threshold, release_us, candidate_runs = window
+    first_x, first_y, seen, texture, reference, threshold, release_us, candidate_runs, middle_shift = window
     readout_us, t0_us, refractory_us = times
     scans = len(readout_us)
     rows, columns = reference.shape
@@ -66,7 +66,7 @@ def scan_window(
         fast = faded or change > FAST_LEVEL
         rounding = RUN_ROUNDING * contrast * candidate_runs.greatest
         now_us = t0_us + scan * SLICE_US / scans
-        pixels = (reference, threshold, release_us)
+        pixels = (reference, threshold, middle_shift, release_us)
         when = (readout_us[scan], now_us, refractory_us)
         # Below, arguments one by one: with tuples handed on for each row, a row took 1.6 times as long.
         if fast:  # runs that were not due stay so: they have not fired
@@ -98,6 +98,7 @@ def _compare_all(
     place: optics.TexturePlace,
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     release_us: NDArray[np.float64],
     corner: tuple[int, int],
     readout_us: NDArray[np.int64],
@@ -118,6 +119,7 @@ def _compare_all(
             line,
             reference,
             threshold,
+            middle_shift,
             release_us,
             row,
             0,
@@ -138,6 +140,7 @@ def _compare_due(
     place: optics.TexturePlace,
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     release_us: NDArray[np.float64],
     corner: tuple[int, int],
     readout_us: NDArray[np.int64],
@@ -168,6 +171,7 @@ def _compare_due(
                 line,
                 reference,
                 threshold,
+                middle_shift,
                 release_us,
                 row,
                 first,
@@ -215,6 +219,7 @@ def compare_row(
     level: NDArray[np.float32],
     reference: NDArray[np.float32],
     threshold: NDArray[np.float32],
+    middle_shift: NDArray[np.float32],
     release_us: NDArray[np.float64],
     row: int,
     first: int,
@@ -232,10 +237,11 @@ def compare_row(
     as long as the comparison.
     """
     blinding = release_us.size > 0
+    shifted = middle_shift.size > 0
     if blinding:
         for x in range(first, end):
             if release_us[row, x] > now_us:
-                reference[row, x] = level[x - first]
+                reference[row, x] = level[x - first] + middle_shift[row, x] if shifted else level[x - first]
     # Most rows have nothing to report, and counting vectorises.
     fired = np.int32(0)
     y, offset = np.uint64(row), np.uint64(first)
@@ -246,7 +252,7 @@ def compare_row(
     for x in range(np.uint64(first), np.uint64(end)):
         change = level[x - offset] - reference[y, x]
         if abs(change) >= threshold[y, x]:
-            reference[y, x] = level[x - offset]
+            reference[y, x] = level[x - offset] + middle_shift[y, x] if shifted else level[x - offset]
             if blinding:
                 release_us[y, x] = now_us + refractory_us
             column = corner[0] + np.int64(x)

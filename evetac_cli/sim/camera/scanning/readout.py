@@ -1,0 +1,79 @@
+"""A readout that is slow under load: events wait for their turn, and pixels that wait make no others.
+
+At rest a DVXplorer scans 5000 times a second. With more events a scan takes longer ("variable" mode of libcaer), and
+all pixels hold what they have to report until it is their turn (global hold). No document says how long an event
+takes. This is the simplest model that hands on no more than a given number of events a second: they are read one after
+another, an event's time stamp is that of its reading, and a pixel that still waits makes no other event. Of several
+changes in so long a scan only the first is reported, as in a scan of the usual length.
+
+Left out: that the comparison itself waits for the scan before. What waits at the end of a recording is not in it.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.sim.camera.camera_input import check_range
+
+# Of the events of a slice: times in us, columns, rows, polarities.
+Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+
+
+class Readout:
+    """The readout of one camera, from slice to slice; `lost` counts the events of pixels that waited."""
+
+    def __init__(self, events_per_s: float, frame_px: tuple[int, int]) -> None:
+        """Read at most so many events a second; ValueError if out of range."""
+        check_range("readout.events_per_s", events_per_s, 1e3, 1e10)
+        width, height = frame_px
+        self._event_us = 1e6 / events_per_s
+        self._free_us = -np.inf
+        self._read_at_us = np.full((height, width), -np.inf)
+        self._waiting: Columns | None = None
+        self.lost = 0
+
+    def read(self, made: Columns, t0_us: int) -> Columns:
+        """The events that are read in the slice that starts at `t0_us`, of those made in it (sorted) and those before.
+
+        The columns `made` are used up.
+        """
+        kept, self._free_us = _take_turns(*made, self._event_us, self._free_us, self._read_at_us)
+        self.lost += len(made[0]) - kept
+        t, x, y, p = made[0][:kept], made[1][:kept], made[2][:kept], made[3][:kept]
+        if self._waiting is not None:
+            old_t, old_x, old_y, old_p = self._waiting
+            t, x = np.concatenate((old_t, t)), np.concatenate((old_x, x))
+            y, p = np.concatenate((old_y, y)), np.concatenate((old_p, p))
+        now = int(np.searchsorted(t, t0_us + SLICE_US))
+        self._waiting = (t[now:], x[now:], y[now:], p[now:]) if now < len(t) else None
+        return t[:now], x[:now], y[:now], p[:now]
+
+
+@njit(cache=True)
+def _take_turns(
+    t_us: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    event_us: float,
+    free_us: float,
+    read_at_us: NDArray[np.float64],
+) -> tuple[int, float]:
+    """Move the events that are not lost to the front, with the times at which they are read.
+
+    Returns their number, and when the readout is free again. `read_at_us` (height, width): when a pixel was last read.
+    """
+    kept = 0
+    for event in range(len(t_us)):
+        if read_at_us[y[event], x[event]] >= t_us[event] + 1:  # time stamps are whole us
+            continue
+        now_us = max(float(t_us[event]), free_us)
+        free_us = now_us + event_us
+        read_at_us[y[event], x[event]] = now_us
+        t_us[kept] = int(now_us)
+        x[kept] = x[event]
+        y[kept] = y[event]
+        p[kept] = p[event]
+        kept += 1
+    return kept, free_us

@@ -1,0 +1,82 @@
+"""A readout that hands on no more than so many events a second."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from evetac_cli.events import Events, concatenate
+from evetac_cli.sim.camera.ideal import camera as ideal
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.camera.scanning.light import LightChange
+from tests.sim.camera.scanning.test_camera import FRAME, QUIET, line, play, start
+
+DOTS = [[30.0, 40.0]]
+PIXELS = FRAME[0] * FRAME[1]
+
+
+def limited(events_per_s: float) -> camera.CameraModel:
+    return dataclasses.replace(QUIET, events_per_s=events_per_s, leak_hz=10.0, noise_rate_hz=100.0)
+
+
+def flash(events_per_s: float | None, slices: int = 20) -> tuple[camera.CameraState, list[Events]]:
+    """A light that becomes ten times as bright at 2 ms: an event of every pixel."""
+    model = dataclasses.replace(QUIET, events_per_s=events_per_s)
+    change = LightChange(step_at_s=0.002, step_factor=10.0)
+    state = camera.start(model, DOTS, None, None, None, np.random.default_rng(0), light_change=change)
+    return state, play(state, line(DOTS, 0.0), slices)
+
+
+def test_without_load_nothing_changes() -> None:
+    """Assert that a limit far above what the camera makes leaves every event as it is."""
+    one, other = (play(start(DOTS, model), line(DOTS, (0.3, 0.1)), 50) for model in (limited(1e10), limited(3e8)))
+    free = play(start(DOTS, dataclasses.replace(limited(1.0), events_per_s=None)), line(DOTS, (0.3, 0.1)), 50)
+    for limits in (one, other):
+        for mine, theirs in zip(limits, free, strict=True):
+            assert all((a == b).all() for a, b in zip(mine, theirs, strict=True))
+
+
+def test_a_flash_is_read_at_the_limit() -> None:
+    """Assert that all pixels' events are read one after another at the limit, in slices of their own, none lost."""
+    free = concatenate(flash(None)[1])
+    state, slices = flash(1e6)
+    assert free.size == PIXELS
+    read = concatenate(slices)
+    assert state.readout is not None
+    assert state.readout.lost == 0
+    places = [sorted(zip(events.x.tolist(), events.y.tolist(), strict=True)) for events in (read, free)]
+    assert places[0] == places[1]
+    assert (np.diff(read.t) == 1).all()
+    assert read.t[0] == free.t[0]
+    for k, part in enumerate(slices):
+        assert ((part.t >= 1000 * k) & (part.t < 1000 * (k + 1))).all()
+    assert max(part.size for part in slices) == 1000
+
+
+def test_what_is_beyond_the_limit_is_lost() -> None:
+    """Assert that under lasting load the limit is read, one event a pixel waits, and all others are counted as lost."""
+    made = 400.0 * PIXELS * 0.4
+    model = dataclasses.replace(QUIET, noise_rate_hz=400.0, events_per_s=made / 0.4 / 4)
+    state = start(DOTS, model)
+    slices = play(state, line(DOTS, 0.0), 400)
+    read = concatenate(slices)
+    assert read.size == pytest.approx(made / 4, rel=0.001)
+    assert state.readout is not None
+    assert state.readout.lost == pytest.approx(made - made / 4 - PIXELS, rel=0.05)
+    assert (np.diff(read.t) >= 0).all()
+    order = np.lexsort((read.t, read.y, read.x))
+    same = (np.diff(read.x[order]) == 0) & (np.diff(read.y[order]) == 0)
+    assert np.diff(read.t[order])[same].min() > 0
+
+
+@pytest.mark.parametrize("events_per_s", [0.0, -1.0, float("nan"), 1e11])
+def test_limits_out_of_range_are_refused(events_per_s: float) -> None:
+    """Assert that a limit which is none is refused."""
+    with pytest.raises(ValueError, match="events_per_s"):
+        start(DOTS, dataclasses.replace(QUIET, events_per_s=events_per_s))
+
+
+def test_ideal_camera_refuses_a_limit() -> None:
+    """Assert that an ideal camera, which reads events the moment they are made, says so."""
+    with pytest.raises(ValueError, match="events_per_s"):
+        ideal.start(dataclasses.replace(QUIET, events_per_s=1e6), DOTS, None, None, None, np.random.default_rng(0))
