@@ -116,6 +116,21 @@ class HotPixels:
 
 
 @njit(cache=True)
+def _whose(
+    place_hz: float,
+    background_hz: float,
+    hot_pixel: NDArray[np.int64],
+    hot_cumulative_hz: NDArray[np.float64],
+    pixels: int,
+) -> int:
+    """The pixel whose event it is, from a place among the summed rates of all: first the background, then hot ones."""
+    if place_hz < background_hz:
+        return min(int(place_hz / background_hz * pixels), pixels - 1)
+    hot = int(np.searchsorted(hot_cumulative_hz, place_hz - background_hz, side="right")) - 1
+    return int(hot_pixel[min(hot, len(hot_pixel) - 1)])
+
+
+@njit(cache=True)
 def _place(
     uniform: NDArray[np.float64],
     background_hz: float,
@@ -128,12 +143,7 @@ def _place(
     width, height = frame_px
     total_hz = background_hz + hot_cumulative_hz[-1]
     for event in range(len(uniform)):
-        place_hz = uniform[event, 0] * total_hz
-        if place_hz < background_hz:
-            pixel = min(int(place_hz / background_hz * width * height), width * height - 1)
-        else:
-            hot = np.searchsorted(hot_cumulative_hz, place_hz - background_hz, side="right") - 1
-            pixel = hot_pixel[min(hot, len(hot_pixel) - 1)]
+        pixel = _whose(uniform[event, 0] * total_hz, background_hz, hot_pixel, hot_cumulative_hz, width * height)
         time_and_sign = int(uniform[event, 1] * 2 * SLICE_US)
         if made < len(keys):
             keys[made] = event_key(time_and_sign >> 1, pixel % width, pixel // width, time_and_sign & 1 == 1)
@@ -167,12 +177,7 @@ def _place_in_steps(
     width, height = frame_px
     total_hz = background_hz + hot_cumulative_hz[-1]
     for event in range(len(uniform)):
-        place_hz = uniform[event, 0] * total_hz
-        if place_hz < background_hz:
-            pixel = min(int(place_hz / background_hz * width * height), width * height - 1)
-        else:
-            hot = np.searchsorted(hot_cumulative_hz, place_hz - background_hz, side="right") - 1
-            pixel = hot_pixel[min(hot, len(hot_pixel) - 1)]
+        pixel = _whose(uniform[event, 0] * total_hz, background_hz, hot_pixel, hot_cumulative_hz, width * height)
         brighter = uniform[event, 1] < on_share
         share = uniform[event, 1] / on_share if brighter else (uniform[event, 1] - on_share) / (1.0 - on_share)
         time_us = share * SLICE_US

@@ -64,9 +64,8 @@ class Stepper:
     second: gel.GelState | None = None
 
     def __post_init__(self) -> None:
-        self._progress = np.zeros(
-            3
-        )  # the part of the slice that is done, how often it is halved, and the last step in s
+        # the part of the slice that is done, how often it is halved, and the last step in s
+        self._progress = np.zeros(3)
         self._sums = np.zeros(12)
         self._fixed_steps = self.solver.fixed_steps or 0
         self._rule = (self.solver.tolerance_um * 1e-6, self.solver.halvings)

@@ -1,8 +1,8 @@
 """The hand that holds the gripper: how fast it rises as planned, a jerk, and the vibration of the robot that moves it.
 
 The planned motion is a trapezoid of speed, one with smooth corners (s-curve), or one in steps, as by a robot controller
-that updates its speed at 125 Hz (the cycle of Universal Robots' CB3 controllers, by their RTDE guide; that of the
-e-series is 500 Hz). A vibration is a sum of sine waves of acceleration with random phases.
+that updates its speed at 125 Hz (what users report of Universal Robots' CB3 controllers, and 500 Hz of the e-series). A
+vibration is a sum of sine waves of acceleration with random phases.
 
 Why so: what is asked of the hand is its speed, and its acceleration in a slice is the change of that speed, so that
 motion and inertia agree to the bit. A vibration that began or ended at once would be a knock; it takes FADE_S.
