@@ -104,7 +104,7 @@ def rest_images(recording: Recording, progress: Progress = silent) -> tuple[Rest
     """The gel at rest as seen by every other pair of strokes, and by the other pairs; InputError without strokes."""
     stroked = strokes(recording)
     if not stroked:
-        moved = dot_search.contrast(_seen(recording, 0, len(recording))) > 0
+        moved = dot_search.contrast(seen(recording, 0, len(recording))) > 0
         message = "the gel is not at rest before and after a stroke" if moved else "no dot was seen to move"
         raise InputError(message, where=str(recording.path), hint=PRESS)
     nothing = np.zeros(recording.frame_px[::-1], np.uint8)
@@ -112,7 +112,7 @@ def rest_images(recording: Recording, progress: Progress = silent) -> tuple[Rest
     for stroke, (start, stop) in enumerate(stroked):
         half = stroke // 2 % 2  # two strokes each: there and back
         for backwards in (False, True):
-            halves[half] = halves[half].joined(_seen(recording, start, stop, backwards=backwards))
+            halves[half] = halves[half].joined(seen(recording, start, stop, backwards=backwards))
         progress(stop, len(recording))
     return halves[0], halves[1]
 
@@ -123,7 +123,7 @@ def strokes(recording: Recording) -> list[tuple[int, int]]:
     return list(zip(rests, rests[1:], strict=False))
 
 
-def _seen(recording: Recording, start: int, stop: int, *, backwards: bool = False) -> RestImage:
+def seen(recording: Recording, start: int, stop: int, *, backwards: bool = False) -> RestImage:
     """The gel at rest before the slices [start, stop), as their events show it; backwards: at rest after them."""
     if backwards:
         edges = range(stop, max(start, stop - LONGEST_STROKE), -BLOCK_SLICES)

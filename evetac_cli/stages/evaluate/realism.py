@@ -33,6 +33,7 @@ METHOD = 1
 SHORTEST_MOTION = 300  # slices
 MOST_EVENTS = 5_000_000  # of one phase
 NEAR = 0.10  # a distance that the summary counts as near
+EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures of the dots' edges
 RELATIVE, CUMULATIVE = "relative difference", "largest gap of cumulative shares"
 
 Counts = NDArray[np.int64]
@@ -135,7 +136,7 @@ def _side(recording: Recording) -> Side:
     whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
     motion = _phase(recording, moving) if whole else None
     log_contrast = float(scene.sensor_row("evetac")["log_contrast"])
-    press = pressed.find(recording, log_contrast, np.random.default_rng(0)) if motion else None
+    press = pressed.find(recording, log_contrast, None, 0.0, np.random.default_rng(0)) if motion else None
     return Side(recording.path.name, rest, motion, press)
 
 
@@ -227,7 +228,8 @@ def _phase_rows(
 def _edge_rows(real: pressed.Press, simulated: pressed.Press) -> Rows:
     """Radius and blur of the dots' edges, and events from dot to gel; half of the interval stands for the halves."""
     rows = []
-    for figure, ours, made in zip(real.rim._fields, real.rim, simulated.rim, strict=True):
+    for figure in EDGES:
+        ours, made = (getattr(side.optics, figure) for side in (real, simulated))
         own = (ours.high - ours.low) / 2 / ours.value
         rows.append(_row("dot edges", figure, ours.value, made.value, _relative(ours.value, made.value), own, RELATIVE))
     return rows
@@ -267,7 +269,7 @@ def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -
             panels[2].loglog(frequency_hz, power, **style)
         if side.press:
             rims = side.press.profile
-            panels[3].plot(rims.distance_px - side.press.rim.radius_px.value, rims.share, **style)
+            panels[3].plot(rims.distance_px, rims.share, **style)
     panels[0].set(xscale="log", xlabel="time between events of a hot pixel [us]", ylabel="cumulative share")
     panels[1].set(xlabel="pixels, the busiest first", ylabel="events a second")
     panels[2].set(xlabel="frequency [Hz]", ylabel="power of the events a slice")

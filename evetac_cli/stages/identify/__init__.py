@@ -4,11 +4,12 @@ What comes from which recording: the noise of the camera from the longest rest a
 that shows most dots moved. What no recording tells keeps the value of the sensor that is named as its like.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
@@ -23,7 +24,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 
 OUTPUT = "sensor"
-METHOD = 1
+METHOD = 2
 
 
 def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
@@ -57,12 +58,15 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
     log_contrast = float(scene.sensor_row(params.like)["log_contrast"])
+    printed_xy = _printed(scene.sensor_row(params.like))
     rests, presses = [], []
     for number, path in enumerate(job.inputs):
-        noise_rng, rim_rng = np.random.default_rng([params.seed, number]).spawn(2)
+        noise_rng, press_rng = np.random.default_rng([params.seed, number]).spawn(2)
         with open_recording(path) as recording:
-            rests.append(at_rest.longest(recording, noise_rng))
-            presses.append(pressed.find(recording, log_contrast, rim_rng))
+            resting = at_rest.longest(recording, noise_rng)
+            noise_hz = resting.noise.noise_hz.value if resting else 0.0
+            presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
+            rests.append(resting)
         progress(number + 1, len(job.inputs))
     rows, values = at_rest.rows(max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None))
     best = max((one for one in presses if one), key=lambda one: one.dots, default=None)
@@ -74,6 +78,12 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
         sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written
     summary = {"sensor": str(job.output), "status": "made", "all_other_keys": f"as in {params.like}; {NOT_ESTIMATED}"}
     return Outcome(table(rows), recipe.simulated, summary)
+
+
+def _printed(sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:
+    """The dots (rows, columns, 2) as they were printed: as evenly as the sensor's columns and rows say."""
+    columns, rows = (np.array(sensor_row[key], np.float64) for key in ("dot_columns_px", "dot_rows_px"))
+    return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
 def table(rows: Sequence[Row]) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""What a press tells of a sensor: the places of its dots at rest, their radius and blur, contrast over threshold."""
+"""What a press tells of a sensor: places, size, blur and contrast of its dots, its lens, and its thresholds."""
 
 from dataclasses import dataclass
 
@@ -7,9 +7,13 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import dot_search, grid
-from evetac_cli.kernels.identify import mismatch, rim
+from evetac_cli.kernels.calibration.rest_image import RestImage
+from evetac_cli.kernels.identify import distortion, dots, mismatch, polarity, rim, stroke_events
+from evetac_cli.kernels.identify.dots import Optics
 from evetac_cli.kernels.identify.estimates import Estimate
-from evetac_cli.kernels.identify.rim import Rim, RimProfile
+from evetac_cli.kernels.identify.polarity import Polarity
+from evetac_cli.kernels.identify.rim import RimProfile, Runs
+from evetac_cli.kernels.identify.stroke_events import StrokeEvents
 from evetac_cli.stages import calibrate
 from evetac_cli.stages.identify.sensor_text import Entry, Row
 from evetac_cli.store.read import Recording
@@ -21,18 +25,47 @@ MAKE_WHOLE = "cannot be told from these recordings: some dots were not seen; pre
 PLACE = "error of a dot's place, 95 %"
 MAKE_LONGER = "cannot be told from these recordings: make one with more strokes over the whole gel"
 NOT_ALONE = "cannot be told from events: only contrast over threshold makes them"
+OTHER_GRID = (
+    "cannot be told from these recordings: the dots are not the grid of --like, of which a lens would curve rows"
+)
+ONLY_LATE = (
+    "cannot be told from these recordings: slow pixels show the same motion, only later; make one of a motion whose"
+    " time is known otherwise, as of a shaker that tells its phase"
+)
+MAKE_LONG_REST = "cannot be told from these recordings: make one of ten minutes in which nothing touches the gel"
 WORST_JITTER_PX = calibrate.WORST_JITTER_PX
+MOST_MISSING = calibrate.MOST_MISSING
+APART = 0.01  # relative sd of the thresholds of ON against those of OFF: less is one threshold for both
+UNITS = {
+    "dots": "",
+    PLACE: "px",
+    "dot_radius_px": "px",
+    "dot_radius_spread": "",
+    "dot_contrast_spread": "",
+    "edge_sigma_px": "px",
+    "distortion": "k1",
+    "log_contrast / threshold": "",
+    "threshold_off / threshold": "",
+    "mismatch": "",
+}
 
 
 @dataclass(frozen=True)
 class Press:
-    """Dots (rows, columns, 2) in px, NaN where one is missing, how far halves of the strokes disagree, rims."""
+    """Dots (rows, columns, 2) in px, NaN where one is missing, how far halves of the strokes disagree, optics, lens.
+
+    `is_apart`: pixels have one threshold for ON and another one for OFF.
+    """
 
     dot_xy_px: NDArray[np.float64]
     jitter_px: float
-    rim: Rim
+    optics: Optics
+    lens_k1: Estimate | None
+    off_over_on: Estimate | None
     mismatch: Estimate | None
+    is_apart: bool
     profile: RimProfile
+    frame_px: tuple[int, int]
     source: str
 
     @property
@@ -41,69 +74,176 @@ class Press:
         return int(np.isfinite(self.dot_xy_px[..., 0]).sum())
 
 
-def find(recording: Recording, log_contrast: float, rng: np.random.Generator) -> Press | None:
-    """The dots that a recording shows moved from rest; None where it shows no grid of them."""
+def find(
+    recording: Recording,
+    log_contrast: float,
+    printed_xy: NDArray[np.float64] | None,
+    noise_hz: float,
+    rng: np.random.Generator,
+) -> Press | None:
+    """What the dots tell that a recording shows moved from rest; None where it shows no grid of them.
+
+    `printed_xy` (rows, columns, 2) is the grid as printed, against which the lens is seen; `noise_hz` that of a pixel.
+    """
     try:
-        halves = calibrate.rest_images(recording)
-        picture = halves[0].joined(halves[1])
-        places = dot_search.find(picture)
-        dots = grid.lattice(places.centre_xy_px)
+        halves, events, seconds = _stroked(recording)
+        runs = Runs(*(first.joined(second) for first, second in zip(*halves, strict=True)))
+        places = dot_search.find(runs.joined)
+        seen = grid.lattice(places.centre_xy_px)
         radius_px = float(np.median(places.radius_px))
-        jitter_px = calibrate.jitter_px(halves, dots, radius_px)
+        jitter_px = calibrate.jitter_px((halves[0].joined, halves[1].joined), seen, radius_px)
         if not jitter_px <= WORST_JITTER_PX:
             return None
-        on_grid = dots[np.isfinite(dots[..., 0])]
-        rims = rim.estimate(picture, on_grid, radius_px, log_contrast, rng)
-        profile = rim.profile(picture, on_grid, radius_px)
+        expected = _filled(seen)
+        looked_for = np.isfinite(expected[..., 0])
+        fitted, profile = rim.fit(runs, expected[looked_for], radius_px, log_contrast)
+        found = np.full(seen.shape, np.nan)
+        found[looked_for] = fitted.centre_xy_px
+        ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
+        off_over_on = ratio.off_over_on.value if ratio else 1.0
+        optics = dots.optics(fitted, events.kept_share, off_over_on, rng)
     except (InputError, ValueError):  # nothing was pressed, or too little
         return None
-    spread = _mismatch(recording, rims.contrast_over_threshold.value, rng)
-    return Press(dots, jitter_px, rims, spread, profile, recording.path.name)
+    is_apart = ratio is not None and ratio.mismatch.low > APART
+    return Press(
+        dot_xy_px=found,
+        jitter_px=jitter_px,
+        optics=optics,
+        lens_k1=_lens(found, printed_xy, recording.frame_px),
+        off_over_on=ratio.off_over_on if ratio else None,
+        mismatch=ratio.mismatch if ratio and is_apart else _beside(events, optics.contrast_over_threshold.value, rng),
+        is_apart=is_apart,
+        profile=profile,
+        frame_px=recording.frame_px,
+        source=recording.path.name,
+    )
 
 
-def _mismatch(recording: Recording, contrast_over_threshold: float, rng: np.random.Generator) -> Estimate | None:
-    """The spread of the thresholds, from every other pair of strokes and the other pairs; None with too few."""
-    width, height = recording.frame_px
-    halves = np.zeros((2, height * width), np.int64)
-    for stroke, (start, stop) in enumerate(calibrate.strokes(recording)):
+def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, float]:
+    """First runs of every other pair of strokes and of the other pairs, all events, and how long the strokes took."""
+    strokes = calibrate.strokes(recording)
+    if not strokes:
+        raise ValueError("no strokes")
+    nothing = np.zeros(recording.frame_px[::-1], np.uint8)
+    halves = [[RestImage(nothing, nothing), RestImage(nothing, nothing)] for _ in range(2)]
+    events = stroke_events.start(recording.frame_px)
+    for stroke, (start, stop) in enumerate(strokes):
+        half = stroke // 2 % 2  # two strokes each: there and back
+        for backwards in (False, True):
+            picture = calibrate.seen(recording, start, stop, backwards=backwards)
+            halves[half][backwards] = halves[half][backwards].joined(picture)
         for first in range(start, stop, calibrate.BLOCK_SLICES):
-            events = recording.between(first, min(stop, first + calibrate.BLOCK_SLICES))
-            pixel = events.y.astype(np.int64) * width + events.x
-            halves[stroke // 2 % 2] += np.bincount(pixel, minlength=height * width)
-    first_half, second_half = halves.reshape(2, height, width)
+            block = recording.between(first, min(stop, first + calibrate.BLOCK_SLICES))
+            stroke_events.add(events, *block, half)
+    return (Runs(*halves[0]), Runs(*halves[1])), events, (strokes[-1][1] - strokes[0][0]) * 1e-3
+
+
+def _filled(seen: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The grid with missing dots where the others let expect them: a smooth surface over rows and columns."""
+    row, column = (
+        axis / max(1, size - 1) - 0.5 for axis, size in zip(np.indices(seen.shape[:2]), seen.shape, strict=False)
+    )
+    terms = np.stack([row**i * column**j for i in range(4) for j in range(4 - i)], axis=-1)
+    present = np.isfinite(seen[..., 0])
+    if present.all() or present.sum() < 2 * terms.shape[-1]:
+        return seen
+    expected = terms @ np.linalg.lstsq(terms[present], seen[present], rcond=None)[0]
+    return np.where(present[..., None], seen, expected)
+
+
+def _polarity(events: StrokeEvents, noise: float, rng: np.random.Generator) -> Polarity | None:
     try:
-        return mismatch.estimate(first_half, second_half, contrast_over_threshold, rng)
+        return polarity.estimate(events.on.sum(axis=0), events.off.sum(axis=0), noise, rng)
+    except ValueError:  # too few events
+        return None
+
+
+def _beside(events: StrokeEvents, contrast_over_threshold: float, rng: np.random.Generator) -> Estimate | None:
+    """The spread of the thresholds if each pixel has one for ON and OFF; None with too few events."""
+    try:
+        return mismatch.estimate(events.events[0], events.events[1], contrast_over_threshold, rng)
+    except ValueError:
+        return None
+
+
+def _lens(
+    found: NDArray[np.float64], printed_xy: NDArray[np.float64] | None, frame_px: tuple[int, int]
+) -> Estimate | None:
+    if printed_xy is None or printed_xy.shape != found.shape:
+        return None
+    present = np.isfinite(found[..., 0])
+    try:
+        return distortion.estimate(found[present], printed_xy[present], frame_px)
     except ValueError:
         return None
 
 
 def rows(press: Press | None, log_contrast: float) -> tuple[list[Row], dict[str, Entry]]:
-    """Rows and keys of dots and optics; `log_contrast` is what the rims were read with."""
-    units = {"dots": "", PLACE: "px", "dot_radius_px": "px", "edge_sigma_px": "px"}
-    units |= {"log_contrast / threshold": "", "mismatch": ""}
-    alone = Row("log_contrast", "log units", None, NOT_ALONE)
-    if press is None:
-        return [*(Row(name, unit, None, MAKE_PRESS) for name, unit in units.items()), alone], {}
-    half_px = 1.96 * press.jitter_px / np.sqrt(2.0)
-    count = Estimate(float(press.dots), float(press.dots), float(press.dots))
-    source = press.source
-    ratio = press.rim.contrast_over_threshold
-    threshold = Estimate(log_contrast / ratio.value, log_contrast / ratio.high, log_contrast / ratio.low)
-    estimates = (count, Estimate(half_px, np.nan, np.nan), press.rim.radius_px, press.rim.edge_sigma_px, ratio)
-    listed = [
-        Row(name, unit, one, MAKE_LONGER if one is None else source)
-        for (name, unit), one in zip(units.items(), (*estimates, press.mismatch), strict=True)
+    """Rows and keys of dots, optics, lens and thresholds; `log_contrast` is what the rims were read with."""
+    never = [
+        Row("log_contrast", "log units", None, NOT_ALONE),
+        Row("bandwidth_hz", "Hz", None, ONLY_LATE),
+        Row("leak_hz", "Hz a pixel", None, MAKE_LONG_REST),
     ]
+    if press is None:
+        return [*(Row(name, unit, None, MAKE_PRESS) for name, unit in UNITS.items()), *never], {}
+    half_px = 1.96 * press.jitter_px / np.sqrt(2.0)
+    whole = press.dot_xy_px[..., 0].size - press.dots <= MOST_MISSING * press.dot_xy_px[..., 0].size
+    optics, source = press.optics, press.source
+    estimates = (
+        (Estimate(float(press.dots), float(press.dots), float(press.dots)), ""),
+        (Estimate(half_px, np.nan, np.nan) if whole else None, MAKE_WHOLE),
+        (optics.dot_radius_px, ""),
+        (optics.dot_radius_spread, ""),
+        (optics.dot_contrast_spread, ""),
+        (optics.edge_sigma_px, ""),
+        (press.lens_k1, OTHER_GRID),
+        (optics.contrast_over_threshold, ""),
+        (press.off_over_on, MAKE_LONGER),
+        (press.mismatch, MAKE_LONGER),
+    )
+    listed = [
+        Row(name, unit, one, otherwise if one is None else source)
+        for (name, unit), (one, otherwise) in zip(UNITS.items(), estimates, strict=True)
+    ]
+    return [*listed, *never], _entries(press, log_contrast, half_px if whole else None)
+
+
+def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[str, Entry]:
+    """Keys of the sensor's file; a spread, a lens and a second threshold only where they are surely there."""
+    optics, source = press.optics, press.source
+    ratio = optics.contrast_over_threshold
+    threshold = Estimate(log_contrast / ratio.value, log_contrast / ratio.high, log_contrast / ratio.low)
     values = {
-        "dot_radius_px": Entry(press.rim.radius_px.value, press.rim.radius_px, source),
-        "edge_sigma_px": Entry(press.rim.edge_sigma_px.value, press.rim.edge_sigma_px, source),
+        "dot_radius_px": Entry(optics.dot_radius_px.value, optics.dot_radius_px, source),
+        "edge_sigma_px": Entry(optics.edge_sigma_px.value, optics.edge_sigma_px, source),
         "log_contrast": Entry(log_contrast, None, "not estimated: only contrast over threshold makes events"),
         "threshold": Entry(threshold.value, threshold, f"{source}, for this log_contrast"),
     }
+    for key, one in (
+        ("dot_radius_spread", optics.dot_radius_spread),
+        ("dot_contrast_spread", optics.dot_contrast_spread),
+    ):
+        if one.low > 0.0:
+            values[key] = Entry(one.value, one, source)
+    off_over_on = press.off_over_on
+    if off_over_on is not None and (press.is_apart or not off_over_on.low <= 1.0 <= off_over_on.high):
+        off = Estimate(*(threshold.value * one for one in off_over_on))
+        values["threshold_off"] = Entry(off.value, off, f"{source}, for this threshold")
     if press.mismatch is not None:
         values["mismatch"] = Entry(press.mismatch.value, press.mismatch, source)
-    if np.isfinite(press.dot_xy_px).all():
-        values["dot_xy_px"] = Entry(press.dot_xy_px, None, f"each within {half_px:.2g} px in x and in y; {source}")
-    else:
-        listed[1] = Row(PLACE, "px", None, MAKE_WHOLE)
-    return [*listed, alone], values
+    k1 = press.lens_k1
+    is_curved = k1 is not None and not k1.low <= 0.0 <= k1.high
+    if k1 is not None and is_curved:
+        values["distortion"] = Entry(np.array([k1.value, 0.0]), k1, f"k1; {source}")
+    if half_px is not None:
+        places = _filled(press.dot_xy_px)
+        if k1 is not None and is_curved:
+            places = distortion.flat(places, k1.value, press.frame_px)
+        missing = press.dot_xy_px[..., 0].size - press.dots
+        about = f"each within {half_px:.2g} px in x and in y{' without the lens' if is_curved else ''}; {source}"
+        if missing:
+            about += f"; {missing} that were not seen lie where the others let expect them"
+        if np.isfinite(places).all():
+            values["dot_xy_px"] = Entry(places, None, about)
+    return values

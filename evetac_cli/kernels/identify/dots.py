@@ -1,0 +1,92 @@
+"""Radius, blur, contrast over threshold, and how far dots differ, from fitted rims (rim.py), each with an interval."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from evetac_cli.kernels.identify.estimates import LEVEL, Estimate, of_samples
+from evetac_cli.kernels.identify.rim import Dots
+
+Floats = NDArray[np.float64]
+
+RESAMPLES = 400
+FEWEST_DOTS = 8
+
+# What scans, thresholds of some events each and the largest of several strokes add, chosen on simulated press scenes
+# (sensors randomized:100 to 139), and how far single sensors were from that (sd).
+RADIUS_ADDED_PX, RADIUS_BY_EVENTS_PX, RADIUS_SD_PX = 0.04, 3.2, 0.08  # the second over squared events from dot to gel
+# Of the blur that is seen, less where runs before strokes count more than runs after them.
+BLUR_KEPT, USUAL_EXCESS, BLUR_BY_EXCESS, BLUR_SD = 1.06, 0.25, -1.05, 0.035
+# Events that a first run lacks of contrast over threshold: so many, and so many times those that scans merge.
+RUN_LACKS_ON, RUN_LACKS_OFF = (0.6, 0.7), (0.75, 0.75)
+EVENTS_SD = 0.02
+# How far single dots of equal size, and of equal contrast, were from each other: relative sd, and its own sd.
+RADIUS_CHANCE, RADIUS_CHANCE_SD = 0.0025, 0.001
+CONTRAST_CHANCE, CONTRAST_CHANCE_SD = 0.014, 0.005
+
+
+class Optics(NamedTuple):
+    """Radius and blur of the dots in px, contrast over the threshold of ON, and relative sd of radii and contrasts."""
+
+    dot_radius_px: Estimate
+    edge_sigma_px: Estimate
+    contrast_over_threshold: Estimate
+    dot_radius_spread: Estimate
+    dot_contrast_spread: Estimate
+
+
+def optics(dots: Dots, kept_share: float, off_over_on: float, rng: np.random.Generator) -> Optics:
+    """What the rims tell of all dots; ValueError with fewer than FEWEST_DOTS.
+
+    `kept_share` of the events are left by scans (stroke_events.py), `off_over_on` is the ratio of the thresholds.
+    Intervals: bootstrap over dots, and the scatter of the corrections over simulated sensors.
+    """
+    found = np.isfinite(dots.radius_px)
+    if found.sum() < FEWEST_DOTS:
+        raise ValueError(f"expected {FEWEST_DOTS} dots or more, found {found.sum()}")
+    radius_px, sigma_px = dots.radius_px[found], dots.sigma_px[found]
+    rising = _whole(dots.inside_on[found], kept_share, RUN_LACKS_ON)
+    falling = _whole(dots.outside_off[found], kept_share, RUN_LACKS_OFF) * off_over_on
+    ratio = np.where(np.isfinite(rising) & np.isfinite(falling), (rising + falling) / 2.0, np.nan)
+    usual = np.nanmean(ratio)
+    added_px = RADIUS_ADDED_PX + RADIUS_BY_EVENTS_PX / usual**2
+    blur_kept = BLUR_KEPT + BLUR_BY_EXCESS * (np.nanmean(dots.excess[found]) - USUAL_EXCESS)
+    columns = np.stack([radius_px - added_px, blur_kept * sigma_px, ratio])
+    value = np.nanmean(columns, axis=1)
+    chosen = rng.integers(0, found.sum(), (RESAMPLES, found.sum()))
+    means = np.nanmean(columns[:, chosen], axis=2).T
+    scatter = np.array([RADIUS_SD_PX, BLUR_SD * value[1], EVENTS_SD * value[2]])
+    samples = means + scatter * rng.standard_normal((RESAMPLES, 3))
+    radius, blur, ratio_of_all = (of_samples(float(one), column) for one, column in zip(value, samples.T, strict=True))
+    return Optics(
+        radius,
+        blur,
+        ratio_of_all,
+        spread(radius_px, RADIUS_CHANCE, RADIUS_CHANCE_SD),
+        spread(rising[np.isfinite(rising)], CONTRAST_CHANCE, CONTRAST_CHANCE_SD),
+    )
+
+
+def spread(values: Floats, chance: float, chance_sd: float) -> Estimate:
+    """Relative standard deviation of what values measure, without that of chance, and its interval for normal values.
+
+    ValueError with fewer than FEWEST_DOTS values.
+    """
+    if len(values) < FEWEST_DOTS:
+        raise ValueError(f"expected {FEWEST_DOTS} values or more, found {len(values)}")
+    degrees = len(values) - 1
+    variance = float((values / values.mean()).var(ddof=1))
+    tail = (1 - LEVEL) / 2
+    low, high = (variance * degrees / stats.chi2.ppf(share, degrees) for share in (1 - tail, tail))
+    z = float(stats.norm.ppf(1 - tail))
+    most, least = (chance + z * chance_sd) ** 2, max(chance - z * chance_sd, 0.0) ** 2
+    ends = (variance - chance**2, low - most, high - least)
+    return Estimate(*(float(np.sqrt(max(one, 0.0))) for one in ends))
+
+
+def _whole(events: Floats, kept_share: float, lacks: tuple[float, float]) -> Floats:
+    """Contrast over threshold from the events of first runs."""
+    result: Floats = events + lacks[0] + lacks[1] * events * (1.0 / kept_share - 1.0)
+    return result

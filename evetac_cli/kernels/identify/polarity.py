@@ -1,0 +1,103 @@
+"""The thresholds of ON and OFF, one over the other, and how far they differ from pixel to pixel.
+
+Over many strokes the brightness of a pixel rises as much as it falls, whatever its dots do: its ON events times their
+threshold are its OFF events times theirs, but for less than one event of each. Their ratio is the inverse of that of
+the thresholds. How it differs from pixel to pixel tells how far thresholds do, where each pixel has one of its own for
+either polarity; where it has one for both, it hardly differs.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import convolve
+
+from evetac_cli.kernels.identify.estimates import Estimate, of_samples
+
+Floats = NDArray[np.float64]
+
+FEWEST_EVENTS = 15  # of either polarity that a pixel counts with
+FEWEST_PIXELS = 5000
+FARTHEST = 0.5  # from the usual ratio, in the logarithm: more is a hot pixel
+EVENTS = (15.0, 20.0, 30.0, 40.0, 60.0, 90.0, 150.0, 400.0)  # bounds between which pixels are looked at together
+FEWEST_TOGETHER = 500
+HOT_TIMES = 2.0  # as many events as the pixels around
+TILE_PX = 40  # pieces of the picture that are resampled
+RESAMPLES = 200
+# Chosen on simulated press scenes (randomized:100 to 139): how far ratios were off (mean and sd of the logarithm), the
+# variance of the logarithm that pixels of equal thresholds show, with its sd, and how far single spreads were off (sd).
+RATIO_TOO_HIGH, RATIO_SD = 0.009, 0.01
+ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0003
+SPREAD_SD = 0.06
+CHANCE = 1.0  # variance of the logarithm times squared events that is due to unfinished thresholds
+
+_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]) / 8.0
+
+
+class Polarity(NamedTuple):
+    """Threshold of OFF over that of ON, and the relative sd of thresholds if those of ON and OFF differ apart."""
+
+    off_over_on: Estimate
+    mismatch: Estimate
+
+
+def estimate(on: Floats, off: Floats, noise: float, rng: np.random.Generator) -> Polarity:
+    """Estimate from the ON and OFF events of each pixel (height, width); `noise` of each are a pixel's noise.
+
+    ValueError where too few pixels had enough events. Intervals: bootstrap over pieces of the picture, and the scatter
+    over simulated sensors.
+    """
+    busy = (on >= FEWEST_EVENTS) & (off >= FEWEST_EVENTS)
+    if busy.sum() < FEWEST_PIXELS:
+        raise ValueError(f"expected {FEWEST_PIXELS} pixels with {FEWEST_EVENTS} events of each polarity")
+    events = np.sqrt(on * off).astype(np.float32)
+    busy &= events < HOT_TIMES * cv2.medianBlur(events, 5) + FEWEST_EVENTS
+    if busy.sum() < FEWEST_PIXELS:
+        raise ValueError(f"expected {FEWEST_PIXELS} pixels as busy as their neighbours")
+    log_ratio = np.log(np.maximum(on - noise, 0.5) / np.maximum(off - noise, 0.5))
+    off_usual = log_ratio - np.median(log_ratio[busy])
+    busy &= np.abs(off_usual) < FARTHEST
+    beyond = np.clip(off_usual, -FARTHEST, FARTHEST)
+    beyond = beyond - convolve(beyond, _AROUND)
+    inside = busy & (convolve(busy.astype(np.float64), _AROUND, mode="constant") > 0.99)
+    if inside.sum() < FEWEST_PIXELS:
+        raise ValueError(f"expected {FEWEST_PIXELS} such pixels side by side")
+    y, x = np.nonzero(inside)
+    _, tile = np.unique(y // TILE_PX * on.shape[1] + x // TILE_PX, return_inverse=True)
+    tiles = int(tile.max()) + 1
+    of_pixel = events[inside].astype(np.float64)
+    bins = np.clip(np.searchsorted(EVENTS, of_pixel, side="right") - 1, 0, len(EVENTS) - 2)
+    cells = bins * tiles + tile
+
+    def by_tile(values: Floats) -> Floats:
+        summed: Floats = np.bincount(cells, values, (len(EVENTS) - 1) * tiles).reshape(-1, tiles).astype(np.float64)
+        return summed
+
+    of_polarity = [np.maximum(side - noise, 0.0)[inside] for side in (on, off)]
+    columns = (*of_polarity, beyond[inside] ** 2, of_pixel**-2.0, np.ones(len(of_pixel)))
+    sums = np.stack([by_tile(values) for values in columns])
+
+    def of(weights: Floats) -> tuple[float, float]:
+        """Log of the ratio, and the variance that an infinite number of events would leave."""
+        rising, falling, squares, inverse, pixels = sums @ weights
+        enough = pixels >= FEWEST_TOGETHER
+        # Of the busier half of the pixels: with few events, those of a last, unfinished threshold weigh more.
+        many = enough & (np.cumsum(pixels[::-1])[::-1] <= pixels.sum() / 2)
+        many[np.flatnonzero(enough)[-1]] = True
+        ratio = np.log(rising[many].sum() / falling[many].sum()) - RATIO_TOO_HIGH
+        variance = squares[enough] / pixels[enough] / (1.0 + 1.0 / 8.0)  # the eight neighbours differ, too
+        chance = inverse[enough] / pixels[enough]
+        if enough.sum() < 3:
+            return float(ratio), float(variance[-1] - CHANCE * chance[-1])
+        slope, least = np.polyfit(chance, variance, 1, w=np.sqrt(pixels[enough]) / variance)
+        return float(ratio), float(least if slope > 0 else np.average(variance, weights=pixels[enough]))
+
+    value = of(np.ones(tiles))
+    drawn = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
+    samples = np.array([of(weights) for weights in drawn])
+    ratios = np.exp(samples[:, 0] + RATIO_SD * rng.standard_normal(RESAMPLES))
+    alike = ALIKE_VARIANCE + ALIKE_VARIANCE_SD * rng.standard_normal(RESAMPLES)
+    spreads = np.sqrt(np.maximum(samples[:, 1] - alike, 0.0) / 2.0) * (1.0 + SPREAD_SD * rng.standard_normal(RESAMPLES))
+    spread = float(np.sqrt(max(value[1] - ALIKE_VARIANCE, 0.0) / 2.0))
+    return Polarity(of_samples(float(np.exp(value[0])), ratios), of_samples(spread, spreads))
