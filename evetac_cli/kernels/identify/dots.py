@@ -24,7 +24,7 @@ RUN_LACKS_ON, RUN_LACKS_OFF = (0.6, 0.7), (0.75, 0.75)
 EVENTS_SD = 0.02
 # How far single dots of equal size, and of equal contrast, were from each other: relative sd, and its own sd.
 RADIUS_CHANCE, RADIUS_CHANCE_SD = 0.0025, 0.001
-CONTRAST_CHANCE, CONTRAST_CHANCE_SD = 0.014, 0.005
+CONTRAST_CHANCE, CONTRAST_CHANCE_SD = 0.012, 0.006
 
 
 class Optics(NamedTuple):

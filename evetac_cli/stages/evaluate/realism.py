@@ -4,10 +4,14 @@ Two phases, each where both recordings have it: the longest rest, and all slices
 are relative differences, and between distributions the largest difference of their cumulative shares. The halves show
 what to expect of equal cameras; as they are shorter, chance moves them 1.4 times as far. Dot edges are compared where
 both recordings show dots that were stroked from rest.
+
+A classifier says how well half seconds of the two can be told apart: the area under its ROC curve (AUC) on windows that
+it was not fitted on, 0.5 where they cannot be. Beside it stands that of two recordings of the real sensor, or of every
+other second of the real one against the seconds between.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,18 +27,18 @@ from evetac_cli.kernels.identify import figures
 from evetac_cli.kernels.identify.rest import check_still, find_hot
 from evetac_cli.params import EvaluateRealism, recipe_of
 from evetac_cli.sim import scene
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, picture, report, report_job, told_apart
 from evetac_cli.stages.identify import pressed
 from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
 SHORTEST_MOTION = 300  # slices
 MOST_EVENTS = 5_000_000  # of one phase
 NEAR = 0.10  # a distance that the summary counts as near
 EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures of the dots' edges
-RELATIVE, CUMULATIVE = "relative difference", "largest gap of cumulative shares"
+RELATIVE, CUMULATIVE, HELD_OUT = "relative difference", "largest gap of cumulative shares", "AUC of held-out windows"
 
 Counts = NDArray[np.int64]
 
@@ -78,7 +82,7 @@ def jobs(files: list[Path], params: EvaluateRealism, out: Path | None) -> list[J
     if len(files) != 2:
         raise InputError("two recordings are compared", expected="the real one, then the simulated one",
                          found=f"{len(files)} files")  # fmt: skip
-    return report_job(files, "realism", out)
+    return report_job(files, "realism", out, *([params.same] if params.same else []))
 
 
 def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -89,18 +93,23 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
         with open_recording(path) as recording:
             headers.append(recording.header)
             frames.append(recording.frame_px)
-    if frames[0] != frames[1]:
-        raise InputError("the recordings have different frames", where=str(job.inputs[1]),
-                         expected="{} x {} px".format(*frames[0]), found="{} x {} px".format(*frames[1]))  # fmt: skip
+    for path, frame_px in zip(job.inputs, frames, strict=True):
+        if frame_px != frames[0]:
+            raise InputError(
+                "the recordings have different frames",
+                where=str(path),
+                expected="{} x {} px".format(*frames[0]),
+                found="{} x {} px".format(*frame_px),
+            )
 
     @functools.cache
     def sides() -> tuple[Side, Side]:
         """Both recordings, read once, and only where they are needed."""
         both = []
-        for number, path in enumerate(job.inputs):
+        for number, path in enumerate(job.inputs[:2]):
             with open_recording(path) as recording:
                 both.append(_side(recording))
-            progress(number + 1, 2)
+            progress(number + 1, len(job.inputs) + 2)
         return _as_long(both[0], both[1])
 
     def measure() -> tuple[Rows, dict[str, Any]]:
@@ -113,7 +122,8 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
             )
         known = [row for row in rows if row["distance"] is not None]
         as_halves = [row for row in known if row["distance"] <= (row["distance_of_halves"] or 0.0)]
-        return rows, {
+        apart = _told_apart(job.inputs, progress)
+        return [*rows, *apart], {
             "figures": len(known),
             f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in known),
             "figures_as_near_as_halves": len(as_halves),
@@ -121,6 +131,23 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
 
     outcome = report(job, "evaluate realism", METHOD, recipe_of(params), headers, measure, force=force)
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, *sides(), frames[0]), (11.0, 7.5))
+
+
+def _told_apart(paths: Sequence[Path], progress: Progress) -> Rows:
+    """A row for the classifier, none where recordings are too short: windows of each, AUC, and that of one sensor."""
+    sides = []
+    for number, path in enumerate(paths):
+        with open_recording(path) as recording:
+            sides.append(told_apart.window_features(recording))
+        progress(number + 3, len(paths) + 2)
+    real, simulated, *others = sides
+    of_two = told_apart.area(real, simulated)
+    if of_two is None:
+        return []
+    of_one = told_apart.area(real, others[0]) if others else told_apart.area_of_halves(real)
+    counts = float(len(real)), float(len(simulated))
+    unknown = float("nan") if of_one is None else of_one
+    return [_row("windows of 0.5 s", "classifier, windows", *counts, of_two, unknown, HELD_OUT)]
 
 
 def _side(recording: Recording) -> Side:

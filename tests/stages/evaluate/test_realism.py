@@ -99,6 +99,31 @@ def test_motion(tmp_path: Path) -> None:
     assert rows["motion", "band_10_30_hz"]["distance"] > 0.8
 
 
+def test_windows_are_told_apart(tmp_path: Path) -> None:
+    """Assert that half seconds of another polarity are told apart, those of one camera are not, and what stands beside.
+
+    Beside the AUC stands that of every other second of the first recording, or that of `--same`.
+    """
+
+    def noisy(seed: int, on_share: float) -> Path:
+        rng = np.random.default_rng(seed)
+        t_us = np.sort(rng.integers(0, 10_000_000, 20_000))
+        x, y = rng.integers(0, (640, 480), (len(t_us), 2)).T.astype(np.uint16)
+        events = Events(t_us, x, y, (rng.random(len(t_us)) < on_share).astype(np.uint8))
+        return imported(tmp_path / f"{seed}.recording.h5", events, 10_000)
+
+    first, second, other = noisy(0, 0.5), noisy(1, 0.5), noisy(2, 0.6)
+    found = {}
+    for name, simulated, same in (("like", second, None), ("unlike", other, second)):
+        asked = params.EvaluateRealism(same=same)
+        (job,) = realism.jobs([first, simulated], asked, tmp_path / f"{name}.realism.report.h5")
+        rows = realism.run(job, asked).rows
+        (found[name],) = [row for row in rows if row["measure"] == "AUC of held-out windows"]
+        assert found[name]["real"] == found[name]["simulated"] == 20
+    assert found["like"]["distance"] < 0.85 < 0.95 < found["unlike"]["distance"]
+    assert found["unlike"]["distance_of_halves"] == found["like"]["distance"]
+
+
 def test_what_cannot_be_compared(same: tuple[Path, Path], tmp_path: Path) -> None:
     """Assert that one file, other frames and recordings with no phase in common are refused in words."""
     with pytest.raises(InputError, match="two recordings"):

@@ -1,0 +1,1 @@
+"""Realism: how far a simulated recording may be told from another one."""

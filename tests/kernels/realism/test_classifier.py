@@ -1,0 +1,59 @@
+"""Whether windows can be told apart: the area under the ROC curve, and sets whose distance is known."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from evetac_cli.kernels.realism import classifier
+
+
+def test_the_area_is_that_of_all_pairs() -> None:
+    """Assert that the area is the share of pairs in the right order, ties half, and its known values."""
+    rng = np.random.default_rng(0)
+    first, second = rng.integers(0, 6, 40).astype(float), rng.integers(2, 9, 25).astype(float)
+    above = (second[:, None] > first).mean() + 0.5 * (second[:, None] == first).mean()
+    assert classifier.area(first, second) == pytest.approx(above, abs=1e-12)
+    assert classifier.area(np.zeros(3), np.ones(4)) == 1.0 and classifier.area(np.ones(3), np.ones(4)) == 0.5
+    with pytest.raises(ValueError, match="scores"):
+        classifier.area(np.empty(0), np.ones(4))
+
+
+def test_a_difference_of_known_size() -> None:
+    """Assert that normal sets two standard deviations apart have nearly the area that no classifier can pass."""
+    rng = np.random.default_rng(1)
+    first, second = rng.standard_normal((400, 5)), rng.standard_normal((400, 5))
+    second[:, 2] += 2.0
+    best = norm.cdf(2.0 / np.sqrt(2.0))
+    assert classifier.told_apart(first, second) == pytest.approx(best, abs=0.03)
+
+
+def test_equal_sets() -> None:
+    """Assert that sets of one law, which share the motion of each window, are not told apart."""
+    areas = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        motion = 3.0 * rng.standard_normal((32, 20))
+        areas.append(classifier.told_apart(*(motion + rng.standard_normal((32, 20)) for _ in range(2))))
+    assert np.mean(areas) == pytest.approx(0.5, abs=0.08)
+
+
+def test_what_a_window_cannot_tell() -> None:
+    """Assert that NaN, constant and huge features neither break nor decide, whatever their share."""
+    rng = np.random.default_rng(2)
+    first, second = rng.standard_normal((2, 60, 4))
+    second[:, 0] += 4.0
+    for part in (first, second):
+        part[:, 1] = np.nan
+        part[:, 2] = 7.0
+        part[rng.random(60) < 0.3, 0] = np.nan
+        part[5, 3] = 1e300
+    assert classifier.told_apart(first, second) > 0.8
+    assert 0.2 < classifier.told_apart(first[:, 1:], second[:, 1:]) < 0.8
+
+
+def test_too_few_windows() -> None:
+    """Assert that a few windows, and windows of other features, are refused."""
+    with pytest.raises(ValueError, match="8 windows"):
+        classifier.told_apart(np.zeros((7, 3)), np.zeros((50, 3)))
+    with pytest.raises(ValueError, match="same features"):
+        classifier.told_apart(np.zeros((20, 3)), np.zeros((20, 4)))
