@@ -25,11 +25,11 @@ FEWEST_TOGETHER = 500
 HOT_TIMES = 2.0  # as many events as the pixels around
 TILE_PX = 40  # pieces of the picture that are resampled
 RESAMPLES = 200
-# Chosen on simulated press scenes (randomized:100 to 139): how far ratios were off (mean and sd of the logarithm), the
+# Chosen on simulated press scenes (randomized:100 to 115): how far ratios were off (mean and sd of the logarithm), the
 # variance of the logarithm that pixels of equal thresholds show, with its sd, and how far single spreads were off (sd).
 RATIO_TOO_HIGH, RATIO_SD = 0.009, 0.01
 ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0003
-SPREAD_SD = 0.06
+SPREAD_SD = 0.045
 CHANCE = 1.0  # variance of the logarithm times squared events that is due to unfinished thresholds
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]) / 8.0
