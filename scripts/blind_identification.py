@@ -43,7 +43,7 @@ REST = {"rest_s": 3.0}
 PRESS = {"lines": 5, "speed_mm_s": 40.0, "approach_s": 0.8, "node_pitch_mm": 1.0}
 SECOND_SEED, TWIN_SEED = 1000, 2000  # beyond the seed of a sensor's first recordings
 OBJECT, OBJECT_G, OBJECT_FRICTION = 18, 550, 0.9  # what the gripper holds, a bottle of glass
-OPEN_TICKS = 0.060  # opening in m about which the fingers bend
+OPEN_M = 0.060  # about which the fingers bend
 QUARTER, HELD = 0.25, 0.9  # an interval so wide, in prior ranges, that holds the truth in so many cases, is told
 AUC_ROOM, AUC_OTHER = 0.05, 0.9
 
@@ -102,7 +102,11 @@ PARAMETERS = (
         "gripper: bending of the fingers",
         0.972,
         2.025,
-        _of_drive(lambda d: d.force_per_current_n_ma / d.finger_stiffness_n_m / gripper.metres_per_tick(OPEN_TICKS)),
+        lambda row: (
+            gripper.make_drive(row).force_per_current_n_ma
+            / row["gripper"]["finger_stiffness_n_m"]
+            / gripper.metres_per_tick(OPEN_M)
+        ),
         "gripper",
     ),
     Parameter("gripper.backlash_ticks", 0.0, 3.0, _key("gripper", "backlash_ticks"), "gripper"),

@@ -15,10 +15,11 @@ RESAMPLES = 400
 FEWEST_DOTS = 8
 
 # What scans, thresholds of some events each and the largest of several strokes add, chosen on simulated press scenes
-# (sensors randomized:100 to 115), and how far single sensors were from that (sd).
+# (sensors randomized:100 to 122), and how far single sensors were from that (sd).
 RADIUS_ADDED_PX, RADIUS_BY_EVENTS_PX, RADIUS_SD_PX = 0.04, 3.2, 0.08  # the second over squared events from dot to gel
-# Of the blur that is seen, less where runs before strokes count more than runs after them.
+# Of the blur that is seen, less where runs before strokes count more than runs after them, and with many events.
 BLUR_KEPT, USUAL_EXCESS, BLUR_BY_EXCESS, BLUR_SD = 1.06, 0.25, -1.05, 0.042
+USUAL_EVENTS, BLUR_BY_EVENTS = 6.5, -0.012
 # Events that a first run lacks of contrast over threshold: so many, and so many times those that scans merge.
 RUN_LACKS_ON, RUN_LACKS_OFF = (0.6, 0.7), (0.75, 0.75)
 EVENTS_SD = 0.02
@@ -53,6 +54,7 @@ def optics(dots: Dots, kept_share: float, off_over_on: float, rng: np.random.Gen
     usual = np.nanmean(ratio)
     added_px = RADIUS_ADDED_PX + RADIUS_BY_EVENTS_PX / usual**2
     blur_kept = BLUR_KEPT + BLUR_BY_EXCESS * (np.nanmean(dots.excess[found]) - USUAL_EXCESS)
+    blur_kept *= 1.0 + BLUR_BY_EVENTS * (usual - USUAL_EVENTS)
     columns = np.stack([radius_px - added_px, blur_kept * sigma_px, ratio])
     value = np.nanmean(columns, axis=1)
     chosen = rng.integers(0, found.sum(), (RESAMPLES, found.sum()))

@@ -25,9 +25,10 @@ FEWEST_TOGETHER = 500
 HOT_TIMES = 2.0  # as many events as the pixels around
 TILE_PX = 40  # pieces of the picture that are resampled
 RESAMPLES = 200
-# Chosen on simulated press scenes (randomized:100 to 115): how far ratios were off (mean and sd of the logarithm), the
-# variance of the logarithm that pixels of equal thresholds show, with its sd, and how far single spreads were off (sd).
-RATIO_TOO_HIGH, RATIO_SD = 0.009, 0.01
+# Chosen on simulated press scenes (randomized:100 to 122): how much too high ratios were, over the squared events from dot
+# to gel, and how far single ones were off (sd); the variance of the logarithm that pixels of equal thresholds show, with
+# its sd; how far single spreads were off (sd).
+RATIO_TOO_HIGH, RATIO_SD = 0.35, 0.007
 ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0003
 SPREAD_SD = 0.045
 CHANCE = 1.0  # variance of the logarithm times squared events that is due to unfinished thresholds
@@ -36,10 +37,15 @@ _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]) / 8.0
 
 
 class Polarity(NamedTuple):
-    """Threshold of OFF over that of ON, and the relative sd of thresholds if those of ON and OFF differ apart."""
+    """Threshold of OFF over that of ON, as events have it, and the relative sd of thresholds if both differ apart."""
 
     off_over_on: Estimate
     mismatch: Estimate
+
+
+def without_last_thresholds(off_over_on: Estimate, contrast_over_threshold: float) -> Estimate:
+    """The ratio of the thresholds, corrected for the last, unfinished one of each passing dot."""
+    return Estimate(*(one * (1.0 - RATIO_TOO_HIGH / contrast_over_threshold**2) for one in off_over_on))
 
 
 def estimate(on: Floats, off: Floats, noise: float, rng: np.random.Generator) -> Polarity:
@@ -85,7 +91,7 @@ def estimate(on: Floats, off: Floats, noise: float, rng: np.random.Generator) ->
         # Of the busier half of the pixels: with few events, those of a last, unfinished threshold weigh more.
         many = enough & (np.cumsum(pixels[::-1])[::-1] <= pixels.sum() / 2)
         many[np.flatnonzero(enough)[-1]] = True
-        ratio = np.log(rising[many].sum() / falling[many].sum()) - RATIO_TOO_HIGH
+        ratio = np.log(rising[many].sum() / falling[many].sum())
         variance = squares[enough] / pixels[enough] / (1.0 + 1.0 / 8.0)  # the eight neighbours differ, too
         chance = inverse[enough] / pixels[enough]
         if enough.sum() < 3:

@@ -104,14 +104,15 @@ def find(
         optics = dots.optics(fitted, events.kept_share, off_over_on, rng)
     except (InputError, ValueError):  # nothing was pressed, or too little
         return None
+    whole = optics.contrast_over_threshold.value
     is_apart = ratio is not None and ratio.mismatch.low > APART
     return Press(
         dot_xy_px=found,
         jitter_px=jitter_px,
         optics=optics,
         lens_k1=_lens(found, printed_xy, recording.frame_px),
-        off_over_on=ratio.off_over_on if ratio else None,
-        mismatch=ratio.mismatch if ratio and is_apart else _beside(events, optics.contrast_over_threshold.value, rng),
+        off_over_on=polarity.without_last_thresholds(ratio.off_over_on, whole) if ratio else None,
+        mismatch=ratio.mismatch if ratio and is_apart else _beside(events, whole, rng),
         is_apart=is_apart,
         profile=profile,
         frame_px=recording.frame_px,

@@ -16,7 +16,7 @@ def counted(off_over_on: float, spread: float, seed: int) -> tuple[np.ndarray, n
     own = 1.0 + spread * rng.standard_normal((2, *SHAPE))
     beside = 1.0 + np.sqrt(polarity.ALIKE_VARIANCE) * rng.standard_normal(SHAPE)
     on = climbed / own[0] + rng.uniform(-1.0, 1.0, SHAPE)
-    off = climbed / own[1] / off_over_on / np.exp(polarity.RATIO_TOO_HIGH) * beside + rng.uniform(-1.0, 1.0, SHAPE)
+    off = climbed / own[1] / off_over_on * beside + rng.uniform(-1.0, 1.0, SHAPE)
     return np.maximum(on, 0.0), np.maximum(off, 0.0)
 
 
