@@ -25,9 +25,9 @@ FEWEST_TOGETHER = 500
 HOT_TIMES = 2.0  # as many events as the pixels around
 TILE_PX = 40  # pieces of the picture that are resampled
 RESAMPLES = 200
-# Chosen on simulated press scenes (randomized:100 to 122): how much too high ratios were, over the squared events from dot
-# to gel, and how far single ones were off (sd); the variance of the logarithm that pixels of equal thresholds show, with
-# its sd; how far single spreads were off (sd).
+# Chosen on simulated press scenes (randomized:100 to 122): how much too high ratios were, over the squared events from
+# dot to gel, and how far single ones were off (sd); the variance of the logarithm that pixels of equal thresholds show,
+# with its sd; how far single spreads were off (sd).
 RATIO_TOO_HIGH, RATIO_SD = 0.35, 0.007
 ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0003
 SPREAD_SD = 0.045
