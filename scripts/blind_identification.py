@@ -237,8 +237,7 @@ def interval(found: Row, parameter: Parameter) -> tuple[float, bool] | None:
         half_px = row["estimate"]
         held = float(np.mean(np.array(found["places_off_px"]) <= half_px))
         return 2 * half_px / size, held >= HELD
-    width = (min(row["high"], parameter.high) - max(row["low"], parameter.low)) / size
-    return max(width, 0.0), bool(row["low"] <= found["truth"][parameter.name] <= row["high"])
+    return (row["high"] - row["low"]) / size, bool(row["low"] <= found["truth"][parameter.name] <= row["high"])
 
 
 def parameter_rows(found: list[Row]) -> list[Row]:

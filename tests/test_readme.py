@@ -19,7 +19,11 @@ from experiments import EXPERIMENTS
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 INDENTED = [line[4:].split("   #")[0].strip() for line in README.splitlines() if line.startswith("    ")]
-RESULTS = sorted((ROOT / "docs" / "results").glob("*.json"), key=lambda path: path.stem)
+OF_SCRIPTS = ("blind-identification",)  # results of scripts, which docs quote: no tables of experiments
+RESULTS = sorted(
+    (path for path in (ROOT / "docs" / "results").glob("*.json") if path.stem not in OF_SCRIPTS),
+    key=lambda path: path.stem,
+)
 COMMANDS = [line for line in INDENTED if line.startswith("evetac ")]
 
 

@@ -1,0 +1,78 @@
+"""scripts/blind_identification.py: truths lie in their prior ranges, and the table counts as it says."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+import blind_identification as blind
+
+from evetac_cli.sim import scene
+
+NAMES = [parameter.name for parameter in blind.PARAMETERS]
+
+
+def test_truths_lie_in_their_prior_ranges() -> None:
+    """Assert that what is compared can be had of a sensor's row, that names come once, and that ranges hold them."""
+    assert len(set(NAMES)) == len(NAMES)
+    for number in range(9000, 9050):
+        row = scene.sensor_row(f"randomized:{number}")
+        for parameter in blind.PARAMETERS:
+            assert parameter.low <= parameter.truth(row) <= parameter.high, (number, parameter.name)
+
+
+def test_scenes_are_as_packaged_but_for_what_is_changed(tmp_path: Path) -> None:
+    """Assert that the scenes are read, with what is changed, and that a key which is not there is an error."""
+    for name, values in (("rest", blind.REST), ("press", blind.PRESS)):
+        (tmp_path / f"{name}.toml").write_text(blind.changed(name, values))
+        packaged, made = scene.load(name), scene.load(str(tmp_path / f"{name}.toml"))
+        assert made != packaged
+        flat = {key: value for group in made.values() if isinstance(group, dict) for key, value in group.items()}
+        assert all(flat[key] == value for key, value in values.items())
+    with pytest.raises(ValueError, match="expected one lines"):
+        blind.changed("rest", {"lines": 3})
+
+
+def found(low: float, high: float, *, truth: float = 0.05, name: str = "noise_hz") -> dict[str, Any]:
+    """What is kept of a sensor of which one parameter is told."""
+    row = {"parameter": name, "estimate": (low + high) / 2, "low": low, "high": high}
+    return {"rows": [row], "truth": {name: truth}, "places_off_px": [0.1] * 10}
+
+
+def test_widths_and_hits_are_counted() -> None:
+    """Assert width over the prior range, hits, and that only a parameter told of all sensors, and narrow, is found."""
+    narrow = [found(0.04, 0.06)] * 9 + [found(0.06, 0.07)]
+    by_name = {row["parameter"]: row for row in blind.parameter_rows(narrow)}
+    row = by_name["noise_hz"]
+    assert row["told"] == 10 and row["held"] == 9 and row["found"]
+    assert row["width_mean"] == pytest.approx((9 * 0.02 + 0.01) / 10 / 0.095)
+    assert by_name["mismatch"]["told"] == 0 and not by_name["mismatch"]["found"]
+    more_missed = blind.parameter_rows([found(0.04, 0.06)] * 8 + [found(0.06, 0.07)] * 2)
+    wide = blind.parameter_rows([found(0.02, 0.09)] * 10)
+    not_always = blind.parameter_rows([*narrow, {**found(0, 0), "rows": []}])
+    for rows in (more_missed, wide, not_always):
+        assert not next(row for row in rows if row["parameter"] == "noise_hz")["found"]
+
+
+def test_places_are_one_parameter() -> None:
+    """Assert that dots' places are held where nine of ten coordinates are within what the row says."""
+    places = next(parameter for parameter in blind.PARAMETERS if parameter.name == blind.PLACES)
+    one = found(0.0, 0.4, name=blind.PLACES)
+    assert blind.interval(one, places) == (pytest.approx(0.4 / 12.0), True)
+    assert blind.interval({**one, "places_off_px": [0.1] * 8 + [0.3] * 2}, places) == (pytest.approx(0.4 / 12.0), False)
+    assert blind.interval({**one, "places_off_px": None}, places) is None
+
+
+def test_twins_and_others(tmp_path: Path) -> None:
+    """Assert that a twin with the sensor's windows is like it, and that another sensor is told apart."""
+    rng = np.random.default_rng(0)
+    for number in (1, 2):
+        windows = {name: rng.standard_normal((40, 26)) + 3.0 * number for name in ("first", "second", "twin")}
+        np.savez(tmp_path / f"{number}.npz", **windows)
+    rows = blind.area_rows(tmp_path, [1, 2])
+    assert all(row["auc_other"] > 0.95 and row["other_is_not"] for row in rows)
+    assert all(0.2 < row["auc_twin"] < 0.8 for row in rows)
