@@ -155,7 +155,8 @@ def recordings(work: Path, folder: Path, sensor: str, seed: int, name: str) -> l
     paths = []
     for kind in ("rest", "press"):
         path = folder / f"{name}-{kind}.recording.h5"
-        evetac("record", "--scene", work / f"{kind}.toml", "--sensor", sensor, "--seed", seed, "-o", path)
+        by_sensor = ("--sensor", sensor, "--seed", seed)
+        evetac("record", "--scene", work / f"{kind}.toml", *by_sensor, "--force", "-o", path)
         paths.append(path)
     return paths
 
@@ -197,9 +198,9 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
     if not camera_only:
         grips = [folder / "grip.recording.h5", folder / "grasp.recording.h5"]
         by_sensor = ("--sensor", sensor, "--seed", number)
-        evetac("record", "--scene", "grip-steps", "--object", OBJECT, *by_sensor, "-o", grips[0])
+        evetac("record", "--scene", "grip-steps", "--object", OBJECT, *by_sensor, "--force", "-o", grips[0])
         moves = ("--controller", "fixed:6", "--lift-s", 2, "--balance-s", 0)
-        evetac("grasp", *moves, *by_sensor, "-o", grips[1])
+        evetac("grasp", *moves, *by_sensor, "--force", "-o", grips[1])
         known = ["--object-mass-g", OBJECT_G, "--pixel-mm", round(row["mm_per_px"], 4)]
     twin = folder / "twin.sensor.toml"
     answer = evetac("identify", *first, *grips, *known, "--name", f"twin-{number}", "--force", "-o", twin)
