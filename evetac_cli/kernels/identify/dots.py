@@ -20,6 +20,7 @@ RADIUS_ADDED_PX, RADIUS_BY_EVENTS_PX, RADIUS_SD_PX = 0.04, 3.2, 0.08  # the seco
 # Of the blur that is seen, less where runs before strokes count more than runs after them, and with many events.
 BLUR_KEPT, USUAL_EXCESS, BLUR_BY_EXCESS, BLUR_SD = 1.06, 0.25, -1.05, 0.042
 USUAL_EVENTS, BLUR_BY_EVENTS = 6.5, -0.012
+BLUR_SD_FEW_EVENTS = 0.8  # over squared events
 # Events that a first run lacks of contrast over threshold: so many, and so many times those that scans merge.
 RUN_LACKS_ON, RUN_LACKS_OFF = (0.6, 0.7), (0.75, 0.75)
 EVENTS_SD = 0.02
@@ -38,10 +39,11 @@ class Optics(NamedTuple):
     dot_contrast_spread: Estimate
 
 
-def optics(dots: Dots, kept_share: float, off_over_on: float, rng: np.random.Generator) -> Optics:
+def optics(dots: Dots, kept_share: float, off_over_on: float | None, rng: np.random.Generator) -> Optics:
     """What the rims tell of all dots; ValueError with fewer than FEWEST_DOTS.
 
-    `kept_share` of the events are left by scans (stroke_events.py), `off_over_on` is the ratio of the thresholds.
+    `kept_share` of the events are left by scans (stroke_events.py), `off_over_on` is the ratio of the thresholds,
+    without which ON alone counts.
     Intervals: bootstrap over dots, and the scatter of the corrections over simulated sensors.
     """
     found = np.isfinite(dots.radius_px)
@@ -49,8 +51,10 @@ def optics(dots: Dots, kept_share: float, off_over_on: float, rng: np.random.Gen
         raise ValueError(f"expected {FEWEST_DOTS} dots or more, found {found.sum()}")
     radius_px, sigma_px = dots.radius_px[found], dots.sigma_px[found]
     rising = _whole(dots.inside_on[found], kept_share, RUN_LACKS_ON)
-    falling = _whole(dots.outside_off[found], kept_share, RUN_LACKS_OFF) * off_over_on
-    ratio = np.where(np.isfinite(rising) & np.isfinite(falling), (rising + falling) / 2.0, np.nan)
+    ratio = rising
+    if off_over_on is not None:
+        falling = _whole(dots.outside_off[found], kept_share, RUN_LACKS_OFF) * off_over_on
+        ratio = (rising + falling) / 2.0  # NaN where either is
     usual = np.nanmean(ratio)
     added_px = RADIUS_ADDED_PX + RADIUS_BY_EVENTS_PX / usual**2
     blur_kept = BLUR_KEPT + BLUR_BY_EXCESS * (np.nanmean(dots.excess[found]) - USUAL_EXCESS)
@@ -59,7 +63,8 @@ def optics(dots: Dots, kept_share: float, off_over_on: float, rng: np.random.Gen
     value = np.nanmean(columns, axis=1)
     chosen = rng.integers(0, found.sum(), (RESAMPLES, found.sum()))
     means = np.nanmean(columns[:, chosen], axis=2).T
-    scatter = np.array([RADIUS_SD_PX, BLUR_SD * value[1], EVENTS_SD * value[2]])
+    blur_sd = np.hypot(BLUR_SD, BLUR_SD_FEW_EVENTS / usual**2)
+    scatter = np.array([RADIUS_SD_PX, blur_sd * value[1], EVENTS_SD * value[2]])
     samples = means + scatter * rng.standard_normal((RESAMPLES, 3))
     radius, blur, ratio_of_all = (of_samples(float(one), column) for one, column in zip(value, samples.T, strict=True))
     return Optics(

@@ -17,11 +17,22 @@ from evetac_cli.kernels.identify.estimates import Estimate, of_samples
 
 Floats = NDArray[np.float64]
 
-FEWEST_EVENTS = 15  # of either polarity that a pixel counts with
-FEWEST_PIXELS = 5000
+FEWEST_EVENTS = 10  # of either polarity that a pixel counts with
+FEWEST_PIXELS = 1500
 FARTHEST = 0.5  # from the usual ratio, in the logarithm: more is a hot pixel
-EVENTS = (15.0, 20.0, 30.0, 40.0, 60.0, 90.0, 150.0, 400.0)  # bounds between which pixels are looked at together
-FEWEST_TOGETHER = 500
+EVENTS = (
+    10.0,
+    13.0,
+    17.0,
+    22.0,
+    30.0,
+    40.0,
+    60.0,
+    90.0,
+    150.0,
+    400.0,
+)  # bounds between which pixels are looked at together
+FEWEST_TOGETHER = 300
 HOT_TIMES = 2.0  # as many events as the pixels around
 TILE_PX = 40  # pieces of the picture that are resampled
 RESAMPLES = 200
@@ -31,7 +42,8 @@ RESAMPLES = 200
 RATIO_TOO_HIGH, RATIO_SD = 0.35, 0.007
 ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0003
 SPREAD_SD = 0.045
-CHANCE = 1.0  # variance of the logarithm times squared events that is due to unfinished thresholds
+# Variance of the logarithm times squared events that is due to unfinished thresholds, and how uncertain that is (sd).
+CHANCE, CHANCE_SD = 1.0, 0.6
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]) / 8.0
 
@@ -84,8 +96,8 @@ def estimate(on: Floats, off: Floats, noise: float, rng: np.random.Generator) ->
     columns = (*of_polarity, beyond[inside] ** 2, of_pixel**-2.0, np.ones(len(of_pixel)))
     sums = np.stack([by_tile(values) for values in columns])
 
-    def of(weights: Floats) -> tuple[float, float]:
-        """Log of the ratio, and the variance that an infinite number of events would leave."""
+    def of(weights: Floats) -> tuple[float, float, float]:
+        """Log of the ratio, the variance that endless events would leave, and the least inverse of squared events."""
         rising, falling, squares, inverse, pixels = sums @ weights
         enough = pixels >= FEWEST_TOGETHER
         # Of the busier half of the pixels: with few events, those of a last, unfinished threshold weigh more.
@@ -95,15 +107,17 @@ def estimate(on: Floats, off: Floats, noise: float, rng: np.random.Generator) ->
         variance = squares[enough] / pixels[enough] / (1.0 + 1.0 / 8.0)  # the eight neighbours differ, too
         chance = inverse[enough] / pixels[enough]
         if enough.sum() < 3:
-            return float(ratio), float(variance[-1] - CHANCE * chance[-1])
+            return float(ratio), float(variance[-1] - CHANCE * chance[-1]), float(chance[-1])
         slope, least = np.polyfit(chance, variance, 1, w=np.sqrt(pixels[enough]) / variance)
-        return float(ratio), float(least if slope > 0 else np.average(variance, weights=pixels[enough]))
+        least = least if slope > 0 else np.average(variance, weights=pixels[enough])
+        return float(ratio), float(least), float(chance[-1])
 
     value = of(np.ones(tiles))
     drawn = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
     samples = np.array([of(weights) for weights in drawn])
     ratios = np.exp(samples[:, 0] + RATIO_SD * rng.standard_normal(RESAMPLES))
-    alike = ALIKE_VARIANCE + ALIKE_VARIANCE_SD * rng.standard_normal(RESAMPLES)
+    unsure = np.hypot(ALIKE_VARIANCE_SD, CHANCE_SD * value[2])
+    alike = ALIKE_VARIANCE + unsure * rng.standard_normal(RESAMPLES)
     spreads = np.sqrt(np.maximum(samples[:, 1] - alike, 0.0) / 2.0) * (1.0 + SPREAD_SD * rng.standard_normal(RESAMPLES))
     spread = float(np.sqrt(max(value[1] - ALIKE_VARIANCE, 0.0) / 2.0))
     return Polarity(of_samples(float(np.exp(value[0])), ratios), of_samples(spread, spreads))

@@ -29,8 +29,8 @@ OTHER_GRID = (
     "cannot be told from these recordings: the dots are not the grid of --like, of which a lens would curve rows"
 )
 ONLY_LATE = (
-    "cannot be told from these recordings: slow pixels show the same motion, only later; make one of a motion whose"
-    " time is known otherwise, as of a shaker that tells its phase"
+    "cannot be told from these recordings: slow pixels show a motion later and smoother, as a slow gel would; make one"
+    " of a motion whose time is known otherwise, as of a shaker that tells its phase"
 )
 MAKE_LONG_REST = "cannot be told from these recordings: make one of ten minutes in which nothing touches the gel"
 WORST_JITTER_PX = calibrate.WORST_JITTER_PX
@@ -100,12 +100,12 @@ def find(
         found = np.full(seen.shape, np.nan)
         found[looked_for] = fitted.centre_xy_px
         ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
-        off_over_on = ratio.off_over_on.value if ratio else 1.0
+        off_over_on = ratio.off_over_on.value if ratio else None
         optics = dots.optics(fitted, events.kept_share, off_over_on, rng)
     except (InputError, ValueError):  # nothing was pressed, or too little
         return None
     whole = optics.contrast_over_threshold.value
-    is_apart = ratio is not None and ratio.mismatch.low > APART
+    is_apart = ratio is not None and (ratio.mismatch.low > APART or ratio.mismatch.value > 2.0 * APART)
     return Press(
         dot_xy_px=found,
         jitter_px=jitter_px,
