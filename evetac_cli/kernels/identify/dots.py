@@ -15,7 +15,7 @@ RESAMPLES = 400
 FEWEST_DOTS = 8
 
 # What scans, thresholds of some events each and the largest of several strokes add, chosen on simulated press scenes
-# (sensors randomized:100 to 122), and how far single sensors were from that (sd).
+# (sensors randomized:100 to 123), and how far single sensors were from that (sd).
 RADIUS_ADDED_PX, RADIUS_BY_EVENTS_PX, RADIUS_SD_PX = 0.04, 3.2, 0.08  # the second over squared events from dot to gel
 # Of the blur that is seen, less where runs before strokes count more than runs after them, and with many events.
 BLUR_KEPT, USUAL_EXCESS, BLUR_BY_EXCESS, BLUR_SD = 1.06, 0.25, -1.05, 0.042

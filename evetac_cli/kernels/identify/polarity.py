@@ -36,14 +36,14 @@ FEWEST_TOGETHER = 300
 HOT_TIMES = 2.0  # as many events as the pixels around
 TILE_PX = 40  # pieces of the picture that are resampled
 RESAMPLES = 200
-# Chosen on simulated press scenes (randomized:100 to 122): how much too high ratios were, over the squared events from
+# Chosen on simulated press scenes (randomized:100 to 123): how much too high ratios were, over the squared events from
 # dot to gel, and how far single ones were off (sd); the variance of the logarithm that pixels of equal thresholds show,
 # with its sd; how far single spreads were off (sd).
 RATIO_TOO_HIGH, RATIO_SD = 0.35, 0.007
 ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0003
 SPREAD_SD = 0.045
 # Variance of the logarithm times squared events that is due to unfinished thresholds, and how uncertain that is (sd).
-CHANCE, CHANCE_SD = 1.0, 0.6
+CHANCE, CHANCE_SD = 1.0, 0.4
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]) / 8.0
 

@@ -105,7 +105,7 @@ def find(
     except (InputError, ValueError):  # nothing was pressed, or too little
         return None
     whole = optics.contrast_over_threshold.value
-    is_apart = ratio is not None and (ratio.mismatch.low > APART or ratio.mismatch.value > 2.0 * APART)
+    is_apart = ratio is not None and (ratio.mismatch.low > APART or ratio.mismatch.value > 1.5 * APART)
     return Press(
         dot_xy_px=found,
         jitter_px=jitter_px,
