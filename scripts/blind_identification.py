@@ -172,11 +172,11 @@ def features(paths: list[Path]) -> NDArray[np.float64]:
 
 def places(row: Mapping[str, Any], sensor_file: Path) -> NDArray[np.float64] | None:
     """How far dots of the identified sensor are from where the true one's are seen, in px; None without them."""
-    _, found = scene.named_sensor(str(sensor_file))
-    if "dot_xy_px" not in found:
+    _, twin = scene.named_sensor(str(sensor_file))
+    if "dot_xy_px" not in twin:
         return None
     seen = []
-    for one in (found, row):
+    for one in (twin, row):
         lens = Lens.of_sensor(one)
         dots = dot_grid(one, cut=False)
         seen.append(dots if lens is None else lens.seen(dots))
@@ -214,7 +214,7 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
     shutil.copy(twin, work / f"{number}.sensor.toml")
     if not keep:
         shutil.rmtree(folder)
-    found = {
+    about = {
         "number": number,
         "camera_only": camera_only,
         "rows": answer["rows"],
@@ -222,44 +222,46 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
         "places_off_px": None if off_px is None else np.abs(off_px).ravel().tolist(),
         "seconds": time.perf_counter() - started,
     }
-    result.write_text(json.dumps(found, indent=1))
-    print(f"randomized:{number}: {found['seconds']:.0f} s", file=sys.stderr)
+    result.write_text(json.dumps(about, indent=1))
+    print(f"randomized:{number}: {about['seconds']:.0f} s", file=sys.stderr)
 
 
-def interval(found: Row, parameter: Parameter) -> tuple[float, bool] | None:
+def interval(result: Row, parameter: Parameter) -> tuple[float, bool] | None:
     """Width of a parameter's interval in prior ranges and whether it holds the truth; None where nothing is told."""
-    row = next((row for row in found["rows"] if row["parameter"] == parameter.name), None)
+    row = next((row for row in result["rows"] if row["parameter"] == parameter.name), None)
     if row is None or row["estimate"] is None:
         return None
     size = parameter.high - parameter.low
     if parameter.name == PLACES:
-        if found["places_off_px"] is None:
+        if result["places_off_px"] is None:
             return None
         half_px = row["estimate"]
-        held = float(np.mean(np.array(found["places_off_px"]) <= half_px))
+        held = float(np.mean(np.array(result["places_off_px"]) <= half_px))
         return 2 * half_px / size, held >= HELD
-    return (row["high"] - row["low"]) / size, bool(row["low"] <= found["truth"][parameter.name] <= row["high"])
+    return (row["high"] - row["low"]) / size, bool(row["low"] <= result["truth"][parameter.name] <= row["high"])
 
 
-def parameter_rows(found: list[Row]) -> list[Row]:
+def parameter_rows(results: list[Row]) -> list[Row]:
     """A row for every parameter: how often it is told, how wide, and how often the truth is held."""
     rows = []
     for parameter in PARAMETERS:
-        told = [one for one in (interval(row, parameter) for row in found) if one is not None]
-        width = float(np.mean([one[0] for one in told])) if told else None
-        held = sum(one[1] for one in told)
-        is_found = width is not None and len(told) == len(found) and width <= QUARTER and held >= HELD * len(told)
+        intervals = [one for one in (interval(row, parameter) for row in results) if one is not None]
+        width = float(np.mean([one[0] for one in intervals])) if intervals else None
+        held = sum(one[1] for one in intervals)
+        is_found = (
+            width is not None and len(intervals) == len(results) and width <= QUARTER and held >= HELD * len(intervals)
+        )
         rows.append(
             {
                 "parameter": parameter.name,
                 "part": parameter.part,
                 "prior_low": parameter.low,
                 "prior_high": parameter.high,
-                "sensors": len(found),
-                "told": len(told),
-                "held": held if told else None,
+                "sensors": len(results),
+                "told": len(intervals),
+                "held": held if intervals else None,
                 "width_mean": width,
-                "width_worst": max(one[0] for one in told) if told else None,
+                "width_worst": max(one[0] for one in intervals) if intervals else None,
                 "found": is_found,
             }
         )
@@ -297,21 +299,21 @@ def commit() -> tuple[str, bool]:
     return head.stdout.strip() or "unknown", bool(changes.stdout.strip())
 
 
-def summary(found: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
+def summary(results: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
     """How many parameters are found, and the classifier's mean areas."""
     means: Row = {}
     for name in ("auc_same", "auc_twin", "auc_other"):
         known = [row[name] for row in areas if row[name] is not None]
         means[f"{name}_mean"] = float(np.mean(known)) if known else None
     return {
-        "sensors": len(found),
+        "sensors": len(results),
         "parameters": len(parameters),
         "parameters_found": sum(row["found"] for row in parameters),
         "never_told": [row["parameter"] for row in parameters if row["told"] == 0],
         **means,
         "twins_like_the_sensor": sum(bool(row["twin_is_like"]) for row in areas),
         "others_told_apart": sum(bool(row["other_is_not"]) for row in areas),
-        "seconds_a_sensor": float(np.mean([row["seconds"] for row in found])),
+        "seconds_a_sensor": float(np.mean([row["seconds"] for row in results])),
     }
 
 
@@ -337,15 +339,15 @@ def main() -> None:
         ]
         for one in made:
             one.result()
-    found = [json.loads(path.read_text()) for path in sorted(asked.work.glob("*.json")) if path.stem.isdigit()]
-    parameters, areas = parameter_rows(found), area_rows(asked.work, [row["number"] for row in found])
-    of_all = summary(found, parameters, areas)
+    results = [json.loads(path.read_text()) for path in sorted(asked.work.glob("*.json")) if path.stem.isdigit()]
+    parameters, areas = parameter_rows(results), area_rows(asked.work, [row["number"] for row in results])
+    of_all = summary(results, parameters, areas)
     print_table("blind identification", parameters, {}, simulated=True)
     print_table("windows told apart", areas, of_all, simulated=True)
     if asked.out is not None:
         head, changes = commit()
         options = " --camera-only" if asked.camera_only else ""
-        first, last = found[0]["number"], found[-1]["number"]
+        first, last = results[0]["number"], results[-1]["number"]
         command = f"python scripts/blind_identification.py WORK --first {first} --count {last - first + 1}{options}"
         about = {
             "name": asked.out.stem,

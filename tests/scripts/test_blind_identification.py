@@ -37,7 +37,7 @@ def test_scenes_are_as_packaged_but_for_what_is_changed(tmp_path: Path) -> None:
         blind.changed("rest", {"lines": 3})
 
 
-def found(low: float, high: float, *, truth: float = 0.05, name: str = "noise_hz") -> dict[str, Any]:
+def result(low: float, high: float, *, truth: float = 0.05, name: str = "noise_hz") -> dict[str, Any]:
     """What is kept of a sensor of which one parameter is told."""
     row = {"parameter": name, "estimate": (low + high) / 2, "low": low, "high": high}
     return {"rows": [row], "truth": {name: truth}, "places_off_px": [0.1] * 10}
@@ -45,15 +45,15 @@ def found(low: float, high: float, *, truth: float = 0.05, name: str = "noise_hz
 
 def test_widths_and_hits_are_counted() -> None:
     """Assert width over the prior range, hits, and that only a parameter told of all sensors, and narrow, is found."""
-    narrow = [found(0.04, 0.06)] * 9 + [found(0.06, 0.07)]
+    narrow = [result(0.04, 0.06)] * 9 + [result(0.06, 0.07)]
     by_name = {row["parameter"]: row for row in blind.parameter_rows(narrow)}
     row = by_name["noise_hz"]
     assert row["told"] == 10 and row["held"] == 9 and row["found"]
     assert row["width_mean"] == pytest.approx((9 * 0.02 + 0.01) / 10 / 0.095)
     assert by_name["mismatch"]["told"] == 0 and not by_name["mismatch"]["found"]
-    more_missed = blind.parameter_rows([found(0.04, 0.06)] * 8 + [found(0.06, 0.07)] * 2)
-    wide = blind.parameter_rows([found(0.02, 0.09)] * 10)
-    not_always = blind.parameter_rows([*narrow, {**found(0, 0), "rows": []}])
+    more_missed = blind.parameter_rows([result(0.04, 0.06)] * 8 + [result(0.06, 0.07)] * 2)
+    wide = blind.parameter_rows([result(0.02, 0.09)] * 10)
+    not_always = blind.parameter_rows([*narrow, {**result(0, 0), "rows": []}])
     for rows in (more_missed, wide, not_always):
         assert not next(row for row in rows if row["parameter"] == "noise_hz")["found"]
 
@@ -61,7 +61,7 @@ def test_widths_and_hits_are_counted() -> None:
 def test_places_are_one_parameter() -> None:
     """Assert that dots' places are held where nine of ten coordinates are within what the row says."""
     places = next(parameter for parameter in blind.PARAMETERS if parameter.name == blind.PLACES)
-    one = found(0.0, 0.4, name=blind.PLACES)
+    one = result(0.0, 0.4, name=blind.PLACES)
     assert blind.interval(one, places) == (pytest.approx(0.4 / 12.0), True)
     assert blind.interval({**one, "places_off_px": [0.1] * 8 + [0.3] * 2}, places) == (pytest.approx(0.4 / 12.0), False)
     assert blind.interval({**one, "places_off_px": None}, places) is None

@@ -50,8 +50,8 @@ def flat(seen_xy_px: Floats, k1: float, frame_px: tuple[int, int]) -> Floats:
     middle = np.array(frame_px, np.float64) / 2
     off_px = np.asarray(seen_xy_px, np.float64) - middle
     corner2 = float(middle @ middle)
-    found = off_px
+    nearer = off_px
     for _ in range(50):  # a contraction, as k1 is small: its error falls by 3 k1 a round
-        found = off_px / (1.0 + k1 * (found**2).sum(axis=-1, keepdims=True) / corner2)
-    result: Floats = found + middle
+        nearer = off_px / (1.0 + k1 * (nearer**2).sum(axis=-1, keepdims=True) / corner2)
+    result: Floats = nearer + middle
     return result

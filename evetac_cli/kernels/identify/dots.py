@@ -46,22 +46,22 @@ def optics(dots: Dots, kept_share: float, off_over_on: float | None, rng: np.ran
     without which ON alone counts.
     Intervals: bootstrap over dots, and the scatter of the corrections over simulated sensors.
     """
-    found = np.isfinite(dots.radius_px)
-    if found.sum() < FEWEST_DOTS:
-        raise ValueError(f"expected {FEWEST_DOTS} dots or more, found {found.sum()}")
-    radius_px, sigma_px = dots.radius_px[found], dots.sigma_px[found]
-    rising = _whole(dots.inside_on[found], kept_share, RUN_LACKS_ON)
+    shown = np.isfinite(dots.radius_px)
+    if shown.sum() < FEWEST_DOTS:
+        raise ValueError(f"expected {FEWEST_DOTS} dots or more, found {shown.sum()}")
+    radius_px, sigma_px = dots.radius_px[shown], dots.sigma_px[shown]
+    rising = _whole(dots.inside_on[shown], kept_share, RUN_LACKS_ON)
     ratio = rising
     if off_over_on is not None:
-        falling = _whole(dots.outside_off[found], kept_share, RUN_LACKS_OFF) * off_over_on
+        falling = _whole(dots.outside_off[shown], kept_share, RUN_LACKS_OFF) * off_over_on
         ratio = (rising + falling) / 2.0  # NaN where either is
     usual = np.nanmean(ratio)
     added_px = RADIUS_ADDED_PX + RADIUS_BY_EVENTS_PX / usual**2
-    blur_kept = BLUR_KEPT + BLUR_BY_EXCESS * (np.nanmean(dots.excess[found]) - USUAL_EXCESS)
+    blur_kept = BLUR_KEPT + BLUR_BY_EXCESS * (np.nanmean(dots.excess[shown]) - USUAL_EXCESS)
     blur_kept *= 1.0 + BLUR_BY_EVENTS * (usual - USUAL_EVENTS)
     columns = np.stack([radius_px - added_px, blur_kept * sigma_px, ratio])
     value = np.nanmean(columns, axis=1)
-    chosen = rng.integers(0, found.sum(), (RESAMPLES, found.sum()))
+    chosen = rng.integers(0, shown.sum(), (RESAMPLES, shown.sum()))
     means = np.nanmean(columns[:, chosen], axis=2).T
     blur_sd = np.hypot(BLUR_SD, BLUR_SD_FEW_EVENTS / usual**2)
     scatter = np.array([RADIUS_SD_PX, blur_sd * value[1], EVENTS_SD * value[2]])

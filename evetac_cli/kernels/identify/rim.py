@@ -98,12 +98,12 @@ def fit(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: float)
         pixels_xy, seen = _around(whole, share, place, radius_px)
         if len(seen) < FEWEST_PIXELS or seen.min() > INK_SHARE or seen.max() < 1.0 - INK_SHARE:
             continue
-        found, residual = _fit_one(pixels_xy, seen, place, radius_px, log_contrast)
+        best, residual = _fit_one(pixels_xy, seen, place, radius_px, log_contrast)
         if residual > WORST_RESIDUAL:
             continue
-        fitted[number, :4] = found
-        fitted[number, 4] = _excess(before, after, found)
-        off_px = np.linalg.norm(pixels_xy - found[:2], axis=1) - found[2]
+        fitted[number, :4] = best
+        fitted[number, 4] = _excess(before, after, best)
+        off_px = np.linalg.norm(pixels_xy - best[:2], axis=1) - best[2]
         near = np.abs(off_px) < RIM_PX
         place_in_bins = ((off_px[near] + RIM_PX) / BIN_PX).astype(np.int64)
         sums += [np.bincount(place_in_bins, seen[near], bins), np.bincount(place_in_bins, minlength=bins)]

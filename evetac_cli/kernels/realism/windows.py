@@ -81,7 +81,7 @@ def _motion(
         for side in (1, 0)
     ]
     both = pictures[0] + pictures[1]
-    found = [
+    numbers = [
         float(np.log(counts.mean())),
         float(events.p.mean()),
         float(np.log((both > 0).sum())),
@@ -90,15 +90,15 @@ def _motion(
     sorted_events = PixelEvents(pixel[order], events.t[order], events.p[order])
     for side in (1, 0):
         between_us, _ = times_between(sorted_events, side)
-        found += np.log1p(np.percentile(between_us, QUANTILES)).tolist() if len(between_us) else [np.nan] * 3
+        numbers += np.log1p(np.percentile(between_us, QUANTILES)).tolist() if len(between_us) else [np.nan] * 3
     frequency_hz, power = spectrum(all_counts)
     for low, high in zip(BANDS_HZ, BANDS_HZ[1:], strict=False):
         chosen = (frequency_hz >= low) & (frequency_hz < high)
-        found.append(float(power[chosen].sum() / power.sum()) if power.sum() > 0 else np.nan)
+        numbers.append(float(power[chosen].sum() / power.sum()) if power.sum() > 0 else np.nan)
     for picture in pictures:
         events_of = picture[picture > 0]
-        found += np.log(np.percentile(events_of, [50, 90])).tolist() if len(events_of) else [np.nan] * 2
-    return [*found, *(_about_neighbours(picture) for picture in pictures), _apart(*pictures), *_together(both)]
+        numbers += np.log(np.percentile(events_of, [50, 90])).tolist() if len(events_of) else [np.nan] * 2
+    return [*numbers, *(_about_neighbours(picture) for picture in pictures), _apart(*pictures), *_together(both)]
 
 
 def _pixel(events: Events, frame_px: tuple[int, int]) -> NDArray[np.int64]:

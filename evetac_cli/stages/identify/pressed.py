@@ -97,8 +97,8 @@ def find(
         expected = _filled(seen)
         looked_for = np.isfinite(expected[..., 0])
         fitted, profile = rim.fit(runs, expected[looked_for], radius_px, log_contrast)
-        found = np.full(seen.shape, np.nan)
-        found[looked_for] = fitted.centre_xy_px
+        places_px = np.full(seen.shape, np.nan)
+        places_px[looked_for] = fitted.centre_xy_px
         ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
         off_over_on = ratio.off_over_on.value if ratio else None
         optics = dots.optics(fitted, events.kept_share, off_over_on, rng)
@@ -107,10 +107,10 @@ def find(
     whole = optics.contrast_over_threshold.value
     is_apart = ratio is not None and (ratio.mismatch.low > APART or ratio.mismatch.value > 1.5 * APART)
     return Press(
-        dot_xy_px=found,
+        dot_xy_px=places_px,
         jitter_px=jitter_px,
         optics=optics,
-        lens_k1=_lens(found, printed_xy, recording.frame_px),
+        lens_k1=_lens(places_px, printed_xy, recording.frame_px),
         off_over_on=polarity.without_last_thresholds(ratio.off_over_on, whole) if ratio else None,
         mismatch=ratio.mismatch if ratio and is_apart else _beside(events, whole, rng),
         is_apart=is_apart,
@@ -168,13 +168,13 @@ def _beside(events: StrokeEvents, contrast_over_threshold: float, rng: np.random
 
 
 def _lens(
-    found: NDArray[np.float64], printed_xy: NDArray[np.float64] | None, frame_px: tuple[int, int]
+    places_px: NDArray[np.float64], printed_xy: NDArray[np.float64] | None, frame_px: tuple[int, int]
 ) -> Estimate | None:
-    if printed_xy is None or printed_xy.shape != found.shape:
+    if printed_xy is None or printed_xy.shape != places_px.shape:
         return None
-    present = np.isfinite(found[..., 0])
+    present = np.isfinite(places_px[..., 0])
     try:
-        return distortion.estimate(found[present], printed_xy[present], frame_px)
+        return distortion.estimate(places_px[present], printed_xy[present], frame_px)
     except ValueError:
         return None
 

@@ -26,8 +26,8 @@ def test_the_lens_is_found(k1: float) -> None:
     held = 0
     for seed in range(20):
         seen = lens.seen(flat_dots(np.random.default_rng(seed), 1.5))
-        found = distortion.estimate(seen, PRINTED.reshape(-1, 2), FRAME_PX)
-        held += found.low <= k1 <= found.high
+        estimated = distortion.estimate(seen, PRINTED.reshape(-1, 2), FRAME_PX)
+        held += estimated.low <= k1 <= estimated.high
     assert held >= 17
 
 

@@ -29,17 +29,17 @@ def test_intervals_hold_the_truth() -> None:
     truth |= {"dot_radius_spread": 0.03, "dot_contrast_spread": 0.08}
     held = dict.fromkeys(truth, 0)
     for seed in range(40):
-        found = dots.optics(seen(63, 0.03, 0.08, seed), 1.0, 1.2, np.random.default_rng(seed))
+        estimated = dots.optics(seen(63, 0.03, 0.08, seed), 1.0, 1.2, np.random.default_rng(seed))
         for name, value in truth.items():
-            one = getattr(found, name)
+            one = getattr(estimated, name)
             held[name] += one.low <= value <= one.high
     assert min(held.values()) >= 34, held
 
 
 def test_equal_dots() -> None:
     """Assert that chance is not taken for a spread."""
-    found = [dots.optics(seen(63, 0.0, 0.0, seed), 1.0, 1.2, np.random.default_rng(0)) for seed in range(20)]
-    assert sum(one.dot_radius_spread.low == 0.0 and one.dot_contrast_spread.low == 0.0 for one in found) >= 19
+    estimated = [dots.optics(seen(63, 0.0, 0.0, seed), 1.0, 1.2, np.random.default_rng(0)) for seed in range(20)]
+    assert sum(one.dot_radius_spread.low == 0.0 and one.dot_contrast_spread.low == 0.0 for one in estimated) >= 19
 
 
 def test_too_few() -> None:

@@ -25,16 +25,16 @@ def test_both_are_found(ratio: float, spread: float) -> None:
     """Assert that the intervals hold ratio and spread in about 95 of 100 cases, here in 9 of 10 at least."""
     held = np.zeros(2)
     for seed in range(10):
-        found = polarity.estimate(*counted(ratio, spread, seed), 0.0, np.random.default_rng(seed))
-        truth = (found.off_over_on, ratio), (found.mismatch, spread)
+        estimated = polarity.estimate(*counted(ratio, spread, seed), 0.0, np.random.default_rng(seed))
+        truth = (estimated.off_over_on, ratio), (estimated.mismatch, spread)
         held += [one.low <= value <= one.high for one, value in truth]
     assert (held >= 9).all(), held
 
 
 def test_one_threshold_for_both() -> None:
     """Assert that pixels whose ON and OFF have one threshold show none that differ apart."""
-    found = polarity.estimate(*counted(1.0, 0.0, 3), 0.0, np.random.default_rng(0))
-    assert found.mismatch.low == 0.0 and found.mismatch.high < 0.02
+    estimated = polarity.estimate(*counted(1.0, 0.0, 3), 0.0, np.random.default_rng(0))
+    assert estimated.mismatch.low == 0.0 and estimated.mismatch.high < 0.02
 
 
 def test_noise_and_hot_pixels_change_little() -> None:
@@ -44,8 +44,8 @@ def test_noise_and_hot_pixels_change_little() -> None:
     on, off = (side + rng.poisson(2.0, SHAPE) for side in (on, off))
     hot = rng.random(SHAPE) < 0.002
     on, off = np.where(hot, 900.0, on), np.where(hot, 900.0, off)
-    found = polarity.estimate(on, off, 2.0, np.random.default_rng(0))
-    assert found.off_over_on.low <= 1.2 <= found.off_over_on.high
+    estimated = polarity.estimate(on, off, 2.0, np.random.default_rng(0))
+    assert estimated.off_over_on.low <= 1.2 <= estimated.off_over_on.high
 
 
 def test_too_few_events() -> None:

@@ -26,14 +26,14 @@ def scanned(speed: float, rise: float, threshold: float, seed: int) -> tuple[np.
 @pytest.mark.parametrize("speed", [0.007, 0.043, 0.093])
 def test_merged_events_are_added(speed: float) -> None:
     """Assert that the events of a rise are its thresholds, however fast it is, less what the last one lacks."""
-    found = []
+    passed = []
     for seed, threshold in enumerate(np.linspace(0.15, 0.25, 300)):
         state = stroke_events.start(FRAME_PX)
         t_us, p = scanned(speed, 3.0, threshold, seed)
         place = np.full(len(t_us), 2, np.uint16)
         stroke_events.add(state, t_us, place, place, p, 1)
-        found.append((threshold * state.on[1, 2, 2], threshold * state.off[1, 2, 2]))
-    assert np.mean(found, axis=0) == pytest.approx(2.9, abs=0.15)
+        passed.append((threshold * state.on[1, 2, 2], threshold * state.off[1, 2, 2]))
+    assert np.mean(passed, axis=0) == pytest.approx(2.9, abs=0.15)
     assert state.on[0].sum() == 0 and state.events[1].sum() == len(t_us)
 
 

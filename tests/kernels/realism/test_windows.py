@@ -21,8 +21,8 @@ def drawn(rates: np.ndarray, on_share: float, seed: int) -> tuple[Events, np.nda
 def test_rest_and_motion_are_told_apart() -> None:
     """Assert the rates and shares of a window that rests for half of its time."""
     at_rest = np.arange(500) < 250
-    found = windows.features(*drawn(np.where(at_rest, 5.0, 200.0), 0.6, 0), at_rest, FRAME_PX)
-    of = dict(zip(windows.FEATURES, found, strict=True))
+    numbers = windows.features(*drawn(np.where(at_rest, 5.0, 200.0), 0.6, 0), at_rest, FRAME_PX)
+    of = dict(zip(windows.FEATURES, numbers, strict=True))
     assert abs(of["rest, log events a slice"] - np.log(5.0)) < 0.1
     assert abs(of["motion, log events a slice"] - np.log(200.0)) < 0.02
     assert abs(of["motion, ON share"] - 0.6) < 0.01 and abs(of["rest, ON share"] - 0.6) < 0.05

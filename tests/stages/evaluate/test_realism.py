@@ -113,15 +113,15 @@ def test_windows_are_told_apart(tmp_path: Path) -> None:
         return imported(tmp_path / f"{seed}.recording.h5", events, 10_000)
 
     first, second, other = noisy(0, 0.5), noisy(1, 0.5), noisy(2, 0.6)
-    found = {}
+    apart = {}
     for name, simulated, same in (("like", second, None), ("unlike", other, second)):
         asked = params.EvaluateRealism(same=same)
         (job,) = realism.jobs([first, simulated], asked, tmp_path / f"{name}.realism.report.h5")
         rows = realism.run(job, asked).rows
-        (found[name],) = [row for row in rows if row["measure"] == "AUC of held-out windows"]
-        assert found[name]["real"] == found[name]["simulated"] == 20
-    assert found["like"]["distance"] < 0.85 < 0.95 < found["unlike"]["distance"]
-    assert found["unlike"]["distance_of_halves"] == found["like"]["distance"]
+        (apart[name],) = [row for row in rows if row["measure"] == "AUC of held-out windows"]
+        assert apart[name]["real"] == apart[name]["simulated"] == 20
+    assert apart["like"]["distance"] < 0.85 < 0.95 < apart["unlike"]["distance"]
+    assert apart["unlike"]["distance_of_halves"] == apart["like"]["distance"]
 
 
 def test_what_cannot_be_compared(same: tuple[Path, Path], tmp_path: Path) -> None:
