@@ -6,7 +6,8 @@ For each sensor randomized:N it simulates what docs/identify.md asks of an owner
 with a pause after each, and a gripper that closes, holds, and lets an object slip; runs `evetac identify`; and compares
 the interval of each parameter in PARAMETERS with the truth. Then it simulates rest and press again: by the sensor
 itself with another seed, and by its twin, the identified sensor, with a third. A classifier (kernels/realism) tells the
-half seconds of the first recordings from each of these, and from those of the next sensor.
+half seconds of the first recordings from those of the second, of either from the twin's, and of the first from the next
+sensor's.
 
 What is compared and how was committed before the first run on sensors from 20,000 on. A sensor that WORK holds already
 is not made again, so that a run may be stopped and several may share the sensors; the table is of all that WORK holds.
@@ -274,7 +275,9 @@ def area_rows(work: Path, numbers: list[int]) -> list[Row]:
     rows = []
     for place, number in enumerate(numbers):
         own, other = kept[number], kept[numbers[(place + 1) % len(numbers)]]
-        same, twin = (told_apart.area(own["first"], own[name]) for name in ("second", "twin"))
+        same = told_apart.area(own["first"], own["second"])
+        of_twin = [told_apart.area(own[name], own["twin"]) for name in ("first", "second")]
+        twin = None if None in of_twin else float(np.mean([one for one in of_twin if one is not None]))
         apart = told_apart.area(own["first"], other["first"]) if len(numbers) > 1 else None
         rows.append(
             {
