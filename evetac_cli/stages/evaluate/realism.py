@@ -123,10 +123,13 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
         known = [row for row in rows if row["distance"] is not None]
         as_halves = [row for row in known if row["distance"] <= (row["distance_of_halves"] or 0.0)]
         apart = _told_apart(job.inputs, progress)
+        beside = "auc_of_halves" if params.same is None else "auc_of_same"
+        of_auc = {"auc": "distance", beside: "distance_of_halves", "windows": "real"}
         return [*rows, *apart], {
             "figures": len(known),
             f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in known),
             "figures_as_near_as_halves": len(as_halves),
+            **{name: row[key] for row in apart for name, key in of_auc.items()},
         }
 
     outcome = report(job, "evaluate realism", METHOD, recipe_of(params), headers, measure, force=force)

@@ -117,8 +117,11 @@ def test_windows_are_told_apart(tmp_path: Path) -> None:
     for name, simulated, same in (("like", second, None), ("unlike", other, second)):
         asked = params.EvaluateRealism(same=same)
         (job,) = realism.jobs([first, simulated], asked, tmp_path / f"{name}.realism.report.h5")
-        rows = realism.run(job, asked).rows
+        outcome = realism.run(job, asked)
+        rows = outcome.rows
         (apart[name],) = [row for row in rows if row["measure"] == "AUC of held-out windows"]
+        assert outcome.summary["auc"] == apart[name]["distance"]
+        assert outcome.summary["auc_of_same" if same else "auc_of_halves"] == apart[name]["distance_of_halves"]
         assert apart[name]["real"] == apart[name]["simulated"] == 20
     assert apart["like"]["distance"] < 0.85 < 0.95 < apart["unlike"]["distance"]
     assert apart["unlike"]["distance_of_halves"] == apart["like"]["distance"]
