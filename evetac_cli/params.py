@@ -340,8 +340,9 @@ class Train:
     preset: str = parameter(
         "paper",
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
-        " on normalised features, samples made stronger and weaker, and the average of the weights over training.",
-        choices=("paper", "adam", "adamw"),
+        " on normalised features, samples made stronger and weaker, and the average of the weights over training;"
+        " adapt: the same at a tenth of the rate, for --adapt.",
+        choices=("paper", "adam", "adamw", "adapt"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
     max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
@@ -364,6 +365,12 @@ class Train:
         " each without one share of the objects, and judged on that share. For detectors that will meet new objects.",
         low=0,
         high=100,
+    )
+    adapt: str = parameter(
+        "",
+        "Go on from this trained model, or `shipped`, the package's: a few recordings of one's own sensor adapt it."
+        " Architecture and horizon are the model's; 1000 small steps unless --max-steps says otherwise.",
+        recipe=False,
     )
 
 

@@ -1,7 +1,7 @@
 """Train a slip detector: named sets of training constants (presets), and the steps of the optimiser."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Literal, NamedTuple
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from evetac_cli.kernels.slip.networks import Network, build, weights
+from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
 from evetac_cli.kernels.slip.sampling import Samples, augment, batches, channel_stats, quarter_turns, steps_per_epoch
 
 CURVE_POINTS = 100
@@ -59,6 +59,20 @@ PRESETS = {
             # Whether an object is lost in 10 ms hangs on how much of the contact slips already, which a simulation
             # knows in every slice. A label says less, and learned from labels alone the network calls a contact that
             # slips in half for long, under a slanted finger, lost. The second output is thrown away after training.
+            share_weight=1.0,
+        ),
+        # not the paper's: from a trained network's weights to those for one sensor, of which there are few recordings
+        Preset(
+            "adapt",
+            "adamw",
+            learning_rate=2e-4,
+            normalise=True,
+            epochs=70,
+            checkpoint_every=10,
+            weight_decay=0.01,
+            cosine=True,
+            average=0.99,
+            gain=(0.6, 1.6),
             share_weight=1.0,
         ),
     ]
@@ -108,6 +122,7 @@ def train(
     device: str = "cpu",
     resume_from: TrainingState | None = None,
     on_save: Callable[[Callable[[], TrainingState]], None] | None = None,
+    start: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> Training:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
@@ -116,6 +131,7 @@ def train(
     `on_progress` gets (step, steps, loss) at each of the up to 100 points of the loss curve. The result depends on the
     generator's state alone (on one kind of machine and number of torch threads, which is the caller's to set).
 
+    `start` holds weights and normalisation of a trained network to go on from, as `networks.weights` gives them.
     `on_save` is called every 50 steps with a function that returns the run's state as named arrays. With that state as
     `resume_from` and all other arguments as before, the run goes on from that step to the same result: the random
     generators draw again, and discard, what had been drawn. ValueError when the loss stops being finite, or where
@@ -134,7 +150,7 @@ def train(
     points = set(_evenly(steps, CURVE_POINTS))
 
     seeds, draws, turns, gains = rng.spawn(4)
-    run = _Run(*_network(samples, preset, int(seeds.integers(2**63))), preset, device)
+    run = _Run(*_network(samples, preset, int(seeds.integers(2**63)), start), preset, device)
     if resume_from is not None:
         run.restore(resume_from)
     for step, batch in enumerate(islice(batches(samples, draws), steps), start=1):
@@ -288,16 +304,21 @@ def _groups(saved: TrainingState) -> dict[str, TrainingState]:
     return groups
 
 
-def _network(samples: Samples, preset: Preset, seed: int) -> tuple[Network, nn.Linear | None]:
+def _network(
+    samples: Samples, preset: Preset, seed: int, start: Mapping[str, NDArray[np.float32]] | None
+) -> tuple[Network, nn.Linear | None]:
     """The network to train, and the second output beside its own where the preset and the samples have one."""
+    shape = samples.rows, samples.columns
     scale = offset = None
-    if preset.normalise:
+    if preset.normalise and start is None:
         offset, spread = channel_stats(samples)
         # a channel that varies by rounding alone carries nothing: it is shifted to 0 and not blown up
         scale = 1 / np.where(spread > 1e-6 * np.abs(offset), spread, 1)
     with torch.random.fork_rng(devices=[]):  # torch draws first weights from its global generator only
         torch.manual_seed(seed)
-        network = build(samples.architecture, samples.rows, samples.columns, scale, offset)
+        network = build(samples.architecture, *shape, scale, offset)
+        if start is not None:
+            network = from_weights(samples.architecture, start, *shape)
         if not preset.share_weight or not np.isfinite(samples.slip_share).any():
             return network, None
         return network, nn.Linear(network.outputs.in_features, 1)
