@@ -44,7 +44,7 @@ slip-images: $(READY)  ## ... train those that see images, the slowest part
 slip-table: $(READY)  ## ... and judge all of these on unseen slips
 	@$(REPRODUCE) --only $@
 
-ship: $(READY)  ## put the best fast-slow detector, 10 ms ahead, into the package, for grasp
+ship: $(READY)  ## train a detector for sensors unlike each other, 10 ms ahead, and put it into the package
 	@$(REPRODUCE) --only $@
 
 tracking: $(READY)  ## presets of the tracker on edges, slip and shear

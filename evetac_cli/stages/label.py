@@ -123,8 +123,8 @@ def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
 def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False) -> flow.Labels:
     """Labels from the gross slip of a simulation, up to `after_ms` after its onset; InputError without truth.
 
-    They begin where those of the other methods do, or, as nothing is unknown here, with the first slice; the onset is
-    that of the ramp all the same, as an object may slide a little while its weight is handed over.
+    They begin where those of the other methods do, or, as nothing is unknown here, with the first slice. An object may
+    slide a little while its weight is handed over: these slices are left out, and the onset is that of the ramp.
     """
     if not recording.has("truth/slip"):
         raise InputError(
@@ -135,8 +135,8 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
     slips = recording.read("truth/slip")
     labels = slips.astype(np.int8)
     start = ramp_start(recording)
-    if not from_start:
-        labels[:start] = -1  # as for the other methods: a trial begins when the object is held
+    # as for the other methods: a trial begins when the object is held
+    labels[:start] = np.where((slips[:start] == 0) & from_start, 0, -1)
     slipping = start + np.flatnonzero(slips[start:])
     onset = int(slipping[0]) if len(slipping) else -1
     confidence = float("nan")
