@@ -88,8 +88,8 @@ def test_slip(name: str, short_scene: Path, tmp_path: Path) -> None:
         assert error_px.shape[1] == np.prod(shape) and error_px.max() < FARTHEST_PX
         assert not tracked.read("lost").any()
         assert np.ptp(true_px, axis=0).max() > 1.0  # and they moved
-    with StageFile(labels, "labels") as found:
-        assert found.read("onset_slice") > 0
+    with StageFile(labels, "labels") as labelled:
+        assert labelled.read("onset_slice") > 0
     with StageFile(features, "features") as made:
         assert made.read("dot_shape").tolist() == list(shape)
     (row,) = info.run([recording]).rows
