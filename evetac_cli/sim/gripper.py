@@ -28,6 +28,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import ForceCurve, closing_at, lookup
+from evetac_cli.sim.sampling import GRIPPER_FAULTS
 
 Mode = Literal["position", "current"]
 
@@ -36,6 +37,9 @@ LINK_PAIR_M = 0.114
 LINK_OFFSET_M = 0.0061
 START_RAD = math.radians(60.0)
 TICK_RAD = math.radians(0.088)
+
+
+NOT_OF_DRIVE = ("finger_stiffness_n_m", *GRIPPER_FAULTS)  # what a row says of the gripper beside its drive
 
 
 @dataclass(frozen=True)
@@ -81,8 +85,7 @@ def make_drive(sensor_row: Mapping[str, Any], friction_factor: float = 1.0, back
     gain_ma_tick and friction_n, because they are what a gripper shows; friction_factor then multiplies the friction.
     ValueError as from `Drive`.
     """
-    named = dict(sensor_row.get("gripper", {}))
-    named.pop("finger_stiffness_n_m", None)
+    named = {key: value for key, value in sensor_row.get("gripper", {}).items() if key not in NOT_OF_DRIVE}
     friction_factor *= named.pop("friction_factor", 1.0)
     if "servo_n_tick" in named:
         servo_n_tick = named.pop("servo_n_tick")

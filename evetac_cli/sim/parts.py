@@ -8,10 +8,12 @@ import copy
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from evetac_cli.sim.sampling import GRIPPER_FAULTS, gripper_faults
 from evetac_cli.sim.solver import from_scene
 
 Plan = dict[str, Any]
 
+MODES = {"ramp": "current mode", "hold": "position, then current mode", "lift": "position mode"}  # where it grips
 DOT_SPREADS = ("dot_radius_spread", "dot_contrast_spread")
 
 
@@ -46,14 +48,13 @@ def switched(plan: Plan) -> dict[str, Plan]:
 
 
 def _table(plan: Plan) -> list[Part]:
-    return [*_mechanics(plan), *_camera(plan), *_disturbances(plan["scene"])]
+    return [*_mechanics(plan), *_camera(plan), *_disturbances(plan)]
 
 
 def _mechanics(plan: Plan) -> list[Part]:
     resolved = plan["scene"]
     kind = resolved["kind"]
-    modes = {"ramp": "current mode", "hold": "position, then current mode", "lift": "position mode"}
-    gripped = kind in modes
+    gripped = kind in MODES
     settings = from_scene(resolved)
     steps = f"{settings.tolerance_um:g} um a step" if settings.step_ms is None else f"{settings.step_ms:g} ms steps"
     nodes = "" if kind == "tone" else f"nodes every {settings.node_pitch_mm:g} mm, {steps}"
@@ -63,12 +64,12 @@ def _mechanics(plan: Plan) -> list[Part]:
     elif kind == "rub":
         touching = f"a {' or a '.join(resolved['rub']['objects'])}, rubbed"
     elif kind == "tone":
-        touching = f"a speaker, {plan['tone_hz']:g} Hz for {resolved['time']['tone_s']:g} s"
+        touching = f"a speaker, {plan['tone_hz']:.4g} Hz for {resolved['time']['tone_s']:g} s"
     pushes = f"{len(resolved['push']['at_s'])} half sines" if "push" in resolved else ""
     weight = f"{resolved['drop']['mass_g']} g" if "drop" in resolved else ""
     rubs = plan["sensor_row"].get("friction", {}) if kind != "tone" else {}
     spread = rubs.get("patch_spread", 0.0)
-    patches = f"by {spread:.0%} over {rubs['patch_mm']:g} mm" if spread and "patch_mm" in rubs else ""
+    patches = f"by {spread:.0%} over {rubs['patch_mm']:.3g} mm" if spread and "patch_mm" in rubs else ""
     return [
         Part("gel and friction", nodes, "nothing slips: a closed form for each wave"),
         Part(
@@ -84,7 +85,7 @@ def _mechanics(plan: Plan) -> list[Part]:
             _without_creep if _creep(plan["sensor_row"]) else None,
         ),
         Part("what touches", touching, ""),
-        Part("gripper", modes.get(kind, ""), "a hand drives the face"),
+        Part("gripper", MODES.get(kind, ""), "a hand drives the face"),
         Part("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
         Part("table and hand", "lift" if kind == "lift" else "", "nothing is lifted"),
         Part("pushes", pushes, "none named", _without("push") if pushes else None),
@@ -106,7 +107,7 @@ def _camera(plan: Plan) -> list[Part]:
     cut_edge = cut and sensor_row.get("cut_contrast", 0.0) > 0.0
     hot_pixels = sensor_row["hot_pixels"] + len(sensor_row.get("hot_pixel_table", {}).get("x_px", ()))
     noisy = sensor_row["noise_hz"] > 0.0 or hot_pixels > 0
-    noise = f"{sensor_row['noise_hz']:g} Hz a pixel, {hot_pixels} hot pixels"
+    noise = f"{sensor_row['noise_hz']:.3g} Hz a pixel, {hot_pixels} hot pixels"
     by_light = sensor_row.get("bandwidth_by_light", False) and sensor_row.get("bandwidth_hz", 0.0) > 0.0
     sizes, inks = (sensor_row.get(key, 0.0) for key in DOT_SPREADS)
     gradient, distortion = sensor_row.get("light_gradient", 0.0), sensor_row.get("distortion", [0.0, 0.0])
@@ -140,7 +141,9 @@ def _camera(plan: Plan) -> list[Part]:
         ),
         Part(
             "OFF threshold of its own",
-            f"{sensor_row['threshold_off']:g}, ON {sensor_row['threshold']:g}" if "threshold_off" in sensor_row else "",
+            f"{sensor_row['threshold_off']:.3g}, ON {sensor_row['threshold']:.3g}"
+            if "threshold_off" in sensor_row
+            else "",
             "as that of ON",
             _unnamed_in_sensor("threshold_off") if "threshold_off" in sensor_row else None,
         ),
@@ -165,7 +168,7 @@ def _camera(plan: Plan) -> list[Part]:
         ),
         Part(
             "lens distortion",
-            f"k1 {distortion[0]:g}, k2 {distortion[1]:g}" if any(distortion) else "",
+            f"k1 {distortion[0]:.3g}, k2 {distortion[1]:.3g}" if any(distortion) else "",
             "the sensor has none",
             _unnamed_in_sensor("distortion") if any(distortion) else None,
         ),
@@ -177,25 +180,32 @@ def _camera(plan: Plan) -> list[Part]:
 def _pixels(name: str, sensor_row: Plan, key: str, unit: str, why_not: str) -> Part:
     """A property of the camera's pixels that a sensor has if its row names it."""
     value = sensor_row.get(key, 0.0)
-    return Part(name, f"{value:g} {unit}" if value else "", why_not, _without_sensor(key) if value else None)
+    return Part(name, f"{value:.4g} {unit}" if value else "", why_not, _without_sensor(key) if value else None)
 
 
-def _disturbances(resolved: Plan) -> list[Part]:
-    """What is off unless a scene names it."""
+def _disturbances(plan: Plan) -> list[Part]:
+    """What is off unless a scene, or of a gripper its sensor's row, names it."""
+    resolved = plan["scene"]
+    faults = gripper_faults(resolved, plan["sensor_row"] if resolved["kind"] in MODES else {})
     light, gripper, hand = (resolved.get(group, {}) for group in ("light", "gripper", "hand"))
     flicker, step, jerk = light.get("flicker"), light.get("step"), hand.get("jerk")
     lights = [f"flickers by {flicker['depth']:.0%} at {flicker['frequency_hz']:g} Hz"] if flicker else []
     lights += [f"x {step['factor']:g} from {step['at_s']:g} s on"] if step else []
     gone, change, off = (resolved.get(group) for group in ("vanishing_dots", "friction_change", "calibration"))
     off_px = off.get("offset_px", [0.0, 0.0]) if off else []
-    play, stiffness = gripper.get("backlash_ticks", 0.0), resolved["gel"].get("stiffness_factor", 1.0)
+    play, stiffness = faults["backlash_ticks"], resolved["gel"].get("stiffness_factor", 1.0)
     factor = gripper.get("friction_factor", [1.0, 1.0])
     factor = factor if isinstance(factor, list) else [factor, factor]
     rubs = f"x {factor[0]:g}" + (f" to {factor[1]:g}" if factor[1] > factor[0] else "")
     mass = f"{resolved['object']['mass_g']:g} g" if "object" in resolved else ""
-    noise = gripper.get("encoder_noise_ticks", 0.0)
-    delay_ms, jitter_ms = gripper.get("command_delay_ms", 0.0), gripper.get("command_jitter_ms", 0.0)
-    late = f"by {delay_ms:g} to {delay_ms + jitter_ms:g} ms" if jitter_ms else f"by {delay_ms:g} ms" if delay_ms else ""
+    noise, delay_ms, jitter_ms = (faults[key] for key in GRIPPER_FAULTS[1:])
+    late = (
+        f"by {delay_ms:.3g} to {delay_ms + jitter_ms:.3g} ms"
+        if jitter_ms
+        else f"by {delay_ms:.3g} ms"
+        if delay_ms
+        else ""
+    )
     profile = {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.get("profile", ""), "")
     named = {
         ("changing light", "light"): (", ".join(lights), "steady: none named"),
@@ -215,10 +225,10 @@ def _disturbances(resolved: Plan) -> list[Part]:
             rubs if factor != [1.0, 1.0] else "",
             "as the sensor's gripper has it",
         ),
-        ("backlash of the gripper", "gripper.backlash_ticks"): (f"{play:g} ticks" if play else "", "none named"),
+        ("backlash of the gripper", "gripper.backlash_ticks"): (f"{play:.3g} ticks" if play else "", "none named"),
         ("second finger of its own", "gripper.second_finger"): (_second(gripper), "a mirror image of the first"),
         ("noise of the gripper's encoder", "gripper.encoder_noise_ticks"): (
-            f"{noise:g} ticks" if noise else "",
+            f"{noise:.3g} ticks" if noise else "",
             "it reads the motor's place",
         ),
         ("commands that come late", "gripper.command_delay_ms"): (late, "in effect in the next ms"),
@@ -303,7 +313,7 @@ def _creep(sensor_row: Plan) -> str:
     """By how much of its stiffness a sensor's gel yields, and how slowly."""
     named = sensor_row.get("creep", {})
     arms = zip(named.get("share", []), named.get("time_s", []), strict=False)
-    return ", ".join(f"{share:.0%} in {time_s:g} s" for share, time_s in arms)
+    return ", ".join(f"{share:.0%} in {time_s:.3g} s" for share, time_s in arms)
 
 
 def _without_creep(plan: Plan) -> None:

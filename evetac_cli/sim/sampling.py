@@ -3,7 +3,7 @@
 A trial's values are uniform in the ranges that its scene names. Sensors and grippers are sampled from the ranges of the
 row `randomized` of sensors.toml. An entry of that row is a plain value, which all sensors have in common, or a range:
 `{uniform = [low, high], stream = 1}`, `{log_uniform = ...}` (uniform in the logarithm) or `{whole = ...}` (a whole
-number, both ends included).
+number, both ends included). A list may hold ranges.
 
 Why so: each range draws from a random stream of its own, numbered by its `stream`, so that a range added to the table,
 moved in it or renamed leaves all other values as they were.
@@ -22,6 +22,7 @@ from evetac_cli.errors import InputError
 OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
 FLOOR_MM = (250.0, 250.0)
 MEMORY_UM = 20.0  # as gel.MEMORY_M, which is not imported here: it loads numba, and a plan does not need it
+GRIPPER_FAULTS = ("backlash_ticks", "encoder_noise_ticks", "command_delay_ms", "command_jitter_ms")
 DISTRIBUTIONS = ("uniform", "log_uniform", "whole")
 
 
@@ -115,16 +116,25 @@ def sensor_with_gel(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> 
     return {**sensor_row, **{name: float(sensor_row[name]) * factor for name in moduli}}
 
 
+def gripper_faults(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> dict[str, float]:
+    """What a gripper does wrong, 0 where nothing is named: as the scene says, else as the sensor's own gripper does."""
+    in_scene, own = scene.get("gripper", {}), sensor_row.get("gripper", {})
+    return {key: float(in_scene.get(key, own.get(key, 0.0))) for key in GRIPPER_FAULTS}
+
+
 def sample_sensor(ranges: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     """A row as of a named sensor, from the row of ranges; InputError on a range that is none or has no own stream.
 
-    `dot_shift_x_px` and `dot_shift_y_px` move the columns and rows of dots and do not appear in the result.
+    `dot_shift_x_px` and `dot_shift_y_px` move the columns and rows of dots, and `threshold_off_factor` is that of OFF
+    over that of ON; they do not appear in the result.
     """
     _check_streams(ranges, "", {})
-    row = _sample_table(ranges, int(rng.integers(2**63)), "")
+    row: dict[str, Any] = _sample(ranges, int(rng.integers(2**63)), "")
     for axis, lines in (("x", "dot_columns_px"), ("y", "dot_rows_px")):
         shift_px = row.pop(f"dot_shift_{axis}_px", 0.0)
         row[lines] = [line + shift_px for line in row[lines]]
+    if "threshold_off_factor" in row:
+        row["threshold_off"] = row["threshold"] * row.pop("threshold_off_factor")
     return row
 
 
@@ -132,42 +142,47 @@ def _is_range(entry: Any) -> bool:
     return isinstance(entry, Mapping) and ("stream" in entry or any(name in entry for name in DISTRIBUTIONS))
 
 
-def _check_streams(ranges: Mapping[str, Any], above: str, owners: dict[int, str]) -> None:
+def _check_streams(entry: Any, place: str, owners: dict[int, str]) -> None:
     """Refuse a range without a stream, or with one that belongs to another; `owners` gets each stream's range."""
-    for key, entry in ranges.items():
-        place = f"{above}{key}"
-        if _is_range(entry):
-            stream = entry.get("stream")
-            if type(stream) is not int or stream < 0:
-                raise InputError(
-                    f"{place}: a range needs a random stream of its own",
-                    where="sensors.toml",
-                    expected="`stream`, a whole number that no other range has",
-                    found="no stream" if stream is None else str(stream),
-                )
-            if stream in owners:
-                raise InputError(
-                    f"{place}: the same random stream as {owners[stream]}",
-                    where="sensors.toml",
-                    expected="`stream`, a whole number that no other range has",
-                    found=str(stream),
-                )
-            owners[stream] = place
-        elif isinstance(entry, Mapping):
-            _check_streams(entry, f"{place}.", owners)
+    if not _is_range(entry):
+        for inner, below in _entries(entry, place):
+            _check_streams(inner, below, owners)
+        return
+    stream = entry.get("stream")
+    if type(stream) is not int or stream < 0:
+        raise InputError(
+            f"{place}: a range needs a random stream of its own",
+            where="sensors.toml",
+            expected="`stream`, a whole number that no other range has",
+            found="no stream" if stream is None else str(stream),
+        )
+    if stream in owners:
+        raise InputError(
+            f"{place}: the same random stream as {owners[stream]}",
+            where="sensors.toml",
+            expected="`stream`, a whole number that no other range has",
+            found=str(stream),
+        )
+    owners[stream] = place
 
 
-def _sample_table(ranges: Mapping[str, Any], seed: int, above: str) -> dict[str, Any]:
-    row: dict[str, Any] = {}
-    for key, entry in ranges.items():
-        place = f"{above}{key}"
-        if _is_range(entry):
-            row[key] = _sample_range(entry, seed, place)
-        elif isinstance(entry, Mapping):
-            row[key] = _sample_table(entry, seed, f"{place}.")
-        else:
-            row[key] = entry
-    return row
+def _entries(entry: Any, place: str) -> list[tuple[Any, str]]:
+    """What a table or a list holds, with its place; nothing for a plain value."""
+    if isinstance(entry, Mapping):
+        return [(inner, f"{place}.{key}" if place else key) for key, inner in entry.items()]
+    if isinstance(entry, list):
+        return [(inner, f"{place}[{number}]") for number, inner in enumerate(entry)]
+    return []
+
+
+def _sample(entry: Any, seed: int, place: str) -> Any:
+    """An entry with each range within it replaced by a value."""
+    if _is_range(entry):
+        return _sample_range(entry, seed, place)
+    sampled = [_sample(inner, seed, below) for inner, below in _entries(entry, place)]
+    if isinstance(entry, Mapping):
+        return dict(zip(entry, sampled, strict=True))
+    return sampled if isinstance(entry, list) else entry
 
 
 def _sample_range(entry: Mapping[str, Any], seed: int, place: str) -> float | int:

@@ -106,6 +106,9 @@ def test_ranges_are_wide() -> None:
         "loss_tangent": (0.08, 0.2),
         "static_friction_factor": (0.9, 1.1),
         "gripper.friction_factor": (0.7, 1.3),
+        "gripper.backlash_ticks": (0.0, 2.0),
+        "threshold_off_factor": (0.8, 1.25),
+        "friction.patch_spread": (0.0, 0.1),
     }
     for place, (low, high) in wanted.items():
         entry = table("sensors")["randomized"]
@@ -130,8 +133,16 @@ def test_values_of_a_numbered_sensor() -> None:
     """Assert the values of `randomized:7`, literally: a range renamed or moved must not change them."""
     row = scene.sensor_row("randomized:7")
     named = dict(table("sensors")["randomized"])
-    sampled = {key: value for key, value in row.items() if value != named[key]}
-    assert sampled.pop("friction") == {"memory_um": pytest.approx(26.935956103316954, rel=1e-12)}
+    sampled = {key: value for key, value in row.items() if value != named.get(key)}
+    assert sampled.pop("friction") == pytest.approx(
+        {"memory_um": 26.935956103316954, "patch_spread": 0.09118190490802094, "patch_mm": 3.5271174655045945},
+        rel=1e-12,
+    )
+    creep = sampled.pop("creep")
+    assert creep["share"] == pytest.approx([0.015570583720719223, 0.09686443855649254], rel=1e-12)
+    assert creep["time_s"] == pytest.approx([0.1322933861736595, 3.040662498108101], rel=1e-12)
+    assert sampled.pop("hot_pixel_hz") == pytest.approx([20.0, 105.93414773668182, 425.88473551868503], rel=1e-12)
+    assert sampled.pop("distortion") == pytest.approx([0.001727296574744193, 0.0], rel=1e-12)
     gripper = sampled.pop("gripper")
     assert sampled.pop("dot_columns_px")[0] == pytest.approx(57.554833034271525, rel=1e-12)
     assert sampled.pop("dot_rows_px")[0] == pytest.approx(41.931674305398644, rel=1e-12)
@@ -145,6 +156,10 @@ def test_values_of_a_numbered_sensor() -> None:
             "cut_contrast": 0.2846088551254638,
             "cut_width_px": 3.970351784474504,
             "threshold": 0.28416834645490197,
+            "threshold_off": 0.29963972041622083,
+            "light_gradient": 0.06932127953201761,
+            "dot_radius_spread": 0.0374266380868261,
+            "dot_contrast_spread": 0.13309413880648266,
             "mismatch": 0.028343196740357658,
             "bandwidth_hz": 2749.9756706565354,
             "edge_sigma_px": 1.2906444822641583,
@@ -167,6 +182,10 @@ def test_values_of_a_numbered_sensor() -> None:
             "finger_stiffness_n_m": 1926.7359681353596,
             "damping_n_s_m": 194.0426629453903,
             "mass_kg": 2.696183667826014,
+            "backlash_ticks": 0.9480911975749566,
+            "encoder_noise_ticks": 0.3590156606361019,
+            "command_delay_ms": 7.103874839772883,
+            "command_jitter_ms": 3.3493274634017474,
         },
         rel=1e-12,
     )
@@ -176,10 +195,10 @@ def test_a_range_of_another_name_has_the_same_values() -> None:
     """Assert that the key of a range plays no part in what is sampled from it."""
     ranges = copy.deepcopy(dict(table("sensors")["randomized"]))
     row = sampling.sample_sensor(ranges, random(3))
-    ranges["pixel_threshold"] = ranges.pop("threshold")
+    ranges["spread_of_thresholds"] = ranges.pop("mismatch")
     ranges["hand"] = ranges.pop("gripper")
     renamed = sampling.sample_sensor(ranges, random(3))
-    assert renamed["pixel_threshold"] == row["threshold"]
+    assert renamed["spread_of_thresholds"] == row["mismatch"]
     assert renamed["hand"] == row["gripper"]
 
 
@@ -217,3 +236,24 @@ def test_ranges_that_are_none(ends: Any) -> None:
     """Assert that a range with its ends turned round, missing or not finite is refused with its key."""
     with pytest.raises(InputError, match=r"gripper\.mass_kg"):
         sampling.sample_sensor({"gripper": {"mass_kg": {"uniform": ends, "stream": 1}}}, random(0))
+
+
+def test_a_list_may_hold_ranges() -> None:
+    """Assert that ranges in a list are sampled, each from its own stream, and refused with their place."""
+    ranges = dict(table("sensors")["randomized"])
+    ranges["creep"] = {"share": [{"uniform": [0.0, 0.1], "stream": 5}, 0.02], "time_s": [0.3, 5.0]}
+    creep = sampling.sample_sensor(ranges, random(3))["creep"]
+    assert 0.0 <= creep["share"][0] <= 0.1
+    assert creep["share"][1] == 0.02
+    ranges["creep"]["share"][1] = {"uniform": [0.0, 0.1], "stream": 5}
+    with pytest.raises(InputError, match=r"creep\.share\[1\]: the same random stream as creep\.share\[0\]"):
+        sampling.sample_sensor(ranges, random(3))
+
+
+def test_faults_of_a_gripper() -> None:
+    """Assert that a scene's faults stand above those of the sensor's gripper, and that what none names is 0."""
+    own = {"gripper": {"backlash_ticks": 1.0, "command_delay_ms": 3.0}}
+    faults = sampling.gripper_faults({"gripper": {"backlash_ticks": 0.0}}, own)
+    assert faults["backlash_ticks"] == 0.0
+    assert faults["command_delay_ms"] == 3.0
+    assert faults["encoder_noise_ticks"] == 0.0

@@ -82,10 +82,10 @@ class GraspSimulation:
             readout=plan["readout"],
             scene=self._scene,
         )
+        self._faults = sampling.gripper_faults(self._scene, sensor_row)
         self._build_mechanics(object_params, sensor_row)
-        named = self._scene.get("gripper", {})
-        self._encoder_noise_ticks = float(named.get("encoder_noise_ticks", 0.0))
-        delay, jitter = (float(named.get(f"command_{key}_ms", 0.0)) * 1e-3 / STEP_S for key in ("delay", "jitter"))
+        self._encoder_noise_ticks = self._faults["encoder_noise_ticks"]
+        delay, jitter = (self._faults[f"command_{key}_ms"] * 1e-3 / STEP_S for key in ("delay", "jitter"))
         self._commands = None
         if delay > 0.0 or jitter > 0.0:
             self._commands = gripper.DelayedCommands(self.command, delay, jitter, commands_rng)
@@ -145,7 +145,7 @@ class GraspSimulation:
         )
         self._friction_factor = friction_factor(sensor_row, nodes)
         self._slip_limit_n = slip_limit_n(sampled, self._curve, self._gap, nodes, self._friction_factor, self._second)
-        backlash_ticks = float(self._scene.get("gripper", {}).get("backlash_ticks", 0.0))
+        backlash_ticks = self._faults["backlash_ticks"]
         self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor, backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
         self.command: tuple[gripper.Mode, float]

@@ -165,7 +165,7 @@ def test_sampled_sensors_hold(number: int) -> None:
     assert rows[-1]["truth/shear_force_n"][0] == pytest.approx(held.sampled.mass_kg * GRAVITY_M_S2 / 2, rel=1e-3)  # type: ignore[index]
     row = scene.sensor_row(f"randomized:{number}")
     sinks_px = rows[-1]["truth/object_xy_px"][0] * row["mm_per_px"] * row["shear_modulus_pa"]  # type: ignore[index]
-    assert 100 < sinks_px / held.sampled.mass_kg / 1e3 < 1e4
+    assert 80 < sinks_px / held.sampled.mass_kg / 1e3 < 1e4  # arms of creep hold up to a fifth at first
     assert held.gel_camera.grid_xy_px.shape == (7, 8, 2)
 
 
