@@ -56,6 +56,7 @@ PAGE = ROOT / "docs" / "disturbances.md"
 NONE = "none"
 SLIPPED, GRASPED = (2, 8, 14), (11, 12, 17)  # objects, in turn
 RESAMPLES = 2000
+LEAST_PAIRS = 3  # of trials, for the interval of a change
 
 
 @dataclass(frozen=True)
@@ -244,17 +245,26 @@ def run(row: Row) -> Row:
 
 
 def figure(name: str, rows: list[Row]) -> float | None:
-    """A figure over some trials: F1 of all slices together, else a mean; None where no trial has it."""
+    """A figure over some trials: F1 of all their slices, the median of run times, else a mean; None where none has it.
+
+    Why so: the first trial of a process loads compiled code, which is in its run time.
+    """
     if name.endswith("_f1"):
         counted = [row[name.replace("_f1", "_counts")] for row in rows if name.replace("_f1", "_counts") in row]
         return metrics.Counts(*(sum(column) for column in zip(*counted, strict=True))).f1 if counted else None
     values = [float(row[name]) for row in rows if row.get(name) is not None]
-    return float(np.mean(values)) if values else None
+    if not values:
+        return None
+    return float(np.median(values) if name.endswith("_us") else np.mean(values))
 
 
 def change(name: str, with_part: list[Row], without: list[Row]) -> tuple[float, float, float] | None:
-    """How much larger a figure is with the part, over pairs of trials, and the ends of its interval; None without."""
-    if not with_part or (own := figure(name, with_part)) is None or (theirs := figure(name, without)) is None:
+    """How much larger a figure is with the part, over pairs of trials, and its interval; None of too few."""
+    if (
+        len(with_part) < LEAST_PAIRS
+        or (own := figure(name, with_part)) is None
+        or (theirs := figure(name, without)) is None
+    ):
         return None
     rng = np.random.default_rng(0)
     drawn = []
