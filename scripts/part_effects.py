@@ -241,7 +241,7 @@ def run(row: Row) -> Row:
         result = (slip if row["kind"] == "slip" else lift)(
             BY_NAME[row["part"]], row["object"], row["seed"], Path(folder)
         )
-    return {**row, "commit": commit(), **result}
+    return {**row, **result}
 
 
 def figure(name: str, rows: list[Row]) -> float | None:
@@ -371,10 +371,10 @@ def main() -> None:
     chosen = parser.parse_args()
 
     rows = [json.loads(line) for line in chosen.out.read_text().splitlines()] if chosen.out.exists() else []
-    done = {identity(row) for row in rows}
+    done, made_by = {identity(row) for row in rows}, {"commit": commit()}
     missing = [row for row in trials(chosen) if identity(row) not in done]
     with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool, chosen.out.open("a") as file:
-        for future in as_completed([pool.submit(run, row) for row in missing]):
+        for future in as_completed([pool.submit(run, row | made_by) for row in missing]):
             rows.append(future.result())
             file.write(json.dumps(rows[-1]) + "\n")
             file.flush()
