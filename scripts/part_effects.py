@@ -293,7 +293,9 @@ def tables(rows: list[Row]) -> tuple[list[Row], list[Row]]:
             both = [row for row in has if pair(row) in theirs] if part.name != NONE else []
             if more := change(name, both, [theirs[pair(row)] for row in both]):
                 ends = dict(zip(("more", "low", "high"), more, strict=True))
-                changes.append({"part": part.name, "against": part.against, "figure": name, "pairs": len(both), **ends})
+                changes.append(
+                    {"part": part.name, "against": part.against, "figure": name, "trials": len(both), **ends}
+                )
         figures.append(shown)
     return figures, changes
 

@@ -23,8 +23,8 @@ def slip(part: str, seed: int, **figures: Any) -> Row:
     """The line of a slip."""
     what = {"part": part, "says": BY_NAME[part].says, "kind": "slip", "object": 2, "seed": seed, "commit": "c"}
     counts = {"labels_counts": [20, 0, 0], "slip_counts": [20, 0, 0]}
-    told = {"events_ms": 50.0, "labels_in_time": True, "slip_in_time": True, "record_us": 100.0, **counts}
-    return {**what, **told, **figures}
+    usual = {"events_ms": 50.0, "labels_in_time": True, "slip_in_time": True, "record_us": 100.0, **counts}
+    return {**what, **usual, **figures}
 
 
 @pytest.mark.parametrize("part", PARTS[1:], ids=lambda part: part.name)
@@ -75,7 +75,7 @@ def test_changes() -> None:
     figures, changes = part_effects.tables([*with_leak, *without, slip(NONE, 99, events_ms=1e6)])
     assert [row["part"] for row in figures] == [NONE, "leak"]
     (more,) = (row for row in changes if row["figure"] == "events_ms")
-    assert more["pairs"] == 5 and more["more"] == pytest.approx(3.4)
+    assert more["trials"] == 5 and more["more"] == pytest.approx(3.4)
     assert 3.0 <= more["low"] < 3.4 < more["high"] <= 4.0
     assert [row["figure"] for row in part_effects.sure(changes)] == ["events_ms"]
     assert not part_effects.tables([*with_leak[:2], *without])[1]
