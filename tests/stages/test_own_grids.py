@@ -1,5 +1,6 @@
 """Gels of one's own: grids of other sizes and dots in no grid, from a sensor's file to features, models and forces."""
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -114,6 +115,15 @@ def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
         assert made.read("dot_shape").tolist() == list(GELS[name][2])
     with pytest.raises(InputError, match="the model is for another dot grid"):
         run(grasp, params.Grasp(sensor=sensor(tmp_path, name)), out=tmp_path / "grasp.recording.h5")
+
+
+def test_two_dots_at_one_place(short_scene: Path, tmp_path: Path) -> None:
+    """Assert that a calibration with a dot twice, in no grid, is refused by track with its reason."""
+    recording = slipped("3 x 4", short_scene, tmp_path).with_name("0.recording.h5")
+    twice = {"frame_px": [640, 480], "radius_px": 15.0, "dot_xy_px": [[[50, 50], [90, 200], [300, 70], [50, 50]]]}
+    (tmp_path / "twice.json").write_text(json.dumps(twice))
+    with pytest.raises(InputError, match="found two at the same place"):
+        run(track, params.Track(calibration=tmp_path / "twice.json"), recording, out=tmp_path / "twice.tracks.h5")
 
 
 def test_calibration_of_dots_in_no_grid(short_scene: Path, tmp_path: Path) -> None:
