@@ -270,6 +270,9 @@ class Label:
         high=1000,
     )
     after_ms: int = parameter(60, "Slices labelled after the onset; later ones are not examined.", unit="ms", low=0)
+    from_start: bool = parameter(
+        False, "Label closing, loading and light contact too, before the current falls; truth, to train on."
+    )
 
 
 @dataclass(frozen=True)
