@@ -34,6 +34,7 @@ from compare_steps import commit
 from numpy.typing import NDArray
 
 from evetac_cli.console import show
+from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.labels import shift_labels
@@ -236,12 +237,23 @@ def named(names: list[str] | None) -> list[Part]:
 
 
 def run(row: Row) -> Row:
-    """Run one trial, in a folder of its own."""
+    """Run one trial, in a folder of its own; what a stage refuses has the reason instead of figures."""
+    made = slip if row["kind"] == "slip" else lift
     with tempfile.TemporaryDirectory() as folder:
-        result = (slip if row["kind"] == "slip" else lift)(
-            BY_NAME[row["part"]], row["object"], row["seed"], Path(folder)
-        )
-    return {**row, **result}
+        try:
+            return {**row, **made(BY_NAME[row["part"]], row["object"], row["seed"], Path(folder))}
+        except EvetacError as error:  # a part that a stage cannot do with is an answer, too
+            return {**row, "refused": str(error)}
+
+
+def source(name: str) -> str:
+    """What of a trial's line a figure is made of."""
+    return name.replace("_f1", "_counts")
+
+
+def knows(name: str, row: Row) -> bool:
+    """Whether a trial has what a figure is made of."""
+    return row.get(source(name)) is not None
 
 
 def figure(name: str, rows: list[Row]) -> float | None:
@@ -250,54 +262,51 @@ def figure(name: str, rows: list[Row]) -> float | None:
     Why so: the first trial of a process loads compiled code, which is in its run time.
     """
     if name.endswith("_f1"):
-        counted = [row[name.replace("_f1", "_counts")] for row in rows if name.replace("_f1", "_counts") in row]
+        counted = [row[source(name)] for row in rows if knows(name, row)]
         return metrics.Counts(*(sum(column) for column in zip(*counted, strict=True))).f1 if counted else None
-    values = [float(row[name]) for row in rows if row.get(name) is not None]
+    values = [float(row[name]) for row in rows if knows(name, row)]
     if not values:
         return None
     return float(np.median(values) if name.endswith("_us") else np.mean(values))
 
 
-def change(name: str, with_part: list[Row], without: list[Row]) -> tuple[float, float, float] | None:
-    """How much larger a figure is with the part, over pairs of trials, and its interval; None of too few."""
-    if (
-        len(with_part) < LEAST_PAIRS
-        or (own := figure(name, with_part)) is None
-        or (theirs := figure(name, without)) is None
-    ):
-        return None
+def change(name: str, pairs: list[tuple[Row, Row]]) -> Row:
+    """How much larger a figure is with the part, in pairs of a trial with it and one without, and its interval."""
+
+    def more(chosen: Iterable[tuple[Row, Row]]) -> float:
+        own, theirs = (figure(name, list(rows)) for rows in zip(*chosen, strict=True))
+        assert own is not None and theirs is not None
+        return own - theirs
+
     rng = np.random.default_rng(0)
-    drawn = []
-    for _ in range(RESAMPLES):
-        chosen = rng.integers(len(with_part), size=len(with_part))
-        ends = [figure(name, [rows[one] for one in chosen]) for rows in (with_part, without)]
-        if ends[0] is not None and ends[1] is not None:
-            drawn.append(ends[0] - ends[1])
-    low, high = np.percentile(drawn, (2.5, 97.5))
-    return own - theirs, float(low), float(high)
+    resampled = (rng.integers(len(pairs), size=len(pairs)) for _ in range(RESAMPLES))
+    low, high = np.percentile([more(pairs[one] for one in chosen) for chosen in resampled], (2.5, 97.5))
+    return {"more": more(pairs), "low": float(low), "high": float(high)}
 
 
 def tables(rows: list[Row]) -> tuple[list[Row], list[Row]]:
     """The figures of each part, and every change from what it is compared with."""
     figures, changes = [], []
     for part in PARTS:
-        own = [row for row in rows if (row["part"], row["says"]) == (part.name, part.says)]
-        if not own:
+        if not (own := of_part(rows, part)):
             continue
         kinds = [row["kind"] for row in own]
         shown: Row = {"part": part.name, "size": part.says, "slips": kinds.count("slip"), "grasps": kinds.count("lift")}
-        theirs = {pair(row): row for row in rows if row["part"] == part.against}
+        shown["refused"] = sum("refused" in row for row in own)
         for name in FIGURES:
-            has = [row for row in own if name in row or name.replace("_f1", "_counts") in row]
-            shown[name] = figure(name, has)
-            both = [row for row in has if pair(row) in theirs] if part.name != NONE else []
-            if more := change(name, both, [theirs[pair(row)] for row in both]):
-                ends = dict(zip(("more", "low", "high"), more, strict=True))
-                changes.append(
-                    {"part": part.name, "against": part.against, "figure": name, "trials": len(both), **ends}
-                )
+            shown[name] = figure(name, own)
+            theirs = {pair(row): row for row in of_part(rows, BY_NAME[part.against]) if knows(name, row)}
+            both = [(row, theirs[pair(row)]) for row in own if knows(name, row) and pair(row) in theirs]
+            if part.name != NONE and len(both) >= LEAST_PAIRS:
+                what = {"part": part.name, "against": part.against, "figure": name, "trials": len(both)}
+                changes.append({**what, **change(name, both)})
         figures.append(shown)
     return figures, changes
+
+
+def of_part(rows: list[Row], part: Part) -> list[Row]:
+    """The trials with a part of today's size."""
+    return [row for row in rows if (row["part"], row["says"]) == (part.name, part.says)]
 
 
 def pair(row: Row) -> tuple[Any, ...]:
@@ -343,7 +352,7 @@ def result(figures: list[Row], changes: list[Row], rows: list[Row], chosen: argp
         "notes": [
             "Behind a figure stands the interval of its change, 95 % by a bootstrap over pairs of trials, where that"
             " does not hold 0; with fewer than some ten pairs it is too narrow, and of so many figures one in 20 would"
-            " have one by chance."
+            " have one by chance. Run times are of the processor, beside whatever else it did."
         ],
         "rows": cells,
         "changes": changes,
@@ -365,8 +374,8 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one a trial")
     parser.add_argument("--part", action="append", choices=[part.name for part in PARTS], help="default: all")
     parser.add_argument("--seed", type=int, default=20_000, help="of the first trial; each has the next")
-    parser.add_argument("--slips", type=int, default=9, help="slips of each part")
-    parser.add_argument("--grasps", type=int, default=6, help="grasps of each part")
+    parser.add_argument("--slips", type=int, default=15, help="slips of each part")
+    parser.add_argument("--grasps", type=int, default=9, help="grasps of each part")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--publish", action="store_true", help="write docs/results and the page")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")

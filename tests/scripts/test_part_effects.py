@@ -83,6 +83,22 @@ def test_changes() -> None:
     assert [row["part"] for row in part_effects.tables([*other_size, *without])[0]] == [NONE]
 
 
+def test_a_part_that_a_stage_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the reason is kept and counted, and that the trial is in no figure and no change."""
+
+    def refuse(*trial: object) -> Row:
+        raise InputError("slip cannot be labelled")
+
+    monkeypatch.setattr(part_effects, "slip", refuse)
+    lines = [slip(part, seed) for part in (NONE, "leak") for seed in range(3)]
+    what = {key: slip("leak", 3)[key] for key in ("part", "says", "kind", "object", "seed")}
+    refused = part_effects.run(what)
+    assert refused == {**what, "refused": "slip cannot be labelled"}
+    (_, leak), changes = part_effects.tables([*lines, slip(NONE, 3, events_ms=99.0), refused])
+    assert (leak["slips"], leak["refused"], leak["events_ms"]) == (4, 1, 50.0)
+    assert {row["trials"] for row in changes} == {3}
+
+
 def test_the_table_of_the_docs(tmp_path: Path) -> None:
     """Assert that it shows a figure of each part, and the interval of its change where it does not hold 0."""
     rows = [slip(part, seed, events_ms=50.0 + 9.0 * (part == "leak")) for part in (NONE, "leak") for seed in range(3)]
