@@ -124,8 +124,8 @@ BY_NAME = {part.name: part for part in PARTS}
 
 # Column: heading and format of its cells.
 FIGURES = {
-    "events_ms": ("events a ms", ".0f"),
-    "tracking_px": ("tracking error [px]", ".2f"),
+    "events_ms": ("events a ms", ".1f"),
+    "tracking_px": ("tracking error [px]", ".3f"),
     "labels_in_time": ("labels in time", ".2f"),
     "labels_f1": ("F1 of labels", ".2f"),
     "slip_in_time": ("slip detected in time", ".2f"),
