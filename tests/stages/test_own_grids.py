@@ -99,9 +99,9 @@ def test_slip(name: str, short_scene: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["3 x 4", "13 x 10", "scattered"])
 def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
-    """Assert that networks over a grid are trained on any grid, and refuse dots in no grid, as does a grasp.
+    """Assert that networks over a grid are trained on any grid and refuse dots in no grid, which those of images take.
 
-    A network that sees events as an image is trained on dots in no grid.
+    A grasp takes the model of its own gel alone.
     """
     features = [slipped(name, short_scene, tmp_path, seed) for seed in (0, 1)]
     in_a_grid = GELS[name][2][0] > 1
@@ -113,8 +113,12 @@ def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
     model = run(train, params.Train(model=architecture, max_steps=2, preset="adam"), *features)
     with StageFile(model, "model") as made:
         assert made.read("dot_shape").tolist() == list(GELS[name][2])
+    grasped = tmp_path / "grasp.recording.h5"
     with pytest.raises(InputError, match="the model is for another dot grid"):
-        run(grasp, params.Grasp(sensor=sensor(tmp_path, name)), out=tmp_path / "grasp.recording.h5")
+        run(grasp, params.Grasp(sensor=sensor(tmp_path, name)), out=grasped)
+    run(grasp, params.Grasp(sensor=sensor(tmp_path, name), model=model, lift_s=1.0, balance_s=0.2), out=grasped)
+    with StageFile(grasped, "recording") as grip:
+        assert np.isfinite(grip.read("control/probability")).any()
 
 
 def test_two_dots_at_one_place(short_scene: Path, tmp_path: Path) -> None:
