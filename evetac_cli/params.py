@@ -92,7 +92,9 @@ class Record(Trials):
     """Record events: simulate a scene, record from devices, or import a foreign event file."""
 
     scene: str = parameter(
-        "slip", "Scene: slip, data-rate, shear, press, rest, edge, vibration, vibration-randomized, or a TOML file."
+        "slip",
+        "Scene: slip, slip-varied, handling, data-rate, shear, press, rest, edge, vibration, vibration-randomized, or a"
+        " TOML file.",
     )
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(

@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Training, TrainingState
 
 OUTPUT = "model"
-METHOD = 3
+METHOD = 4
 VALIDATE_EVERY = 8
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
