@@ -72,7 +72,7 @@ film: $(READY)  ## a short film of a catch: docs/catch.gif
 	@$(REPRODUCE) --only $@
 	cp $(if $(SMALL),small/)film/catch.gif docs/catch.gif
 
-results: $(READY)  ## write the tables in docs/results/ into the README
+results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
 test: $(READY)  ## the test suite

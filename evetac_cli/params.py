@@ -220,7 +220,7 @@ class Calibrate:
     gel: str | None = parameter(
         None, "What the gel is; default: as its columns say, 9 or 8, or the default grid.", choices=("cut", "closed")
     )
-    any_grid: bool = parameter(False, "Take a grid that is not that of a whole Evetac, as it is.")
+    any_grid: bool = parameter(False, "Take dots that are not the whole grid of an Evetac, also those in no grid.")
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip import sampling
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, LEAST_COLUMNS, LEAST_ROWS, DotArchitecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.sampling import Samples
@@ -161,6 +162,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         raise InputError("a model for another dot grid", where=str(adapted.path), expected=expected, found=found)
     start = adapted.weights if adapted is not None else None
     architecture = ARCHITECTURES[params.model]
+    if isinstance(architecture, DotArchitecture):
+        _check_grid(shape, job.inputs[0])
     predictions: list[list[Prediction]] = []
     try:
         for number, fold in enumerate(folds):
@@ -325,3 +328,16 @@ def _common_shape(paths: tuple[Path, ...]) -> tuple[int, int]:
             found=f"{other[0]} x {other[1]}",
         )
     return next(iter(shapes))
+
+
+def _check_grid(shape: tuple[int, int], path: Path) -> None:
+    """InputError for dots that a network over a grid of them cannot take."""
+    rows, columns = shape
+    if rows < LEAST_ROWS or columns < LEAST_COLUMNS:
+        raise InputError(
+            "this network looks at a grid of dots",
+            where=str(path),
+            expected=f"at least {LEAST_ROWS} rows and {LEAST_COLUMNS} columns",
+            found=grid.in_words(rows, columns),
+            hint="--model no-hist-img-6x6 sees events instead of dots; featurize with --images for it",
+        )
