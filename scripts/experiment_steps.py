@@ -83,6 +83,7 @@ TRAVEL_LEARN = (
     ("slip", "evetac", "1-9", 12, 0),
     ("slip", "randomized", "1-9", 5, 3000),
     ("slip-varied", "evetac", "1-9", 5, 4500),
+    ("slip-varied", "evetac", "1-9", 6, 4600),
     ("slip-varied", "randomized", "1-9", 4, 4000),
     ("slip-varied", "randomized", "1-9", 4, 4100),
     ("handling", "randomized", "1-9", 2, 4700),

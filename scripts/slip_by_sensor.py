@@ -1,7 +1,7 @@
 """How well slip detectors travel: timing and F1 sensor by sensor, and false alarms in light contact.
 
     python scripts/slip_by_sensor.py data/evetac data/second data/randomized-* \\
-        --model shipped=evetac_cli/data/models/disp-xy-10ms.model.h5 --contact lifts handling -o slip-by-sensor.json
+        --model shipped=evetac_cli/data/models/slip-10ms.model.h5 --contact lifts handling -o slip-by-sensor.json
 
 A folder holds the labelled features of one sensor, their recordings beside them or one folder up. Intervals of 95 % are
 of whole objects drawn again with replacement, as trials of one object are alike. `--contact` folders hold recordings
