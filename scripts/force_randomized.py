@@ -4,7 +4,7 @@
 
 For each sensor randomized:N, ten seconds each, tracked by `stable`, and by `paper` in a folder of its own:
 
-- N-adapt-0 to 4: a flat face, pressed on with 6 to 20 N and sheared: the minute that a model is adapted on;
+- N-adapt-0 to 3: a flat face, pressed on with 6 to 20 N and sheared: what a model is adapted on;
 - N-shear-0, 1: the scene `shear` with fewer waypoints: to evaluate on, 20 N of normal force;
 - N-disc: a disc of 16 mm, 10 N; N-slip: an object of the paper's table slips out of the grip (a cut gel).
 """
@@ -23,12 +23,12 @@ PRESSES = {
     "adapt-0": (FLAT, 20.0, 9.0),
     "adapt-1": (FLAT, 12.0, 7.0),
     "adapt-2": (FLAT, 6.0, 4.0),
-    "adapt-3": (FLAT, 15.0, 8.0),
-    "adapt-4": (FLAT, 20.0, 9.0),
+    "adapt-3": (FLAT, 16.0, 8.0),
     "shear-0": (FLAT, 20.0, 9.0),
     "shear-1": (FLAT, 20.0, 9.0),
     "disc": (DISC, 10.0, 5.0),
 }
+TRIALS = (*PRESSES, "slip")
 OBJECTS = 20
 
 
@@ -65,6 +65,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--first", type=int, default=0, help="number of the first sensor, and the first seed")
     parser.add_argument("--sensors", type=int, default=20)
+    parser.add_argument("--trials", nargs="+", choices=TRIALS, default=TRIALS, help="only these of each sensor")
     chosen = parser.parse_args()
     for folder in (chosen.folder, chosen.folder / "paper", chosen.folder / "scenes"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -72,7 +73,9 @@ def main() -> None:
         (chosen.folder / "scenes" / f"{name}.toml").write_text(scene_text(*press))
     for place in range(chosen.sensors):
         sensor = chosen.first + place
-        for number, name in enumerate((*PRESSES, "slip")):
+        for number, name in enumerate(TRIALS):
+            if name not in chosen.trials:
+                continue
             seed = chosen.first + chosen.sensors * number + place
             scene = "slip" if name == "slip" else str(chosen.folder / "scenes" / f"{name}.toml")
             objects = str(1 + place % OBJECTS) if name == "slip" else "8"
