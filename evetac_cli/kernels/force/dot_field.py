@@ -52,13 +52,14 @@ def lattice_field(moved_mm: Floats, rest_mm: Floats, tracked: Flags) -> Floats:
         raise ValueError(f"expected shapes (n, dots, 2), (dots, 2) and (n, dots), found {shapes}")
     seen = tracked & np.isfinite(moved_mm).all(axis=2) & np.isfinite(rest_mm).all(axis=1)
     field = np.full((len(moved_mm), len(LATTICE_MM), 2), np.nan)
-    if not len(seen):
+    if not seen.size:
         return field
-    masks, group = np.unique(seen, axis=0, return_inverse=True)
-    for number, mask in enumerate(masks):
+    bits = np.packbits(seen, axis=1)
+    _, sample, group = np.unique(bits.view(f"V{bits.shape[1]}").reshape(-1), return_index=True, return_inverse=True)
+    for number, mask in enumerate(seen[sample]):
         if mask.sum() < LEAST_DOTS:
             continue
-        rows = np.flatnonzero(group.reshape(-1) == number)
+        rows = np.flatnonzero(group == number)
         weights = lattice_weights(rest_mm[mask])
         field[rows] = np.einsum("ld,ndc->nlc", weights, moved_mm[rows][:, mask], optimize=True)
     return field

@@ -214,8 +214,9 @@ def _update(
     before = np.zeros((size + len(numbers),) * 2)
     before[:size, :size] = covariance
     before[size:, size:] = np.eye(len(numbers)) * max(share, 1e-6) ** 2
-    # in units of the prior's deviations, so that terms of any size are solved equally well
-    root = np.linalg.cholesky(before + np.diag(1e-12 * np.diag(before)))
+    # in units of the prior's deviations: terms of any size are solved equally well, and what is sure stays
+    values, vectors = np.linalg.eigh(before)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
     scaled = everything @ root
     precision = scaled.T @ scaled / variance + np.eye(len(before))
     start = np.concatenate([mean, np.zeros(len(numbers))])
