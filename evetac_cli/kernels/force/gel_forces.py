@@ -160,7 +160,7 @@ def adapt(
 
     shear (n, 2, 4), normal (n, 2): terms; shear_n (n, 2), normal_n (n,): readings of a force sensor, NaN where there is
     none; contact (n,): the number of the contact that a sample belongs to; step_s: time between samples.
-    Why contacts count: the error of a contact is the same in all its samples, so each has an unknown factor of its own
+    Why contacts count: the error of a contact is the same in all its samples, so each has an unknown part of its own
     here, and a hundred samples of one contact tell less of the gel than ten of each of ten.
     """
     many = max(1.0, AGREES_S / step_s)
@@ -201,25 +201,30 @@ def _update(
     share: float,
     variance: float,
 ) -> tuple[Floats, Floats]:
-    """Mean and covariance of weights after readings; each contact has a factor of its own, of sd `share`, besides."""
+    """Mean and covariance of weights after readings; each contact has a factor and an offset of its own besides.
+
+    The factor has the sd `share`, the offset that of its typical force times `share`.
+    """
     known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)
     if not known.any():
         return mean, covariance
     terms, reading_n = terms[known], reading_n[known]
     numbers, place = np.unique(contact[known], return_inverse=True)
-    own = np.zeros((len(terms), len(numbers)))
-    own[np.arange(len(terms)), place.reshape(-1)] = terms[:, 0] * mean[0]
+    of_contact = np.equal(place.reshape(-1)[:, None], np.arange(len(numbers)))
+    first = terms[:, :1] * mean[0]
+    typical = np.sqrt((of_contact * first**2).sum(axis=0) / of_contact.sum(axis=0))
+    own = np.column_stack([of_contact * first, of_contact * typical])
     everything = np.column_stack([terms, own])
     size = len(mean)
-    before = np.zeros((size + len(numbers),) * 2)
+    before = np.zeros((size + own.shape[1],) * 2)
     before[:size, :size] = covariance
-    before[size:, size:] = np.eye(len(numbers)) * max(share, 1e-6) ** 2
+    before[size:, size:] = np.eye(own.shape[1]) * share**2
     # in units of the prior's deviations: terms of any size are solved equally well, and what is sure stays
     values, vectors = np.linalg.eigh(before)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     scaled = everything @ root
     precision = scaled.T @ scaled / variance + np.eye(len(before))
-    start = np.concatenate([mean, np.zeros(len(numbers))])
+    start = np.concatenate([mean, np.zeros(own.shape[1])])
     moved = np.linalg.solve(precision, scaled.T @ (reading_n - everything @ start) / variance)
     after = np.asarray(root @ np.linalg.solve(precision, root.T), np.float64)
     return (start + root @ moved)[:size], after[:size, :size]
