@@ -177,6 +177,7 @@ def adapt(
             contact,
             errors.shear_share,
             floor(errors.shear_floor_mm2, scale.shear[axis, 0]),
+            offsets=True,
         )
         for axis in (0, 1)
     ]
@@ -188,6 +189,7 @@ def adapt(
         contact,
         errors.normal_share,
         floor(errors.normal_floor_mm2, scale.normal[0]),
+        offsets=False,
     )
     return Scale(np.stack([one[0] for one in shears]), np.stack([one[1] for one in shears]), *normals)
 
@@ -200,10 +202,11 @@ def _update(
     contact: NDArray[np.int64],
     share: float,
     variance: float,
+    offsets: bool,
 ) -> tuple[Floats, Floats]:
-    """Mean and covariance of weights after readings; each contact has a factor and an offset of its own besides.
+    """Mean and covariance of weights after readings; each contact has a factor of its own besides, of sd `share`.
 
-    The factor has the sd `share`, the offset that of its typical force times `share`.
+    offsets: and an offset of its own, of its typical force times `share`, as a force of both signs may have.
     """
     known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)
     if not known.any():
@@ -213,7 +216,7 @@ def _update(
     of_contact = np.equal(place.reshape(-1)[:, None], np.arange(len(numbers)))
     first = terms[:, :1] * mean[0]
     typical = np.sqrt((of_contact * first**2).sum(axis=0) / of_contact.sum(axis=0))
-    own = np.column_stack([of_contact * first, of_contact * typical])
+    own = np.column_stack([of_contact * first, *([of_contact * typical] if offsets else [])])
     everything = np.column_stack([terms, own])
     size = len(mean)
     before = np.zeros((size + own.shape[1],) * 2)
