@@ -19,6 +19,15 @@ from evetac_cli.text_files import read_toml
 Floats = NDArray[np.float64]
 
 LAYERS = 3
+SHAPES = {  # what the schema leaves open
+    "gel/0/weight": (None, LATTICE_MM.size),
+    "gel/2/bias": (3,),
+    "gel/errors": (4,),
+    "gel/contact": (3,),
+    "gel/prior/creep_time_s": (gel_forces.CREEP_ARMS,),
+    "adapted/shear_covariance": (2, gel_forces.CREEP_ARMS + 2, gel_forces.CREEP_ARMS + 2),
+    "adapted/normal_covariance": (2, 2),
+}
 BLOCK_SLICES = 5000
 LENGTHS_IN_SHEAR, LENGTHS_IN_NORMAL = 3, 2  # powers of mm_per_px in force over modulus
 CONTACT = 0.5  # probability from which there is contact
@@ -207,16 +216,19 @@ def read_gel_model(file: StageFile) -> GelModel:
             where=str(file.path),
             expected="a model of train-force --method gel",
         )
+    stored = file.contents()
+    for name, shape in SHAPES.items():
+        found = stored[name][1] if name in stored else shape
+        if any(wanted not in (size, None) for size, wanted in zip(found, shape, strict=True)):
+            raise InputError(
+                f"{name} has another shape than models of this version",
+                where=str(file.path),
+                expected=str(shape),
+                found=str(found),
+                hint="train it again",
+            )
     layers = tuple(Layer(file.read(f"gel/{n}/weight"), file.read(f"gel/{n}/bias")) for n in range(LAYERS))
     linear = Layer(file.read("gel/linear/weight"), file.read("gel/linear/bias"))
-    if layers[0].weight.shape[1] != LATTICE_MM.size:
-        raise InputError(
-            "the force model is for another lattice",
-            where=str(file.path),
-            expected=f"{LATTICE_MM.size} inputs",
-            found=str(layers[0].weight.shape[1]),
-            hint="train it again",
-        )
     stiffness = Stiffness(
         float(file.read("gel/prior/shear_modulus_pa")) * 1e-6,
         float(file.read("gel/prior/shear_log_sd")),
