@@ -101,18 +101,18 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, prog
 
 def is_for_any_sensor(paths: tuple[Path, ...]) -> bool:
     """Whether the model is one for any sensor; InputError where there are several and one of them is."""
-    found = []
+    has_gel = []
     for path in paths:
         with StageFile(path, "force-model") as file:
-            found.append(file.has("gel"))
-    if any(found) and len(found) > 1:
+            has_gel.append(file.has("gel"))
+    if any(has_gel) and len(has_gel) > 1:
         raise InputError(
             "a model for any sensor among several",
             where="--model",
             expected="that model alone, or models of the paper's method",
             found=", ".join(map(str, paths)),
         )
-    return any(found)
+    return any(has_gel)
 
 
 def _models(paths: tuple[Path, ...]) -> Models:

@@ -121,8 +121,8 @@ def _gels(name: str, row: Mapping[str, Any], model: GelModel, own: list[Path], p
     }
     if own:
         for before, after in (("unknown", "adapted"), ("known", "known, adapted")):
-            found = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
-            gels[after] = Gel(*adapt_gel.adapted(model, gels[before], found, params.noise_n))
+            estimated = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
+            gels[after] = Gel(*adapt_gel.adapted(model, gels[before], estimated, params.noise_n))
     return gels
 
 
@@ -139,9 +139,9 @@ def _predict(
             gels[name] = _gels(name, known_sensor(recording), model, by_sensor.get(name, []), params)
         predicted = {}
         for known, gel in gels[name].items():
-            found = gel_model.predict(model, gel, tracks)
+            estimated = gel_model.predict(model, gel, tracks)
             at = slice(None, None, readings.EVERY)
-            predicted[known] = (Forces(*(values[at] for values in found.forces)), found.contact[at])
+            predicted[known] = (Forces(*(values[at] for values in estimated.forces)), estimated.contact[at])
         shear_n = recording.read("truth/shear_force_n")[:: readings.EVERY].astype(float)
         normal_n = recording.read("truth/normal_force_n")[:: readings.EVERY].astype(float)
         return Trial(path, name, object_name(tracks.header), shear_n, normal_n, predicted)
@@ -150,11 +150,11 @@ def _predict(
 def _row(trial: Trial, name: str, range_n: float) -> dict[str, Any]:
     forces, contact = trial.predicted[name]
     pressed = trial.normal_n >= CONTACT_N
-    told = pressed & np.isfinite(forces.normal_n)
-    off, normal_off = forces.shear_n[told] - trial.shear_n[told], forces.normal_n[told] - trial.normal_n[told]
-    told_any = bool(told.any())
-    mae = np.abs(off).mean(axis=0) if told_any else np.full(2, np.nan)
-    normal_mae = float(np.abs(normal_off).mean()) if told_any else np.nan
+    usable = pressed & np.isfinite(forces.normal_n)
+    off, normal_off = forces.shear_n[usable] - trial.shear_n[usable], forces.normal_n[usable] - trial.normal_n[usable]
+    any_slice = bool(usable.any())
+    mae = np.abs(off).mean(axis=0) if any_slice else np.full(2, np.nan)
+    normal_mae = float(np.abs(normal_off).mean()) if any_slice else np.nan
     return {
         "file": trial.path.name,
         "sensor_name": trial.sensor_name,
@@ -164,10 +164,10 @@ def _row(trial: Trial, name: str, range_n: float) -> dict[str, Any]:
         "mae_n": float(mae.mean()),
         "normal_mae_n": normal_mae,
         "normal_mae_of_range": normal_mae / range_n,
-        "shear_within_sd": float((np.abs(off) <= forces.shear_sd_n[told]).mean()) if told_any else np.nan,
-        "normal_within_sd": float((np.abs(normal_off) <= forces.normal_sd_n[told]).mean()) if told_any else np.nan,
+        "shear_within_sd": float((np.abs(off) <= forces.shear_sd_n[usable]).mean()) if any_slice else np.nan,
+        "normal_within_sd": float((np.abs(normal_off) <= forces.normal_sd_n[usable]).mean()) if any_slice else np.nan,
         "contact_right": float(((contact >= gel_model.CONTACT) == pressed).mean()),
-        "told": float(told.sum() / max(pressed.sum(), 1)),
+        "usable": float(usable.sum() / max(pressed.sum(), 1)),
     }
 
 
@@ -207,10 +207,10 @@ def _draw(figure: Any, trial: Trial) -> None:
             ("shear force y", trial.shear_n[:, 1], forces.shear_n[:, 1], forces.shear_sd_n[:, 1]),
             ("normal force", trial.normal_n, forces.normal_n, forces.normal_sd_n),
         )
-        for axes, (what, true, told, sd) in zip(panels[:, column], shown, strict=True):
+        for axes, (what, true, shown_n, sd) in zip(panels[:, column], shown, strict=True):
             axes.plot(time_s, true, color="black", linewidth=1.5, label="true")
-            axes.plot(time_s, told, color="C0", linewidth=1.0, label="predicted")
-            axes.fill_between(time_s, told - sd, told + sd, color="C0", alpha=0.2, linewidth=0, label="one sd")
+            axes.plot(time_s, shown_n, color="C0", linewidth=1.0, label="predicted")
+            axes.fill_between(time_s, shown_n - sd, shown_n + sd, color="C0", alpha=0.2, linewidth=0, label="one sd")
             axes.set_ylabel(f"{what} [N]" if column == 0 else "")
             picture.quiet_grid(axes)
         panels[0, column].set_title(f"gel {name}")

@@ -70,8 +70,8 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
     gel = gel_model.gel_of(model, known, params.stiffness_error)
-    found = known_forces(model, gel, paths, params.noise_n, np.random.default_rng(params.seed))
-    after = adapted(model, gel, found, params.noise_n)
+    estimated = known_forces(model, gel, paths, params.noise_n, np.random.default_rng(params.seed))
+    after = adapted(model, gel, estimated, params.noise_n)
     arrays = {"sensor": "events", "sensor_name": names[0], **gel_model.arrays_of(model._replace(adapted=after))}
     write_stage(job.output, recipe, arrays)
     return outcome(
@@ -79,8 +79,8 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
         made=True,
         simulated=recipe.simulated,
         sensor_name=names[0],
-        contacts=len(np.unique(found.contact)),
-        readings=len(found.contact),
+        contacts=len(np.unique(estimated.contact)),
+        readings=len(estimated.contact),
         shear_modulus_kpa_before=float(1e3 * gel.scale.shear[:, 0].mean()),
         shear_modulus_kpa=float(1e3 * after.scale.shear[:, 0].mean()),
         normal_modulus_kpa_before=float(1e3 * gel.scale.normal[0]),

@@ -218,13 +218,13 @@ def read_gel_model(file: StageFile) -> GelModel:
         )
     stored = file.contents()
     for name, shape in SHAPES.items():
-        found = stored[name][1] if name in stored else shape
-        if any(wanted not in (size, None) for size, wanted in zip(found, shape, strict=True)):
+        size_of = stored[name][1] if name in stored else shape
+        if any(wanted not in (size, None) for size, wanted in zip(size_of, shape, strict=True)):
             raise InputError(
                 f"{name} has another shape than models of this version",
                 where=str(file.path),
                 expected=str(shape),
-                found=str(found),
+                found=str(size_of),
                 hint="train it again",
             )
     layers = tuple(Layer(file.read(f"gel/{n}/weight"), file.read(f"gel/{n}/bias")) for n in range(LAYERS))

@@ -52,21 +52,21 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
         raise InputError(
             "an adapted model has the stiffness of its sensor", where="--sensor", found=f"{params.sensor}, {model_path}"
         )
-    told = {key: known[key] for key in (*gel_model.MODULI.values(), "mm_per_px", "creep") if key in known}
-    chosen = {**recipe_of(params), "known": told} if known else {}
+    given = {key: known[key] for key in (*gel_model.MODULI.values(), "mm_per_px", "creep") if key in known}
+    chosen = {**recipe_of(params), "known": given} if known else {}
     with StageFile(path, "tracks") as tracks:
         recipe = Recipe(OUTPUT, METHOD, chosen, parents=(tracks.header, model_header))
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
-        found = gel_model.predict(model, gel_model.gel_of(model, known, params.stiffness_error), tracks)
-    contact = found.contact >= gel_model.CONTACT
+        estimated = gel_model.predict(model, gel_model.gel_of(model, known, params.stiffness_error), tracks)
+    contact = estimated.contact >= gel_model.CONTACT
     arrays: dict[str, Any] = {
-        **{name: values.astype(np.float32) for name, values in found.forces._asdict().items()},
-        "contact_probability": found.contact.astype(np.float32),
+        **{name: values.astype(np.float32) for name, values in estimated.forces._asdict().items()},
+        "contact_probability": estimated.contact.astype(np.float32),
         "contact": contact.astype(np.uint8),
     }
     write_stage(job.output, recipe, arrays)
-    stiffness = "adapted" if model.adapted is not None else "known" if "shear_modulus_pa" in told else "unknown"
+    stiffness = "adapted" if model.adapted is not None else "known" if "shear_modulus_pa" in given else "unknown"
     return outcome(
         job,
         made=True,
@@ -74,8 +74,8 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
         slices=len(contact),
         stiffness=stiffness,
         contact_s=float(contact.sum() / 1000),
-        **_most("shear_n", np.linalg.norm(found.forces.shear_n, axis=1), found.forces.shear_sd_n.max(axis=1)),
-        **_most("normal_n", found.forces.normal_n, found.forces.normal_sd_n),
+        **_most("shear_n", np.linalg.norm(estimated.forces.shear_n, axis=1), estimated.forces.shear_sd_n.max(axis=1)),
+        **_most("normal_n", estimated.forces.normal_n, estimated.forces.normal_sd_n),
     )
 
 

@@ -85,13 +85,13 @@ def _from_table(path: Path, slices: int) -> Readings:
             row = []
         if len(row) != len(COLUMNS) or np.isinf(row).any() or np.isnan(row[0]) or np.nanmax(np.abs(row)) > LARGEST_N:
             expected = f"four finite numbers of at most {LARGEST_N:g}, the forces empty where not measured"
-            found = ",".join(line)[:80]
-            raise InputError("not a reading", where=f"{path}, line {number}", expected=expected, found=found)
+            written = ",".join(line)[:80]
+            raise InputError("not a reading", where=f"{path}, line {number}", expected=expected, found=written)
         if not 0 <= row[0] * 1000 < slices:
-            found = f"{row[0]:g} s"
+            written = f"{row[0]:g} s"
             expected = f"a time within the recording, 0 to {slices / 1000:g} s"
             raise InputError(
-                "a reading beside the recording", where=f"{path}, line {number}", expected=expected, found=found
+                "a reading beside the recording", where=f"{path}, line {number}", expected=expected, found=written
             )
         rows.append(row)
     if not rows:

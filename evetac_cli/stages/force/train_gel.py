@@ -83,16 +83,16 @@ def measured(model: GelModel, paths: tuple[Path, ...]) -> GelModel:
     for path in paths:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
             row = known_sensor(recording)
-            found, sign = gel_model.over_modulus(model, tracks, float(row["mm_per_px"]))
+            estimated, sign = gel_model.over_modulus(model, tracks, float(row["mm_per_px"]))
             normal_n = recording.read("truth/normal_force_n").astype(float)
             shear_n = recording.read("truth/shear_force_n").astype(float)
         moduli_mpa = (1e-6 * float(row[key]) for key in gel_model.MODULI.values())
         true_shear, true_normal = shear_n / next(moduli_mpa), normal_n / next(moduli_mpa)
-        at = np.arange(0, len(found), readings.EVERY)
-        at = at[np.isfinite(found[at]).all(axis=1)]
+        at = np.arange(0, len(estimated), readings.EVERY)
+        at = at[np.isfinite(estimated[at]).all(axis=1)]
         pressed = at[normal_n[at] >= CONTACT_N]
-        shear.append((found[pressed, :2], true_shear[pressed]))
-        normal.append((found[pressed, 2:], true_normal[pressed, None]))
+        shear.append((estimated[pressed, :2], true_shear[pressed]))
+        normal.append((estimated[pressed, 2:], true_normal[pressed, None]))
         signs.append(sign[at])
         touches.append(normal_n[at] >= CONTACT_N)
     contact = np.concatenate(touches)

@@ -44,14 +44,14 @@ def test_force_is_modulus_times_force_over_modulus() -> None:
     """Assert 0.15 N of shear and 1 N of normal force for each mm2 of a gel without creep, and sd by closed form."""
     shear_mm2, normal_mm2 = np.array([[20.0, 0.0], [-40.0, 30.0]]), np.array([5.0, 0.0])
     terms = gel_forces.shear_terms(shear_mm2, TIMES_S)
-    found = gel_forces.predict(gel_forces.scale_of(gel()), ERRORS, terms, gel_forces.normal_terms(normal_mm2))
-    assert np.allclose(found.shear_n, 0.15 * shear_mm2)
-    assert np.allclose(found.normal_n, normal_mm2)
+    estimated = gel_forces.predict(gel_forces.scale_of(gel()), ERRORS, terms, gel_forces.normal_terms(normal_mm2))
+    assert np.allclose(estimated.shear_n, 0.15 * shear_mm2)
+    assert np.allclose(estimated.normal_n, normal_mm2)
     size = np.array([20.0, 50.0])
     variance = (0.1 * 0.15 * shear_mm2) ** 2 + (0.15 * 0.3) ** 2 + (0.15 * 0.05 * size[:, None]) ** 2
-    assert np.allclose(found.shear_sd_n, np.sqrt(variance + gel_forces.OFFSET_N**2))
+    assert np.allclose(estimated.shear_sd_n, np.sqrt(variance + gel_forces.OFFSET_N**2))
     variance = (0.1 * normal_mm2) ** 2 + 0.5**2 + (0.08 * normal_mm2) ** 2 + gel_forces.NORMAL_OFFSET_N**2
-    assert np.allclose(found.normal_sd_n, np.sqrt(variance))
+    assert np.allclose(estimated.normal_sd_n, np.sqrt(variance))
 
 
 def test_creep_of_a_step() -> None:
@@ -130,8 +130,8 @@ def test_standard_deviations_cover() -> None:
         after = gel_forces.adapt(before, ERRORS, terms, normal, force_n, normal[:, 0], number, 0.05, 0.04)
         new, force_n, number = readings(rng, truth, contacts=3, samples=20)
         new[:, :, 0] += rng.normal(0, ERRORS.shear_floor_mm2, (len(new), 2))
-        found = gel_forces.predict(after, ERRORS, new, gel_forces.normal_terms(np.zeros(len(new))))
-        within.append(np.abs(found.shear_n - force_n) <= found.shear_sd_n)
+        estimated = gel_forces.predict(after, ERRORS, new, gel_forces.normal_terms(np.zeros(len(new))))
+        within.append(np.abs(estimated.shear_n - force_n) <= estimated.shear_sd_n)
     assert 0.62 < np.mean(within) < 0.75
 
 
@@ -139,11 +139,11 @@ def test_errors_are_found_as_they_were_made() -> None:
     """Assert that floor and share of made-up errors come back, and that 68.3 % of them are within one sd."""
     rng = np.random.default_rng(4)
     true = rng.uniform(-50, 50, (6000, 1)) * rng.random((6000, 1)) ** 2
-    found = true + 0.4 * rng.standard_normal(true.shape) + 0.1 * np.abs(true) * rng.standard_normal(true.shape)
-    floor, share = gel_forces.fit_errors(found, true)
+    estimated = true + 0.4 * rng.standard_normal(true.shape) + 0.1 * np.abs(true) * rng.standard_normal(true.shape)
+    floor, share = gel_forces.fit_errors(estimated, true)
     assert floor == pytest.approx(0.4, rel=0.15)
     assert share == pytest.approx(0.1, rel=0.15)
-    within = np.abs(found - true) <= np.sqrt(floor**2 + (share * found) ** 2)
+    within = np.abs(estimated - true) <= np.sqrt(floor**2 + (share * estimated) ** 2)
     assert np.mean(within) == pytest.approx(0.683, abs=0.002)
 
 

@@ -132,22 +132,22 @@ def own_sensor(folder: Path, stiffer: float) -> str:
     return str(path)
 
 
-def close(found: dict[str, Any], true: Any, stiffness: float = 1.0) -> None:
+def close(estimated: dict[str, Any], true: Any, stiffness: float = 1.0) -> None:
     """Assert shear within 8 % of 6 N, normal force within 15 %, contact as it is, but where forces jump."""
-    assert np.abs(found["shear_n"] / stiffness - true)[PRESSED].max() < 0.5
-    assert np.abs(found["normal_n"] / stiffness - NORMAL_N)[PRESSED].max() < 0.15 * NORMAL_N
-    assert found["contact"][PRESSED].all()
-    assert not found["contact"][: PRESSED.start].any()
-    assert not found["contact"][PRESSED.stop :].any()
+    assert np.abs(estimated["shear_n"] / stiffness - true)[PRESSED].max() < 0.5
+    assert np.abs(estimated["normal_n"] / stiffness - NORMAL_N)[PRESSED].max() < 0.15 * NORMAL_N
+    assert estimated["contact"][PRESSED].all()
+    assert not estimated["contact"][: PRESSED.start].any()
+    assert not estimated["contact"][PRESSED.stop :].any()
 
 
 @pytest.mark.parametrize("stiffer", [1.0, 0.6])
 def test_closed_form_of_a_known_gel(tmp_path: Path, stiffer: float) -> None:
     """Assert the forces of a face over the whole gel, within 0.5 N of shear and 15 % of the normal force."""
     path = trial(tmp_path, 0, stiffer=stiffer)
-    found = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, stiffer)), tmp_path)
-    close(found, true_shear(path))
-    assert (found["normal_sd_n"][PRESSED] < 0.25 * NORMAL_N).all()
+    estimated = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, stiffer)), tmp_path)
+    close(estimated, true_shear(path))
+    assert (estimated["normal_sd_n"][PRESSED] < 0.25 * NORMAL_N).all()
 
 
 def test_an_unknown_gel_is_told_with_wide_bounds(tmp_path: Path) -> None:
@@ -168,8 +168,8 @@ def test_other_grids(tmp_path: Path, pitch_px: float) -> None:
     """Assert the same bounds for denser and sparser dots than any that the model was trained on."""
     x, y = np.arange(30.0, 620, pitch_px), np.arange(25.0, 460, pitch_px)
     path = trial(tmp_path, 0, grid_px=np.stack(np.meshgrid(x, y), axis=-1))
-    found = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path)
-    close(found, true_shear(path))
+    estimated = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path)
+    close(estimated, true_shear(path))
 
 
 def test_lost_dots(tmp_path: Path) -> None:
@@ -186,21 +186,21 @@ def test_lost_dots(tmp_path: Path) -> None:
     arrays["lost"][600:, ::6] = 1
     arrays["dot_xy_px"][600:, ::6] = 0.0
     write_stage(lost / "trial0.tracks.h5", Recipe("tracks", 1, {"preset": "lost"}, parents=(header,)), arrays)
-    found = predicted(lost / "trial0.tracks.h5", params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), lost)
-    assert np.isnan(found["shear_n"][500:600]).all()
-    assert np.isnan(found["contact_probability"][500:600]).all()
-    assert not found["contact"][500:600].any()
-    assert np.isfinite(found["shear_n"][600:]).all()
-    assert np.abs(found["shear_n"] - true_shear(path))[600 : PRESSED.stop].max() < 0.7
+    estimated = predicted(lost / "trial0.tracks.h5", params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), lost)
+    assert np.isnan(estimated["shear_n"][500:600]).all()
+    assert np.isnan(estimated["contact_probability"][500:600]).all()
+    assert not estimated["contact"][500:600].any()
+    assert np.isfinite(estimated["shear_n"][600:]).all()
+    assert np.abs(estimated["shear_n"] - true_shear(path))[600 : PRESSED.stop].max() < 0.7
 
 
 def test_no_contact(tmp_path: Path) -> None:
     """Assert that a gel at rest has no contact and no force, and cannot be adapted to."""
     path = trial(tmp_path, 0, normal_n=0.0)
-    found = predicted(path, params.PredictForce(), tmp_path)
-    assert not found["contact"].any()
-    assert np.abs(found["shear_n"]).max() < 0.1
-    assert found["normal_n"].max() < 0.5
+    estimated = predicted(path, params.PredictForce(), tmp_path)
+    assert not estimated["contact"].any()
+    assert np.abs(estimated["shear_n"]).max() < 0.1
+    assert estimated["normal_n"].max() < 0.5
     with pytest.raises(InputError, match="no reading is during a contact"):
         run(train_force, [path], ADAPT, tmp_path)
 
@@ -214,8 +214,8 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     assert outcome.rows[0]["normal_modulus_kpa"] == pytest.approx(1.6 * 1000, rel=0.15)
     path = trial(tmp_path, 4, stiffer=1.6)
-    found = predicted(path, params.PredictForce(model=model), tmp_path / "a.forces.h5")
-    close(found, true_shear(path))
+    estimated = predicted(path, params.PredictForce(model=model), tmp_path / "a.forces.h5")
+    close(estimated, true_shear(path))
     assert info.run([model, tmp_path / "a.forces.h5"]).rows[0]["dots"] == "any grid"
     for one in own:
         rows = [f"{at / 1000},{x},{y},{NORMAL_N}" for at, (x, y) in enumerate(true_shear(one)) if 300 <= at < 1700]
