@@ -383,19 +383,54 @@ class TrackRgb:
 
 @dataclass(frozen=True)
 class TrainForce:
-    """Fit shear force to the displacements of dots: a linear regression, and the paper's network."""
+    """Train a force model: the paper's on dots of one sensor, or one for any sensor; adapt the latter to your own."""
 
+    method: str = parameter(
+        "paper",
+        "paper: shear force by a linear regression and the paper's network, for the dot grid of one sensor; gel: shear"
+        " and normal force and contact for any dot grid and gel, from simulated contacts, its errors measured on the"
+        " files.",
+        choices=("paper", "gel"),
+    )
+    adapt: bool = parameter(
+        False,
+        "Adapt a model of method gel to your sensor instead, from recordings under known forces: readings lie beside"
+        " the tracks as NAME.force.csv, or are the truth of a simulation.",
+    )
+    model: Path | None = parameter(None, "With --adapt: the model; default: the one that evetac has.", recipe=False)
+    sensor: str | None = parameter(
+        None,
+        "With --adapt: your sensor's file as `evetac identify` writes it, or a sensor's name; default: unknown.",
+        recipe=False,
+    )
+    stiffness_error: float = parameter(
+        0.1, "With --sensor: relative error of its moduli, one standard deviation.", low=0.0, high=2.0
+    )
+    contacts: int = parameter(4000, "Of method gel: contacts that are simulated.", low=10, high=1000000)
     samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
     noise_n: float = parameter(0.05, "Noise of the force sensor that is fitted to, sd.", unit="N", low=0.0, high=100.0)
-    epochs: int = parameter(50, "Passes over the samples; the best on the last file is kept.", low=1, high=100000)
+    epochs: int = parameter(
+        50, "Passes over the samples; of the paper's network the best on the last file is kept.", low=1, high=100000
+    )
     seed: int = parameter(0, "Seed of the noise, the first weights and the order of samples.", low=0, high=2**31 - 1)
 
 
 @dataclass(frozen=True)
 class PredictForce:
-    """Predict the shear force from tracked dots, slice by slice, with a force model."""
+    """Predict force from tracked dots, slice by slice: shear, normal force and contact, with their uncertainty."""
 
-    model: Path | None = parameter(None, "Force model, made by train-force.", recipe=False)
+    model: Path | None = parameter(
+        None, "Force model, made by train-force; default: the one for any sensor that evetac has.", recipe=False
+    )
+    sensor: str | None = parameter(
+        None,
+        "Your sensor's file as `evetac identify` writes it, or a sensor's name: its scale and stiffness; default:"
+        " unknown, and forces are as unsure.",
+        recipe=False,
+    )
+    stiffness_error: float = parameter(
+        0.1, "With --sensor: relative error of its moduli, one standard deviation.", low=0.0, high=2.0
+    )
 
 
 @dataclass(frozen=True)
@@ -525,16 +560,25 @@ class EvaluateStability:
 
 @dataclass(frozen=True)
 class EvaluateForce:
-    """Compare the shear force that force models predict from dots with the true one (simulated recordings)."""
+    """Compare the forces that force models predict from dots with the true ones (simulated recordings)."""
 
     model: str = parameter(
         "", "Force model, folder or glob of several: each judges the tracks of its own sensor.", recipe=False
+    )
+    adapt: str = parameter(
+        "",
+        "Tracks (a folder or a glob) of the same sensors, on which a model of method gel is adapted first; one row"
+        " more of each sensor.",
+        recipe=False,
+    )
+    stiffness_error: float = parameter(
+        0.1, "Of method gel: relative error of the moduli that are taken as known, sd.", low=0.0, high=2.0
     )
     samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
     noise_n: float = parameter(
         0.05, "Noise of the force sensor that is compared with, sd.", unit="N", low=0.0, high=100.0
     )
-    seed: int = parameter(0, "Seed of the force sensor's noise.", low=0, high=2**31 - 1)
+    seed: int = parameter(0, "Seed of the noise, and of the error of the moduli.", low=0, high=2**31 - 1)
 
 
 @dataclass(frozen=True)

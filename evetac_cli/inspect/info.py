@@ -218,6 +218,15 @@ def _model(file: StageFile) -> dict[str, Any]:
 
 
 def _force_model(file: StageFile) -> dict[str, Any]:
+    if file.has("gel"):
+        adapted = file.has("adapted")
+        modulus = float(file.read("adapted/shear")[:, 0].mean()) * 1e6 if adapted else None
+        return {
+            "sensor": file.read("sensor"),
+            "sensor_name": file.read("sensor_name"),
+            "dots": "any grid",
+            "adapted_shear_modulus_pa": modulus,
+        }
     rows, columns = file.read("dot_shape").tolist()
     chosen = int(file.read("curve/chosen"))
     return {
@@ -230,6 +239,14 @@ def _force_model(file: StageFile) -> dict[str, Any]:
 
 
 def _forces(file: StageFile) -> dict[str, Any]:
+    if file.has("shear_n"):
+        shear_n = np.linalg.norm(file.read("shear_n"), axis=1)
+        return {
+            "slices": len(shear_n),
+            "force_n_most": float(np.nanmax(shear_n, initial=0.0)),
+            "normal_n_most": float(np.nanmax(file.read("normal_n"), initial=0.0)),
+            "contact_s": float(file.read("contact").sum() / 1000),
+        }
     force = np.abs(file.read("network_n"))
     return {"slices": len(force), "force_n_most": float(force.max(initial=0.0))}
 

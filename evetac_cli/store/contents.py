@@ -290,6 +290,8 @@ def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 
 
 def _layers_of_force(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    if "network/0/weight" not in shapes:
+        return
     rows, columns = (int(size) for size in file.read("dot_shape"))
     inputs = shapes["network/0/weight"][1][1]
     if inputs != 2 * rows * columns:
