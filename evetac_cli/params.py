@@ -92,7 +92,9 @@ class Record(Trials):
     """Record events: simulate a scene, record from devices, or import a foreign event file."""
 
     scene: str = parameter(
-        "slip", "Scene: slip, data-rate, shear, press, rest, edge, vibration, vibration-randomized, or a TOML file."
+        "slip",
+        "Scene: slip, data-rate, grip-steps, shear, press, rest, edge, vibration, vibration-randomized, or a TOML"
+        " file.",
     )
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(
@@ -161,6 +163,12 @@ class Record(Trials):
         unit="mA",
         low=-500.0,
         high=1000.0,
+        recipe=False,
+    )
+    current_of: str | None = parameter(
+        None,
+        "Devices: the gripper follows the current that this scene names (grip-steps, or a TOML file), instead of"
+        " closing, holding and letting it fall.",
         recipe=False,
     )
     watchdog_ms: int = parameter(

@@ -6,7 +6,7 @@ import pytest
 from evetac_cli.kernels.identify import latency
 
 
-def commands(delay_ms: float, jitter_ms: float, seed: int = 0, count: int = 200) -> tuple[np.ndarray, ...]:
+def commands(delay_ms: float, jitter_ms: float, seed: int = 0, count: int = 400) -> tuple[np.ndarray, ...]:
     """Rows every 2 ms and at commands, of a current that changes every 27 ms and is measured whole ms late."""
     rng = np.random.default_rng(seed)
     end = 27 * (count + 1)
