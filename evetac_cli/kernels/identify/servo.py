@@ -10,6 +10,7 @@ Floats = NDArray[np.float64]
 STILL_MS = 16.0  # a goal has come to the servo after so long
 FEWEST = 50  # rows
 RESAMPLES = 200
+LEAST_SHARE = 0.002  # half width of the interval at least
 MOST_PART = 0.98  # of the largest current: beyond it a limit may hold
 
 
@@ -41,5 +42,5 @@ def gain(
         raise ValueError("the current does not follow the goal")
     medians = np.median(each[rng.integers(0, len(each), (RESAMPLES, min(len(each), 2000)))], axis=1)
     low, high = np.percentile(medians, [50 * (1 - LEVEL), 50 * (1 + LEVEL)])
-    spread = float(np.subtract(*np.percentile(each, [75, 25]))) / np.sqrt(len(each))
-    return Estimate(value, min(float(low), value - 2 * spread), max(float(high), value + 2 * spread))
+    half = max(2 * float(np.subtract(*np.percentile(each, [75, 25]))) / np.sqrt(len(each)), LEAST_SHARE * value)
+    return Estimate(value, min(float(low), value - half), max(float(high), value + half))
