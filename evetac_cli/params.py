@@ -250,7 +250,7 @@ class Identify:
         low=0.001,
         high=100.0,
     )
-    mm_per_px: float | None = parameter(
+    pixel_mm: float | None = parameter(
         None,
         "Size of a pixel on the gel, by a ruler laid on it; default: that of --like, taken as known within 12 %.",
         unit="mm",

@@ -59,7 +59,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
         return outcome(job, made=False, simulated=recipe.simulated)
     like = scene.sensor_row(params.like)
     log_contrast = float(like["log_contrast"])
-    mm_per_px = float(like["mm_per_px"]) if params.mm_per_px is None else params.mm_per_px
+    mm_per_px = float(like["mm_per_px"]) if params.pixel_mm is None else params.pixel_mm
     rests, presses, grips = [], [], []
     for number, path in enumerate(job.inputs):
         noise_rng, rim_rng, servo_rng = np.random.default_rng([params.seed, number]).spawn(3)
@@ -75,11 +75,11 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     more_rows, more = pressed.rows(best, log_contrast)
     rows, values = rows + more_rows, more | values
     known = gripper_rows.Known(
-        params.object_mass_g, params.object_friction, params.force_per_current, params.mm_per_px is not None
+        params.object_mass_g, params.object_friction, params.force_per_current, params.pixel_mm is not None
     )
     more_rows, more = gripper_rows.rows([one for one in grips if one is not None], known, like)
     rows, values = rows + more_rows, values | more
-    if params.mm_per_px is not None:
+    if params.pixel_mm is not None:
         values["mm_per_px"] = Entry(mm_per_px, None, "as given")
     text = sensor_text(params.name, params.like, values, recipe, [path.name for path in job.inputs])
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:

@@ -1,12 +1,12 @@
 """What a recording from devices is about to do: shown, and refused where it would fail, before a device is touched."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 
 from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import Record
+from evetac_cli.params import Record, flag_of
 from evetac_cli.sim import scene
 from evetac_cli.stages import session
 from evetac_cli.stages.record.current_course import CurrentCourse
@@ -16,6 +16,7 @@ from evetac_cli.store.calibration import read_calibration
 
 HOLDING_MA = 50.0  # where no current is asked for
 SECONDS = 60.0  # room on the disk for so long, where nothing says how long it will take
+INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # what --current-of stands in place of
 TAKEN = "--resume goes on with a series, --force replaces it, -o NAME writes elsewhere"
 
 
@@ -65,6 +66,10 @@ def asked_course(trial: DeviceTrial, params: Record) -> CurrentCourse | None:
     """The current that the gripper follows, where a scene names one; InputError if the one asked for does not."""
     if params.current_of is None:
         return None if trial.plan is None else CurrentCourse.read(trial.plan["scene"])
+    for item in fields(params):
+        if item.name in INSTEAD and getattr(params, item.name) != item.default:
+            expected = "one of the two: the gripper follows the scene's current from the first command to the last"
+            raise InputError("has no effect with --current-of", where=flag_of(item), expected=expected)
     course = CurrentCourse.read(scene.load(params.current_of))
     if course is None:
         raise InputError(

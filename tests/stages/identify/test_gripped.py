@@ -141,7 +141,7 @@ def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
     by_goals = params.Grasp(controller="fixed:6", lift_s=2.0, balance_s=0.0, sensor="realistic")
     (grasped,) = grasp.jobs([], by_goals, tmp_path / "grasp.recording.h5")
     grasp.run(grasped, by_goals, force=False, progress=lambda done, of: None)
-    asked = params.Identify(object_mass_g=550.0, mm_per_px=0.0329, force_per_current=0.4)
+    asked = params.Identify(object_mass_g=550.0, pixel_mm=0.0329, force_per_current=0.4)
     (job,) = identify.jobs([grip, grasped.output], asked, tmp_path)
     told = {row["parameter"]: row for row in identify.run(job, asked).rows}
     truth = {
@@ -208,6 +208,9 @@ def test_a_scene_without_a_current_to_follow(tmp_path: Path) -> None:
     (job,) = record.jobs([], asked, tmp_path)
     with pytest.raises(InputError, match="names no current"):
         record.dry_run([job], asked)
+    both = params.Record(camera="virtual", gripper="virtual", current_of="grip-steps", hold_s=3.0, dry_run=True)
+    with pytest.raises(InputError, match="no effect with --current-of"):
+        record.dry_run(record.jobs([], both, tmp_path), both)
     asked = params.Record(camera="virtual", gripper="virtual", current_of="grip-steps", dry_run=True)
     (job,) = record.jobs([], asked, tmp_path)
     assert "-25 to 60 mA for 35.5 s" in str(record.dry_run([job], asked).rows)
