@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 STEP_MS = 1.0  # a simulated command takes effect in the next ms
 PAD_NODES = (36, 27)  # columns and rows
-LONGEST_MS = 120_000  # that is tracked
+LONGEST_MS = 120_000  # that is looked at
 SHORTEST_HOLD_MS = 3000  # under one current, in which the weight comes on
 AROUND_MS = 300  # before and after the weight comes on
 LEAST_STEP_PX = 0.3
@@ -70,11 +70,13 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
     if not recording.has("gripper/t_us"):
         return None
     source = recording.path.name
+    time_us = recording.read("gripper/t_us")
+    looked_at = slice(0, int(np.searchsorted(time_us, 1000 * LONGEST_MS)))
     rows = GripperRows(
-        recording.read("gripper/t_us"),
-        recording.read("gripper/current_written_ma").astype(np.float64),
-        recording.read("gripper/current_ma").astype(np.float64),
-        recording.read("gripper/position_ticks").astype(np.int64),
+        time_us[looked_at],
+        recording.read("gripper/current_written_ma")[looked_at].astype(np.float64),
+        recording.read("gripper/current_ma")[looked_at].astype(np.float64),
+        recording.read("gripper/position_ticks")[looked_at].astype(np.int64),
     )
     if not (len(rows.time_us) and np.isfinite(rows.measured_ma).all()):
         return None
@@ -104,8 +106,9 @@ def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> 
     """The servo's gain where the goals are recorded, as in a grasp."""
     if not recording.has("control/goal_ticks"):
         return None
-    goals, times = recording.read("control/goal_ticks"), recording.read("control/t_us")
-    if len(goals) != len(rows.time_us) or not np.array_equal(times, rows.time_us):
+    count = len(rows.time_us)
+    goals, times = recording.read("control/goal_ticks")[:count], recording.read("control/t_us")[:count]
+    if not np.array_equal(times, rows.time_us):
         return None
     try:
         return servo.gain(rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng)
