@@ -35,7 +35,7 @@ BLOCK_SLICES = 10  # in which dots are taken to stay where they are
 RIM_PX = 5.0  # on either side of a dot's rim, where its events lie
 QUIET_MS, BUSY_EVENTS = 400, 5  # a pixel with more events before the weight comes on is hot
 GONE = 0.8  # of its largest displacement: then the object has slipped
-SLIPS_AT = 0.98  # of the largest displacement, when it was last reached
+SLIPS_AT = (0.98, 0.95, 0.90)  # of the largest displacement, when it was last reached
 PADS = 2
 GRAVITY_M_S2 = 9.81
 
@@ -43,13 +43,13 @@ GRAVITY_M_S2 = 9.81
 class Weight(NamedTuple):
     """How the gel took over a weight: the fit of the dots, creep, and the force per mA at which the object slipped.
 
-    modulus_pa, weight_per_ma: for the weight of 1 kg; None where the object did not slip.
+    modulus_pa, weight_per_ma: for the weight of 1 kg; the latter at each of SLIPS_AT, None if the object did not slip.
     """
 
     held: Held
     creep: Creep
     modulus_pa: float
-    weight_per_ma: float | None
+    weight_per_ma: Floats | None
 
 
 @dataclass(frozen=True)
@@ -147,9 +147,10 @@ def _weight(recording: Recording, rows: GripperRows, fitted: DriveFit, mm_per_px
     modulus_pa = GRAVITY_M_S2 / PADS / (creep.final * held.displacement_m * held.stiffness_m)
     slips_ms = _slips(displacement_m[last_ms:])
     per_ma = None
-    row_ms = (0 if slips_ms is None else slips_ms + last_ms) - int(rows.time_us[0] // 1000)
-    if slips_ms is not None and 0 <= row_ms < len(fitted.force_ma) and fitted.force_ma[row_ms] > 0:
-        per_ma = GRAVITY_M_S2 / PADS / float(fitted.force_ma[row_ms])
+    if slips_ms is not None:
+        at = np.minimum(slips_ms + last_ms - int(rows.time_us[0] // 1000), len(fitted.force_ma) - 1)
+        force_ma = fitted.force_ma[at]
+        per_ma = GRAVITY_M_S2 / PADS / force_ma if (force_ma > 0).all() else None
     return Weight(held, creep, modulus_pa, per_ma)
 
 
@@ -258,8 +259,8 @@ def _thinned(displacement_m: Floats) -> tuple[Floats, Floats]:
     return (edges[1:] + edges[:-1]) / 2e3, np.diff(sums[edges]) / np.diff(edges)
 
 
-def _slips(displacement_m: Floats) -> int | None:
-    """The slice in which the gel begins to go back because the object slips; None where it does not."""
+def _slips(displacement_m: Floats) -> NDArray[np.int64] | None:
+    """The slices in which the gel, because the object slips, goes back to SLIPS_AT; None where it does not slip."""
     if len(displacement_m) < 20:
         return None
     smooth = np.convolve(displacement_m, np.ones(10) / 10, mode="valid")
@@ -268,4 +269,4 @@ def _slips(displacement_m: Floats) -> int | None:
     if not len(gone):
         return None
     before = smooth[: gone[0]]
-    return int(np.flatnonzero(before >= SLIPS_AT * largest[gone[0]])[-1]) + 5
+    return np.array([np.flatnonzero(before >= level * largest[gone[0]])[-1] + 5 for level in SLIPS_AT])
