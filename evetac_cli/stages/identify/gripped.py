@@ -35,7 +35,7 @@ BLOCK_SLICES = 10  # in which dots are taken to stay where they are
 RIM_PX = 5.0  # on either side of a dot's rim, where its events lie
 QUIET_MS, BUSY_EVENTS = 400, 5  # a pixel with more events before the weight comes on is hot
 GONE = 0.8  # of its largest displacement: then the object has slipped
-SLIPS_AT = (0.98, 0.95, 0.90)  # of the largest displacement, when it was last reached
+SLIPS_AT = (0.98, 0.95)  # of the largest displacement, when it was last reached
 PADS = 2
 GRAVITY_M_S2 = 9.81
 

@@ -26,7 +26,7 @@ def gripped_whole() -> Gripped:
     fit = DriveFit(values, dict.fromkeys(NAMES, 0.001), 0.3, [], np.zeros(10))
     held = gripped.held_gel.Held(0.3e-3, 0.06, np.ones(4), 0.01)
     creep = gripped.held_gel.Creep((0.02, 0.05), (0.3, 4.0), 1.0, 0.001)
-    weight = Weight(held, creep, 2 * 150e3, 2 * np.array([0.35, 0.36, 0.38]))
+    weight = Weight(held, creep, 2 * 150e3, 2 * np.array([0.35, 0.36]))
     plain = (Estimate(0.3, 0.2, 0.4), Estimate(3.0, 2.5, 3.5), Estimate(1.0, 0.5, 1.5), Estimate(6.0, 5.9, 6.1))
     return Gripped("a.recording.h5", fit, *plain, weight)
 
