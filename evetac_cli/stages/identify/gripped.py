@@ -19,6 +19,7 @@ from evetac_cli.kernels.identify.held_gel import Creep, Held
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.shared import PAD_M
+from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
 from evetac_cli.stages.identify import drive
 from evetac_cli.stages.identify.drive import DriveFit, GripperRows
 from evetac_cli.store.read import Recording
@@ -37,7 +38,6 @@ QUIET_MS, BUSY_EVENTS = 400, 5  # a pixel with more events before the weight com
 GONE = 0.8  # of its largest displacement: then the object has slipped
 SLIPS_AT = (0.98, 0.95)  # of the largest displacement, when it was last reached
 PADS = 2
-GRAVITY_M_S2 = 9.81
 
 
 class Weight(NamedTuple):

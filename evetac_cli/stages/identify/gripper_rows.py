@@ -1,6 +1,6 @@
 """Rows of the table and keys of the sensor's file from what a gripped object tells.
 
-Widths of the intervals: what the fit leaves, and at least by how much simulated sensors (randomized:100 to 160) were
+Widths of the intervals: what the fit leaves, and at least by how much simulated sensors (randomized:100 to 149) were
 off. Forces need a scale. The object's weight is one for the gel's shear; for the normal force there is none but the
 force per current that somebody measured: without it, all that hangs on it is told in current, and the file takes the
 force per current of the sensor that is named as its like, so that it closes, slips and lets go at the same currents.
@@ -30,12 +30,13 @@ QUIET = "cannot be told from a quiet hold: nothing moves the gel at 100 Hz"
 LEAST_SHARE = {"friction_ma": 0.006, "damping_ma_s_m": 0.012, "mass_ma_s2_m": 0.2, "finger_ticks_ma": 0.08}
 BACKLASH_TICKS, BACKLASH_LOW_TICKS = 0.3, 0.05  # half width, and by how much the fit is too low
 ENCODER_LOW_TICKS, ENCODER_HIGH_TICKS = 0.06, 0.02  # a rest that is none makes noise
-MODULUS_SHARE, SCALE_SHARE, SCALE_POWER = 0.10, 0.12, 1.5
+MODULUS_SHARE, MODULUS_HIGH_SHARE = 0.10, 0.03  # half width, and by how much the fit is too high
+SCALE_SHARE, SCALE_POWER = 0.12, 1.5  # of a pixel that was not measured, and how the modulus goes with it
 CREEP_SHARE, CREEP_LOW_SHARE = 0.024, 0.009  # half width of both arms' share, and by how much the fit is too low
 # Beyond what the first and the last moment of slip tell: friction varies over a gel, and where the fingers are not
 # parallel, one end of the contact slips, and is weaker then, before the other does: the whole holds less than its
 # static friction, by 14 % at most among 17 simulated sensors.
-SLIP_LOW_SHARE, SLIP_HIGH_SHARE = 0.08, 0.13
+SLIP_LOW_SHARE, SLIP_HIGH_SHARE = 0.09, 0.13
 DELAY_MS, JITTER_MS = 3.5, 2.0  # an interval that is wider tells nothing
 TWO_TICKS_N = 0.13
 
@@ -169,7 +170,8 @@ def _gel(weight: Weight | None, source: str, known: Known, scale_n_ma: float) ->
         whys[1] = source
     if weight is not None and mass_kg is not None:
         scale_share = 0.0 if known.scale_given else SCALE_SHARE
-        modulus = _within(weight.modulus_pa * mass_kg, math.hypot(MODULUS_SHARE, SCALE_POWER * scale_share))
+        modulus_pa = weight.modulus_pa * mass_kg / (1 + MODULUS_HIGH_SHARE)
+        modulus = _within(modulus_pa, math.hypot(MODULUS_SHARE, SCALE_POWER * scale_share))
         values["shear_modulus_pa"] = Entry(modulus.value, modulus, source)
         whys[0] = source
         whys[2:] = [MAKE_SLIP] * 2
