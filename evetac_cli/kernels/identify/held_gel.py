@@ -32,7 +32,7 @@ class Pad(NamedTuple):
     height_m: float
 
 
-class Held(NamedTuple):
+class HeldFit(NamedTuple):
     """Displacement of the held part of the gel in m along the weight, stiffness over shear modulus in m, and the fit.
 
     moved: share of the displacement at each dot. misfit: rms of what is left at the dots over the displacement.
@@ -77,7 +77,7 @@ def shape(pad: Pad, stiffness: sparse.csr_matrix, strip: Floats) -> tuple[Floats
     return moved.reshape(inside.shape), float((stiffness @ moved).sum())
 
 
-def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> Held:
+def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
     """Fit the contact and the displacement to the dots' displacement (dots,) along the weight, which is x of the pad.
 
     ValueError with fewer than 12 dots on the pad, or where they do not move.
@@ -113,12 +113,12 @@ def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> Held:
 
     start = np.array([0.5 * half_pad * 1e3, 0.5 * half_pad * 1e3, float(low[1] + high[1]) * 500, 1.0])
     bounds = ([-2.0, -2.0, start[2] - 5.0, 0.3], [1.2 * half_pad * 1e3] * 2 + [start[2] + 5.0, 3.0])
-    found = least_squares(residuals, start, bounds=bounds, loss="soft_l1", f_scale=0.1, diff_step=1e-2, max_nfev=30)
-    moved, force_m = shape(pad, stiffness, found.x[:3] * 1e-3)
+    fitted = least_squares(residuals, start, bounds=bounds, loss="soft_l1", f_scale=0.1, diff_step=1e-2, max_nfev=30)
+    moved, force_m = shape(pad, stiffness, fitted.x[:3] * 1e-3)
     everywhere = np.full(len(dot_xy_m), np.nan)
     everywhere[on_pad] = at_dots(moved)
-    misfit = float(np.sqrt(np.mean(residuals(found.x) ** 2)))
-    return Held(float(found.x[3]) * largest_m, force_m, everywhere, misfit)
+    misfit = float(np.sqrt(np.mean(residuals(fitted.x) ** 2)))
+    return HeldFit(float(fitted.x[3]) * largest_m, force_m, everywhere, misfit)
 
 
 class Creep(NamedTuple):
@@ -149,13 +149,13 @@ def creep(time_s: Floats, displacement: Floats, loaded_s: float) -> Creep:
                 off: Floats = parameters[2] * expected - displacement / ends
                 return off
 
-            found = least_squares(
+            fitted = least_squares(
                 residuals, [*shares, 1.0], bounds=([0.0, 0.0, 0.5], [MOST_SHARE, MOST_SHARE, 2.0]), max_nfev=12
             )
-            if best is None or found.cost < best[0]:
-                share = (float(found.x[0]), float(found.x[1]))
-                misfit = float(np.sqrt(np.mean(found.fun**2)))
-                best = (found.cost, Creep(share, (float(first), float(second)), float(found.x[2]) * ends, misfit))
+            if best is None or fitted.cost < best[0]:
+                share = (float(fitted.x[0]), float(fitted.x[1]))
+                misfit = float(np.sqrt(np.mean(fitted.fun**2)))
+                best = (fitted.cost, Creep(share, (float(first), float(second)), float(fitted.x[2]) * ends, misfit))
     assert best is not None
     return best[1]
 

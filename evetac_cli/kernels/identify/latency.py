@@ -31,7 +31,7 @@ def lateness(
     changes = np.flatnonzero(np.diff(commanded_ma) != 0) + 1
     gaps = np.diff(time_ms[changes], prepend=-np.inf, append=np.inf)
     alone = (gaps[:-1] >= ALONE_MS) & (gaps[1:] >= ALONE_MS)
-    found = []
+    between = []
     for row in changes[alone]:
         before, after = commanded_ma[row - 1], commanded_ma[row]
         until = np.searchsorted(time_ms, time_ms[row] + ALONE_MS, side="right")
@@ -40,8 +40,8 @@ def lateness(
         passed = time_ms[row:until] - time_ms[row] - step_ms
         if not len(readings):
             continue
-        found.append((passed[seen[0]], passed[seen[0] + 1]) if len(seen) else (passed[-1], np.inf))
-    return np.array(found, np.float64).reshape(-1, 2)
+        between.append((passed[seen[0]], passed[seen[0] + 1]) if len(seen) else (passed[-1], np.inf))
+    return np.array(between, np.float64).reshape(-1, 2)
 
 
 def delay_and_jitter(between_ms: Floats) -> tuple[Estimate, Estimate]:

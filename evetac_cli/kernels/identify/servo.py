@@ -29,14 +29,14 @@ def gain(
     time_ms = np.asarray(time_us, np.float64) * 1e-3
     new = np.flatnonzero(np.diff(goal_ticks, prepend=np.nan) != 0)  # the first row is one
     last = new[np.searchsorted(new, np.arange(len(time_ms)), side="left") - 1]  # goal that was given before the row
-    ahead = goal_ticks[last] - place_ticks
+    behind_ticks = goal_ticks[last] - place_ticks
     free = np.abs(current_ma) < MOST_PART * np.abs(current_ma).max(initial=0.0)
-    counts = (np.arange(len(time_ms)) > last) & (time_ms - time_ms[last] >= STILL_MS) & (ahead != 0)
+    counts = (np.arange(len(time_ms)) > last) & (time_ms - time_ms[last] >= STILL_MS) & (behind_ticks != 0)
     if (counts & free).sum() >= FEWEST:
         counts &= free
     if counts.sum() < FEWEST:
         raise ValueError(f"too few rows in which the servo was behind a goal: {counts.sum()} of {FEWEST}")
-    each = current_ma[counts] / ahead[counts]
+    each = current_ma[counts] / behind_ticks[counts]
     value = float(np.median(each))
     if not value > 0:
         raise ValueError("the current does not follow the goal")

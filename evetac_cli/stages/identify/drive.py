@@ -76,7 +76,7 @@ def fit(rows: GripperRows) -> DriveFit:
     for damping in STARTS_MA_S_M:
         first = _vector({**start, "damping_ma_s_m": damping})
         low, high = _bounds(start)
-        found = least_squares(
+        tried = least_squares(
             residuals,
             np.clip(first, low, high),
             bounds=(low, high),
@@ -86,8 +86,8 @@ def fit(rows: GripperRows) -> DriveFit:
             x_scale=_scales(),
             max_nfev=40,
         )
-        if best is None or found.cost < best.cost:
-            best = found
+        if best is None or tried.cost < best.cost:
+            best = tried
     assert best is not None
     off = residuals(best.x)
     sd = _spread(best.jac, off)
@@ -148,8 +148,8 @@ def _blocks(rows: GripperRows) -> NDArray[np.intp]:
     moving = np.abs(rows.place_ticks - np.roll(rows.place_ticks, BLOCK_ROWS)) >= 3
     counted = (since_ms <= COUNTED_MS) | moving
     _, block = np.unique(np.where(counted, np.floor(time_ms / BLOCK_MS), -1.0), return_inverse=True)
-    found: NDArray[np.intp] = block.reshape(-1) - (0 if counted.all() else 1)
-    return found
+    numbers: NDArray[np.intp] = block.reshape(-1) - (0 if counted.all() else 1)
+    return numbers
 
 
 def _simulated(values: dict[str, float], current_ma: Floats) -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.identify import encoder, held_gel, latency, servo
 from evetac_cli.kernels.identify.estimates import Estimate
-from evetac_cli.kernels.identify.held_gel import Creep, Held
+from evetac_cli.kernels.identify.held_gel import Creep, HeldFit
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.shared import PAD_M
@@ -46,7 +46,7 @@ class Weight(NamedTuple):
     modulus_pa, weight_per_ma: for the weight of 1 kg; the latter at each of SLIPS_AT, None if the object did not slip.
     """
 
-    held: Held
+    held: HeldFit
     creep: Creep
     modulus_pa: float
     weight_per_ma: Floats | None
@@ -95,10 +95,10 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
     return Gripped(source, fitted, noise, delay, jitter, None, _weight(recording, rows, fitted, mm_per_px))
 
 
-def merged(found: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
+def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
     """Of each part the first recording that tells it, and all parts together."""
     parts = ("drive", "encoder_ticks", "delay_ms", "jitter_ms", "gain_ma_tick", "weight")
-    tells = {part: one for part in parts for one in reversed(found) if getattr(one, part) is not None}
+    tells = {part: one for part in parts for one in reversed(grips) if getattr(one, part) is not None}
     return tells, Gripped("", **{part: getattr(one, part) for part, one in tells.items()})
 
 

@@ -50,23 +50,23 @@ class Known(NamedTuple):
     scale_given: bool
 
 
-def rows(found: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tuple[list[Row], dict[str, Entry]]:
+def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tuple[list[Row], dict[str, Entry]]:
     """Rows and keys of gripper, gel and friction; `like` is the row of the sensor that has what is not told."""
-    tells, told = merged(found)
+    tells, known_parts = merged(grips)
     source = {part: one.source for part, one in tells.items()}
     usual = gripper.make_drive(like)
     scale_n_ma = known.force_per_current_n_ma or usual.force_per_current_n_ma
     listed: list[Row] = []
     keys: dict[str, Any] = {}
-    if told.drive is not None:
-        keys |= _drive_keys(told.drive, told.gain_ma_tick, usual, scale_n_ma, source["drive"])
-    listed += _drive_rows(told.drive, source.get("drive", MAKE_GRIP))
+    if known_parts.drive is not None:
+        keys |= _drive_keys(known_parts.drive, known_parts.gain_ma_tick, usual, scale_n_ma, source["drive"])
+    listed += _drive_rows(known_parts.drive, source.get("drive", MAKE_GRIP))
     for part, key, unit, widest in (
         ("encoder_ticks", "encoder_noise_ticks", "ticks", math.inf),
         ("delay_ms", "command_delay_ms", "ms", DELAY_MS),
         ("jitter_ms", "command_jitter_ms", "ms", JITTER_MS),
     ):
-        estimate = getattr(told, part)
+        estimate = getattr(known_parts, part)
         if part == "encoder_ticks" and estimate is not None:
             low, high = estimate.low - ENCODER_LOW_TICKS, estimate.high + ENCODER_HIGH_TICKS
             estimate = Estimate(estimate.value, max(low, 0.0), high)
@@ -75,12 +75,12 @@ def rows(found: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tup
         if estimate is not None:
             keys[key] = Entry(estimate.value, estimate, source[part])
         listed.append(Row(f"gripper.{key}", unit, estimate, MAKE_GRIP if estimate is None else source[part]))
-    gain = told.gain_ma_tick
+    gain = known_parts.gain_ma_tick
     listed.append(Row("gripper: servo gain", "mA/tick", gain, source.get("gain_ma_tick", MAKE_GRASP)))
     given = known.force_per_current_n_ma
     scale = None if given is None else Estimate(given, given, given)
     listed.append(Row("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given"))
-    gel_rows, values = _gel(told.weight, source.get("weight", ""), known, scale_n_ma)
+    gel_rows, values = _gel(known_parts.weight, source.get("weight", ""), known, scale_n_ma)
     listed += gel_rows
     listed += [Row("normal_modulus_pa", "Pa", None, BENDS), Row("loss_tangent", "", None, QUIET)]
     if keys:

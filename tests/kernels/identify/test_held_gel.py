@@ -37,9 +37,9 @@ def test_held_again(strip_mm: tuple[float, float, float]) -> None:
     dots = one.node_xy_m[rows, columns].reshape(-1, 2)
     shown = moved[rows, columns].reshape(-1) * 0.3e-3
     shown += 0.02 * 0.3e-3 * np.random.default_rng(0).normal(size=len(shown))
-    found = held_gel.held(one, dots, shown)
-    assert found.displacement_m * found.stiffness_m == pytest.approx(0.3e-3 * force_m, rel=0.05)
-    assert found.misfit < 0.05
+    fitted = held_gel.held(one, dots, shown)
+    assert fitted.displacement_m * fitted.stiffness_m == pytest.approx(0.3e-3 * force_m, rel=0.05)
+    assert fitted.misfit < 0.05
 
 
 def test_nothing_is_held() -> None:
@@ -75,8 +75,8 @@ def test_creep_again(shares: tuple[float, float]) -> None:
     time_s = np.geomspace(0.03, 15, 40)
     shown = 0.25e-3 * held_gel.response(time_s, 0.1, np.array(shares), np.array([0.3, 4.0]))
     shown *= 1 + 0.001 * np.random.default_rng(1).normal(size=len(shown))
-    found = held_gel.creep(time_s, shown, 0.1)
-    assert sum(found.share) == pytest.approx(sum(shares), abs=0.01)
-    assert found.final == pytest.approx(0.25e-3, rel=0.02)
+    fitted = held_gel.creep(time_s, shown, 0.1)
+    assert sum(fitted.share) == pytest.approx(sum(shares), abs=0.01)
+    assert fitted.final == pytest.approx(0.25e-3, rel=0.02)
     with pytest.raises(ValueError, match="nothing moves"):
         held_gel.creep(time_s, -shown, 0.1)

@@ -24,7 +24,7 @@ def gripped_whole() -> Gripped:
     """All parts, with values of a usual gripper and gel under 0.5 kg."""
     values = dict(zip(NAMES, (10.0, 400.0, 5.0, 1.4, 0.8, 1.0, 361.0, 61.0), strict=True))
     fit = DriveFit(values, dict.fromkeys(NAMES, 0.001), 0.3, [], np.zeros(10))
-    held = gripped.held_gel.Held(0.3e-3, 0.06, np.ones(4), 0.01)
+    held = gripped.held_gel.HeldFit(0.3e-3, 0.06, np.ones(4), 0.01)
     creep = gripped.held_gel.Creep((0.02, 0.05), (0.3, 4.0), 1.0, 0.001)
     weight = Weight(held, creep, 2 * 150e3, 2 * np.array([0.35, 0.36]))
     plain = (Estimate(0.3, 0.2, 0.4), Estimate(3.0, 2.5, 3.5), Estimate(1.0, 0.5, 1.5), Estimate(6.0, 5.9, 6.1))
@@ -42,8 +42,8 @@ def test_what_is_written_simulates_the_same() -> None:
     assert values["shear_modulus_pa"].value == pytest.approx(150e3 / (1 + gripper_rows.MODULUS_HIGH_SHARE))
     assert values["static_friction_factor"].value == pytest.approx(0.36 / (0.45 * 0.9))
     assert list(values["creep"].value["time_s"]) == [0.3, 4.0]
-    told = {row.parameter: row for row in listed}
-    assert told["static_friction_factor"].estimate is not None
+    by_name = {row.parameter: row for row in listed}
+    assert by_name["static_friction_factor"].estimate is not None
     for row in listed:
         if row.estimate is not None:
             assert row.estimate.low <= row.estimate.value <= row.estimate.high, row
@@ -52,18 +52,18 @@ def test_what_is_written_simulates_the_same() -> None:
 def test_without_a_scale() -> None:
     """Assert that without mass or force per current the rows that hang on them say so, and the others stand."""
     listed, values = gripper_rows.rows([gripped_whole()], Known(None, 0.9, None, True), LIKE)
-    told = {row.parameter: row for row in listed}
+    by_name = {row.parameter: row for row in listed}
     for name in ("shear_modulus_pa", "static friction x force per current"):
-        assert told[name].estimate is None and "--object-mass-g" in told[name].source
-    assert "--force-per-current" in told["gripper.force_per_current_n_ma"].source
-    assert told["gripper: gear friction"].estimate is not None
+        assert by_name[name].estimate is None and "--object-mass-g" in by_name[name].source
+    assert "--force-per-current" in by_name["gripper.force_per_current_n_ma"].source
+    assert by_name["gripper: gear friction"].estimate is not None
     assert "shear_modulus_pa" not in values and values["gripper"].value["force_per_current_n_ma"].value == 0.4
     known = Known(500.0, 0.9, None, False)
     with_mass, values = gripper_rows.rows([gripped_whole()], known, LIKE)
-    told = {row.parameter: row for row in with_mass}
-    wide = told["shear_modulus_pa"].estimate
+    by_name = {row.parameter: row for row in with_mass}
+    wide = by_name["shear_modulus_pa"].estimate
     assert wide is not None and wide.high > 1.15 * wide.value  # the size of a pixel is not known
-    assert told["static_friction_factor"].estimate is None
+    assert by_name["static_friction_factor"].estimate is None
     assert values["static_friction_factor"].value == pytest.approx(0.36 / (0.4 * 0.9))
 
 
@@ -76,8 +76,8 @@ def test_nothing_told() -> None:
     assert whole.weight is not None
     stuck = Gripped("a.recording.h5", whole.drive, weight=whole.weight._replace(weight_per_ma=None))
     listed, values = gripper_rows.rows([stuck], Known(500.0, 0.9, None, True), LIKE)
-    told = {row.parameter: row for row in listed}
-    assert "until the object slips" in told["static friction x force per current"].source
+    by_name = {row.parameter: row for row in listed}
+    assert "until the object slips" in by_name["static friction x force per current"].source
     assert "static_friction_factor" not in values and "shear_modulus_pa" in values
 
 
@@ -85,8 +85,8 @@ def test_a_delay_that_could_be_anything_is_not_told() -> None:
     """Assert the stated rule: an interval wider than half of what sensors have is none."""
     vague = Gripped("a.recording.h5", delay_ms=Estimate(4.0, 1.0, 7.0), jitter_ms=Estimate(2.0, 0.0, 3.0))
     listed, values = gripper_rows.rows([vague], Known(None, 0.9, None, True), LIKE)
-    told = {row.parameter: row.estimate for row in listed}
-    assert told["gripper.command_delay_ms"] is None and told["gripper.command_jitter_ms"] is None
+    by_name = {row.parameter: row.estimate for row in listed}
+    assert by_name["gripper.command_delay_ms"] is None and by_name["gripper.command_jitter_ms"] is None
     assert values == {}
 
 
@@ -143,7 +143,7 @@ def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
     grasp.run(grasped, by_goals, force=False, progress=lambda done, of: None)
     asked = params.Identify(object_mass_g=550.0, pixel_mm=0.0329, force_per_current=0.4)
     (job,) = identify.jobs([grip, grasped.output], asked, tmp_path)
-    told = {row["parameter"]: row for row in identify.run(job, asked).rows}
+    by_name = {row["parameter"]: row for row in identify.run(job, asked).rows}
     truth = {
         "gripper: gear friction": 3.87 / 0.4,
         "gripper: damping": 0.15 / 0.4,
@@ -159,9 +159,9 @@ def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
         "static_friction_factor": 1.0,
     }
     for name, value in truth.items():
-        assert told[name]["low"] <= value <= told[name]["high"], (name, told[name])
+        assert by_name[name]["low"] <= value <= by_name[name]["high"], (name, by_name[name])
     for name in ("normal_modulus_pa", "loss_tangent", "noise_hz", "dots"):
-        assert told[name]["estimate"] is None and "cannot be told" in told[name]["from"]
+        assert by_name[name]["estimate"] is None and "cannot be told" in by_name[name]["from"]
     _, sensor = scene.named_sensor(str(job.output))
     chosen = params.Record(scene="slip", sensor=str(job.output), objects="18")
     assert record.jobs([], chosen, tmp_path)[0].plan["sensor_row"]["gripper"] == sensor["gripper"]
@@ -179,8 +179,8 @@ def test_truth_is_never_read(grip: Path, tmp_path: Path, monkeypatch: pytest.Mon
 
         monkeypatch.setattr(recording, "read", without_truth)
         monkeypatch.setattr(gripped, "_weight", lambda *_: None)
-        found = gripped.find(recording, 0.0329, np.random.default_rng(0))
-        assert found is not None and found.drive is not None
+        gripping = gripped.find(recording, 0.0329, np.random.default_rng(0))
+        assert gripping is not None and gripping.drive is not None
 
         def broken(name: str, *range_: int) -> np.ndarray:
             column = without_truth(name, *range_)
