@@ -93,8 +93,8 @@ class Record(Trials):
 
     scene: str = parameter(
         "slip",
-        "Scene: slip, data-rate, grip-steps, shear, press, rest, edge, vibration, vibration-randomized, or a TOML"
-        " file.",
+        "Scene: slip, slip-varied, handling, data-rate, grip-steps, shear, press, rest, edge, vibration,"
+        " vibration-randomized, or a TOML file.",
     )
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(
@@ -226,7 +226,7 @@ class Calibrate:
     gel: str | None = parameter(
         None, "What the gel is; default: as its columns say, 9 or 8, or the default grid.", choices=("cut", "closed")
     )
-    any_grid: bool = parameter(False, "Take a grid that is not that of a whole Evetac, as it is.")
+    any_grid: bool = parameter(False, "Take dots that are not the whole grid of an Evetac, also those in no grid.")
 
 
 @dataclass(frozen=True)
@@ -299,6 +299,9 @@ class Label:
         high=1000,
     )
     after_ms: int = parameter(60, "Slices labelled after the onset; later ones are not examined.", unit="ms", low=0)
+    from_start: bool = parameter(
+        False, "Label closing, loading and light contact too, before the current falls; truth, to train on."
+    )
 
 
 @dataclass(frozen=True)
@@ -364,8 +367,9 @@ class Train:
     preset: str = parameter(
         "paper",
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
-        " on normalised features, samples made stronger and weaker, and the average of the weights over training.",
-        choices=("paper", "adam", "adamw"),
+        " on normalised features, samples made stronger and weaker, and the average of the weights over training;"
+        " adapt: the same at a tenth of the rate, for --adapt.",
+        choices=("paper", "adam", "adamw", "adapt"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
     max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
@@ -388,6 +392,12 @@ class Train:
         " each without one share of the objects, and judged on that share. For detectors that will meet new objects.",
         low=0,
         high=100,
+    )
+    adapt: str = parameter(
+        "",
+        "Go on from this trained model, or `shipped`, the package's: a few recordings of one's own sensor adapt it."
+        " Architecture and horizon are the model's; 1000 small steps unless --max-steps says otherwise.",
+        recipe=False,
     )
 
 
@@ -561,7 +571,7 @@ class Grasp(Trials):
     scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
     objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
     model: Path | None = parameter(
-        None, "Model file of the slip detector; default: the package's, fast-slow 10 ms ahead.", recipe=False
+        None, "Model file of the slip detector; default: the package's, disp-xy 10 ms ahead.", recipe=False
     )
     controller: str = parameter(
         "paper",

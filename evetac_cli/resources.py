@@ -12,7 +12,7 @@ from evetac_cli.errors import EvetacError
 PACKAGE = Path(__file__).resolve().parent
 DATA = PACKAGE / "data"
 SCENES = DATA / "scenes"
-MODEL = DATA / "models" / "fast-slow-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
+MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
 
 
 def schemas() -> Path:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import EvaluateForce, TrainForce, recipe_of
 from evetac_cli.stages.related_files import recording_with_truth
@@ -182,6 +183,6 @@ def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
         raise InputError(
             "the tracks have another dot grid than the force model",
             where=str(tracks.path),
-            expected="{} rows x {} columns".format(*model.dot_shape) + f" as in {model_path}",
-            found="{} rows x {} columns".format(*shape),
+            expected=f"{in_words(*model.dot_shape)} as in {model_path}",
+            found=in_words(*shape),
         )
