@@ -93,8 +93,8 @@ class Record(Trials):
 
     scene: str = parameter(
         "slip",
-        "Scene: slip, slip-varied, handling, data-rate, shear, press, rest, edge, vibration, vibration-randomized, or a"
-        " TOML file.",
+        "Scene: slip, slip-varied, handling, data-rate, grip-steps, shear, press, rest, edge, vibration,"
+        " vibration-randomized, or a TOML file.",
     )
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(
@@ -165,6 +165,12 @@ class Record(Trials):
         high=1000.0,
         recipe=False,
     )
+    current_of: str | None = parameter(
+        None,
+        "Devices: the gripper follows the current that this scene names (grip-steps, or a TOML file), instead of"
+        " closing, holding and letting it fall.",
+        recipe=False,
+    )
     watchdog_ms: int = parameter(
         100,
         "Devices: the gripper lets go if it gets no command for so long, or nobody records; a multiple of 20.",
@@ -225,11 +231,32 @@ class Calibrate:
 
 @dataclass(frozen=True)
 class Identify:
-    """Estimate a sensor from recordings (at rest, pressed) and write it as TOML for --sensor, with intervals."""
+    """Estimate a sensor from recordings (at rest, pressed, gripping); write it as TOML for --sensor, with intervals."""
 
     like: str = parameter("evetac", "The sensor that has all which the recordings do not tell.")
     name: str = parameter("own-sensor", "What recordings made with it call the sensor.")
     seed: int = parameter(0, "Seed of the bootstrap intervals.", low=0, high=2**31 - 1)
+    object_mass_g: float | None = parameter(
+        None, "Mass of the object that a gripper held: the scale of the gel's stiffness.", unit="g", low=1.0, high=1e5
+    )
+    object_friction: float = parameter(
+        0.9, "Static friction of that object on the gel of an average sensor; 0.9 is glass.", low=0.01, high=10.0
+    )
+    force_per_current: float | None = parameter(
+        None,
+        "Force of a finger for each mA of the gripper's current, by a scale between the fingers; it makes forces out of"
+        " what recordings tell in current.",
+        unit="N/mA",
+        low=0.001,
+        high=100.0,
+    )
+    pixel_mm: float | None = parameter(
+        None,
+        "Size of a pixel on the gel, by a ruler laid on it; default: that of --like, taken as known within 12 %.",
+        unit="mm",
+        low=0.001,
+        high=1.0,
+    )
 
 
 @dataclass(frozen=True)
