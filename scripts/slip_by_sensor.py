@@ -34,14 +34,14 @@ Row = dict[str, Any]
 
 def predictions(model: Model, folder: Path) -> list[Prediction]:
     """What a model says of every labelled trajectory in a folder."""
-    detector, found = model.detector(), []
+    detector, trials = model.detector(), []
     for path in sorted(folder.glob("*.features.h5")):
         with StageFile(path, "features") as file:
             header = file.header
-        found.append(predict(detector, read_trajectory(path, model.architecture), header, model.horizon_ms))
-    if not found:
+        trials.append(predict(detector, read_trajectory(path, model.architecture), header, model.horizon_ms))
+    if not trials:
         raise SystemExit(f"{folder}: no features")
-    return found
+    return trials
 
 
 def by_object(trials: Sequence[Prediction]) -> list[list[Prediction]]:
@@ -149,9 +149,9 @@ def main() -> None:
     for given in options.model:
         name, _, path = given.partition("=")
         model = Model.read(Path(path))
-        found = {folder.name: predictions(model, folder) for folder in options.folders}
-        drawn = [trials for sensor, trials in found.items() if sensor.startswith("randomized")]
-        rows += [row_of(name, sensor, [trials], model.threshold, options.seed) for sensor, trials in found.items()]
+        by_sensor = {folder.name: predictions(model, folder) for folder in options.folders}
+        drawn = [trials for sensor, trials in by_sensor.items() if sensor.startswith("randomized")]
+        rows += [row_of(name, sensor, [trials], model.threshold, options.seed) for sensor, trials in by_sensor.items()]
         if len(drawn) > 1:
             rows.append(row_of(name, f"mean of {len(drawn)} randomized", drawn, model.threshold, options.seed))
         contacts += [in_contact(name, model, folder) for folder in options.contact]

@@ -157,9 +157,12 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     torch.set_num_threads(1)  # these networks are too small to share, and one thread gives one result
     shape = _common_shape(job.inputs)
     if adapted is not None and adapted.dot_shape != shape:
-        expected = "{} x {} dots, as of {}".format(*shape, job.inputs[0])
-        found = "{} x {}".format(*adapted.dot_shape)
-        raise InputError("a model for another dot grid", where=str(adapted.path), expected=expected, found=found)
+        raise InputError(
+            "a model for another dot grid",
+            where=str(adapted.path),
+            expected="{} x {} dots, as of {}".format(*shape, job.inputs[0]),
+            found="{} x {}".format(*adapted.dot_shape),
+        )
     start = adapted.weights if adapted is not None else None
     architecture = ARCHITECTURES[params.model]
     if isinstance(architecture, DotArchitecture):
