@@ -44,7 +44,7 @@ slip-images: $(READY)  ## ... train those that see images, the slowest part
 slip-table: $(READY)  ## ... and judge all of these on unseen slips
 	@$(REPRODUCE) --only $@
 
-ship: $(READY)  ## put the best fast-slow detector, 10 ms ahead, into the package, for grasp
+ship: $(READY)  ## train a detector for sensors unlike each other, 10 ms ahead, and put it into the package
 	@$(REPRODUCE) --only $@
 
 tracking: $(READY)  ## presets of the tracker on edges, slip and shear
@@ -72,7 +72,7 @@ film: $(READY)  ## a short film of a catch: docs/catch.gif
 	@$(REPRODUCE) --only $@
 	cp $(if $(SMALL),small/)film/catch.gif docs/catch.gif
 
-results: $(READY)  ## write the tables in docs/results/ into the README
+results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
 test: $(READY)  ## the test suite

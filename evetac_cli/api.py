@@ -63,7 +63,9 @@ def open_features(path: str | Path) -> StageFile:
 
 
 def open_forces(path: str | Path) -> StageFile:
-    """Open a forces file: shear force in N, (slices, 2), by `regression_n` and by `network_n`.
+    """Open a forces file: `shear_n` (slices, 2), `normal_n` (slices,), their `_sd_n`, and `contact`, all by slice.
+
+    By a model of the paper's method: shear force in N, (slices, 2), by `regression_n` and by `network_n`.
 
     InputError if it is anything else.
 
@@ -87,7 +89,7 @@ def open_model(path: str | Path) -> StageFile:
 
 
 def open_force_model(path: str | Path) -> StageFile:
-    """Open a force model: `regression/slope_n_px`, `regression/offset_n`, the network's weights and scales.
+    """Open a force model: `regression/slope_n_px`, `regression/offset_n`, the network's weights and scales; or `gel/`.
 
     InputError if it is anything else.
 

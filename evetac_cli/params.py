@@ -92,7 +92,9 @@ class Record(Trials):
     """Record events: simulate a scene, record from devices, or import a foreign event file."""
 
     scene: str = parameter(
-        "slip", "Scene: slip, data-rate, shear, press, rest, edge, vibration, vibration-randomized, or a TOML file."
+        "slip",
+        "Scene: slip, slip-varied, handling, data-rate, grip-steps, shear, press, rest, edge, vibration,"
+        " vibration-randomized, or a TOML file.",
     )
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(
@@ -163,6 +165,12 @@ class Record(Trials):
         high=1000.0,
         recipe=False,
     )
+    current_of: str | None = parameter(
+        None,
+        "Devices: the gripper follows the current that this scene names (grip-steps, or a TOML file), instead of"
+        " closing, holding and letting it fall.",
+        recipe=False,
+    )
     watchdog_ms: int = parameter(
         100,
         "Devices: the gripper lets go if it gets no command for so long, or nobody records; a multiple of 20.",
@@ -218,16 +226,37 @@ class Calibrate:
     gel: str | None = parameter(
         None, "What the gel is; default: as its columns say, 9 or 8, or the default grid.", choices=("cut", "closed")
     )
-    any_grid: bool = parameter(False, "Take a grid that is not that of a whole Evetac, as it is.")
+    any_grid: bool = parameter(False, "Take dots that are not the whole grid of an Evetac, also those in no grid.")
 
 
 @dataclass(frozen=True)
 class Identify:
-    """Estimate a sensor from recordings (at rest, pressed) and write it as TOML for --sensor, with intervals."""
+    """Estimate a sensor from recordings (at rest, pressed, gripping); write it as TOML for --sensor, with intervals."""
 
     like: str = parameter("evetac", "The sensor that has all which the recordings do not tell.")
     name: str = parameter("own-sensor", "What recordings made with it call the sensor.")
     seed: int = parameter(0, "Seed of the bootstrap intervals.", low=0, high=2**31 - 1)
+    object_mass_g: float | None = parameter(
+        None, "Mass of the object that a gripper held: the scale of the gel's stiffness.", unit="g", low=1.0, high=1e5
+    )
+    object_friction: float = parameter(
+        0.9, "Static friction of that object on the gel of an average sensor; 0.9 is glass.", low=0.01, high=10.0
+    )
+    force_per_current: float | None = parameter(
+        None,
+        "Force of a finger for each mA of the gripper's current, by a scale between the fingers; it makes forces out of"
+        " what recordings tell in current.",
+        unit="N/mA",
+        low=0.001,
+        high=100.0,
+    )
+    pixel_mm: float | None = parameter(
+        None,
+        "Size of a pixel on the gel, by a ruler laid on it; default: that of --like, taken as known within 12 %.",
+        unit="mm",
+        low=0.001,
+        high=1.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -270,6 +299,9 @@ class Label:
         high=1000,
     )
     after_ms: int = parameter(60, "Slices labelled after the onset; later ones are not examined.", unit="ms", low=0)
+    from_start: bool = parameter(
+        False, "Label closing, loading and light contact too, before the current falls; truth, to train on."
+    )
 
 
 @dataclass(frozen=True)
@@ -335,8 +367,9 @@ class Train:
     preset: str = parameter(
         "paper",
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
-        " on normalised features, samples made stronger and weaker, and the average of the weights over training.",
-        choices=("paper", "adam", "adamw"),
+        " on normalised features, samples made stronger and weaker, and the average of the weights over training;"
+        " adapt: the same at a tenth of the rate, for --adapt.",
+        choices=("paper", "adam", "adamw", "adapt"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
     max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
@@ -360,6 +393,12 @@ class Train:
         low=0,
         high=100,
     )
+    adapt: str = parameter(
+        "",
+        "Go on from this trained model, or `shipped`, the package's: a few recordings of one's own sensor adapt it."
+        " Architecture and horizon are the model's; 1000 small steps unless --max-steps says otherwise.",
+        recipe=False,
+    )
 
 
 @dataclass(frozen=True)
@@ -371,19 +410,54 @@ class TrackRgb:
 
 @dataclass(frozen=True)
 class TrainForce:
-    """Fit shear force to the displacements of dots: a linear regression, and the paper's network."""
+    """Train a force model: the paper's on dots of one sensor, or one for any sensor; adapt the latter to your own."""
 
+    method: str = parameter(
+        "paper",
+        "paper: shear force by a linear regression and the paper's network, for the dot grid of one sensor; gel: shear"
+        " and normal force and contact for any dot grid and gel, from simulated contacts, its errors measured on the"
+        " files.",
+        choices=("paper", "gel"),
+    )
+    adapt: bool = parameter(
+        False,
+        "Adapt a model of method gel to your sensor instead, from recordings under known forces: readings lie beside"
+        " the tracks as NAME.force.csv, or are the truth of a simulation.",
+    )
+    model: Path | None = parameter(None, "With --adapt: the model; default: the one that evetac has.", recipe=False)
+    sensor: str | None = parameter(
+        None,
+        "With --adapt: your sensor's file as `evetac identify` writes it, or a sensor's name; default: unknown.",
+        recipe=False,
+    )
+    stiffness_error: float = parameter(
+        0.1, "With --sensor: relative error of its moduli, one standard deviation.", low=0.0, high=2.0
+    )
+    contacts: int = parameter(4000, "Of method gel: contacts that are simulated.", low=10, high=1000000)
     samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
     noise_n: float = parameter(0.05, "Noise of the force sensor that is fitted to, sd.", unit="N", low=0.0, high=100.0)
-    epochs: int = parameter(50, "Passes over the samples; the best on the last file is kept.", low=1, high=100000)
+    epochs: int = parameter(
+        50, "Passes over the samples; of the paper's network the best on the last file is kept.", low=1, high=100000
+    )
     seed: int = parameter(0, "Seed of the noise, the first weights and the order of samples.", low=0, high=2**31 - 1)
 
 
 @dataclass(frozen=True)
 class PredictForce:
-    """Predict the shear force from tracked dots, slice by slice, with a force model."""
+    """Predict force from tracked dots, slice by slice: shear, normal force and contact, with their uncertainty."""
 
-    model: Path | None = parameter(None, "Force model, made by train-force.", recipe=False)
+    model: Path | None = parameter(
+        None, "Force model, made by train-force; default: the one for any sensor that evetac has.", recipe=False
+    )
+    sensor: str | None = parameter(
+        None,
+        "Your sensor's file as `evetac identify` writes it, or a sensor's name: its scale and stiffness; default:"
+        " unknown, and forces are as unsure.",
+        recipe=False,
+    )
+    stiffness_error: float = parameter(
+        0.1, "With --sensor: relative error of its moduli, one standard deviation.", low=0.0, high=2.0
+    )
 
 
 @dataclass(frozen=True)
@@ -521,16 +595,25 @@ class EvaluateStability:
 
 @dataclass(frozen=True)
 class EvaluateForce:
-    """Compare the shear force that force models predict from dots with the true one (simulated recordings)."""
+    """Compare the forces that force models predict from dots with the true ones (simulated recordings)."""
 
     model: str = parameter(
         "", "Force model, folder or glob of several: each judges the tracks of its own sensor.", recipe=False
+    )
+    adapt: str = parameter(
+        "",
+        "Tracks (a folder or a glob) of the same sensors, on which a model of method gel is adapted first; one row"
+        " more of each sensor.",
+        recipe=False,
+    )
+    stiffness_error: float = parameter(
+        0.1, "Of method gel: relative error of the moduli that are taken as known, sd.", low=0.0, high=2.0
     )
     samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
     noise_n: float = parameter(
         0.05, "Noise of the force sensor that is compared with, sd.", unit="N", low=0.0, high=100.0
     )
-    seed: int = parameter(0, "Seed of the force sensor's noise.", low=0, high=2**31 - 1)
+    seed: int = parameter(0, "Seed of the noise, and of the error of the moduli.", low=0, high=2**31 - 1)
 
 
 @dataclass(frozen=True)
@@ -540,7 +623,7 @@ class Grasp(Trials):
     scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
     objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
     model: Path | None = parameter(
-        None, "Model file of the slip detector; default: the package's, fast-slow 10 ms ahead.", recipe=False
+        None, "Model file of the slip detector; default: the package's, disp-xy 10 ms ahead.", recipe=False
     )
     controller: str = parameter(
         "paper",

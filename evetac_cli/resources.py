@@ -1,4 +1,4 @@
-"""Where the package's own data lies: schemas, scenes, tables, a slip detector."""
+"""Where the package's own data lies: schemas, scenes, tables, a slip detector, a force model."""
 
 import functools
 import os
@@ -12,7 +12,8 @@ from evetac_cli.errors import EvetacError
 PACKAGE = Path(__file__).resolve().parent
 DATA = PACKAGE / "data"
 SCENES = DATA / "scenes"
-MODEL = DATA / "models" / "fast-slow-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
+MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
+FORCE_MODEL = DATA / "models" / "gel.force-model.h5"  # of `predict-force`, likewise
 
 
 def schemas() -> Path:

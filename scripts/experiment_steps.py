@@ -61,8 +61,10 @@ SLIP: Sizes = {
     "presets": ("adamw", "paper"),
     "folds": 3,
     "steps": 40_000,
+    "travel": True,  # all trials of the detector that travels, else one of each known object
 }
 SMALL_SLIP: Sizes = {
+    "travel": False,
     "known": "3,8",
     "unseen": "11",
     "train": 1,
@@ -75,6 +77,19 @@ SMALL_SLIP: Sizes = {
     "folds": 2,
     "steps": 200,
 }
+# The shipped detector has to travel between sensors: it learns from many, from fingers and objects that vary, and from
+# contact without slip. Scene, sensor, objects, trials of each, seed; the seeds are those that it was made with.
+TRAVEL_LEARN = (
+    ("slip", "evetac", "1-9", 12, 0),
+    ("slip", "randomized", "1-9", 5, 3000),
+    ("slip-varied", "evetac", "1-9", 5, 4500),
+    ("slip-varied", "evetac", "1-9", 6, 4600),
+    ("slip-varied", "randomized", "1-9", 4, 4000),
+    ("slip-varied", "randomized", "1-9", 4, 4100),
+    ("handling", "randomized", "1-9", 2, 4700),
+    ("lift", "randomized", "1-9", 2, 4800),  # held firmly all the time: motion of the hand without slip
+)
+TRAVEL_CHOOSE = (("slip", "evetac", "1-9", 2, 500), ("slip", "randomized", "1-7", 5, 3100))
 AHEAD = ("hist20", "fast-slow")  # the models that are trained to predict too
 LABELS = "event-flow"
 
@@ -90,6 +105,27 @@ def slip_data_steps(sizes: Sizes) -> Iterator[Command]:
         yield evetac("featurize", f"{folder}/*.recording.h5", "--images")
     yield evetac("label", "learn/*.recording.h5", "--method", "truth", "--out", "truth")
     yield evetac("featurize", "learn/*.recording.h5", "--tracks", "learn", "--labels", "truth", "--out", "truth")
+
+    yield from travel_data_steps(sizes)
+
+
+def travel_data_steps(sizes: Sizes) -> Iterator[Command]:
+    """Of the detector that travels: what it learns from is labelled by the truth, from the first slice on."""
+    for role, rows in (("learn", TRAVEL_LEARN), ("choose", TRAVEL_CHOOSE)):
+        for scene, sensor, every, each, seed in rows:
+            name = f"{scene}-{sensor}-{seed}"
+            objects, count = (every, each) if sizes["travel"] else (sizes["known"], 1)
+            trials = ("--sensor", sensor, "--object", objects, "--count", count, "--seed", seed,
+                      "--out", f"travel/{name}")  # fmt: skip
+            if scene == "lift":
+                yield evetac("grasp", "--controller", "fixed:6", "--lift-s", 3.5, "--balance-s", 0.2, *trials)
+            else:
+                yield evetac("record", "--scene", scene, *trials)
+            recordings = f"travel/{name}/*.recording.h5"
+            truth = ("--method", "truth", "--from-start") if role == "learn" else ()
+            yield evetac("label", recordings, *truth)
+            yield evetac("track", recordings, "--preset", sizes["tracker"])
+            yield evetac("featurize", recordings, "--out", f"travel/{role}")
 
 
 def learn(sizes: Sizes, features: str, folder: str, seeds: int, preset: str, steps: int, *words: object) -> Command:
@@ -279,4 +315,10 @@ def film_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def ship_steps(sizes: Sizes) -> Iterator[Command]:
-    yield script("ship_model.py", "models/adamw-ahead/fast-slow-10ms-s*.model.h5", "slip-unseen-objects.report.h5")
+    """Train the detector that travels, judge it on unseen objects, and put it into the package."""
+    yield evetac("train", "travel/learn/*.features.h5", "--model", "disp-xy", "--horizon-ms", 10, "--preset", "adamw",
+                 "--max-steps", min(sizes["steps"], 10_000), "--validate", "travel/choose", "--seed", sizes["seed"],
+                 "--seeds", min(sizes["seeds"], 3), "--out", "models/travel")  # fmt: skip
+    yield evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "models/travel/*.model.h5",
+                 "--out", "ship.report.h5")  # fmt: skip
+    yield script("ship_model.py", "models/travel/disp-xy-10ms*.model.h5", "ship.report.h5")

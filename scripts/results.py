@@ -1,6 +1,6 @@
-"""Print the tables of docs/results/ as Markdown, and write them into the README between their marks.
+"""Write the tables of docs/results/ as Markdown into the README and the pages of docs/, between their marks.
 
-    python scripts/results.py [--results docs/results] [README.md]
+    python scripts/results.py [--results docs/results] [README.md docs/...]
 
 A page says where a table belongs by two comments, `<!-- table NAME -->` and `<!-- end of NAME -->`; the text of
 docs/results/NAME.json is put between them. A page that names a table without a file is left as it is.
@@ -117,7 +117,7 @@ def fill_page(page: str, results: Path) -> str:
 def main() -> None:
     """Write the tables into the pages."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("pages", nargs="*", type=Path, default=[ROOT / "README.md"])
+    parser.add_argument("pages", nargs="*", type=Path, default=[ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
     parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results")
     chosen = parser.parse_args()
     for page in chosen.pages:

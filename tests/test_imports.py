@@ -44,6 +44,7 @@ ONLY_IN = {
         "kernels/slip/networks.py",
         "kernels/slip/training.py",
         "kernels/force/training.py",
+        "kernels/force/gel_training.py",
         "stages/train.py",
     ),
     "typer": ("cli/main.py", "cli/exit_codes.py"),

@@ -18,6 +18,7 @@ from experiments import EXPERIMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
+PAGES = {path: path.read_text() for path in sorted((ROOT / "docs").glob("*.md"))}
 INDENTED = [line[4:].split("   #")[0].strip() for line in README.splitlines() if line.startswith("    ")]
 OF_SCRIPTS = ("blind-identification",)  # results of scripts, which docs quote: no tables of experiments
 RESULTS = sorted(
@@ -64,14 +65,16 @@ def test_python_interface_is_there() -> None:
 
 def test_tables_say_what_results_say() -> None:
     """Assert that every table is what its file in docs/results/ says: `make results` would change nothing."""
-    assert results.fill_page(README, ROOT / "docs" / "results") == README
+    for page in (README, *PAGES.values()):
+        assert results.fill_page(page, ROOT / "docs" / "results") == page
 
 
 def test_every_table_has_a_file_and_a_place() -> None:
-    """Assert that experiments, files and README name the same tables."""
+    """Assert that experiments and README name the same tables, and that each file has a place there or in the docs."""
     names = sorted(table.name for experiment in EXPERIMENTS for table in experiment.tables)
-    assert [path.stem for path in RESULTS] == names
-    assert sorted(re.findall(r"<!-- table ([\w-]+) -->", README)) == names
+    places, elsewhere = (re.findall(r"<!-- table ([\w-]+) -->", page) for page in (README, "".join(PAGES.values())))
+    assert sorted(places) == names
+    assert [path.stem for path in RESULTS] == sorted([*names, *elsewhere])
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)

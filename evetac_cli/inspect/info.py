@@ -12,6 +12,7 @@ from evetac_cli.console import format_value, print_table, print_text
 from evetac_cli.devices import losses
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
+from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
 from evetac_cli.text_files import parse_json
@@ -118,7 +119,7 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "data_rate_to_rgb": bytes_s / RGB_BYTES_S,
             "frame_px": f"{width} x {height}",
             "sensor": recording.read("sensor/name"),
-            "dots": "none" if grid is None else f"{grid.shape[0]} rows x {grid.shape[1]} columns",
+            "dots": "none" if grid is None else in_words(*grid.shape[:2]),
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
             "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture"))) or "none",
             **(_capture(file) if recording.has("capture") else {}),
@@ -197,7 +198,7 @@ def _features(file: StageFile) -> dict[str, Any]:
     rows, columns = file.read("dot_shape").tolist()
     return {
         "slices": file.length("events_total"),
-        "dots": f"{rows} rows x {columns} columns",
+        "dots": in_words(rows, columns),
         "labelled": file.has("label"),
         "onset_ms": _onset_ms(file) if file.has("onset_slice") else None,
     }
@@ -217,18 +218,35 @@ def _model(file: StageFile) -> dict[str, Any]:
 
 
 def _force_model(file: StageFile) -> dict[str, Any]:
+    if file.has("gel"):
+        adapted = file.has("adapted")
+        modulus = float(file.read("adapted/shear")[:, 0].mean()) * 1e6 if adapted else None
+        return {
+            "sensor": file.read("sensor"),
+            "sensor_name": file.read("sensor_name"),
+            "dots": "any grid",
+            "adapted_shear_modulus_pa": modulus,
+        }
     rows, columns = file.read("dot_shape").tolist()
     chosen = int(file.read("curve/chosen"))
     return {
         "sensor": file.read("sensor"),
         "sensor_name": file.read("sensor_name"),
-        "dots": f"{rows} rows x {columns} columns",
+        "dots": in_words(rows, columns),
         "epoch": chosen + 1,
         "held_out_n_rms": float(file.read("curve/held_out_n")[chosen]),
     }
 
 
 def _forces(file: StageFile) -> dict[str, Any]:
+    if file.has("shear_n"):
+        shear_n = np.linalg.norm(file.read("shear_n"), axis=1)
+        return {
+            "slices": len(shear_n),
+            "force_n_most": float(np.nanmax(shear_n, initial=0.0)),
+            "normal_n_most": float(np.nanmax(file.read("normal_n"), initial=0.0)),
+            "contact_s": float(file.read("contact").sum() / 1000),
+        }
     force = np.abs(file.read("network_n"))
     return {"slices": len(force), "force_n_most": float(force.max(initial=0.0))}
 

@@ -197,17 +197,7 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
     else:
         raise ValueError(f"mode must be position or current, found {mode!r}")
     state.current_ma = min(max(wanted_ma, -drive.current_limit_ma), drive.current_limit_ma)
-    law: FingerLaw = (
-        curve.metres_per_tick / 2,  # each finger moves half the gap
-        drive.friction_n,
-        drive.friction_share,
-        drive.damping_n_s_m,
-        drive.mass_kg,
-        drive.speed_limit_m_s,
-        drive.open_ticks - state.touch_ticks,
-        min(drive.closed_ticks - state.touch_ticks, curve.reach_ticks),
-        drive.backlash_ticks / 2,
-    )
+    law = _law(drive, curve, state.touch_ticks)
     motor_n = drive.force_per_current_n_ma * state.current_ma
     place = (state.motor_ticks, state.closing_ticks)
     state.speed_m_s, state.motor_ticks, state.closing_ticks = _move(
@@ -222,6 +212,20 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
 # highest speed, the ends of its closing and half its lost motion in ticks. Why so: a plain tuple, as a named one takes
 # 1 us more, of 4.
 FingerLaw = tuple[float, float, float, float, float, float, float, float, float]
+
+
+def _law(drive: Drive, curve: ForceCurve, touch_ticks: float) -> FingerLaw:
+    return (
+        curve.metres_per_tick / 2,  # each finger moves half the gap
+        drive.friction_n,
+        drive.friction_share,
+        drive.damping_n_s_m,
+        drive.mass_kg,
+        drive.speed_limit_m_s,
+        drive.open_ticks - touch_ticks,
+        min(drive.closed_ticks - touch_ticks, curve.reach_ticks),
+        drive.backlash_ticks / 2,
+    )
 
 
 @njit(cache=True)
@@ -268,6 +272,43 @@ def _move(
         q = newton if slow < newton < fast else 0.5 * (slow + fast)
     motor += sign * q * ticks_per_speed
     return sign * q, motor, _follow(motor, finger, half_play)
+
+
+def places(
+    drive: Drive,
+    curve: ForceCurve,
+    touch_ticks: float,
+    closing_ticks: float,
+    current_ma: NDArray[np.float64],
+    dt_s: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places of motor and finger in ticks of the gripper after each of many steps of dt_s in current mode.
+
+    It starts as from `start`; currents need not be whole. The same law as `step`, in one call.
+    """
+    law = _law(drive, curve, touch_ticks)
+    motor_n = drive.force_per_current_n_ma * np.clip(current_ma, -drive.current_limit_ma, drive.current_limit_ma)
+    motor, finger = _move_on((closing_ticks, closing_ticks), motor_n, dt_s, curve.force_n, curve.step_ticks, law)
+    return touch_ticks + motor, touch_ticks + finger
+
+
+@njit(cache=True)
+def _move_on(
+    place: tuple[float, float],
+    motor_n: NDArray[np.float64],
+    dt: float,
+    force_table: NDArray[np.float64],
+    step_ticks: float,
+    law: FingerLaw,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Closing of motor and finger after each step."""
+    motors, fingers = np.empty(len(motor_n)), np.empty(len(motor_n))
+    motor, finger = place
+    speed = 0.0
+    for number in range(len(motor_n)):
+        speed, motor, finger = _move((motor, finger), speed, motor_n[number], dt, force_table, step_ticks, law)
+        motors[number], fingers[number] = motor, finger
+    return motors, fingers
 
 
 @njit(cache=True)

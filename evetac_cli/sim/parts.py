@@ -94,9 +94,11 @@ def _mechanics(plan: Plan) -> list[Part]:
 
 
 def _camera(plan: Plan) -> list[Part]:
+    from evetac_cli.sim.camera.gel_camera import dot_grid  # brings numba
+
     resolved, sensor_row = plan["scene"], plan["sensor_row"]
     cut = resolved["gel"]["cut"]
-    dots = len(sensor_row["dot_rows_px"]) * (len(sensor_row["dot_columns_px"]) - cut)
+    dots = dot_grid(sensor_row, cut).size // 2
     readout = {"dvxplorer": "5000 scans/s, global hold", "ideal": "every event to the us"}[plan["readout"]]
     textured = "texture" in resolved
     shown = cut and textured and resolved["texture"].get("show", True)

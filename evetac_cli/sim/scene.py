@@ -55,6 +55,7 @@ ONLY_IN = {
     "gripper.backlash_ticks": GRIPPED,
     "gripper.second_finger": GRIPPED,
     "gripper.encoder_noise_ticks": GRIPPED,
+    "gripper.current": ("hold",),
     "gripper.command_delay_ms": GRIPPED,
     "gripper.command_jitter_ms": GRIPPED,
     "object": GRIPPED,
@@ -141,12 +142,27 @@ def _check_ranges(scene: dict[str, Any], where: str) -> None:
         for key, value in scene.get(group, {}).items():
             if isinstance(value, list) and not isinstance(value[0], str) and value[0] > value[1]:
                 raise SceneError(f"{group}.{key}: the lower end comes first", where=where, found=str(value))
+    current = scene.get("gripper", {}).get("current")
+    if current is not None:
+        _check_current(current, where)
     push = scene.get("push")
     if push is not None and len(push["at_s"]) != len(push["force_n"]):
         expected = f"one force for each of the {len(push['at_s'])} in at_s"
         raise SceneError("push.force_n: of another length", where=where, expected=expected, found=str(push["force_n"]))
     _check_vibration(scene, where)
     _check_tone(scene.get("tone", {}), where)
+
+
+def _check_current(current: dict[str, Any], where: str) -> None:
+    """The gripper's current has one value at each of its times, which rise."""
+    at_s = current["at_s"]
+    if any(after <= before for before, after in zip(at_s, at_s[1:], strict=False)):
+        raise SceneError("gripper.current.at_s: expected rising times", where=where, found=str(at_s))
+    if len(current["ma"]) != len(at_s):
+        expected = f"one current for each of the {len(at_s)} in at_s"
+        raise SceneError(
+            "gripper.current.ma: of another length", where=where, expected=expected, found=str(current["ma"])
+        )
 
 
 def _check_vibration(scene: dict[str, Any], where: str) -> None:

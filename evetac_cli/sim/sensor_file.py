@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 
 from evetac_cli.errors import InputError
+from evetac_cli.kernels.calibration import grid
 from evetac_cli.resources import schemas
 from evetac_cli.resources import table as packaged
 from evetac_cli.text_files import read_toml
@@ -30,7 +32,9 @@ TYPES = {
     "object": "a table",
     "boolean": "true or false",
 }
-DOT_PLACES = ("dot_columns_px", "dot_rows_px", "hot_pixel_hz")  # lists that rise
+GRID = ("dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg")  # what dot_xy_px takes the place of
+RISING = ("dot_columns_px", "dot_rows_px", "hot_pixel_hz")
+LEAST_DOTS = 4  # fewer say nothing of how a gel turns and stretches
 
 
 def read(path: Path, named_row: Callable[[str], dict[str, Any]]) -> tuple[str, dict[str, Any]]:
@@ -41,19 +45,25 @@ def read(path: Path, named_row: Callable[[str], dict[str, Any]]) -> tuple[str, d
     table = read_toml(path)
     where = str(path)
     _check_finite(table, where, "")
-    name, like = table.get("name", UNNAMED), table.get("like")
+    if "dot_xy_px" in table:
+        table = {**table, "dot_xy_px": _rows_of_dots(table["dot_xy_px"])}
     _check(table, where, whole=False)
+    name, like = table.get("name", UNNAMED), table.get("like")
     if like == "randomized":
         expected = "one sensor, as in evetac or randomized:7"
         raise InputError("like: not one sensor but many", where=where, expected=expected, found=like)
     check_name(name, where)
+    named = [key for key in GRID if key in table]
+    if "dot_xy_px" in table and named:
+        expected = f"dot_xy_px, or {', '.join(GRID)}"
+        raise InputError("dots are named twice", where=where, expected=expected, found=f"dot_xy_px and {named[0]}")
     base = {} if like is None else _row_of(like, named_row, where)
-    row = {**base, **{key: value for key, value in table.items() if key not in ("name", "like")}}
+    replaced = GRID if "dot_xy_px" in table else ("dot_xy_px",) if named else ()
+    kept = {key: value for key, value in base.items() if key not in replaced}
+    row = {**kept, **{key: value for key, value in table.items() if key not in ("name", "like")}}
     for group in ("gripper", "friction"):
         if group in base and group in table:
             row[group] = {**base[group], **table[group]}
-    if "dot_xy_px" in table and "dot_columns_px" not in table:
-        row |= _columns_and_rows(table["dot_xy_px"], where)
     row.setdefault("summary", f"read from a file, like {like}" if like else "read from a file")
     check_row(row, where)
     result: dict[str, Any] = _with_floats(row, _rules())
@@ -72,17 +82,17 @@ def check_name(name: str, where: str) -> None:
 def check_row(row: Mapping[str, Any], where: str) -> None:
     """InputError unless this is a whole row of a sensor whose values fit together."""
     _check(row, where, whole=True)
-    for key in DOT_PLACES:
-        if any(after < before for before, after in zip(row[key], row[key][1:], strict=False)):
-            raise InputError(f"{key}: expected rising values", where=where, found=str(row[key]))
+    for key in RISING:
+        values = row.get(key, [])
+        if any(after < before for before, after in zip(values, values[1:], strict=False)):
+            raise InputError(f"{key}: expected rising values", where=where, found=str(values))
     x0, y0, x1, y1 = row["window_px"]
     if not (x0 < x1 and y0 < y1 <= row["frame_px"][1]):
         expected = "x0 < x1 and y0 < y1 within the frame"
         raise InputError("window_px: not a window", where=where, expected=expected, found=str(row["window_px"]))
     if ("servo_n_tick" in row.get("gripper", {})) != ("two_ticks_n" in row.get("gripper", {})):
         raise InputError("gripper: servo_n_tick and two_ticks_n need each other", where=where)
-    if "dot_xy_px" in row and len({len(dots) for dots in row["dot_xy_px"]}) != 1:
-        raise InputError("dot_xy_px: expected rows of equally many dots", where=where)
+    _check_dots(row, where)
     if "hot_pixel_table" in row:
         _check_hot_pixels(row["hot_pixel_table"], where)
 
@@ -132,17 +142,60 @@ def _row_of(like: str, named_row: Callable[[str], dict[str, Any]], where: str) -
         ) from None
 
 
-def _columns_and_rows(dot_xy_px: list[list[list[float]]], where: str) -> dict[str, list[float]]:
-    """Means of the columns and rows of dots, which say how many there are."""
-    columns = {len(row) for row in dot_xy_px}
-    if len(columns) != 1:
-        raise InputError("dot_xy_px: expected rows of equally many dots", where=where)
-    down = range(len(dot_xy_px))
-    across = range(columns.pop())
-    return {
-        "dot_columns_px": [sum(dot_xy_px[row][column][0] for row in down) / len(down) for column in across],
-        "dot_rows_px": [sum(dot_xy_px[row][column][1] for column in across) / len(across) for row in down],
-    }
+def _rows_of_dots(dot_xy_px: Any) -> Any:
+    """Rows of dots; a list of dots without rows is put into those of its grid, or into one row if it has none.
+
+    What is no list of dots goes on to the schema, which refuses it.
+    """
+    dots = dot_xy_px if isinstance(dot_xy_px, list) else []
+    if not dots or any(isinstance(value, list) for dot in dots if isinstance(dot, list) for value in dot):
+        return dot_xy_px
+    fits = LEAST_DOTS <= len(dots) <= grid.MOST_DOTS
+    if not fits or any(type(dot) is not list or len(dot) != 2 or {type(v) for v in dot} - {int, float} for dot in dots):
+        return [dots]
+    try:
+        rows: list[list[list[float]]] = grid.arrange(np.array(dots, float)).tolist()
+    except ValueError:
+        return [dots]
+    return rows
+
+
+def _check_dots(row: Mapping[str, Any], where: str) -> None:
+    """InputError unless the dots are a grid or one row of them, as many as can be tracked, in the frame and apart."""
+    from evetac_cli.sim.camera.gel_camera import dot_grid  # brings numba
+    from evetac_cli.sim.camera.lens import Lens
+
+    missing = ", ".join(key for key in GRID if key not in row)
+    if "dot_xy_px" in row and len({len(dots) for dots in row["dot_xy_px"]}) != 1:
+        expected = "rows of equally many dots; dots in no grid as a list without rows"
+        raise InputError("dot_xy_px: rows of different lengths", where=where, expected=expected)
+    if "dot_xy_px" not in row and missing:
+        raise InputError("the places of the dots are missing", where=where, expected=f"{missing}, or dot_xy_px")
+    lens = Lens.of_sensor(row)
+    dots = dot_grid(row, cut=False).reshape(-1, 2)
+    seen = dots if lens is None else lens.seen(dots)
+    if not LEAST_DOTS <= len(dots) <= grid.MOST_DOTS:
+        expected = f"{LEAST_DOTS} to {grid.MOST_DOTS}, which the tracker has room for"
+        raise InputError(
+            "a number of dots that cannot be tracked", where=where, expected=expected, found=str(len(dots))
+        )
+    width, height = row["frame_px"]
+    outside = ((seen < 0) | (seen > (width - 1, height - 1))).any(axis=1)
+    if outside.any():
+        x, y = seen[outside][0]
+        expected = f"centres inside {width} x {height} px"
+        raise InputError("a dot lies outside the frame", where=where, expected=expected, found=f"({x:.4g}, {y:.4g})")
+    apart_px = np.linalg.norm(dots[:, None] - dots[None], axis=2)
+    np.fill_diagonal(apart_px, np.inf)
+    one, other = np.unravel_index(apart_px.argmin(), apart_px.shape)
+    if apart_px[one, other] < 2.0 * row["dot_radius_px"]:
+        places = " and ".join(f"({x:.4g}, {y:.4g})" for x, y in dots[[one, other]])
+        expected = f"centres at least a diameter apart, {2.0 * row['dot_radius_px']:g} px"
+        raise InputError("two dots overlap", where=where, expected=expected, found=places)
+    beside = dot_grid(row, cut=True).size // 2
+    if beside < LEAST_DOTS:
+        expected = f"at least {LEAST_DOTS} left of window_px, for a cut gel"
+        raise InputError("too few dots beside the window", where=where, expected=expected, found=str(beside))
 
 
 def _check(table: Mapping[str, Any], where: str, *, whole: bool) -> None:

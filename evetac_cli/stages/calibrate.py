@@ -31,6 +31,7 @@ ROWS, CLOSED_COLUMNS, CUT_COLUMNS = 7, 9, 8  # of an Evetac's gel
 WINDOW_PX = (540, 0, 640, 480)  # of an Evetac's cut gel
 MOST_MISSING = 0.25  # of the dots; with more, a part of the gel was not pressed
 LEAST_DOTS = 4
+LEAST_ON_GRID = 0.9  # of the dots that were found; with fewer they stand in no grid
 WORST_JITTER_PX = 1.0
 PRESS = "press over the whole gel, and lift off between strokes"
 
@@ -76,10 +77,7 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
             raise InputError(f"no dots were seen to move: {len(places.radius_px)} found", where=where, hint=PRESS)
         radius = float(np.median(places.radius_px))
         if default is None:
-            try:
-                dots = grid.lattice(places.centre_xy_px)
-            except ValueError as error:
-                raise InputError(f"the dots do not form a grid: {error}", where=where, hint=PRESS) from None
+            dots = _arranged(places.centre_xy_px, params, where)
             window = _window(dots, radius, recording.frame_px, params, where)
             from_default = 0
         else:
@@ -149,10 +147,7 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
             raise InputError(
                 "a dot lies outside the frame", where=str(source), expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px"
             )
-        try:
-            dots = grid.lattice(centres)
-        except ValueError as error:
-            raise InputError(f"the dots do not form a grid: {error}", where=str(source)) from None
+        dots = _arranged(centres, params, str(source))
         if np.isfinite(dots[..., 0]).sum() != len(centres):
             raise InputError(
                 "the dots do not form a grid",
@@ -166,6 +161,23 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
         return _outcome(job, recipe, made_now=False)
     _write(job, calibration, recipe, {})
     return _outcome(job, recipe, made_now=True)
+
+
+def _arranged(places: Grid, params: Calibrate, where: str) -> Grid:
+    """The grid that places (n, 2) are of, or with --any-grid one row of them all if they are of none; InputError."""
+    if params.any_grid and len(places) > grid.MOST_DOTS:
+        expected = f"at most {grid.MOST_DOTS}, which the tracker has room for"
+        raise InputError("too many dots", where=where, expected=expected, found=str(len(places)))
+    try:
+        dots = grid.lattice(places)
+    except ValueError as error:
+        if params.any_grid:
+            return grid.one_row(places)
+        hint = f"{PRESS}; --any-grid takes dots that stand in no grid"
+        raise InputError(f"the dots do not form a grid: {error}", where=where, hint=hint) from None
+    if params.any_grid and np.isfinite(dots[..., 0]).sum() < LEAST_ON_GRID * len(places):
+        return grid.one_row(places)
+    return dots
 
 
 def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
@@ -183,8 +195,8 @@ def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
     figures = {
         "dots": rows * columns - missing,
         "missing_dots": missing,
-        "rows": rows,
-        "columns": columns,
+        "rows": rows if rows > 1 else None,  # one row is dots in no grid
+        "columns": columns if rows > 1 else None,
         "gel": "closed" if calibration.window_px is None else "cut",
         "window_px": " ".join(map(str, calibration.window_px or ())) or None,
         "radius_px": calibration.dot_radius_px,

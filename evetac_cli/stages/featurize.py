@@ -24,7 +24,8 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "features"
-METHOD = 2
+METHOD = 3
+SLIP_SHARE = "visible_slip_share"  # what a simulation knows beside the labels, to train on
 COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # a row for every slice
 
 
@@ -67,6 +68,8 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         parents.append(tracks.header)
         rest_xy_px = tracks.read("sensor/dot_xy_px")
         window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
+        if recording.has(f"truth/{SLIP_SHARE}"):
+            arrays[SLIP_SHARE] = recording.read(f"truth/{SLIP_SHARE}")
         for path in labels_path:
             with StageFile(path, "labels") as labels:
                 check_made_from(labels, recording)

@@ -71,8 +71,11 @@ def _event_flow(params: Label) -> event_flow.EventFlowConstants:
 
 def compute(recording: Recording, params: Label, progress: Progress = silent) -> flow.Labels:
     """Labels of a recording by the method that is chosen; InputError where the recording lacks what it needs."""
+    if params.from_start and params.method != "truth":
+        expected = "--method truth"
+        raise InputError("only the truth is known before the ramp", where="--from-start", expected=expected)
     if params.method == "truth":
-        return from_truth(recording, params.after_ms)
+        return from_truth(recording, params.after_ms, from_start=params.from_start)
     window, gel = regions(recording)
     slices, start = len(recording), ramp_start(recording)
 
@@ -117,8 +120,12 @@ def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
     return window, (0, 0, max(x0 - EDGE_LEFT_PX, 0), recording.frame_px[1])
 
 
-def from_truth(recording: Recording, after_ms: int) -> flow.Labels:
-    """Labels from the gross slip of a simulation, up to `after_ms` after its onset; InputError without truth."""
+def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False) -> flow.Labels:
+    """Labels from the gross slip of a simulation, up to `after_ms` after its onset; InputError without truth.
+
+    They begin where those of the other methods do, or, as nothing is unknown here, with the first slice. An object may
+    slide a little while its weight is handed over: these slices are left out, and the onset is that of the ramp.
+    """
     if not recording.has("truth/slip"):
         raise InputError(
             "the recording has no truth: only a simulation knows it",
@@ -127,8 +134,10 @@ def from_truth(recording: Recording, after_ms: int) -> flow.Labels:
         )
     slips = recording.read("truth/slip")
     labels = slips.astype(np.int8)
-    labels[: ramp_start(recording)] = -1  # as for the other methods: a trial begins when the object is held
-    slipping = np.flatnonzero(labels == 1)
+    start = ramp_start(recording)
+    # as for the other methods: a trial begins when the object is held
+    labels[:start] = np.where((slips[:start] == 0) & from_start, 0, -1)
+    slipping = start + np.flatnonzero(slips[start:])
     onset = int(slipping[0]) if len(slipping) else -1
     confidence = float("nan")
     if onset >= 0:

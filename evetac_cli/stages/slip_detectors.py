@@ -26,6 +26,7 @@ def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:
             file.read("events_outside"),
             file.read("label"),
             int(file.read("onset_slice")),
+            file.read("visible_slip_share") if file.has("visible_slip_share") else None,
         )
 
 

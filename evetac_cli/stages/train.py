@@ -2,7 +2,7 @@
 
 Checkpoint and threshold are chosen on validation trajectories (paper, "Evaluation Procedure & Metrics"), which are
 never trained on: those named by --validate, or every 8th of the inputs. With --folds they are chosen on objects that a
-network has not seen, by networks that are trained for this alone.
+network has not seen, by networks that are trained for this alone. --adapt goes on from a trained model.
 
 An interrupted run leaves `NAME.model.part` for each network, a numpy archive that is written every half a minute, from
 which the same command goes on to the same result.
@@ -11,21 +11,24 @@ which the same command goes on to the same result.
 import time
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip import sampling
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, LEAST_COLUMNS, LEAST_ROWS, DotArchitecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
 from evetac_cli.params import Train, recipe_of
+from evetac_cli.resources import MODEL
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.stages.related_files import named_files
@@ -39,8 +42,10 @@ if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Training, TrainingState
 
 OUTPUT = "model"
-METHOD = 3
+METHOD = 4
 VALIDATE_EVERY = 8
+SHIPPED = "shipped"  # the package's model, for --adapt
+ADAPT_STEPS = 1000
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
 
@@ -65,6 +70,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
             expected="at least two features files",
             found=f"{len(files)}, all of them validate",
         )
+    params, _ = _adapting(params)
     one_file(range(params.seeds), out)
     trainings = []
     for seed in range(params.seed, params.seed + params.seeds):
@@ -87,16 +93,58 @@ def _with_objects(files: list[Path], params: Train) -> list[Path]:
     return chosen
 
 
+class TrainedModel(NamedTuple):
+    """A model to go on from, as its file holds it."""
+
+    path: Path
+    header: Header
+    dot_shape: tuple[int, int]
+    weights: dict[str, NDArray[np.float32]]
+
+
+def _adapting(params: Train) -> tuple[Train, TrainedModel | None]:
+    """The settings of a training, and the model that --adapt names, if any; InputError if they do not fit."""
+    if not params.adapt:
+        return params, None
+    path = MODEL if params.adapt == SHIPPED else Path(params.adapt)
+    with StageFile(path, "model") as file:
+        if file.read("architecture") not in ARCHITECTURES:
+            raise InputError("of an unknown architecture", where=str(path), found=str(file.read("architecture")))
+        wanted = {"model": file.read("architecture"), "horizon_ms": int(file.read("horizon_ms")), "preset": "adapt"}
+        rows, columns = (int(size) for size in file.read("dot_shape"))
+        names = (name for name in file.contents() if name.startswith("weights/"))
+        trained = TrainedModel(
+            path, file.header, (rows, columns), {name.removeprefix("weights/"): file.read(name) for name in names}
+        )
+    usual = Train()
+    for name, value in wanted.items():
+        given = getattr(params, name)
+        if given not in (value, getattr(usual, name)):
+            raise InputError(
+                "another than that of the model to adapt",
+                where=f"--{name.replace('_', '-')}",
+                expected=f"{value}, or leave it out",
+                found=str(given),
+            )
+    if params.folds:
+        raise InputError("folds train from the beginning", where="--folds", expected="none with --adapt")
+    if params.max_steps == usual.max_steps:
+        wanted["max_steps"] = ADAPT_STEPS
+    return replace(params, **wanted), trained
+
+
 def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
+    params, adapted = _adapting(params)
     headers = [_header(path) for path in job.inputs]
     learn, seed = job.learned, job.seed
     check_disjoint(headers[:learn], headers[learn:], "validated on", job.inputs[learn:])
     labels = _label_method(job.inputs[:learn], headers[:learn])
     folds = make_folds(headers, learn, params.folds)
     parameters = {**recipe_of(params), "seed": seed, "trained_on": learn}
-    recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=tuple(headers))
-    simulated = any(header["simulated"] for header in headers)
+    parents = (*headers, adapted.header) if adapted is not None else tuple(headers)
+    recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=parents)
+    simulated = any(header["simulated"] for header in parents)
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=simulated)
 
@@ -108,13 +156,23 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
     torch.set_num_threads(1)  # these networks are too small to share, and one thread gives one result
     shape = _common_shape(job.inputs)
+    if adapted is not None and adapted.dot_shape != shape:
+        raise InputError(
+            "a model for another dot grid",
+            where=str(adapted.path),
+            expected="{} x {} dots, as of {}".format(*shape, job.inputs[0]),
+            found="{} x {}".format(*adapted.dot_shape),
+        )
+    start = adapted.weights if adapted is not None else None
     architecture = ARCHITECTURES[params.model]
+    if isinstance(architecture, DotArchitecture):
+        _check_grid(shape, job.inputs[0])
     predictions: list[list[Prediction]] = []
     try:
         for number, fold in enumerate(folds):
             trajectories = (read_trajectory(job.inputs[index], architecture) for index in fold.trained_on)
             samples = sampling.gather(trajectories, architecture, *shape, params.horizon_ms)
-            result, resumed = _train(job, params, recipe, samples, (number, len(folds)), progress)
+            result, resumed = _train(job, params, recipe, samples, (number, len(folds)), progress, start)
             last = result.checkpoints[-LAST_CHECKPOINTS:]
             graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in last]
             detectors = [Detector(graph, architecture) for graph in graphs]
@@ -170,11 +228,18 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
 
 
 def _train(
-    job: TrainJob, params: Train, recipe: Recipe, samples: Samples, place: tuple[int, int], progress: Progress
+    job: TrainJob,
+    params: Train,
+    recipe: Recipe,
+    samples: Samples,
+    place: tuple[int, int],
+    progress: Progress,
+    start: dict[str, NDArray[np.float32]] | None,
 ) -> tuple["Training", int | None]:
     """Train from the beginning, or from the saved state of an interrupted run; its step, or None, is returned too.
 
     `place`: the network's number and how many there are; the last one draws the same numbers whatever their count.
+    `start`: weights to go on from.
     """
     from evetac_cli.kernels.slip import training
 
@@ -200,6 +265,7 @@ def _train(
         device=params.device,
         resume_from=saved,
         on_save=save,
+        start=start,
     )
     return result, None if saved is None else int(saved["step"])
 
@@ -265,3 +331,16 @@ def _common_shape(paths: tuple[Path, ...]) -> tuple[int, int]:
             found=f"{other[0]} x {other[1]}",
         )
     return next(iter(shapes))
+
+
+def _check_grid(shape: tuple[int, int], path: Path) -> None:
+    """InputError for dots that a network over a grid of them cannot take."""
+    rows, columns = shape
+    if rows < LEAST_ROWS or columns < LEAST_COLUMNS:
+        raise InputError(
+            "this network looks at a grid of dots",
+            where=str(path),
+            expected=f"at least {LEAST_ROWS} rows and {LEAST_COLUMNS} columns",
+            found=grid.in_words(rows, columns),
+            hint="--model no-hist-img-6x6 sees events instead of dots; featurize with --images for it",
+        )

@@ -33,7 +33,9 @@ RECORD: dict[str, tuple[Source, ...]] = {
     "calibration": (Source.IMPORT, Source.RECORDED),
     "gripper": (Source.SCENE, Source.DEVICE),
     "seconds": (Source.DEVICE, Source.LIVE),
-    **dict.fromkeys(("closing_ma", "holding_ma", "hold_s", "lowest_ma", "watchdog_ms", "arm"), (Source.MOVED,)),
+    **dict.fromkeys(
+        ("closing_ma", "holding_ma", "hold_s", "lowest_ma", "current_of", "watchdog_ms", "arm"), (Source.MOVED,)
+    ),
     **dict.fromkeys(("threshold_on", "threshold_off", "readout_rate"), (Source.SENSOR,)),
     **dict.fromkeys(("expected_event_rate", "resume"), (Source.RECORDED,)),
 }

@@ -1,5 +1,6 @@
 """Dot grids as JSON: the keys of the official base calibration (frame_px, radius_px, dot_xy_px), and optionally
-rows, columns, mask and window_px. The dots may come in any order; rows and columns follow from their centres.
+rows, columns, mask and window_px. The dots may come in any order; rows and columns follow from their centres. Dots in
+no grid are one row, [[[x, y], [x, y], ...]].
 
 A dot is missing where its centre is null or the mask, one list a row, is false: so a damaged dot is taken out of use
 by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.grid); files
@@ -21,7 +22,6 @@ from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 MOST_PX = 65536  # events count columns and rows in uint16
-MOST_DOTS = 1000  # an Evetac has 63; what arranges them compares each with each
 LEAST_RADIUS_PX = 0.01  # files are written to 0.001 px
 
 
@@ -87,7 +87,8 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
     try:
         arranged = _masked(grid.arrange(dots), mask)
     except ValueError as error:
-        raise InputError(f"the dots do not form a grid: {error}", where=where) from None
+        hint = "dots in no grid are one row: [[[x, y], [x, y], ...]]"
+        raise InputError(f"the dots do not form a grid: {error}", where=where, hint=hint) from None
     if shape and shape != list(arranged.shape[:2]):
         raise InputError(
             "rows and columns do not fit the dots",
@@ -224,8 +225,8 @@ def _dots(values: Any) -> NDArray[np.float64]:
     if np.asarray(values).dtype.kind not in "iufO":
         raise ValueError("dot_xy_px holds something other than numbers")
     dots = np.asarray(values, dtype=np.float64)
-    if dots.size > 2 * MOST_DOTS:
-        raise ValueError(f"more than {MOST_DOTS} dots")
+    if dots.size > 2 * grid.MOST_DOTS:
+        raise ValueError(f"more than {grid.MOST_DOTS} dots")
     if (np.isfinite(dots) & (np.abs(dots) > MOST_PX)).any():
         raise ValueError(f"a dot lies outside the frame, more than {MOST_PX} px away")
     return dots

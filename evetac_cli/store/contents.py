@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, weight_shapes
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    LEAST_COLUMNS,
+    LEAST_ROWS,
+    DotArchitecture,
+    weight_shapes,
+)
 from evetac_cli.store import schema
 from evetac_cli.store.schema import Dataset, Limits
 from evetac_cli.text_files import parse_json
@@ -23,7 +29,6 @@ from evetac_cli.text_files import parse_json
 SMALL_VALUES = 4096  # opening a file reads and checks datasets of no more values: 4 s of a trial, in a few ms
 BLOCK_VALUES = 1 << 20  # that validate reads together: 8 MiB
 SHORT = 60  # characters of a value that a message shows
-LEAST_ROWS, LEAST_COLUMNS = 2, 4  # of a grid of dots that a network can take
 
 Fault = tuple[str, str, str]  # dataset, what was expected, what was found
 Shapes = dict[str, tuple[str, tuple[int, ...]]]
@@ -285,6 +290,8 @@ def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 
 
 def _layers_of_force(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    if "network/0/weight" not in shapes:
+        return
     rows, columns = (int(size) for size in file.read("dot_shape"))
     inputs = shapes["network/0/weight"][1][1]
     if inputs != 2 * rows * columns:

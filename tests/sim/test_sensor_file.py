@@ -26,6 +26,8 @@ HOT = {
     "short_interval_us": [0.0, 300.0],
 }
 
+FEW = [[100.0, 100.0], [200.0, 100.0], [100.0, 200.0], [230.0, 230.0]]
+
 
 def written(folder: Path, stem: str = "mine", /, **keys: Any) -> str:
     path = folder / f"{stem}.sensor.toml"
@@ -60,7 +62,29 @@ def test_places_of_all_dots(tmp_path: Path) -> None:
     _, row = scene.named_sensor(written(tmp_path, dot_xy_px=dots.tolist()))
     np.testing.assert_array_equal(dot_grid(row, cut=False), dots)
     np.testing.assert_array_equal(dot_grid(row, cut=True), dots[:, :8])
-    assert len(row["dot_columns_px"]) == 9 and len(row["dot_rows_px"]) == 7
+    assert not {"dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg"} & row.keys()
+
+
+def test_dots_in_a_list_without_rows(tmp_path: Path) -> None:
+    """Assert that a list of dots in any order is put into the rows of its grid, or is one row where it has none."""
+    dots = dot_grid(scene.sensor_row("evetac"), cut=False)
+    shuffled = np.random.default_rng(0).permutation(dots.reshape(-1, 2))
+    _, row = scene.named_sensor(written(tmp_path, dot_xy_px=shuffled.tolist()))
+    np.testing.assert_array_equal(dot_grid(row, cut=False), dots)
+    _, row = scene.named_sensor(written(tmp_path, dot_xy_px=shuffled[1:].tolist()))
+    np.testing.assert_array_equal(dot_grid(row, cut=False), shuffled[None, 1:])
+    beside = dot_grid(row, cut=True)
+    assert beside.shape == (1, 56 - (shuffled[0, 0] < 525), 2)
+    assert beside[..., 0].max() + row["dot_radius_px"] < row["window_px"][0]
+
+
+def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path) -> None:
+    """Assert that a whole row with places and one with columns and rows both pass, and one with neither does not."""
+    row = scene.sensor_row("evetac")
+    places = {key: value for key, value in row.items() if key not in sensor_file.GRID}
+    with pytest.raises(InputError, match="the places of the dots are missing"):
+        sensor_file.check_row(places, "here")
+    sensor_file.check_row({**places, "dot_xy_px": dot_grid(row, cut=False).tolist()}, "here")
 
 
 @pytest.mark.parametrize(
@@ -87,6 +111,19 @@ def test_places_of_all_dots(tmp_path: Path) -> None:
         ({"name": "A name"}, "name: not a possible value"),
         ({"gripper": {"servo_n_tick": 2.0}}, "need each other"),
         ({"dot_xy_px": [[[1.0, 2.0], [3.0, 4.0]], [[1.0, 9.0], [3.0, 9.0], [5.0, 9.0]]]}, "equally many dots"),
+        ({"dot_xy_px": [*FEW, [200.0, 100.0]]}, "two dots overlap"),
+        ({"dot_xy_px": [*FEW, [229.0, 100.0]]}, "centres at least a diameter apart, 30 px"),
+        ({"dot_xy_px": [*FEW, [300.0, 479.5]]}, "a dot lies outside the frame"),
+        ({"dot_xy_px": [*FEW, [650.0, 100.0]]}, "dot_xy_px.0.4.0: out of range"),
+        ({"dot_xy_px": [*FEW, [600.0, 9.0]], "distortion": [0.3, 0.3]}, "a dot lies outside the frame"),
+        ({"dot_xy_px": FEW[:1]}, "4 to 256, which the tracker has room for"),
+        ({"dot_xy_px": [[float(n % 640), float(n // 640)] for n in range(5000)]}, "found:    5,000 entries"),
+        ({"dot_xy_px": [[[30.0 * x, 23.0 * y] for x in range(20)] for y in range(20)]}, "found:    400"),
+        ({"dot_xy_px": [[570.0, 40.0 * y + 20.0] for y in range(9)]}, "too few dots beside the window"),
+        ({"dot_xy_px": [[1.0, "2"], *FEW]}, "expected a number"),
+        ({"dot_xy_px": []}, "dot_xy_px: a list of another length"),
+        ({"dot_xy_px": FEW, "turned_deg": 1.0}, "dots are named twice"),
+        ({"dot_columns_px": [-90.0, 100.0, 200.0]}, "a dot lies outside the frame"),
         ({"hot_pixel_table": {**HOT, "x_px": [3]}}, "lists of different lengths"),
         ({"hot_pixel_table": {**HOT, "x_px": [3, 3], "y_px": [4, 4]}}, "comes twice"),
         ({"hot_pixel_table": {**HOT, "on_share": [0.95, 0.5]}}, "changes its polarity too often"),

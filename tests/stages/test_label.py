@@ -81,6 +81,26 @@ def test_truth_is_what_the_simulation_knows(made: Made, tmp_path: Path) -> None:
     assert row["onset_ms"] == onset
 
 
+def test_truth_from_the_first_slice(made: Made, tmp_path: Path) -> None:
+    """Assert that --from-start labels holding and loading as no slip, and that other methods refuse it."""
+    beside = tmp_path / made.recordings[0].name
+    beside.write_bytes(made.recordings[0].read_bytes())
+    with open_recording(beside) as recording:
+        slips = recording.read("truth/slip")
+        onset = int(np.flatnonzero(slips)[0])
+        early = label.ramp_start(recording) - 5
+    with h5py.File(beside, "a") as file:
+        file["truth/slip"][early] = 1  # slides a little while it is loaded: left out
+    output, row = run(beside, tmp_path, method="truth", from_start=True)
+    with StageFile(output) as labels:
+        expected = slips[: onset + 15].astype(int)
+        expected[early] = -1
+        np.testing.assert_array_equal(labels.read("label")[: onset + 15], expected)
+    assert row["onset_ms"] == onset
+    with pytest.raises(InputError, match="only the truth is known before the ramp"):
+        run(made.recordings[0], tmp_path / "other", method="event-flow", from_start=True)
+
+
 def test_slip_before_the_ramp_is_no_onset(made: Made, tmp_path: Path) -> None:
     """Assert that an object which slips while its weight is handed over has the onset that its ramp gives it."""
     beside = tmp_path / made.recordings[0].name

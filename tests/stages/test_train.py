@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -341,3 +342,35 @@ def test_flags_name_every_model_and_recipe() -> None:
     choices = {name: item.metadata["choices"] for name, item in Train.__dataclass_fields__.items()}
     assert set(choices["model"]) == set(ARCHITECTURES)
     assert set(choices["preset"]) == set(PRESETS)
+
+
+def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that --adapt goes on from a model's weights, with its normalisation, architecture and horizon."""
+    (job,) = train.jobs(trials, small(model="fast-slow", horizon_ms=10), tmp_path)
+    run(job, small(model="fast-slow", horizon_ms=10))
+    adapt = Train(adapt=str(job.output), max_steps=30)
+    (own,) = train.jobs(trials[:2], adapt, tmp_path / "own.model.h5")
+    row = run(own, adapt).rows[0]
+    assert (row["model"], row["preset"], row["horizon_ms"], row["steps"]) == ("fast-slow", "adapt", 10, 30)
+    with StageFile(job.output, "model") as before, StageFile(own.output, "model") as after:
+        assert before.header["id"] in after.header["history"]
+        for name in (name for name in before.contents() if name.startswith("weights/")):
+            moved = np.abs(after.read(name) - before.read(name)).max()
+            assert moved == 0 if name.startswith("weights/input_") else 0 < moved < 0.02
+    assert train.jobs(trials[:2], replace(adapt, adapt="shipped"), None)[0].output.name.endswith("10ms.model.h5")
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"model": "hist20"}, "--model: another than that of the model to adapt"),
+        ({"horizon_ms": 20}, "--horizon-ms: another than that of the model to adapt"),
+        ({"preset": "adam"}, "--preset: another than that of the model to adapt"),
+        ({"folds": 2}, "--folds: folds train from the beginning"),
+        ({"adapt": "missing.model.h5"}, "missing.model.h5"),
+    ],
+)
+def test_what_cannot_be_adapted(trials: list[Path], tmp_path: Path, given: dict[str, Any], says: str) -> None:
+    """Assert that settings which are not those of the model are refused in words."""
+    with pytest.raises(InputError, match=says):
+        train.jobs(trials, Train(**({"adapt": "shipped"} | given)), tmp_path)

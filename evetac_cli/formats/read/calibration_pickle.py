@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.calibration import MOST_DOTS
+from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.text_files import read_bytes
 
 MOST_BYTES = 1 << 20  # the official file has 1,735

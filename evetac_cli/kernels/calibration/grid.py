@@ -2,6 +2,8 @@
 
 `arrange` takes all dots of a grid and refuses anything else; `lattice` finds the grid among measured places, where some
 dots may be missing and some places may be no dots. `neighbours` needs no grid: dots may come in any order.
+
+Dots that stand in no grid are one row of all of them, (1, n, 2), in any order.
 """
 
 import numpy as np
@@ -10,6 +12,8 @@ from numpy.typing import NDArray
 NEXT_DOOR = 0.3  # how far a step to the next dot may be from the usual one, in pitches
 OFF_LATTICE = 0.35  # ... and a dot from the plane of all
 TURNED = 0.8  # cosine of the most that a step to the right may point up or down
+OBLIQUE = 0.34  # ... and of the most that rows and columns may be off a right angle, 20 degrees
+MOST_DOTS = 256  # of a gel: what tracker and features have room for
 MAX_NEIGHBOURS = 8
 NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one (2)
 
@@ -17,9 +21,10 @@ NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one 
 def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sort dots given in any order into (rows, columns, 2), rows from top to bottom, columns from left to right.
 
-    Accepts (dots, 2) or an array already sorted as (rows, columns, 2), with NaN where a dot is missing. Rows are
-    separated by gaps in y that exceed half the pitch, so the grid may be tilted by up to about half a pitch over its
-    width. ValueError if the rows run into each other or are uneven, or their dots do not stand below each other.
+    Accepts (dots, 2) or an array already sorted as (rows, columns, 2), with NaN where a dot is missing; a single row is
+    taken as it is. Rows are separated by gaps in y that exceed half the pitch, so the grid may be tilted by up to about
+    half a pitch over its width. ValueError if the rows run into each other or are uneven, or
+    their dots do not stand below each other.
     """
     dots = np.asarray(dot_xy_px, dtype=np.float64)
     if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
@@ -27,7 +32,8 @@ def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     if dots.ndim == 3:
         if np.isinf(dots).any():
             raise ValueError("expected finite centres, or NaN for a missing dot")
-        if (np.diff(dots[..., 1], axis=0) <= 0).any() or (np.diff(dots[..., 0], axis=1) <= 0).any():
+        sorted_wrong = (np.diff(dots[..., 1], axis=0) <= 0).any() or (np.diff(dots[..., 0], axis=1) <= 0).any()
+        if len(dots) > 1 and sorted_wrong:
             raise ValueError("expected rows from top to bottom and columns from left to right")
         return dots
     if not np.isfinite(dots).all():
@@ -52,7 +58,8 @@ def lattice(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Steps from dot to dot lead through the largest connected piece of a grid that is tilted by up to about 20 degrees; a
     plane through that says which row and column every place belongs to. Places off the lattice are left out, and so is
-    a first or last row or column with less than half of its dots. ValueError if there are not two rows and two columns.
+    a first or last row or column with less than half of its dots. ValueError if there are not two rows and two columns
+    at about right angles: staggered rows are no grid.
     """
     places = np.asarray(places_xy_px, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
@@ -69,6 +76,9 @@ def lattice(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     if not right.any() or not below.any():
         raise too_few
     steps = [(near, np.median(offset[near], axis=0), cell) for near, cell in ((right, (0, 1)), (below, (1, 0)))]
+    along, down = (step / np.linalg.norm(step) for _, step, _ in steps)
+    if abs(along @ down) > OBLIQUE:
+        raise ValueError("expected columns at about right angles to rows, found staggered rows")
     cells = _largest_piece(steps, offset, step_px)
     members = np.array(list(cells))
     index = np.array([cells[member] for member in members])
@@ -87,6 +97,16 @@ def lattice(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     if min(grid.shape[:2]) < 2:
         raise too_few
     return grid
+
+
+def one_row(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places (n, 2) in no grid, as (1, n, 2), from the top and then from the left."""
+    return places_xy_px[np.lexsort(places_xy_px.T)][None]
+
+
+def in_words(rows: int, columns: int) -> str:
+    """What a layout of dots is called."""
+    return f"{rows} rows x {columns} columns" if rows > 1 else f"{columns} dots in no grid"
 
 
 def _largest_piece(

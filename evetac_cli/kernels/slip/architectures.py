@@ -18,6 +18,7 @@ FC4 = 10
 IMAGE_CONVS = (15, 20, 25, 32)  # channels of the baseline's convolutions
 IMAGE_KERNEL = 5
 IMAGE_FC = 10
+LEAST_ROWS, LEAST_COLUMNS = 2, 4  # of a grid of dots that a network over them can take
 
 
 class View(NamedTuple):

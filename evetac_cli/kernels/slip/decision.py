@@ -1,7 +1,7 @@
 """The rule that turns a slip probability into a decision, the same in training, evaluation, grasp and view.
 
 Why so: probabilities are float32 and thresholds are stored as float64, and the result of `>=` depends on the precision
-of the comparison: of the grid of thresholds 14 of 41 (0.7 and 0.95 among them) are larger than the float32 nearest to
+of the comparison: of the grid of thresholds 18 of 49 (0.7 and 0.95 among them) are larger than the float32 nearest to
 them. So both are rounded to float32 first.
 """
 

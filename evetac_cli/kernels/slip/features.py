@@ -11,7 +11,8 @@ Why so:
   trials of images would not fit into memory.
 - The paper rotates windows of the 7 x 8 grid by quarter turns, "crop and pad" without saying how. `rotate` turns the
   middle square of the grid counter-clockwise (as seen in the image) and leaves zeros beside it. The odd column over,
-  for 7 x 8 the leftmost, is the one cut. So three quarter turns undo one, and four give back the square in its place.
+  for 7 x 8 the leftmost, is the one cut (of a grid with more rows than columns, the uppermost row). So three quarter
+  turns undo one, and four give back the square in its place.
 """
 
 from collections.abc import Sequence
@@ -23,10 +24,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX
 
-DOT_CAPACITY = 256  # dots that a state has room for
+DOT_CAPACITY = MOST_DOTS  # dots that a state has room for
 HISTORY_CAPACITY = 128  # slices
 
 STATE = np.dtype(
@@ -166,17 +168,18 @@ def rotate(windows: NDArray[np.float32], quarter_turns: int) -> NDArray[np.float
     """Turn windows (k, rows, columns, c) as if the object had been grasped in another direction; returns a new array.
 
     Half turns are exact; quarter turns keep only the middle square, see the head of this module. ValueError for other
-    shapes and for more rows than columns. Source: paper, "Model Training & Data Selection".
+    shapes. Source: paper, "Model Training & Data Selection".
     """
-    if windows.ndim != 4 or windows.shape[1] > windows.shape[2]:
-        raise ValueError(f"windows: expected (k, rows, columns, c) with rows <= columns, found shape {windows.shape}")
+    if windows.ndim != 4:
+        raise ValueError(f"windows: expected (k, rows, columns, c), found shape {windows.shape}")
     if quarter_turns % 2 == 0:
         return np.rot90(windows, quarter_turns, axes=(1, 2)).copy()
     rows, columns = windows.shape[1:3]
-    first = (columns - rows + 1) // 2
-    square = slice(first, first + rows)
+    side = min(rows, columns)
+    top, left = (rows - side + 1) // 2, (columns - side + 1) // 2
+    square = np.s_[:, top : top + side, left : left + side]
     result = np.zeros_like(windows)
-    result[:, :, square] = np.rot90(windows[:, :, square], quarter_turns, axes=(1, 2))
+    result[square] = np.rot90(windows[square], quarter_turns, axes=(1, 2))
     return result
 
 

@@ -25,6 +25,7 @@ class Trajectory(NamedTuple):
     events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
     onset: int  # first slice of slip, -1 if there is none
+    slip_share: NDArray[np.float32] | None = None  # (slices,) share of the visible contact that slips, if known
 
 
 def part(series: Series, first: int, last: int) -> Series:

@@ -50,6 +50,7 @@ class Samples:
     slip: NDArray[np.int64]
     busy: NDArray[np.int64]
     quiet: NDArray[np.int64]
+    slip_share: NDArray[np.float32]  # (slices,) of the visible contact, as far ahead as the labels; NaN if not known
 
     def inputs(self, at: NDArray[np.int64]) -> NDArray[np.float32]:
         """Network inputs (samples, ...) of the samples that end at these slices."""
@@ -72,7 +73,7 @@ def gather(
     """
     history = architecture.history
     pools: dict[str, list[NDArray[np.int64]]] = {"slip": [], "busy": [], "quiet": []}
-    parts = []
+    parts, shares = [], []
     begin = count = 0
     for index, trajectory in enumerate(trajectories):
         count += 1
@@ -93,6 +94,7 @@ def gather(
         for name, members in (("slip", label == 1), ("busy", (label == 0) & busy), ("quiet", (label == 0) & ~busy)):
             pools[name].append(begin - first + np.flatnonzero(drawn & members))
         parts.append(inputs.part(trajectory.series, first, slices))
+        shares.append(_share_ahead(trajectory, horizon_ms)[first:slices])
         begin += slices - first
     ends = {name: np.concatenate([np.empty(0, np.int64), *pool]) for name, pool in pools.items()}
     meanings = {"slip": "labelled slip", "busy": f"labelled no slip with more than {BUSY_EVENTS} events"}
@@ -102,7 +104,17 @@ def gather(
                 f"the {name} pool is empty: expected at least one slice {meaning} with a full history of "
                 f"{history}, found none in {count} trajectories"
             )
-    return Samples(architecture, rows, columns, inputs.join(parts), **ends)
+    return Samples(architecture, rows, columns, inputs.join(parts), **ends, slip_share=np.concatenate(shares))
+
+
+def _share_ahead(trajectory: Trajectory, horizon_ms: int) -> NDArray[np.float32]:
+    """Share of the contact that slips so much later, (slices,): 1 from the onset on, NaN if it is not known."""
+    slices = len(trajectory.label)
+    if trajectory.slip_share is None:
+        return np.full(slices, np.nan, np.float32)
+    later = np.minimum(np.arange(slices) + horizon_ms, slices - 1)
+    share = trajectory.slip_share[later].astype(np.float32)
+    return np.where((trajectory.onset >= 0) & (later >= trajectory.onset), np.float32(1), share)
 
 
 class Batch(NamedTuple):
@@ -194,6 +206,9 @@ def _check(trajectory: Trajectory, dots: int) -> None:
     if trajectory.events_outside.shape != (slices,):
         raise ValueError(f"events_outside: expected shape {(slices,)}, found {trajectory.events_outside.shape}")
     check_labels(trajectory.label, trajectory.onset)
+    share = trajectory.slip_share
+    if share is not None and not (share.shape == (slices,) and np.all((share >= 0) & (share <= 1))):
+        raise ValueError(f"slip_share: expected {slices} shares of 0 to 1, found shape {share.shape}")
     outside = trajectory.events_outside
     if outside.dtype.kind not in "iu" or np.any(outside < 0):
         raise ValueError(

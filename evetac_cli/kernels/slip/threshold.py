@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip.metrics import Prediction, score
 
-THRESHOLDS = np.arange(41) / 40  # 0 to 1 by 0.025; dividing keeps 0.5 and 1 exact
+# 0 to 1 by 0.025, as the paper; and closer to 1, where detectors that were trained on equal shares of slip and no slip
+# have theirs. Dividing keeps 0.5 and 1 exact.
+THRESHOLDS = np.sort(np.concatenate([np.arange(41) / 40, 1 - np.array([16, 12, 8, 6, 4, 3, 2, 1]) / 1000]))
 LAST_CHECKPOINTS = 3  # the paper chooses among these
 
 
@@ -26,7 +28,7 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
     """Choose checkpoint and threshold by the mean of slip-correct share and F1 (paper, Evaluation Procedure & Metrics).
 
     `checkpoints` holds, for each checkpoint in the order of training, its predictions for the same validation
-    trajectories. The grid is 0 to 1 by 0.025; F1 is `f1` of `score`. Only the last three checkpoints can be chosen,
+    trajectories. The grid is THRESHOLDS; F1 is `f1` of `score`. Only the last three checkpoints can be chosen,
     but each one's best threshold is reported. Ties within a checkpoint go to the lower threshold, which reacts
     earlier; ties between checkpoints go to the later one, which has seen more. ValueError where no trajectory slips,
     because timing is then undefined.

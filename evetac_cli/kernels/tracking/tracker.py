@@ -28,7 +28,7 @@ from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.tracking import buckets, descent, fit, hot_pixels, lost_dots
 
-CAPACITY = 256  # dots that a state has room for
+CAPACITY = grid.MOST_DOTS  # dots that a state has room for
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 _PIXEL, _POLARITY = np.dtype(np.uint16), np.dtype(np.uint8)
 _NO_POLARITY = np.empty(0, np.uint8)

@@ -89,7 +89,11 @@ def slip_trial(trial: Trial, setting: Setting, folder: Path, scene: str = "slip"
 
 def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip") -> Chain:
     """Record a trial with a setting, and everything that is made from it, in a folder of its own."""
-    made = slip_trial(trial, setting, folder, scene)
+    return chain_of(slip_trial(trial, setting, folder, scene))
+
+
+def chain_of(made: SimulatedTrial) -> Chain:
+    """Record a trial, and everything that is made from it, beside it."""
     _, record_s = timed(lambda: simulated_record.run(made, force=False, progress=silent))
     path = made.output
 
@@ -123,14 +127,20 @@ def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip")
 
 def detection(features: Path) -> int | None:
     """The first slice that the package's detector takes for slip; None where there is none."""
-    model = _package_model()
-    ((prediction,),) = predict_all([model], [features], check([model], [features]), silent)
-    first = metrics.onset(prediction.detected(model.threshold))
+    first = metrics.onset(prediction(features).detected(package_model().threshold))
     return first if first >= 0 else None
 
 
+def prediction(features: Path) -> metrics.Prediction:
+    """The probabilities of the package's detector."""
+    model = package_model()
+    ((predicted,),) = predict_all([model], [features], check([model], [features]), silent)
+    return predicted
+
+
 @cache
-def _package_model() -> Model:
+def package_model() -> Model:
+    """The slip detector that comes with evetac."""
     return Model.read(resources.MODEL)
 
 

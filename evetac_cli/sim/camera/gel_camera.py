@@ -33,7 +33,8 @@ AWAY_PX = 100.0  # how far outside the frame a dot is put that the camera sees n
 def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
     """Dot centres at rest (rows, columns, 2) in px: the sensor's grid, turned, with its jitter.
 
-    A cut gel lacks the columns that the window took away. A sensor may name the place of every dot instead.
+    A cut gel lacks the columns that the window took away. A sensor may name the place of every dot instead; dots in no
+    grid are one row of them, of which a cut gel lacks those that the window touches.
     """
     if "dot_xy_px" in sensor_row:
         named = np.array(sensor_row["dot_xy_px"], np.float64)

@@ -21,7 +21,8 @@ from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import EvaluateForce, recipe_of
 from evetac_cli.resources import table
-from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, gel_force, picture, report, report_job
+from evetac_cli.stages.evaluate.gel_force import ForceReportJob
 from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
 from evetac_cli.stages.related_files import named_files, recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
@@ -47,16 +48,29 @@ class TrialForce(NamedTuple):
     predicted_n: dict[str, forces.Floats]  # regression or network -> (models, samples, 2)
 
 
-def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ModelsReportJob]:
+def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ForceReportJob]:
     """One report over all tracks files."""
     models = named_files(params.model, "force-model", "--model")
-    (job,) = report_job(files, "force", out, *models)
-    return [ModelsReportJob(job.inputs, job.output, len(models))]
+    own = named_files(params.adapt, "tracks", "--adapt") if params.adapt else []
+    (job,) = report_job(files, "force", out, *own, *models)
+    return [ForceReportJob(job.inputs, job.output, len(models), len(own))]
 
 
-def run(job: ModelsReportJob, params: EvaluateForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Rows of both models for every trajectory: mean and sd of the absolute error, for x and y."""
+def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Rows of both models for every trajectory: mean and sd of the absolute error, for x and y.
+
+    A model for any sensor has rows of its own (gel_force).
+    """
     files, model_paths = job.inputs[: -job.models], job.inputs[-job.models :]
+    if is_for_any_sensor(model_paths):
+        return gel_force.run(job, params, force=force, progress=progress)
+    if job.own:
+        raise InputError(
+            "a model of the paper's method cannot be adapted",
+            where="--adapt",
+            expected="a model of train-force --method gel",
+            found=str(model_paths[0]),
+        )
     models = _models(model_paths)
     headers = []
     for path in files:
@@ -83,6 +97,22 @@ def run(job: ModelsReportJob, params: EvaluateForce, *, force: bool = False, pro
     outcome = report(job, "evaluate force", METHOD, recipe_of(params), parents, measure, force=force)
     sensors = len(models)
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, predictions()), (13.0, 1.0 + 3.2 * sensors))
+
+
+def is_for_any_sensor(paths: tuple[Path, ...]) -> bool:
+    """Whether the model is one for any sensor; InputError where there are several and one of them is."""
+    has_gel = []
+    for path in paths:
+        with StageFile(path, "force-model") as file:
+            has_gel.append(file.has("gel"))
+    if any(has_gel) and len(has_gel) > 1:
+        raise InputError(
+            "a model for any sensor among several",
+            where="--model",
+            expected="that model alone, or models of the paper's method",
+            found=", ".join(map(str, paths)),
+        )
+    return any(has_gel)
 
 
 def _models(paths: tuple[Path, ...]) -> Models:

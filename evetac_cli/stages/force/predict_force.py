@@ -1,6 +1,7 @@
-"""predict-force: the shear force on the gel, slice by slice, from tracks and a model of train-force; without torch."""
+"""predict-force: the force on the gel, slice by slice, from tracks and a model of train-force; without torch."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -8,7 +9,9 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import PredictForce, recipe_of
+from evetac_cli.resources import FORCE_MODEL
 from evetac_cli.stages import per_file
+from evetac_cli.stages.force import gel_model
 from evetac_cli.stages.force.train_force import check_grid, read_model, read_rest_px
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -20,18 +23,76 @@ BLOCK_SLICES = 5000
 
 def jobs(files: list[Path], params: PredictForce, out: Path | None) -> list[Job]:
     """One forces file for every tracks file."""
-    if params.model is None:
-        raise InputError("no force-model file is named", where="--model", expected="a file made by evetac train-force")
-    return [Job((*job.inputs, params.model), job.output) for job in per_file(files, OUTPUT, out)]
+    return [Job((*job.inputs, params.model or FORCE_MODEL), job.output) for job in per_file(files, OUTPUT, out)]
 
 
 def run(job: Job, params: PredictForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Predict the force of every slice by both models of a file, regression and network."""
+    """Predict the force of every slice by all that a model file holds."""
+    model_path = job.inputs[1]
+    with StageFile(model_path, "force-model") as model:
+        for_any_sensor = model.has("gel")
+    if for_any_sensor:
+        return _for_any_sensor(job, params, force=force)
+    if params.sensor is not None:
+        raise InputError(
+            "a model of the paper's method has the stiffness of the sensor that it was trained on",
+            where="--sensor",
+            expected="a model of train-force --method gel, or no --sensor",
+            found=str(model_path),
+        )
+    return _by_the_paper(job, force=force, progress=progress)
+
+
+def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
+    path, model_path = job.inputs
+    known = gel_model.known_of(params.sensor)
+    with StageFile(model_path, "force-model") as file:
+        model_header, model = file.header, gel_model.read_gel_model(file)
+    if model.adapted is not None and params.sensor is not None:
+        raise InputError(
+            "an adapted model has the stiffness of its sensor", where="--sensor", found=f"{params.sensor}, {model_path}"
+        )
+    given = {key: known[key] for key in (*gel_model.MODULI.values(), "mm_per_px", "creep") if key in known}
+    chosen = {**recipe_of(params), "known": given} if known else {}
+    with StageFile(path, "tracks") as tracks:
+        recipe = Recipe(OUTPUT, METHOD, chosen, parents=(tracks.header, model_header))
+        if up_to_date(job.output, recipe, force=force):
+            return outcome(job, made=False, simulated=recipe.simulated)
+        estimated = gel_model.predict(model, gel_model.gel_of(model, known, params.stiffness_error), tracks)
+    contact = estimated.contact >= gel_model.CONTACT
+    arrays: dict[str, Any] = {
+        **{name: values.astype(np.float32) for name, values in estimated.forces._asdict().items()},
+        "contact_probability": estimated.contact.astype(np.float32),
+        "contact": contact.astype(np.uint8),
+    }
+    write_stage(job.output, recipe, arrays)
+    stiffness = "adapted" if model.adapted is not None else "known" if "shear_modulus_pa" in given else "unknown"
+    return outcome(
+        job,
+        made=True,
+        simulated=recipe.simulated,
+        slices=len(contact),
+        stiffness=stiffness,
+        contact_s=float(contact.sum() / 1000),
+        **_most("shear_n", np.linalg.norm(estimated.forces.shear_n, axis=1), estimated.forces.shear_sd_n.max(axis=1)),
+        **_most("normal_n", estimated.forces.normal_n, estimated.forces.normal_sd_n),
+    )
+
+
+def _most(name: str, force_n: forces.Floats, sd_n: forces.Floats) -> dict[str, float | None]:
+    """The largest force and its standard deviation; None where there is no slice with a force."""
+    if not np.isfinite(force_n).any():
+        return {f"max_{name}": None, f"max_{name}_sd": None}
+    at = int(np.nanargmax(force_n))
+    return {f"max_{name}": float(force_n[at]), f"max_{name}_sd": float(sd_n[at])}
+
+
+def _by_the_paper(job: Job, *, force: bool, progress: Progress) -> Outcome:
     path, model_path = job.inputs
     model_header, model = read_model(model_path)
     with StageFile(path, "tracks") as tracks:
         check_grid(model, model_path, tracks)
-        recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=(tracks.header, model_header))
+        recipe = Recipe(OUTPUT, METHOD, {}, parents=(tracks.header, model_header))
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
         slices, rest_px = tracks.length("dot_xy_px"), read_rest_px(tracks)

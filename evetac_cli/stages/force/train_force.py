@@ -1,6 +1,7 @@
-"""train-force: shear force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
+"""train-force: force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
 
-Two models into one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's
+The paper's method is here, that for any sensor in train_gel, its adaptation to one's own in adapt_gel. The paper's: two
+models into one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's
 network, trained on all but the last, on which the best epoch is chosen. The target is the reading of a force sensor:
 the true force of a simulated recording, with noise.
 """
@@ -13,8 +14,10 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params import EvaluateForce, TrainForce, recipe_of
+from evetac_cli.stages.force import adapt_gel, train_gel
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.track_rgb import PRESET
@@ -25,6 +28,7 @@ OUTPUT = "force-model"
 METHOD = 1
 SAMPLE_MS = 40  # samples lie at the frames of a 25 Hz sensor, also for tracks from events
 LAYERS = 3
+OF_THE_PAPER = ("samples", "noise_n", "epochs", "seed")  # parameters of its method
 
 
 class Samples(NamedTuple):
@@ -36,7 +40,7 @@ class Samples(NamedTuple):
 
 
 class ForceModel(NamedTuple):
-    """The contents of a force-model file: both models, and the sensor that they are for."""
+    """The contents of a force-model file of the paper's method: both models, and the sensor that they are for."""
 
     sensor: str
     sensor_name: str
@@ -46,7 +50,11 @@ class ForceModel(NamedTuple):
 
 
 def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
-    """One model from all tracks files together: `shear.force-model.h5` beside the first."""
+    """One model from all tracks files together: `shear.force-model.h5` beside the first (`gel...`, `own...`)."""
+    if params.adapt:
+        return [adapt_gel.job(files, params, out)]
+    if params.method == "gel":
+        return [train_gel.job(files, out)]
     if len(files) < 2:
         raise InputError(
             "no file is left to hold out", expected="at least two tracks files, of a trajectory each", found="one"
@@ -56,7 +64,11 @@ def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
 
 
 def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Fit both models and store them as arrays."""
+    """Fit both models of the paper and store them as arrays, or do as the other methods do."""
+    if params.adapt:
+        return adapt_gel.run(job, params, force=force)
+    if params.method == "gel":
+        return train_gel.run(job, params, force=force, progress=progress)
     headers, sensors, sensor_names, shapes = [], [], [], []
     for path in job.inputs:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
@@ -74,7 +86,8 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
                 expected=f"{values[0]} as in {job.inputs[0]}",
                 found=str(values[odd]),
             )
-    recipe = Recipe(OUTPUT, METHOD, recipe_of(params), seed=params.seed, parents=tuple(headers))
+    chosen = {key: value for key, value in recipe_of(params).items() if key in OF_THE_PAPER}
+    recipe = Recipe(OUTPUT, METHOD, chosen, seed=params.seed, parents=tuple(headers))
     simulated = recipe.simulated
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=simulated)
@@ -160,8 +173,14 @@ def sensor_sort(header: Header) -> str:
 
 
 def read_model(path: Path) -> tuple[Header, ForceModel]:
-    """Header and contents of a force model."""
+    """Header and contents of a force model of the paper's method."""
     with StageFile(path, OUTPUT) as file:
+        if not file.has("regression"):
+            raise InputError(
+                "the force model is not of the paper's method",
+                where=str(path),
+                expected="a model of train-force --method paper",
+            )
         rows, columns = file.read("dot_shape").tolist()
         regression = forces.Regression(file.read("regression/slope_n_px"), file.read("regression/offset_n"))
         layers = tuple(
@@ -182,6 +201,6 @@ def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
         raise InputError(
             "the tracks have another dot grid than the force model",
             where=str(tracks.path),
-            expected="{} rows x {} columns".format(*model.dot_shape) + f" as in {model_path}",
-            found="{} rows x {} columns".format(*shape),
+            expected=f"{in_words(*model.dot_shape)} as in {model_path}",
+            found=in_words(*shape),
         )

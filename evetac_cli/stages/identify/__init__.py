@@ -1,7 +1,8 @@
 """identify: a sensor like the one that made recordings, as a TOML file for `--sensor`, each key with its interval.
 
 What comes from which recording: the noise of the camera from the longest rest among them, dots and optics from the one
-that shows most dots moved. What no recording tells keeps the value of the sensor that is named as its like.
+that shows most dots moved, gripper and gel from those with rows of a gripper. What no recording tells keeps the value
+of the sensor that is named as its like.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,8 +17,8 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.params import Identify, recipe_of
 from evetac_cli.sim import scene, sensor_file
-from evetac_cli.stages.identify import at_rest, pressed
-from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Row, sensor_text
+from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
+from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, Row, sensor_text
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 from evetac_cli.store.provenance import Recipe
@@ -57,21 +58,33 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(headers))
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
-    log_contrast = float(scene.sensor_row(params.like)["log_contrast"])
-    printed_xy = _printed(scene.sensor_row(params.like))
-    rests, presses = [], []
+    like = scene.sensor_row(params.like)
+    log_contrast = float(like["log_contrast"])
+    mm_per_px = float(like["mm_per_px"]) if params.pixel_mm is None else params.pixel_mm
+    printed_xy = _printed(like)
+    rests, presses, grips = [], [], []
     for number, path in enumerate(job.inputs):
-        noise_rng, press_rng = np.random.default_rng([params.seed, number]).spawn(2)
+        noise_rng, press_rng, servo_rng = np.random.default_rng([params.seed, number]).spawn(3)
         with open_recording(path) as recording:
-            resting = at_rest.longest(recording, noise_rng)
-            noise_hz = resting.noise.noise_hz.value if resting else 0.0
-            presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
-            rests.append(resting)
+            if recording.has("gripper/t_us"):  # where it holds still, the gel creeps: that is no rest
+                grips.append(gripped.find(recording, mm_per_px, servo_rng))
+            else:
+                resting = at_rest.longest(recording, noise_rng)
+                noise_hz = resting.noise.noise_hz.value if resting else 0.0
+                presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
+                rests.append(resting)
         progress(number + 1, len(job.inputs))
     rows, values = at_rest.rows(max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None))
     best = max((one for one in presses if one), key=lambda one: one.dots, default=None)
     more_rows, more = pressed.rows(best, log_contrast)
     rows, values = rows + more_rows, more | values
+    known = gripper_rows.Known(
+        params.object_mass_g, params.object_friction, params.force_per_current, params.pixel_mm is not None
+    )
+    more_rows, more = gripper_rows.rows([one for one in grips if one is not None], known, like)
+    rows, values = rows + more_rows, values | more
+    if params.pixel_mm is not None:
+        values["mm_per_px"] = Entry(mm_per_px, None, "as given")
     text = sensor_text(params.name, params.like, values, recipe, [path.name for path in job.inputs])
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
         temporary.write_text(text)

@@ -11,7 +11,7 @@ from evetac_cli.store.provenance import Recipe
 
 DIGITS = 6  # of an estimate: no recording tells more
 LINE = 110
-NOT_ESTIMATED = "bandwidth, leak, gel and gripper are not estimated"
+NOT_ESTIMATED = "bandwidth and leak are not estimated"
 
 
 class Row(NamedTuple):
@@ -24,7 +24,7 @@ class Row(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """The value of a key, its interval if it has one, and where it comes from."""
+    """The value of a key, its interval if it has one, and where it comes from; a table may hold entries of its own."""
 
     value: Any
     estimate: Estimate | None
@@ -44,15 +44,23 @@ def sensor_text(name: str, like: str, values: Mapping[str, Entry], recipe: Recip
     ]
     plain = {key: one for key, one in values.items() if not isinstance(one.value, Mapping)}
     for key, one in plain.items():
-        interval = "" if one.estimate is None else f"{_number(one.estimate.low)} to {_number(one.estimate.high)}; "
-        lines += [f"# {interval}{_in_a_comment(one.source)}", f"{key} = {_value(one.value)}"]
+        lines += _commented(key, one)
     if not values:
         lines.append(f"# These recordings tell nothing of the sensor: all is as in {like}.")
     for key, one in values.items():
         if isinstance(one.value, Mapping):
             lines += ["", f"[{key}]", f"# {_in_a_comment(one.source)}"]
-            lines += [f"{column} = {_value(value, column)}" for column, value in one.value.items()]
+            for column, value in one.value.items():
+                lines += (
+                    _commented(column, value) if isinstance(value, Entry) else [f"{column} = {_value(value, column)}"]
+                )
     return "\n".join(lines) + "\n"
+
+
+def _commented(key: str, one: Entry) -> list[str]:
+    """A key with its interval and source above it."""
+    interval = "" if one.estimate is None else f"{_number(one.estimate.low)} to {_number(one.estimate.high)}; "
+    return [f"# {interval}{_in_a_comment(one.source)}", f"{key} = {_value(one.value)}"]
 
 
 def _in_a_comment(text: str) -> str:

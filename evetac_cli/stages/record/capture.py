@@ -215,7 +215,7 @@ def _begin(trial: DeviceTrial, params: Record, rig: Rig, place: int, trajectory:
         rig.setup,
         sensor,
         {
-            "current_ramp": None if hold is None else {**asdict(hold), "holding_ma": asked_ma},
+            "current_ramp": None if hold is None else _set_up(hold, asked_ma),
             **drawn,
             "current_ramp_seed": trial.seed,
         },
@@ -225,6 +225,15 @@ def _begin(trial: DeviceTrial, params: Record, rig: Rig, place: int, trajectory:
     if params.resume:
         check_series((outputs[place] for outputs in trial.series), recipe)
     return CameraRecording(output, rig, recipe, RecordingWriter(output, sensor, discard_leftover=False, recipe=recipe))
+
+
+def _set_up(hold: Hold, asked_ma: float | None) -> dict[str, Any]:
+    """How the gripper is commanded, for the recipe: the course of its current, if it follows one."""
+    if hold.course is not None:
+        return {"course": asdict(hold.course)}
+    ramp = {**asdict(hold), "holding_ma": asked_ma}
+    del ramp["course"]
+    return ramp
 
 
 def check_series(others: Iterable[Path], recipe: Recipe) -> None:

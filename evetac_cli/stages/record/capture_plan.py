@@ -1,19 +1,22 @@
 """What a recording from devices is about to do: shown, and refused where it would fail, before a device is touched."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 
 from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import Record
+from evetac_cli.params import Record, flag_of
+from evetac_cli.sim import scene
 from evetac_cli.stages import session
+from evetac_cli.stages.record.current_course import CurrentCourse
 from evetac_cli.stages.record.current_ramp import Hold
 from evetac_cli.stages.trials import DeviceTrial
 from evetac_cli.store.calibration import read_calibration
 
 HOLDING_MA = 50.0  # where no current is asked for
 SECONDS = 60.0  # room on the disk for so long, where nothing says how long it will take
+INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # what --current-of stands in place of
 TAKEN = "--resume goes on with a series, --force replaces it, -o NAME writes elsewhere"
 
 
@@ -46,6 +49,9 @@ def make_hold(trial: DeviceTrial, params: Record, sampled_ma: float) -> Hold:
     """How the object is handled; sampled_ma: what a scene draws. InputError for a current that cannot fall."""
     asked_ma = asked_holding_ma(trial, params)
     holding_ma = sampled_ma if asked_ma is None else asked_ma
+    course = asked_course(trial, params)
+    if course is not None:
+        return Hold(params.closing_ma, holding_ma, params.hold_s, params.lowest_ma, course)
     if params.lowest_ma >= holding_ma:
         raise InputError(
             "the current would not fall",
@@ -54,6 +60,25 @@ def make_hold(trial: DeviceTrial, params: Record, sampled_ma: float) -> Hold:
             found=f"{params.lowest_ma:g} mA",
         )
     return Hold(params.closing_ma, holding_ma, params.hold_s, params.lowest_ma)
+
+
+def asked_course(trial: DeviceTrial, params: Record) -> CurrentCourse | None:
+    """The current that the gripper follows, where a scene names one; InputError if the one asked for does not."""
+    if params.current_of is None:
+        return None if trial.plan is None else CurrentCourse.read(trial.plan["scene"])
+    for item in fields(params):
+        if item.name in INSTEAD and getattr(params, item.name) != item.default:
+            expected = "one of the two: the gripper follows the scene's current from the first command to the last"
+            raise InputError("has no effect with --current-of", where=flag_of(item), expected=expected)
+    course = CurrentCourse.read(scene.load(params.current_of))
+    if course is None:
+        raise InputError(
+            "this scene names no current for the gripper",
+            where="--current-of",
+            expected="a scene with gripper.current, as grip-steps",
+            found=params.current_of,
+        )
+    return course
 
 
 def dry_run(trials: Sequence[DeviceTrial], params: Record, *, force: bool = False) -> Outcome:
@@ -88,6 +113,10 @@ def _end(trial: DeviceTrial, params: Record) -> str:
 
 def _ramp_words(trial: DeviceTrial, params: Record) -> str:
     """What the gripper does, in words."""
+    course = asked_course(trial, params)
+    if course is not None:
+        highest, lowest = max(course.current_ma), min(course.current_ma)
+        return f"follows a current of {lowest:g} to {highest:g} mA for {course.ends_s:g} s"
     asked_ma = asked_holding_ma(trial, params)
     holding = f"{asked_ma} mA" if asked_ma is not None else "the current of its scene"
     return (

@@ -24,6 +24,7 @@ from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSet
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
+from evetac_cli.stages.record.current_course import CurrentCourse
 from evetac_cli.stages.session import FRESH, OPENED, OVERLOADED, RECORDER_MS, TimeSample
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
@@ -45,12 +46,16 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True)
 class Hold:
-    """How an object is gripped and let go, in motor current; closing is positive."""
+    """How an object is gripped and let go, in motor current; closing is positive.
+
+    course: what the current follows instead, from the first command on.
+    """
 
     closing_ma: int
     holding_ma: float
     hold_s: float
     lowest_ma: float  # the recording ends where the target falls below
+    course: CurrentCourse | None = None
 
 
 @dataclass
@@ -76,6 +81,12 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
     The target falls by U(-0.025, -0.0025) mA a command (paper); what is written to the gripper is its whole number.
     DeviceError if the fingers meet nothing.
     """
+    if hold.course is not None:
+        time_s = state.held * COMMAND_MS * 1e-3
+        state.held += 1
+        state.target_ma = hold.course.at(time_s)
+        state.ended = "the gripper has followed its current to the end" if time_s >= hold.course.ends_s else ""
+        return state.target_ma
     if state.phase is Phase.CLOSING:
         state.target_ma = hold.closing_ma
         if state.closing.step(reading.position_ticks):

@@ -13,6 +13,7 @@ import numpy as np
 from evetac_cli.devices import Gripper, Rig, gripper_row
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
+from evetac_cli.stages.record.current_course import CurrentCourse
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
 from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import up_to_date
@@ -87,11 +88,15 @@ def _longest_s(time: Mapping[str, float]) -> float:
 
 @dataclass(frozen=True)
 class GripperSchedule:
-    """When the gripper does what, in slices: closes to touch, grips with the holding current, lowers it."""
+    """When the gripper does what, in slices: closes to touch, grips with the holding current, lowers it.
+
+    course: the current that it follows instead, where the scene names one.
+    """
 
     close_ms: int
     grip_ms: int
     ramp_ms: int
+    course: CurrentCourse | None = None
 
     @classmethod
     def read(cls, scene: Mapping[str, Any]) -> "GripperSchedule":
@@ -99,7 +104,9 @@ class GripperSchedule:
         if scene["kind"] == "ramp":
             time = scene["time"]
             return cls(0, 0, round(1000 * (time["rest_s"] + time["load_s"] + time["hold_s"])))
-        return cls(*(round(1000 * scene.get("gripper", {}).get(name, 0.0)) for name in ("close_s", "grip_s", "ramp_s")))
+        named = scene.get("gripper", {})
+        close_ms, grip_ms, ramp_ms = (round(1000 * named.get(name, 0.0)) for name in ("close_s", "grip_s", "ramp_s"))
+        return cls(close_ms, grip_ms, ramp_ms, CurrentCourse.read(scene))
 
 
 def _slices(
@@ -107,11 +114,18 @@ def _slices(
 ) -> Iterator[tuple[Events, dict[str, Any]]]:
     """Read every slice, and command the gripper, if there is one, every 2 ms, until the scene has ended."""
     target_ma = devices.holding_ma
+    course = schedule.course
+    written_ma = 0
     number = 0
     while (events := devices.camera.read()) is not None:
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
-        if devices.gripper is not None and number % COMMAND_MS == 0:
-            if number > schedule.ramp_ms:
+        due = number % COMMAND_MS == 0
+        if course is not None:  # a new current is given at once, so that commands lie at all times between readings
+            target_ma = course.at(number * 1e-3)
+            due = due or round(target_ma) != written_ma
+            written_ma = round(target_ma)
+        if devices.gripper is not None and due:
+            if course is None and number > schedule.ramp_ms:
                 target_ma += rng.uniform(*RAMP_MA)
             now_us = devices.clock.now_us()
             rows |= _command(devices.gripper, now_us, target_ma, number, schedule)

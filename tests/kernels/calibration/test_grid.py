@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.calibration.grid import arrange, lattice, neighbours, pitch
+from evetac_cli.kernels.calibration.grid import arrange, lattice, neighbours, one_row, pitch
 from tests.conftest import DATA
 
 Grid = NDArray[np.float64]
@@ -225,3 +225,26 @@ def test_neighbours_of_made_grids() -> None:
     dots = tilted(regular(7, 8), np.deg2rad(3)).reshape(-1, 2) + rng.uniform(-3, 3, (56, 2))
     assert neighbour_counts(rng.permutation(dots)) == [4, 22, 30]
     assert (neighbours(dots[:1]) == -1).all()
+
+
+def staggered(rows: int = 7, columns: int = 8, pitch_px: float = 60.0) -> Grid:
+    """Places (n, 2) with six neighbours each: every other row half a pitch to the right."""
+    y, x = np.mgrid[:rows, :columns]
+    return pitch_px * np.stack([1 + x + 0.5 * (y % 2), 1 + y * np.sqrt(0.75)], axis=-1).reshape(-1, 2)
+
+
+def test_staggered_rows_are_no_grid() -> None:
+    """Assert that they are refused whether whole or with dots missing, and are one row from the top and the left."""
+    rng = np.random.default_rng(0)
+    whole = staggered()
+    for places in (whole, np.delete(whole, 20, axis=0), whole + rng.normal(0, 1.0, whole.shape)):
+        with pytest.raises(ValueError, match="expected"):
+            lattice(rng.permutation(places))
+    np.testing.assert_array_equal(one_row(rng.permutation(whole)), whole[None])
+    np.testing.assert_array_equal(arrange(whole[None, ::-1]), whole[None, ::-1])
+
+
+def test_neighbours_of_staggered_rows() -> None:
+    """Assert that an inner dot has its six neighbours, and one at a border fewer."""
+    counts = (neighbours(staggered()) >= 0).sum(axis=1).reshape(7, 8)
+    assert (counts[1:-1, 1:-1] == 6).all() and (counts <= 6).all() and (counts >= 2).all()

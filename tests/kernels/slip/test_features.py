@@ -179,7 +179,6 @@ def test_wrong_shapes_are_refused() -> None:
         lambda: features.gel_image(*columns, None, np.zeros((4, 5), np.int8)),
         lambda: features.gel_image(*columns[:2], np.zeros(3, np.uint8), None, np.zeros((480, 540), np.int8)),
         lambda: features.rotate(np.zeros((7, 8, 2), np.float32), 1),
-        lambda: features.rotate(np.zeros((1, 8, 7, 2), np.float32), 1),
         lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(3, np.uint16), None),
         lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.int32)),
         lambda: features.event_image(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.uint8)),
@@ -248,6 +247,15 @@ def test_quarter_turns_of_other_grids(rows: int, columns: int, first: int) -> No
                 row, column = (c, rows - 1 - r) if turn == 1 else (rows - 1 - c, r)
                 assert (square[:, r, c] == windows[:, row, first + column]).all()
         assert np.count_nonzero(turned) == square.size
+
+
+def test_quarter_turns_of_more_rows_than_columns() -> None:
+    """Assert that the square below the uppermost row turns about itself, and that the rest is 0."""
+    windows = numbered(4, 3)
+    for turn in (1, 3):
+        turned = features.rotate(windows, turn)
+        np.testing.assert_array_equal(turned[:, 1:], np.rot90(windows[:, 1:], turn, axes=(1, 2)))
+        assert (turned[:, 0] == 0).all()
 
 
 def test_events_outside_the_window() -> None:

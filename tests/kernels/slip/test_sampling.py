@@ -29,7 +29,9 @@ def pools(slip: int, busy: int, quiet: int) -> Samples:
     """Give samples of which only the pools matter, with a different slice for each."""
     ends = np.arange(slip + busy + quiet)
     series = np.zeros((0, 56, 4), np.float32)
-    return Samples(HIST10, 7, 8, series, ends[:slip], ends[slip : slip + busy], ends[slip + busy :])
+    return Samples(
+        HIST10, 7, 8, series, ends[:slip], ends[slip : slip + busy], ends[slip + busy :], np.zeros(0, np.float32)
+    )
 
 
 def test_pools_of_a_small_trajectory() -> None:
@@ -67,6 +69,18 @@ def test_unexamined_slices_are_no_samples() -> None:
     drawn = np.concatenate([samples.slip, samples.busy, samples.quiet])
     assert not set(drawn) & set(range(20, 45))
     assert len(drawn) == 11 + 10
+
+
+def test_share_of_slip_as_far_ahead_as_the_labels() -> None:
+    """Assert that a sample has the share of 10 ms later, 1 from the onset on, and NaN where it is not known."""
+    share = np.linspace(0, 1, 100, dtype=np.float32)
+    known = trajectory(100, 30)._replace(slip_share=share)
+    samples = sampling.gather([known, trajectory(100, 30)], HIST10, horizon_ms=10)
+    np.testing.assert_array_equal(samples.slip_share[:20], share[10:30])
+    assert (samples.slip_share[20:45] == 1).all()
+    assert np.isnan(samples.slip_share[45:]).all()
+    with pytest.raises(ValueError, match="slip_share: expected 100 shares of 0 to 1"):
+        sampling.gather([known._replace(slip_share=share + 1)], HIST10)
 
 
 def test_samples_keep_to_their_trajectory() -> None:

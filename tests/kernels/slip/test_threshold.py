@@ -8,11 +8,14 @@ from evetac_cli.kernels.slip.threshold import THRESHOLDS, choose_threshold
 from tests.kernels.slip.test_metrics import prediction
 
 
-def test_grid_is_the_papers() -> None:
-    """Assert that thresholds run from 0 to 1 by 0.025, both included."""
-    assert len(THRESHOLDS) == 41
+def test_grid_is_the_papers_and_finer_near_one() -> None:
+    """Assert that thresholds run from 0 to 1 by 0.025, both included, and by less from 0.975 on."""
     assert (THRESHOLDS[0], THRESHOLDS[20], THRESHOLDS[-1]) == (0.0, 0.5, 1.0)
-    np.testing.assert_allclose(np.diff(THRESHOLDS), 0.025, rtol=1e-12)
+    coarse = THRESHOLDS[:40]
+    assert coarse[-1] == 0.975
+    np.testing.assert_allclose(np.diff(coarse), 0.025, rtol=1e-12)
+    assert (np.diff(THRESHOLDS[39:]) > 0).all()
+    assert np.diff(THRESHOLDS[39:]).max() < 0.01
 
 
 def staircase(noise: float, slip_says: float) -> list[Prediction]:

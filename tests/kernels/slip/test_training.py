@@ -40,7 +40,8 @@ def separable(rng: np.random.Generator) -> Samples:
         displacement = rng.uniform(0, 0.5, (200, 56)) + 10 * label[:, None]
         events = rng.poisson(np.where(label, 200, 0.45)[:, None], (200, 56)).astype(np.int32)
         series = features.series(displacement.astype(np.float32), events)
-        trajectories.append(Trajectory(series, events.sum(axis=1), label, 150))
+        share = (np.arange(200) / 150).clip(0, 1).astype(np.float32)
+        trajectories.append(Trajectory(series, events.sum(axis=1), label, 150, share))
     return sampling.gather(trajectories, HIST10)
 
 
@@ -312,7 +313,7 @@ def test_factors_are_drawn_log_uniformly() -> None:
 
 def test_the_first_step_sees_the_varied_samples(problem: Samples) -> None:
     """Assert that a batch is turned, then multiplied sample by sample: the loss of step 1 is that of such a batch."""
-    idle = replace(ADAMW, learning_rate=0.0, weight_decay=0.0, average=0.0)
+    idle = replace(ADAMW, learning_rate=0.0, weight_decay=0.0, average=0.0, share_weight=0.0)
     result = training.train(problem, idle, np.random.default_rng(13), max_steps=1)
     _, draws, turns, gains = np.random.default_rng(13).spawn(4)
     batch = next(sampling.batches(problem, draws))
@@ -324,6 +325,21 @@ def test_the_first_step_sees_the_varied_samples(problem: Samples) -> None:
         logits = from_weights(HIST10, result.checkpoints[0].weights)(torch.from_numpy(varied))
         loss = torch.nn.functional.binary_cross_entropy_with_logits(logits, target)
     assert result.curve_loss[0] == pytest.approx(float(loss), rel=1e-5)
+
+
+def test_the_share_that_slips_is_learned_beside_the_labels(problem: Samples) -> None:
+    """Assert that the known share of slip changes the weights, and that samples which do not know it do without."""
+    preset = training.PRESETS["adamw"]
+    unknown = replace(problem, slip_share=np.full_like(problem.slip_share, np.nan))
+    labels_alone = replace(preset, share_weight=0.0)
+
+    def trained(samples: Samples, preset: training.Preset) -> Training:
+        return training.train(samples, preset, np.random.default_rng(20), max_steps=20)
+
+    with_share = trained(problem, preset)
+    assert not same(with_share, trained(problem, labels_alone))
+    assert same(trained(unknown, preset), trained(problem, labels_alone))
+    assert set(with_share.checkpoints[-1].weights) == set(trained(unknown, preset).checkpoints[-1].weights)
 
 
 def test_images_are_trained_on() -> None:

@@ -210,12 +210,11 @@ def test_another_grid_is_refused(made: Path, tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_answered(made: Path, tmp_path: Path) -> None:
-    """Assert that too few files, no truth, too short a contact and no model are refused in words."""
+    """Assert that too few files, no truth, too short a contact and no model to evaluate are refused in words."""
     model = str(made / "events.force-model.h5")
     refused(train_force, [made / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
     refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(model=model), "too short", tmp_path)
     refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(), "no force-model file", tmp_path)
-    refused(predict_force, [made / "trial3.tracks.h5"], params.PredictForce(), "no force-model file", tmp_path)
     real = trial(tmp_path, 9, truth=False)
     refused(evaluate_force, [real], params.EvaluateForce(model=model), "has no truth", tmp_path)
     refused(track_rgb, [tmp_path / "trial9.recording.h5"], params.TrackRgb(), "only a simulation", tmp_path)

@@ -1,0 +1,72 @@
+"""The displacement of the gel's surface at fixed places, from dots wherever they are: what does not depend on the grid.
+
+At each place of a lattice in mm stands the value of a plane fitted to the displacements of the dots about it, nearer
+ones counting more. Where no dot is near (beside a cut gel, between lost dots) it is 0.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+X_MM = np.array([-8.4, -6.0, -3.6, -1.2, 1.2, 3.6, 6.0, 8.4])
+Y_MM = np.array([-6.0, -3.6, -1.2, 1.2, 3.6, 6.0])
+LATTICE_MM: Floats = np.stack(np.meshgrid(X_MM, Y_MM), axis=-1).reshape(-1, 2)  # from the middle of the view
+WIDTH_MM = 1.7  # sd of the weight over distance: about a pitch of the paper's dots
+WIDTH_PITCHES = 0.85  # ... of a wider grid
+REACH_WIDTHS = 1.25  # a place has no value where the nearest dot is farther
+LEAST_DOTS = 6  # fewer say nothing
+
+
+def lattice_weights(rest_mm: Floats) -> Floats:
+    """Weights (places, dots) that give the displacement at each place of the lattice from that of dots (dots, 2)."""
+    apart = rest_mm[None] - LATTICE_MM[:, None]
+    distance = np.linalg.norm(apart, axis=2)
+    width = max(WIDTH_MM, WIDTH_PITCHES * _pitch_mm(rest_mm))
+    nearer = np.exp(-0.5 * (distance / width) ** 2)
+    terms = np.concatenate([np.ones_like(apart[..., :1]), apart], axis=2)
+    squares = np.einsum("ld,ldi,ldj->lij", nearer, terms, terms)
+    inverse = np.linalg.pinv(squares, rcond=1e-6, hermitian=True)
+    weights: Floats = np.einsum("lj,ldj,ld->ld", inverse[:, 0], terms, nearer)
+    weights[distance.min(axis=1) > REACH_WIDTHS * width] = 0.0
+    return weights
+
+
+def _pitch_mm(rest_mm: Floats) -> float:
+    """Median distance of a dot from its nearest."""
+    apart = np.linalg.norm(rest_mm[:, None] - rest_mm[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return float(np.median(apart.min(axis=1)))
+
+
+def lattice_field(moved_mm: Floats, rest_mm: Floats, tracked: Flags) -> Floats:
+    """Displacements in mm (n, places, 2) on the lattice, from those of dots (n, dots, 2).
+
+    rest_mm: (dots, 2) from the middle of the view; tracked: (n, dots), other dots are left out, and so are those whose
+    displacement or place is not finite. NaN in samples with fewer than LEAST_DOTS dots. ValueError on other shapes.
+    """
+    dots = len(rest_mm)
+    if moved_mm.shape != (len(moved_mm), dots, 2) or rest_mm.shape != (dots, 2) or tracked.shape != moved_mm.shape[:2]:
+        shapes = f"{moved_mm.shape}, {rest_mm.shape} and {tracked.shape}"
+        raise ValueError(f"expected shapes (n, dots, 2), (dots, 2) and (n, dots), found {shapes}")
+    seen = tracked & np.isfinite(moved_mm).all(axis=2) & np.isfinite(rest_mm).all(axis=1)
+    field = np.full((len(moved_mm), len(LATTICE_MM), 2), np.nan)
+    if not seen.size:
+        return field
+    bits = np.packbits(seen, axis=1)
+    _, sample, group = np.unique(bits.view(f"V{bits.shape[1]}").reshape(-1), return_index=True, return_inverse=True)
+    for number, mask in enumerate(seen[sample]):
+        if mask.sum() < LEAST_DOTS:
+            continue
+        rows = np.flatnonzero(group == number)
+        weights = lattice_weights(rest_mm[mask])
+        field[rows] = np.einsum("ld,ndc->nlc", weights, moved_mm[rows][:, mask], optimize=True)
+    return field
+
+
+def mirrored(field: Floats) -> Floats:
+    """The field (n, places, 2) of the same contact on the other side of the x axis."""
+    grid = field.reshape(len(field), len(Y_MM), len(X_MM), 2)[:, ::-1]
+    other: Floats = (grid * [1.0, -1.0]).reshape(field.shape)
+    return other

@@ -1,0 +1,178 @@
+"""The stiffness and creep of a gel from how far its dots move when it takes over the weight of a held object.
+
+The layer's model is that of sim/gel: a pad of height H on a stiff back, of which each piece of area a answers a
+displacement u with G (a/H u - a H/3 laplace(u)). An object that does not slip moves the gel under it as one piece, and
+around it the displacement fades over H / sqrt(3). Where the object touches is not known: a strip along the weight whose
+half width may differ at its ends, as of a cylinder between fingers that are not quite parallel. It is fitted to the
+dots.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.optimize import least_squares
+from scipy.sparse.linalg import spsolve
+
+Floats = NDArray[np.float64]
+
+HOLDS = 300.0  # by how much the object's hold on a piece of gel is stiffer than the layer
+EDGE_M = 0.3e-3  # over which the border of the contact is blurred, so that a fit can move it
+QUICK_ARM = (0.15, 10e-3)  # share and time in s of the arm that every gel has (sim/gel)
+ARM_S = ((0.1, 1.0), (2.0, 10.0))  # times that the two slow arms may have
+MOST_SHARE = 0.3  # of an arm
+ARM_TIMES = 7  # tried of each
+
+
+class Pad(NamedTuple):
+    """Nodes of a pad (rows, columns, 2) in m and its height."""
+
+    node_xy_m: Floats
+    height_m: float
+
+
+class HeldFit(NamedTuple):
+    """Displacement of the held part of the gel in m along the weight, stiffness over shear modulus in m, and the fit.
+
+    moved: share of the displacement at each dot. misfit: rms of what is left at the dots over the displacement.
+    """
+
+    displacement_m: float
+    stiffness_m: float
+    moved: Floats
+    misfit: float
+
+
+def layer(pad: Pad) -> sparse.csr_matrix:
+    """Stiffness of all nodes over the shear modulus, in m; the pad's edges are free."""
+    nodes, height = pad
+    rows, columns, _ = nodes.shape
+    pitch_x, pitch_y = nodes[0, 1, 0] - nodes[0, 0, 0], nodes[1, 0, 1] - nodes[0, 0, 1]
+    area = pitch_x * pitch_y
+
+    def chain(count: int) -> sparse.csr_matrix:
+        ends = np.full(count, 2.0)
+        ends[[0, -1]] = 1.0
+        return sparse.diags([ends, -np.ones(count - 1), -np.ones(count - 1)], [0, 1, -1])
+
+    across = sparse.kron(sparse.eye(rows), chain(columns)) / pitch_x**2
+    down = sparse.kron(chain(rows), sparse.eye(columns)) / pitch_y**2
+    return sparse.csr_matrix(area / height * sparse.eye(rows * columns) + area * height / 3 * (across + down))
+
+
+def shape(pad: Pad, stiffness: sparse.csr_matrix, strip: Floats) -> tuple[Floats, float]:
+    """How far each node moves for one of the object (rows, columns), and the force for that over the shear modulus.
+
+    strip: half width in m at the pad's first and last column, and its middle, all across x.
+    """
+    nodes = pad.node_xy_m
+    along = (nodes[..., 0] - nodes[0, 0, 0]) / (nodes[0, -1, 0] - nodes[0, 0, 0])
+    half = strip[0] * (1 - along) + strip[1] * along
+    inside = 1 / (1 + np.exp(np.clip((np.abs(nodes[..., 1] - strip[2]) - half) / EDGE_M * 4, -50, 50)))
+    inside *= 1 / (1 + np.exp(np.clip(-half / EDGE_M * 4, -50, 50)))
+    area = (nodes[0, 1, 0] - nodes[0, 0, 0]) * (nodes[1, 0, 1] - nodes[0, 0, 1])
+    hold = (HOLDS * area / pad.height_m * inside).reshape(-1)
+    moved = spsolve((stiffness + sparse.diags(hold)).tocsc(), hold)
+    return moved.reshape(inside.shape), float((stiffness @ moved).sum())
+
+
+def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
+    """Fit the contact and the displacement to the dots' displacement (dots,) along the weight, which is x of the pad.
+
+    ValueError with fewer than 12 dots on the pad, or where they do not move.
+    """
+    nodes = pad.node_xy_m
+    low, high = nodes[0, 0], nodes[-1, -1]
+    on_pad = np.all((dot_xy_m >= low) & (dot_xy_m <= high), axis=1) & np.isfinite(displacement_m)
+    if on_pad.sum() < 12:
+        raise ValueError(f"{on_pad.sum()} dots on the pad, of 12 at least")
+    largest_m = float(np.percentile(displacement_m[on_pad], 90))
+    if not largest_m > 0:
+        raise ValueError("the dots do not move along the weight")
+    stiffness = layer(pad)
+    half_pad = float(high[1] - low[1]) / 2
+
+    def at_dots(moved: Floats) -> Floats:
+        place = (dot_xy_m[on_pad] - low) / (nodes[1, 1] - nodes[0, 0])
+        whole = np.minimum(place.astype(np.intp), np.array(moved.shape)[::-1] - 2)
+        part = place - whole
+        column, row = whole.T
+        x, y = part.T
+        upper = moved[row, column] * (1 - x) + moved[row, column + 1] * x
+        lower = moved[row + 1, column] * (1 - x) + moved[row + 1, column + 1] * x
+        result: Floats = upper * (1 - y) + lower * y
+        return result
+
+    wanted = displacement_m[on_pad]
+
+    def residuals(parameters: Floats) -> Floats:
+        moved, _ = shape(pad, stiffness, parameters[:3] * 1e-3)
+        off: Floats = at_dots(moved) * parameters[3] - wanted / largest_m
+        return off
+
+    start = np.array([0.5 * half_pad * 1e3, 0.5 * half_pad * 1e3, float(low[1] + high[1]) * 500, 1.0])
+    bounds = ([-2.0, -2.0, start[2] - 5.0, 0.3], [1.2 * half_pad * 1e3] * 2 + [start[2] + 5.0, 3.0])
+    fitted = least_squares(residuals, start, bounds=bounds, loss="soft_l1", f_scale=0.1, diff_step=1e-2, max_nfev=30)
+    moved, force_m = shape(pad, stiffness, fitted.x[:3] * 1e-3)
+    everywhere = np.full(len(dot_xy_m), np.nan)
+    everywhere[on_pad] = at_dots(moved)
+    misfit = float(np.sqrt(np.mean(residuals(fitted.x) ** 2)))
+    return HeldFit(float(fitted.x[3]) * largest_m, force_m, everywhere, misfit)
+
+
+class Creep(NamedTuple):
+    """Shares and times in s of two slow arms, the displacement in the end, and the rms that is left over it."""
+
+    share: tuple[float, float]
+    time_s: tuple[float, float]
+    final: float
+    misfit: float
+
+
+def creep(time_s: Floats, displacement: Floats, loaded_s: float) -> Creep:
+    """Two slow arms from a displacement under a constant force that came on within loaded_s before time 0.
+
+    Every pair of times is tried; for one pair, shares and end follow from a search. ValueError where the displacement
+    ends at nothing.
+    """
+    if len(time_s) < 10 or not np.median(displacement[-len(displacement) // 4 :]) > 0:
+        raise ValueError("nothing moves under the weight")
+    best: tuple[float, Creep] | None = None
+    shares = np.array([0.03, 0.03])
+    ends = float(np.median(displacement[-len(displacement) // 4 :]))
+    for first in np.geomspace(*ARM_S[0], ARM_TIMES):
+        for second in np.geomspace(*ARM_S[1], ARM_TIMES):
+
+            def residuals(parameters: Floats, first: float = first, second: float = second) -> Floats:
+                expected = response(time_s, loaded_s, parameters[:2], np.array([first, second]))
+                off: Floats = parameters[2] * expected - displacement / ends
+                return off
+
+            fitted = least_squares(
+                residuals, [*shares, 1.0], bounds=([0.0, 0.0, 0.5], [MOST_SHARE, MOST_SHARE, 2.0]), max_nfev=12
+            )
+            if best is None or fitted.cost < best[0]:
+                share = (float(fitted.x[0]), float(fitted.x[1]))
+                misfit = float(np.sqrt(np.mean(fitted.fun**2)))
+                best = (fitted.cost, Creep(share, (float(first), float(second)), float(fitted.x[2]) * ends, misfit))
+    assert best is not None
+    return best[1]
+
+
+def response(time_s: Floats, loaded_s: float, shares: Floats, times_s: Floats) -> Floats:
+    """Displacement under a force over that in the end, at times after it came on, evenly, within loaded_s.
+
+    A spring beside arms of a spring and a dashpot in series: under a constant force f = u + sum s v, v' = u' - v/T.
+    """
+    share = np.append(shares, QUICK_ARM[0])
+    rate = 1.0 / np.append(times_s, QUICK_ARM[1])
+    at_once = 1.0 / (1.0 + share.sum())
+    change = at_once * np.outer(np.ones(len(share)), share * rate) - np.diag(rate)
+    values, vectors = np.linalg.eig(change)
+    weights = np.linalg.solve(vectors, np.full(len(share), at_once)) * (share @ vectors)
+    total: Floats = np.zeros(len(time_s))
+    for part in (np.arange(8) + 0.5) / 8:
+        since = time_s + part * loaded_s
+        total += 1.0 - (np.exp(np.outer(since, values)) @ weights).real
+    return total / 8

@@ -1,0 +1,220 @@
+"""evaluate force with a model for any sensor: errors by what is known of the sensor's gel (simulated recordings).
+
+Each tracks file has a row for each of these: `unknown`, nothing but the dots; `known`, scale and moduli of the sensor,
+the moduli with an error as large as `--stiffness-error` (creep stays unknown); with `--adapt`, `adapted` on tracks of
+the same sensor from nothing known, and `known, adapted`. Truth is compared without the noise of a force sensor, every
+40 ms of the contact; readings that a model is adapted on have that noise. `shear_within_sd` and `normal_within_sd` are
+the shares of errors within one predicted standard deviation (68 % if that is right), `contact_right` that of slices.
+"""
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Outcome, Progress
+from evetac_cli.kernels.force.gel_forces import Floats, Forces
+from evetac_cli.kernels.force.models import CONTACT_N
+from evetac_cli.params import EvaluateForce, recipe_of
+from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report
+from evetac_cli.stages.force import adapt_gel, gel_model, readings
+from evetac_cli.stages.force.gel_model import Gel, GelModel
+from evetac_cli.stages.force.train_gel import known_sensor
+from evetac_cli.stages.related_files import recording_with_truth
+from evetac_cli.stages.splits import check_disjoint, object_name
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.provenance import Header
+
+METHOD = 1
+KNOWN_KEYS = ("mm_per_px", *gel_model.MODULI.values())
+
+
+@dataclass(frozen=True)
+class ForceReportJob(ModelsReportJob):
+    """A report over files and models; the `own` files before the models are tracks to adapt on."""
+
+    own: int
+
+
+class Trial(NamedTuple):
+    """A trial's truth and what was predicted of it, by what is known of the gel."""
+
+    path: Path
+    sensor_name: str
+    object: str
+    shear_n: Floats
+    normal_n: Floats
+    predicted: dict[str, tuple[Forces, Floats]]  # forces, and probability of contact
+
+
+def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Progress) -> Outcome:
+    """Rows of every file and of what is known."""
+    paths = job.inputs[: -job.models]
+    files, own = paths[: len(paths) - job.own], paths[len(paths) - job.own :]
+    with StageFile(job.inputs[-1], "force-model") as file:
+        model_header, model = file.header, gel_model.read_gel_model(file)
+    if model.adapted is not None:
+        expected = "the model that it was adapted from, with --adapt"
+        raise InputError("the model is adapted to one sensor", where="--model", expected=expected)
+    headers, own_headers, by_sensor = _headers(files, own, model_header)
+    trials: list[Trial] = []
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        gels: dict[str, dict[str, Gel]] = {}
+        for number, path in enumerate(files):
+            trials.append(_predict(path, model, gels, by_sensor, params))
+            progress(number + 1, len(files))
+        range_n = max(float(one.normal_n.max()) for one in trials)
+        rows = [_row(one, name, range_n) for one in trials for name in one.predicted]
+        return rows, _summary(trials, rows, range_n, params)
+
+    parents = [*headers, *own_headers, model_header]
+    outcome = report(job, "evaluate force", METHOD, recipe_of(params), parents, measure, force=force)
+    if not trials:
+        return outcome
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, trials[0]), (13.0, 8.0))
+
+
+def _headers(
+    files: tuple[Path, ...], own: tuple[Path, ...], model: Header
+) -> tuple[list[Header], list[Header], dict[str, list[Path]]]:
+    """Headers of the files and of those to adapt on, and the latter by sensor; InputError where they do not fit."""
+    headers, own_headers, names = [], [], []
+    by_sensor: dict[str, list[Path]] = {}
+    for path in files:
+        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
+            known_sensor(recording)
+            headers.append(tracks.header)
+            names.append(str(tracks.read("sensor/name")))
+            check_disjoint([model], [tracks.header], "evaluated on", [path])
+    for path in own:
+        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
+            own_headers.append(tracks.header)
+            by_sensor.setdefault(str(tracks.read("sensor/name")), []).append(path)
+    if own:
+        check_disjoint(own_headers, headers, "evaluated on", list(files))
+        missing = sorted(set(names) - set(by_sensor))
+        if missing:
+            raise InputError(
+                "no tracks to adapt on",
+                where="--adapt",
+                expected="some of each sensor that is evaluated",
+                found=f"none of {', '.join(missing[:5])}",
+            )
+    return headers, own_headers, by_sensor
+
+
+def _gels(name: str, row: Mapping[str, Any], model: GelModel, own: list[Path], params: EvaluateForce) -> dict[str, Gel]:
+    """What is taken as known of a sensor's gel -> the model's weights."""
+    rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
+    moduli, noise = rng.spawn(2)
+    known = {key: float(row[key]) for key in KNOWN_KEYS}
+    for key in gel_model.MODULI.values():
+        known[key] *= float(np.exp(params.stiffness_error * moduli.standard_normal()))
+    gels = {
+        "unknown": gel_model.gel_of(model, {}, params.stiffness_error),
+        "known": gel_model.gel_of(model, known, params.stiffness_error),
+    }
+    if own:
+        for before, after in (("unknown", "adapted"), ("known", "known, adapted")):
+            estimated = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
+            gels[after] = Gel(*adapt_gel.adapted(model, gels[before], estimated, params.noise_n))
+    return gels
+
+
+def _predict(
+    path: Path,
+    model: GelModel,
+    gels: dict[str, dict[str, Gel]],
+    by_sensor: Mapping[str, list[Path]],
+    params: EvaluateForce,
+) -> Trial:
+    with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
+        name = str(tracks.read("sensor/name"))
+        if name not in gels:
+            gels[name] = _gels(name, known_sensor(recording), model, by_sensor.get(name, []), params)
+        predicted = {}
+        for known, gel in gels[name].items():
+            estimated = gel_model.predict(model, gel, tracks)
+            at = slice(None, None, readings.EVERY)
+            predicted[known] = (Forces(*(values[at] for values in estimated.forces)), estimated.contact[at])
+        shear_n = recording.read("truth/shear_force_n")[:: readings.EVERY].astype(float)
+        normal_n = recording.read("truth/normal_force_n")[:: readings.EVERY].astype(float)
+        return Trial(path, name, object_name(tracks.header), shear_n, normal_n, predicted)
+
+
+def _row(trial: Trial, name: str, range_n: float) -> dict[str, Any]:
+    forces, contact = trial.predicted[name]
+    pressed = trial.normal_n >= CONTACT_N
+    usable = pressed & np.isfinite(forces.normal_n)
+    off, normal_off = forces.shear_n[usable] - trial.shear_n[usable], forces.normal_n[usable] - trial.normal_n[usable]
+    any_slice = bool(usable.any())
+    mae = np.abs(off).mean(axis=0) if any_slice else np.full(2, np.nan)
+    normal_mae = float(np.abs(normal_off).mean()) if any_slice else np.nan
+    return {
+        "file": trial.path.name,
+        "sensor_name": trial.sensor_name,
+        "stiffness": name,
+        "mae_n_x": float(mae[0]),
+        "mae_n_y": float(mae[1]),
+        "mae_n": float(mae.mean()),
+        "normal_mae_n": normal_mae,
+        "normal_mae_of_range": normal_mae / range_n,
+        "shear_within_sd": float((np.abs(off) <= forces.shear_sd_n[usable]).mean()) if any_slice else np.nan,
+        "normal_within_sd": float((np.abs(normal_off) <= forces.normal_sd_n[usable]).mean()) if any_slice else np.nan,
+        "contact_right": float(((contact >= gel_model.CONTACT) == pressed).mean()),
+        "usable": float(usable.sum() / max(pressed.sum(), 1)),
+    }
+
+
+def _summary(trials: list[Trial], rows: Rows, range_n: float, params: EvaluateForce) -> dict[str, Any]:
+    """Means over files for each state of knowledge, and the range of the true forces."""
+    shear = np.concatenate([one.shear_n for one in trials])
+    summary: dict[str, Any] = {
+        "trajectories": len(trials),
+        "sensors": len({one.sensor_name for one in trials}),
+        "stiffness_error": params.stiffness_error,
+        "true_shear_n_mean": float(np.abs(shear).mean()),
+        "true_shear_n_most": float(np.abs(shear).max()),
+        "normal_range_n": range_n,
+    }
+    for name in trials[0].predicted:
+        chosen = [row for row in rows if row["stiffness"] == name]
+        word = name.replace(", ", "_and_")
+        for key in ("mae_n", "normal_mae_n", "normal_mae_of_range", "shear_within_sd", "normal_within_sd"):
+            summary[f"{word}_{key}"] = float(np.nanmean([row[key] for row in chosen]))
+        by_sensor: dict[str, list[float]] = {}
+        for row in chosen:
+            by_sensor.setdefault(row["sensor_name"], []).append(row["mae_n"])
+        summary[f"{word}_worst_sensor_mae_n"] = float(max(np.nanmean(values) for values in by_sensor.values()))
+    summary["contact_right"] = float(np.mean([row["contact_right"] for row in rows if row["stiffness"] == "unknown"]))
+    return summary
+
+
+def _draw(figure: Any, trial: Trial) -> None:
+    """The first trajectory: forces with one standard deviation about them, for each state of knowledge."""
+    names = list(trial.predicted)
+    panels = figure.subplots(3, len(names), squeeze=False, sharex=True, sharey="row")
+    time_s = np.arange(len(trial.normal_n)) * readings.EVERY / 1000
+    for column, name in enumerate(names):
+        forces, _ = trial.predicted[name]
+        shown = (
+            ("shear force x", trial.shear_n[:, 0], forces.shear_n[:, 0], forces.shear_sd_n[:, 0]),
+            ("shear force y", trial.shear_n[:, 1], forces.shear_n[:, 1], forces.shear_sd_n[:, 1]),
+            ("normal force", trial.normal_n, forces.normal_n, forces.normal_sd_n),
+        )
+        for axes, (what, true, shown_n, sd) in zip(panels[:, column], shown, strict=True):
+            axes.plot(time_s, true, color="black", linewidth=1.5, label="true")
+            axes.plot(time_s, shown_n, color="C0", linewidth=1.0, label="predicted")
+            axes.fill_between(time_s, shown_n - sd, shown_n + sd, color="C0", alpha=0.2, linewidth=0, label="one sd")
+            axes.set_ylabel(f"{what} [N]" if column == 0 else "")
+            picture.quiet_grid(axes)
+        panels[0, column].set_title(f"gel {name}")
+        panels[-1, column].set_xlabel("time [s]")
+    figure.suptitle(f"Force from dots, {trial.sensor_name}, an unseen trajectory (simulated)")
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)

@@ -1,0 +1,126 @@
+"""train-force --adapt: a force model for any sensor, corrected for one by recordings under known forces.
+
+What is known of the gel before, of all gels or by `--sensor`, counts as much as it is sure: a minute of readings moves
+the stiffness most, creep less, and offsets only where the readings insist.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, outcome
+from evetac_cli.kernels.force import gel_forces
+from evetac_cli.params import TrainForce
+from evetac_cli.resources import FORCE_MODEL
+from evetac_cli.stages.force import gel_model, readings
+from evetac_cli.stages.force.gel_model import Adapted, Gel, GelModel
+from evetac_cli.store.files import StageFile, up_to_date, write_stage
+from evetac_cli.store.provenance import Recipe
+
+OUTPUT = "force-model"
+METHOD = 1
+SHORTEST_CONTACT = 5  # readings
+
+
+class Known(NamedTuple):
+    """Terms of the forces and readings, of all contacts of some recordings."""
+
+    shear: gel_forces.Floats
+    normal: gel_forces.Floats
+    shear_n: gel_forces.Floats
+    normal_n: gel_forces.Floats
+    contact: NDArray[np.int64]
+
+
+def job(files: list[Path], params: TrainForce, out: Path | None) -> Job:
+    """One model from all tracks files: `own.force-model.h5` beside the first."""
+    output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"own.{OUTPUT}.h5"
+    return Job((*files, params.model or FORCE_MODEL), output)
+
+
+def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
+    """Correct the model's weights and store it as a model of its own."""
+    *paths, model_path = job.inputs
+    known = gel_model.known_of(params.sensor)
+    headers, names, sources = [], [], []
+    for path in paths:
+        with StageFile(path, "tracks") as tracks:
+            headers.append(tracks.header)
+            names.append(str(tracks.read("sensor/name")))
+        sources.append(readings.digest(path))
+    if len(set(names)) > 1:
+        raise InputError("recordings of different sensors", where=str(paths[0]), found=", ".join(sorted(set(names))))
+    with StageFile(model_path, OUTPUT) as file:
+        model_header, model = file.header, gel_model.read_gel_model(file)
+    if model.adapted is not None:
+        hint = "adapt the model that it was made from, with all recordings"
+        raise InputError("the model is adapted already", where=str(model_path), hint=hint)
+    parameters = {
+        "method": "gel, adapted",
+        "noise_n": params.noise_n,
+        "stiffness_error": params.stiffness_error,
+        "known": {key: known[key] for key in (*gel_model.MODULI.values(), "mm_per_px", "creep") if key in known},
+        "readings": sources,
+    }
+    recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=(*headers, model_header))
+    if up_to_date(job.output, recipe, force=force):
+        return outcome(job, made=False, simulated=recipe.simulated)
+    gel = gel_model.gel_of(model, known, params.stiffness_error)
+    estimated = known_forces(model, gel, paths, params.noise_n, np.random.default_rng(params.seed))
+    after = adapted(model, gel, estimated, params.noise_n)
+    arrays = {"sensor": "events", "sensor_name": names[0], **gel_model.arrays_of(model._replace(adapted=after))}
+    write_stage(job.output, recipe, arrays)
+    return outcome(
+        job,
+        made=True,
+        simulated=recipe.simulated,
+        sensor_name=names[0],
+        contacts=len(np.unique(estimated.contact)),
+        readings=len(estimated.contact),
+        shear_modulus_kpa_before=float(1e3 * gel.scale.shear[:, 0].mean()),
+        shear_modulus_kpa=float(1e3 * after.scale.shear[:, 0].mean()),
+        normal_modulus_kpa_before=float(1e3 * gel.scale.normal[0]),
+        normal_modulus_kpa=float(1e3 * after.scale.normal[0]),
+    )
+
+
+def adapted(model: GelModel, gel: Gel, known: Known, noise_n: float) -> Adapted:
+    """The weights after known forces."""
+    scale = gel_forces.adapt(gel.scale, model.errors, *known, noise_n, readings.EVERY * gel_forces.SLICE_S)
+    return Adapted(scale, gel.mm_per_px, gel.creep_time_s)
+
+
+def known_forces(model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: float, rng: np.random.Generator) -> Known:
+    """Terms and readings of all contacts in tracks files; InputError where there is none."""
+    parts, contacts = [], 0
+    for path in paths:
+        with StageFile(path, "tracks") as tracks:
+            read = readings.read(tracks, noise_n, rng)
+            predicted = gel_model.predict(model, gel, tracks)
+        touches = predicted.contact[read.slice_] >= gel_model.CONTACT
+        number = np.cumsum(np.diff(touches, prepend=False) & touches)  # of the contact that a reading belongs to
+        lengths = np.bincount(number[touches], minlength=1)
+        used = touches & (lengths[number] >= SHORTEST_CONTACT)
+        at = read.slice_[used]
+        parts.append(
+            Known(
+                predicted.shear[at],
+                predicted.normal[at],
+                read.shear_n[used],
+                read.normal_n[used],
+                contacts + number[used],
+            )
+        )
+        contacts += int(number.max(initial=0)) + 1
+    whole = Known(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    if not len(whole.contact):
+        raise InputError(
+            "no reading is during a contact",
+            where=f"{paths[0]} and {len(paths) - 1} more",
+            expected=f"contacts of {SHORTEST_CONTACT * readings.EVERY} ms or more, with readings",
+        )
+    return whole

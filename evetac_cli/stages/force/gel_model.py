@@ -1,0 +1,247 @@
+"""Force models for any sensor: their files, what a sensor's file tells of its gel, and what they predict."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.force import gel_forces
+from evetac_cli.kernels.force.dot_field import LATTICE_MM, lattice_field
+from evetac_cli.kernels.force.gel_forces import Errors, Forces, GelNetwork, Scale, Stiffness
+from evetac_cli.kernels.force.models import Layer
+from evetac_cli.sim import scene, sensor_file
+from evetac_cli.store.files import StageFile
+from evetac_cli.text_files import read_toml
+
+Floats = NDArray[np.float64]
+
+LAYERS = 3
+SHAPES = {  # what the schema leaves open
+    "gel/0/weight": (None, LATTICE_MM.size),
+    "gel/2/bias": (3,),
+    "gel/errors": (4,),
+    "gel/contact": (3,),
+    "gel/prior/creep_time_s": (gel_forces.CREEP_ARMS,),
+    "adapted/shear_covariance": (2, gel_forces.CREEP_ARMS + 2, gel_forces.CREEP_ARMS + 2),
+    "adapted/normal_covariance": (2, 2),
+}
+BLOCK_SLICES = 5000
+LENGTHS_IN_SHEAR, LENGTHS_IN_NORMAL = 3, 2  # powers of mm_per_px in force over modulus
+CONTACT = 0.5  # probability from which there is contact
+MODULI = {"shear": "shear_modulus_pa", "normal": "normal_modulus_pa"}
+
+
+class Prior(NamedTuple):
+    """What is expected of a gel before anything is known: the spread of the sensors that were trained on."""
+
+    stiffness: Stiffness
+    mm_per_px: float
+    mm_log_sd: float
+
+
+class Adapted(NamedTuple):
+    """The weights after known forces, of one sensor."""
+
+    scale: Scale
+    mm_per_px: float
+    creep_time_s: Floats
+
+
+class GelModel(NamedTuple):
+    """The contents of a force-model file of this method."""
+
+    network: GelNetwork
+    errors: Errors
+    contact: Floats  # (3,)
+    prior: Prior
+    adapted: Adapted | None
+
+
+class Gel(NamedTuple):
+    """A model's weights for one sensor."""
+
+    scale: Scale
+    mm_per_px: float
+    creep_time_s: Floats
+
+
+class Predicted(NamedTuple):
+    """What a model tells of every slice: force over modulus (slices, 3), terms, forces, probability of contact."""
+
+    over_modulus_mm2: Floats
+    signs: Floats
+    shear: Floats
+    normal: Floats
+    forces: Forces
+    contact: Floats
+
+
+def prior_of(rows: Sequence[Mapping[str, Any]]) -> Prior:
+    """Medians and spreads of the gels of many sensors."""
+
+    def logs(key: str) -> tuple[float, float]:
+        values = np.log([float(row[key]) for row in rows])
+        return float(np.exp(np.median(values))), float(values.std())
+
+    shear_pa, shear_sd = logs(MODULI["shear"])
+    normal_pa, normal_sd = logs(MODULI["normal"])
+    mm_per_px, mm_sd = logs("mm_per_px")
+    creeps = [row.get("creep", {}) for row in rows]
+    arms = gel_forces.CREEP_ARMS
+    share = np.array([_padded(creep.get("share", []), arms, 0.0) for creep in creeps])
+    time_s = np.array([_padded(creep.get("time_s", []), arms, np.nan) for creep in creeps])
+    if np.isfinite(time_s).all(axis=1).any():
+        times = np.exp(np.nanmean(np.log(time_s), axis=0))
+    else:
+        times = np.array([0.3, 5.0])
+    stiffness = Stiffness(shear_pa * 1e-6, shear_sd, normal_pa * 1e-6, normal_sd, share.mean(0), share.std(0), times)
+    return Prior(stiffness, mm_per_px, mm_sd)
+
+
+def _padded(values: Sequence[float], size: int, by: float) -> list[float]:
+    return [*map(float, values), *[by] * size][:size]
+
+
+def gel_of(model: GelModel, known: Mapping[str, Any], stiffness_error: float) -> Gel:
+    """The weights for a sensor of which `known` keys of its row are told; an adapted model has its own.
+
+    stiffness_error: sd of the logarithm of moduli that are known. A scale that is not known makes forces less sure.
+    """
+    if model.adapted is not None:
+        return Gel(*model.adapted)
+    expected = model.prior.stiffness
+    mm_log_sd = 0.0 if "mm_per_px" in known else model.prior.mm_log_sd
+
+    def modulus(which: str, median_mpa: float, log_sd: float, lengths: int) -> tuple[float, float]:
+        key = MODULI[which]
+        mpa, sd = (float(known[key]) * 1e-6, stiffness_error) if key in known else (median_mpa, log_sd)
+        return mpa, float(np.hypot(sd, lengths * mm_log_sd))
+
+    creep = known.get("creep")
+    arms = gel_forces.CREEP_ARMS
+    slow = (expected.creep_share, expected.creep_sd, expected.creep_time_s)
+    if creep is not None:
+        times = np.array(_padded(creep["time_s"], arms, 1.0))
+        slow = (np.array(_padded(creep["share"], arms, 0.0)), np.zeros(arms), times)
+    stiffness = Stiffness(
+        *modulus("shear", expected.shear_mpa, expected.shear_log_sd, LENGTHS_IN_SHEAR),
+        *modulus("normal", expected.normal_mpa, expected.normal_log_sd, LENGTHS_IN_NORMAL),
+        *slow,
+    )
+    return Gel(gel_forces.scale_of(stiffness), float(known.get("mm_per_px", model.prior.mm_per_px)), slow[2])
+
+
+def known_of(sensor: str | None) -> dict[str, Any]:
+    """What `--sensor` tells of a gel: of a file only the keys that it names itself, of a named sensor all."""
+    if sensor is None:
+        return {}
+    if sensor == scene.FOR_EACH_TRIAL:
+        expected = "one sensor, as in evetac or randomized:7, or its file"
+        raise InputError("not one sensor but many", where="--sensor", expected=expected, found=sensor)
+    if not sensor.endswith(sensor_file.SUFFIX):
+        return {"creep": {"share": [], "time_s": []}, **scene.sensor_row(sensor)}  # it creeps if its row says so
+    _, row = sensor_file.read(Path(sensor), scene.sensor_row)
+    named = read_toml(Path(sensor))
+    return {key: value for key, value in row.items() if key in named}
+
+
+def over_modulus(model: GelModel, tracks: StageFile, mm_per_px: float) -> tuple[Floats, Floats]:
+    """Force over modulus (slices, 3) in mm2 and the signs of contact (slices, 3) of a tracks file, in blocks."""
+    slices = tracks.length("dot_xy_px")
+    rest_px = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+    rest_mm = (rest_px - tracks.read("sensor/frame_px") / 2) * mm_per_px
+    result, signs = np.empty((slices, 3)), np.empty((slices, 3))
+    for first in range(0, slices, BLOCK_SLICES):
+        stop = min(first + BLOCK_SLICES, slices)
+        moved_mm = (tracks.read("dot_xy_px", first, stop) - rest_px) * mm_per_px
+        tracked = tracks.read("lost", first, stop) == 0
+        field_mm = lattice_field(moved_mm, rest_mm, tracked)
+        result[first:stop] = gel_forces.over_modulus(model.network, field_mm)
+        signs[first:stop] = gel_forces.contact_signs(field_mm, result[first:stop, 2])
+    return result, signs
+
+
+def predict(model: GelModel, gel: Gel, tracks: StageFile) -> Predicted:
+    """Forces and contact in every slice of a tracks file."""
+    found_mm2, signs = over_modulus(model, tracks, gel.mm_per_px)
+    shear = gel_forces.shear_terms(found_mm2[:, :2], gel.creep_time_s)
+    normal = gel_forces.normal_terms(found_mm2[:, 2])
+    forces = gel_forces.predict(gel.scale, model.errors, shear, normal)
+    contact = gel_forces.contact_probability(signs, model.contact)
+    return Predicted(found_mm2, signs, shear, normal, forces, contact)
+
+
+def arrays_of(model: GelModel) -> dict[str, Any]:
+    """The datasets of a model."""
+    network, prior = model.network, model.prior
+    arrays: dict[str, Any] = {
+        "gel/scale_mm2": network.scale_mm2,
+        "gel/linear/weight": network.linear.weight,
+        "gel/linear/bias": network.linear.bias,
+        "gel/errors": np.array(model.errors),
+        "gel/contact": model.contact,
+        "gel/prior/shear_modulus_pa": np.float64(prior.stiffness.shear_mpa * 1e6),
+        "gel/prior/shear_log_sd": np.float64(prior.stiffness.shear_log_sd),
+        "gel/prior/normal_modulus_pa": np.float64(prior.stiffness.normal_mpa * 1e6),
+        "gel/prior/normal_log_sd": np.float64(prior.stiffness.normal_log_sd),
+        "gel/prior/creep_share": prior.stiffness.creep_share,
+        "gel/prior/creep_sd": prior.stiffness.creep_sd,
+        "gel/prior/creep_time_s": prior.stiffness.creep_time_s,
+        "gel/prior/mm_per_px": np.float64(prior.mm_per_px),
+        "gel/prior/mm_log_sd": np.float64(prior.mm_log_sd),
+    }
+    for number, layer in enumerate(network.layers):
+        arrays |= {f"gel/{number}/weight": layer.weight, f"gel/{number}/bias": layer.bias}
+    if model.adapted is not None:
+        scale = model.adapted.scale
+        arrays |= {
+            "adapted/shear": scale.shear,
+            "adapted/shear_covariance": scale.shear_covariance,
+            "adapted/normal": scale.normal,
+            "adapted/normal_covariance": scale.normal_covariance,
+            "adapted/mm_per_px": np.float64(model.adapted.mm_per_px),
+            "adapted/creep_time_s": model.adapted.creep_time_s,
+        }
+    return arrays
+
+
+def read_gel_model(file: StageFile) -> GelModel:
+    """The model in a force-model file; InputError if it is of another method, or for another lattice."""
+    if not file.has("gel"):
+        raise InputError(
+            "the force model is of the paper's method, for the dots of one sensor",
+            where=str(file.path),
+            expected="a model of train-force --method gel",
+        )
+    stored = file.contents()
+    for name, shape in SHAPES.items():
+        size_of = stored[name][1] if name in stored else shape
+        if any(wanted not in (size, None) for size, wanted in zip(size_of, shape, strict=True)):
+            raise InputError(
+                f"{name} has another shape than models of this version",
+                where=str(file.path),
+                expected=str(shape),
+                found=str(size_of),
+                hint="train it again",
+            )
+    layers = tuple(Layer(file.read(f"gel/{n}/weight"), file.read(f"gel/{n}/bias")) for n in range(LAYERS))
+    linear = Layer(file.read("gel/linear/weight"), file.read("gel/linear/bias"))
+    stiffness = Stiffness(
+        float(file.read("gel/prior/shear_modulus_pa")) * 1e-6,
+        float(file.read("gel/prior/shear_log_sd")),
+        float(file.read("gel/prior/normal_modulus_pa")) * 1e-6,
+        float(file.read("gel/prior/normal_log_sd")),
+        file.read("gel/prior/creep_share"),
+        file.read("gel/prior/creep_sd"),
+        file.read("gel/prior/creep_time_s"),
+    )
+    prior = Prior(stiffness, float(file.read("gel/prior/mm_per_px")), float(file.read("gel/prior/mm_log_sd")))
+    adapted = None
+    if file.has("adapted"):
+        scale = Scale(*(file.read(f"adapted/{name}") for name in Scale._fields))
+        adapted = Adapted(scale, float(file.read("adapted/mm_per_px")), file.read("adapted/creep_time_s"))
+    network = GelNetwork(layers, linear, file.read("gel/scale_mm2"))
+    return GelModel(network, Errors(*file.read("gel/errors").tolist()), file.read("gel/contact"), prior, adapted)

@@ -1,0 +1,102 @@
+"""What a force sensor read during a recording: from a table beside its tracks, or the truth of a simulation with noise.
+
+The table is `NAME.force.csv` beside `NAME.tracks.h5`: a first line `t_s,shear_x_n,shear_y_n,normal_n`, then a line for
+each reading. t_s is from the start of the recording; a force that was not measured is left empty. Shear is what the
+object does to the gel, x to the right and y down in the image, as `truth/shear_force_n` of simulated recordings.
+"""
+
+import csv
+import hashlib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.stages.related_files import recording_with_truth
+from evetac_cli.store.files import StageFile, stem
+from evetac_cli.text_files import read_text
+
+Floats = NDArray[np.float64]
+
+COLUMNS = ["t_s", "shear_x_n", "shear_y_n", "normal_n"]
+EVERY = 40  # slices from one reading that is used to the next
+MOST_BYTES = 1 << 26
+LARGEST_N = 1e4
+
+
+class Readings(NamedTuple):
+    """Forces in N at some slices, NaN where one was not measured."""
+
+    slice_: NDArray[np.int64]  # (n,)
+    shear_n: Floats  # (n, 2)
+    normal_n: Floats  # (n,)
+
+
+def table_beside(tracks: Path) -> Path:
+    """Where the readings of a tracks file lie, if there are any."""
+    return tracks.with_name(f"{stem(tracks)}.force.csv")
+
+
+def digest(tracks: Path) -> str:
+    """What identifies the readings of a tracks file in a recipe: their table's content, or that they are the truth."""
+    table = table_beside(tracks)
+    return hashlib.sha256(read_text(table, MOST_BYTES).encode()).hexdigest() if table.exists() else "truth"
+
+
+def read(tracks: StageFile, noise_n: float, rng: np.random.Generator) -> Readings:
+    """Readings for a tracks file, one every 40 ms at most; InputError if there is neither a table nor truth."""
+    table = table_beside(tracks.path)
+    if table.exists():
+        return _from_table(table, tracks.length("dot_xy_px"))
+    try:
+        with recording_with_truth(tracks) as recording:
+            shear_n = recording.read("truth/shear_force_n")[::EVERY].astype(float)
+            normal_n = recording.read("truth/normal_force_n")[::EVERY].astype(float)
+    except InputError as error:
+        raise InputError(
+            f"no known forces: {error.message}",
+            where=str(tracks.path),
+            expected=f"a table {table.name} with {', '.join(COLUMNS)}, or a simulated recording",
+        ) from None
+    slices = EVERY * np.arange(len(shear_n))
+    return Readings(
+        slices,
+        shear_n + rng.normal(0.0, noise_n, shear_n.shape),
+        normal_n + rng.normal(0.0, noise_n, normal_n.shape),
+    )
+
+
+def _from_table(path: Path, slices: int) -> Readings:
+    lines = csv.reader(read_text(path, MOST_BYTES).splitlines())
+    first = [name.strip() for name in next(lines, [])]
+    if first != COLUMNS:
+        raise InputError(
+            "not a table of forces", where=f"{path}, line 1", expected=",".join(COLUMNS), found=",".join(first)[:80]
+        )
+    rows = []
+    for number, line in enumerate(lines, start=2):
+        if not line:
+            continue
+        try:
+            row = [float(entry) if entry.strip() else np.nan for entry in line]
+        except ValueError:
+            row = []
+        if len(row) != len(COLUMNS) or np.isinf(row).any() or np.isnan(row[0]) or np.nanmax(np.abs(row)) > LARGEST_N:
+            expected = f"four finite numbers of at most {LARGEST_N:g}, the forces empty where not measured"
+            written = ",".join(line)[:80]
+            raise InputError("not a reading", where=f"{path}, line {number}", expected=expected, found=written)
+        if not 0 <= row[0] * 1000 < slices:
+            written = f"{row[0]:g} s"
+            expected = f"a time within the recording, 0 to {slices / 1000:g} s"
+            raise InputError(
+                "a reading beside the recording", where=f"{path}, line {number}", expected=expected, found=written
+            )
+        rows.append(row)
+    if not rows:
+        raise InputError("a table of forces without a reading", where=str(path))
+    values = np.array(rows)
+    slice_ = (values[:, 0] * 1000).astype(np.int64)
+    _, kept = np.unique(slice_ // EVERY, return_index=True)
+    return Readings(slice_[kept], values[kept, 1:3], values[kept, 3])

@@ -1,0 +1,172 @@
+"""Contacts of many gels in balance, without camera and without time: what the network of `--method gel` is trained on.
+
+Each contact has a sensor drawn from the ranges of `randomized` (dots, lens, scale, moduli) and a closed or a cut gel. A
+face or a round object presses somewhere and shears in several directions; the layer answers as in sim/gel: what sticks
+moves with the object, the rest follows; in some contacts the shear is shared out as in full slip. The dots are then
+off by what a tracker errs, and the displacement field is read from them as from a recording's.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from evetac_cli.kernels.force.dot_field import lattice_field
+from evetac_cli.sim import sampling
+from evetac_cli.sim.camera.gel_camera import dot_grid
+from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scenes.shared import pad
+
+Floats = NDArray[np.float64]
+
+HEIGHT_M = gel.GelMaterial().height_m
+SHEARS = 8  # of each contact; the first is none
+CUT_SHARE = 0.4  # of the gels
+NORMAL_N = (0.3, 25.0)
+FRICTION = 1.2  # most shear for each N of normal force
+DEEPEST_M = 1.5e-3
+FARTHEST_M = 2.5e-3  # a surface that moves by more than half the layer's height is no longer linear
+FACE_OFFSET_M, OBJECT_OFFSET_M = 10e-3, 4e-3  # from the middle of the view, at most
+RADIUS_M = (8e-3, 60e-3)  # of round objects
+TILT_RAD = np.deg2rad(0.4)
+SLIPPING_SHARE = 0.4  # of the contacts have some of the shear shared out as in full slip
+TRACKER_PX = (0.05, 0.4)  # sd of a dot's error
+DOT_SHARE = 0.02  # ... and as a share of its displacement
+LEAST_NODES = 4
+
+
+class Contacts(NamedTuple):
+    """Fields on the lattice (n, places, 2) in mm, forces over moduli (n, 3) in mm2, and the sensors' rows."""
+
+    field_mm: Floats
+    over_modulus_mm2: Floats
+    sensor_rows: list[dict[str, Any]]
+
+
+def sample(
+    ranges: Mapping[str, Any],
+    count: int,
+    rng: np.random.Generator,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Contacts:
+    """So many contacts of sensors from a row of ranges, SHEARS samples each."""
+    fields, forces, rows = [], [], []
+    for number, own in enumerate(rng.spawn(count)):
+        row = sampling.sample_sensor(ranges, own)
+        field_mm, over_modulus = one_contact(row, own)
+        fields.append(field_mm)
+        forces.append(over_modulus)
+        rows.append(row)
+        if on_progress and number % 100 == 0:
+            on_progress(number, count)
+    return Contacts(np.concatenate(fields), np.concatenate(forces), rows)
+
+
+def one_contact(row: Mapping[str, Any], rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Fields and forces over moduli of one contact of a sensor."""
+    cut = bool(rng.random() < CUT_SHARE)
+    nodes = pad({"gel": {"cut": cut}}, row)
+    area_m2 = contact.cell_area(nodes)
+    stiffness = float(row["normal_modulus_pa"]) / HEIGHT_M * area_m2
+    depth_m = _depth(nodes, stiffness, rng)
+    while (depth_m > 0).sum() < LEAST_NODES:  # beside the pad
+        depth_m = _depth(nodes, stiffness, rng)
+    depth_m *= min(1.0, rng.uniform(0.2, 1.0) * DEEPEST_M / depth_m.max())
+    normal_n = stiffness * depth_m.sum()
+    share = _shared_shear(nodes, depth_m, rng)
+    # shear force over modulus, for each m that the object moves, in m
+    answer_m = share.sum() * area_m2 / HEIGHT_M
+    size_m2 = rng.uniform(0.0, FRICTION, SHEARS) * rng.random(SHEARS) ** 0.3
+    size_m2 *= normal_n / float(row["shear_modulus_pa"])
+    size_m2[0] = 0.0
+    angle = rng.uniform(0.0, 2 * np.pi, SHEARS)
+    moved_m = np.minimum(size_m2 / answer_m, FARTHEST_M)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+    grid_px = dot_grid(row, cut).reshape(-1, 2)
+    mm_per_px = float(row["mm_per_px"])
+    middle_px = np.array(row["frame_px"]) / 2
+    rest_m = (grid_px - middle_px) * mm_per_px * 1e-3
+    at_dots = gel.interpolation(nodes, rest_m)
+    depth_at_dots = gel.field_at(depth_m[..., None], *at_dots)[:, 0]
+    share_at_dots = gel.field_at(share[..., None], *at_dots)[:, 0]
+    spread_m = dilation(rest_m, nodes, depth_m, depth_at_dots, HEIGHT_M)
+    shift_m = spread_m + moved_m[:, None] * share_at_dots[None, :, None]
+    lens = Lens.of_sensor(row)
+    dots_px = grid_px + shift_m * (1e3 / mm_per_px)
+    if lens is not None:
+        dots_px, grid_px = lens.seen(dots_px), lens.seen(grid_px)
+    moved_mm = (dots_px - grid_px) * mm_per_px
+    error_mm = mm_per_px * np.exp(rng.uniform(*np.log(TRACKER_PX)))
+    moved_mm = moved_mm * (1 + DOT_SHARE * rng.normal(size=(1, len(grid_px), 1)))
+    moved_mm = moved_mm + rng.normal(0.0, error_mm, moved_mm.shape)
+    tracked = np.ones(moved_mm.shape[:2], np.bool_)
+    field_mm = lattice_field(moved_mm, (grid_px - middle_px) * mm_per_px, tracked)
+    normal_mm2 = np.full(SHEARS, 1e6 * normal_n / float(row["normal_modulus_pa"]))
+    return field_mm, np.column_stack([1e6 * answer_m * moved_m, normal_mm2])
+
+
+def _depth(nodes: Floats, stiffness: float, rng: np.random.Generator) -> Floats:
+    """Indentation (rows, columns) in m by a face (large, rectangle, disc) or a flat, cylinder or sphere."""
+    kind = rng.choice(["large", "rectangle", "disc", "object", "object"])
+    normal_n = float(np.exp(rng.uniform(*np.log(NORMAL_N))))
+    offset_m = OBJECT_OFFSET_M if kind == "object" else FACE_OFFSET_M
+    from_middle = nodes - rng.uniform(-offset_m, offset_m, 2)
+    if kind == "object":
+        shape = rng.choice(["flat", "cylinder", "sphere"])
+        radius_m, tilt = float(np.exp(rng.uniform(*np.log(RADIUS_M)))), float(rng.uniform(-TILT_RAD, TILT_RAD))
+        gap = contact.gap_profile(from_middle, shape, radius_m, tilt)
+        if rng.random() < 0.5:  # an object that ends within the view
+            ends = (np.abs(from_middle) > rng.uniform(5e-3, 20e-3, 2)).any(axis=2)
+            gap = np.where(ends, np.inf, gap)
+            gap -= gap.min() if np.isfinite(gap).any() else 0.0
+        return _pressed(gap, stiffness, normal_n)
+    pitch_m = np.sqrt(contact.cell_area(nodes))
+    if kind == "disc":
+        inside_m = rng.uniform(4e-3, 12e-3) - np.linalg.norm(from_middle, axis=2)
+    else:
+        half_m = np.array([15e-3, 15e-3]) if kind == "large" else rng.uniform(4e-3, 15e-3, 2)
+        inside_m = (half_m - np.abs(from_middle)).min(axis=2)
+    weights = np.clip(inside_m / pitch_m + 0.5, 0.0, 1.0)
+    depth_m: Floats = weights * (normal_n / (stiffness * max(weights.sum(), 1.0)))
+    return depth_m
+
+
+def _pressed(gap_m: Floats, stiffness: float, normal_n: float) -> Floats:
+    """Indentation of an object over gaps (rows, columns) pressed on with normal_n, by bisection."""
+    low, high = 0.0, DEEPEST_M
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stiffness * np.maximum(middle - gap_m, 0.0).sum() < normal_n else (low, middle)
+    depth_m: Floats = np.maximum(high - gap_m, 0.0)
+    return depth_m
+
+
+def _shared_shear(nodes: Floats, depth_m: Floats, rng: np.random.Generator) -> Floats:
+    """Displacement of each node (rows, columns) for each m that the object moves: 1 where it sticks."""
+    rows, columns = depth_m.shape
+    pitch_m = nodes[0, 1, 0] - nodes[0, 0, 0], nodes[1, 0, 1] - nodes[0, 0, 1]
+    along = [_second_differences(size) / pitch**2 for size, pitch in zip((columns, rows), pitch_m, strict=True)]
+    across_layer = sparse.kron(sparse.eye(rows), along[0]) + sparse.kron(along[1], sparse.eye(columns))
+    layer = (sparse.eye(rows * columns) + HEIGHT_M**2 / 3 * across_layer).tocsr()
+    sticks = (depth_m > 0).ravel()
+    share = np.ones(rows * columns)
+    if not sticks.all():
+        pulled = -np.asarray(layer[~sticks][:, sticks].sum(axis=1)).ravel()
+        share[~sticks] = spsolve(layer[~sticks][:, ~sticks].tocsc(), pulled)
+    if rng.random() < SLIPPING_SHARE:
+        slipping = spsolve(layer.tocsc(), depth_m.ravel())
+        share += rng.random() * (slipping * share.sum() / slipping.sum() - share)
+    result: Floats = share.reshape(rows, columns)
+    return result
+
+
+def _second_differences(size: int) -> Any:
+    """Minus the second derivative along a line of nodes with free ends, in units of the pitch."""
+    own = np.full(size, 2.0)
+    own[[0, -1]] = 1.0
+    return sparse.diags([own, -np.ones(size - 1), -np.ones(size - 1)], [0, 1, -1])

@@ -1,0 +1,213 @@
+"""The drive of a gripper from its own rows: the simulated drive is moved by the measured currents and fitted to places.
+
+Everything is in current: without a scale no force is known, and the law of the drive (sim/gripper.py) divided by the
+force per current has currents alone in it. What is fitted: the gear's friction, damping and mass, the closing past
+first touch that a current takes (by fingers and gel), lost motion, and where the object is touched.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from evetac_cli.sim import gripper
+from evetac_cli.sim.gel.contact import ForceCurve
+
+Floats = NDArray[np.float64]
+
+STEP_S = 1e-3
+MOVED_TICKS = 4.0  # so far the gripper has to close before it touches, and to open again
+MOST_MA = 400.0
+CURVE_STEP_TICKS = 0.05
+CLOSING_MA = np.concatenate([np.linspace(0.0, 1.0, 21) ** 2 * 4.0, np.geomspace(4.4, MOST_MA, 60)])
+NAMES = (
+    *("friction_ma", "damping_ma_s_m", "mass_ma_s2_m", "finger_ticks_ma"),
+    *("gel_ticks", "backlash_ticks", "touch_ticks", "first_ticks"),
+)
+LOG = 4  # of them the first are fitted by their logarithm
+STARTS_MA_S_M = (150.0, 400.0)  # of the damping
+BLOCK_MS, BLOCK_ROWS = 20.0, 10  # over which places are averaged
+COUNTED_MS = 60.0  # after a new current; a gripper that still moves counts longer
+REST_MS = 30  # a motor that has stopped may not have stopped yet
+LARGE_TICKS = 1.0  # residuals beyond count less
+
+
+@dataclass(frozen=True)
+class GripperRows:
+    """Time in s, commanded and measured current in mA, and place in ticks, a row a command."""
+
+    time_us: NDArray[np.int64]
+    commanded_ma: Floats
+    measured_ma: Floats
+    place_ticks: NDArray[np.int64]
+
+
+class DriveFit(NamedTuple):
+    """What was fitted, each with the sd that the residuals give; forces are in mA of the motor.
+
+    residual_ticks: rms of what is left of the place. rests: readings of each rest of the fitted motor.
+    force_ma: normal force in each ms from the first row on.
+    """
+
+    values: dict[str, float]
+    sd: dict[str, float]
+    residual_ticks: float
+    rests: list[NDArray[np.int64]]
+    force_ma: Floats
+
+
+def fit(rows: GripperRows) -> DriveFit:
+    """Fit the drive; ValueError where the rows show no gripper that closes on something, opens and closes again."""
+    place = rows.place_ticks.astype(np.float64)
+    current_ma, at = _each_step(rows)
+    start = _start(rows, place)
+    block = _blocks(rows)
+    counted = block >= 0
+    in_block = np.bincount(block[counted])
+
+    def residuals(parameters: Floats) -> Floats:
+        motor = _simulated(_named(parameters), current_ma)[0]
+        off: Floats = np.bincount(block[counted], (motor[at] - 0.5 - place)[counted]) / in_block
+        return off
+
+    best = None
+    for damping in STARTS_MA_S_M:
+        first = _vector({**start, "damping_ma_s_m": damping})
+        low, high = _bounds(start)
+        tried = least_squares(
+            residuals,
+            np.clip(first, low, high),
+            bounds=(low, high),
+            loss="soft_l1",
+            f_scale=LARGE_TICKS,
+            diff_step=1e-3,
+            x_scale=_scales(),
+            max_nfev=40,
+        )
+        if best is None or tried.cost < best.cost:
+            best = tried
+    assert best is not None
+    off = residuals(best.x)
+    sd = _spread(best.jac, off)
+    values = _named(best.x)
+    spread = {name: float(sd[k]) * (values[name] if k < LOG else 1.0) for k, name in enumerate(NAMES)}
+    motor, force_ma = _simulated(values, current_ma)
+    return DriveFit(values, spread, float(np.sqrt(np.mean(off**2))), _rests(motor, at, rows), force_ma)
+
+
+def _each_step(rows: GripperRows) -> tuple[Floats, NDArray[np.intp]]:
+    """The current in each step from the first row on, and the step after which each row was read."""
+    at = np.round((rows.time_us - rows.time_us[0]) / (1e6 * STEP_S)).astype(np.intp)
+    steps = np.arange(at[-1] + 1)
+    row = np.minimum(np.searchsorted(at, steps), len(at) - 1)  # measured at the end of a step, so of that before it too
+    return rows.measured_ma[row], at
+
+
+def _start(rows: GripperRows, place: Floats) -> dict[str, float]:
+    """First values, from where the gripper begins to move and how far it goes."""
+    if len(place) < 1000:
+        raise ValueError("fewer than 1000 rows")
+    first = float(np.median(place[:20]))
+    moved = np.flatnonzero(place - first >= MOVED_TICKS)
+    if not len(moved):
+        raise ValueError("the gripper never closes")
+    friction_ma = float(rows.measured_ma[moved[0]])
+    if friction_ma <= 0.5:
+        raise ValueError("the gripper does not close by its current")
+    # Where it rests under its largest current, and where the current has fallen by so much that it opens.
+    top = int(np.argmax(rows.measured_ma))
+    tops = np.flatnonzero(rows.measured_ma >= rows.measured_ma[top] - 0.5)
+    pressed = float(np.median(place[tops[len(tops) // 4 :]]))
+    later = place[tops[0] :]
+    if not (later <= pressed - MOVED_TICKS).any():
+        raise ValueError("the gripper never opens again")
+    push_ma = max(float(rows.measured_ma[top]) - friction_ma, 1.0)
+    # Under half of the push the fingers have closed by about half as far: the closing branch of the loops.
+    return {
+        "first_ticks": first + 0.5,
+        "friction_ma": friction_ma,
+        "damping_ma_s_m": STARTS_MA_S_M[0],
+        "mass_ma_s2_m": 6.0,
+        "gel_ticks": 1.0,
+        "finger_ticks_ma": 1.3,
+        "backlash_ticks": 1.0,
+        "touch_ticks": pressed - 1.3 * push_ma - push_ma ** (2 / 3),
+    }
+
+
+def _blocks(rows: GripperRows) -> NDArray[np.intp]:
+    """Number of the block of each row, -1 for none: BLOCK_MS of rows each, for a while after each new current.
+
+    Why so: a mean over a block is less noisy than a reading, and rests of seconds would outweigh all else.
+    """
+    time_ms = rows.time_us * 1e-3
+    new = np.diff(rows.measured_ma, prepend=np.nan) != 0.0
+    since_ms = time_ms - time_ms[np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))]
+    moving = np.abs(rows.place_ticks - np.roll(rows.place_ticks, BLOCK_ROWS)) >= 3
+    counted = (since_ms <= COUNTED_MS) | moving
+    _, block = np.unique(np.where(counted, np.floor(time_ms / BLOCK_MS), -1.0), return_inverse=True)
+    numbers: NDArray[np.intp] = block.reshape(-1) - (0 if counted.all() else 1)
+    return numbers
+
+
+def _simulated(values: dict[str, float], current_ma: Floats) -> tuple[Floats, Floats]:
+    """Place of the motor and normal force after each step."""
+    closing = values["gel_ticks"] * CLOSING_MA ** (2 / 3) + values["finger_ticks_ma"] * CLOSING_MA
+    ticks = np.arange(0.0, min(closing[-1], 300.0), CURVE_STEP_TICKS)
+    force_ma = np.interp(ticks, closing, CLOSING_MA)
+    touch = values["touch_ticks"]
+    pitch_m = gripper.metres_per_tick(min(max(gripper.gap_m(touch), 0.0), 0.104))
+    curve = ForceCurve(CURVE_STEP_TICKS, pitch_m, force_ma, np.zeros(len(ticks)))
+    drive = gripper.Drive(
+        force_per_current_n_ma=1.0,
+        friction_n=values["friction_ma"],
+        damping_n_s_m=values["damping_ma_s_m"],
+        mass_kg=values["mass_ma_s2_m"],
+        backlash_ticks=values["backlash_ticks"],
+        current_limit_ma=1e6,
+    )
+    motor, finger = gripper.places(drive, curve, touch, values["first_ticks"] - touch, current_ma, STEP_S)
+    return motor, np.interp(finger - touch, ticks, force_ma)
+
+
+def _vector(values: dict[str, float]) -> Floats:
+    return np.array([np.log(values[name]) if k < LOG else values[name] for k, name in enumerate(NAMES)])
+
+
+def _named(parameters: Floats) -> dict[str, float]:
+    return {
+        name: float(np.exp(value) if k < LOG else value)
+        for k, (name, value) in enumerate(zip(NAMES, parameters, strict=True))
+    }
+
+
+def _bounds(start: dict[str, float]) -> tuple[Floats, Floats]:
+    touch = start["touch_ticks"]
+    first = start["first_ticks"]
+    low = [*np.log([0.3, 5.0, 0.05, 0.05]), 0.0, 0.0, touch - 60.0, first - 2.0]
+    high = [*np.log([200.0, 1e4, 200.0, 10.0]), 20.0, 20.0, touch + 60.0, first + 2.0]
+    return np.array(low), np.array(high)
+
+
+def _scales() -> Floats:
+    return np.array([0.05, 0.3, 0.5, 0.1, 1.0, 1.0, 2.0, 0.5])
+
+
+def _spread(jacobian: Floats, off: Floats) -> Floats:
+    """Standard deviation of each parameter, as far as residuals are independent."""
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    spread: Floats = np.sqrt(np.diag(inverse) * np.mean(off**2))
+    return spread
+
+
+def _rests(motor: Floats, at: NDArray[np.intp], rows: GripperRows) -> list[NDArray[np.int64]]:
+    """Readings of each time in which the fitted motor stays where it is, without REST_MS at both ends."""
+    moved = np.flatnonzero(np.diff(motor, prepend=np.nan, append=np.nan) != 0)
+    rests = []
+    for first, last in zip(moved[:-1], moved[1:], strict=True):
+        inside = (at >= first + REST_MS) & (at < last - REST_MS)
+        if inside.any():
+            rests.append(rows.place_ticks[inside])
+    return rests

@@ -1,0 +1,272 @@
+"""What a gripper that closes, holds an object of known mass and lets it slip tells of itself and of the gel.
+
+The gripper's rows alone tell its drive, in current; the dots tell how far the weight pulls the gel, how that creeps,
+and when the object slips. No force is known but the weight: what needs the normal force needs the force per current,
+too.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.identify import encoder, held_gel, latency, servo
+from evetac_cli.kernels.identify.estimates import Estimate
+from evetac_cli.kernels.identify.held_gel import Creep, HeldFit
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.scenes.shared import PAD_M
+from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
+from evetac_cli.stages.identify import drive
+from evetac_cli.stages.identify.drive import DriveFit, GripperRows
+from evetac_cli.store.read import Recording
+
+Floats = NDArray[np.float64]
+
+STEP_MS = 1.0  # a simulated command takes effect in the next ms
+PAD_NODES = (36, 27)  # columns and rows
+LONGEST_MS = 120_000  # that is looked at
+SHORTEST_HOLD_MS = 3000  # under one current, in which the weight comes on
+AROUND_MS = 300  # before and after the weight comes on
+LEAST_STEP_PX = 0.3
+BLOCK_SLICES = 10  # in which dots are taken to stay where they are
+RIM_PX = 5.0  # on either side of a dot's rim, where its events lie
+QUIET_MS, BUSY_EVENTS = 400, 5  # a pixel with more events before the weight comes on is hot
+GONE = 0.8  # of its largest displacement: then the object has slipped
+SLIPS_AT = (0.98, 0.95)  # of the largest displacement, when it was last reached
+PADS = 2
+
+
+class Weight(NamedTuple):
+    """How the gel took over a weight: the fit of the dots, creep, and the force per mA at which the object slipped.
+
+    modulus_pa, weight_per_ma: for the weight of 1 kg; the latter at each of SLIPS_AT, None if the object did not slip.
+    """
+
+    held: HeldFit
+    creep: Creep
+    modulus_pa: float
+    weight_per_ma: Floats | None
+
+
+@dataclass(frozen=True)
+class Gripped:
+    """What one recording tells; each part is None where it does not."""
+
+    source: str
+    drive: DriveFit | None = None
+    encoder_ticks: Estimate | None = None
+    delay_ms: Estimate | None = None
+    jitter_ms: Estimate | None = None
+    gain_ma_tick: Estimate | None = None
+    weight: Weight | None = None
+
+
+def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gripped | None:
+    """What a recording tells of gripper and gel; None where it has no gripper rows. `truth` is never looked at."""
+    if not recording.has("gripper/t_us"):
+        return None
+    source = recording.path.name
+    time_us = recording.read("gripper/t_us")
+    looked_at = slice(0, int(np.searchsorted(time_us, 1000 * LONGEST_MS)))
+    rows = GripperRows(
+        time_us[looked_at],
+        recording.read("gripper/current_written_ma")[looked_at].astype(np.float64),
+        recording.read("gripper/current_ma")[looked_at].astype(np.float64),
+        recording.read("gripper/position_ticks")[looked_at].astype(np.int64),
+    )
+    if not (len(rows.time_us) and np.isfinite(rows.measured_ma).all()):
+        return None
+    if not np.isfinite(recording.read("gripper/current_target_ma")).all():  # commanded by goals: a grasp
+        return Gripped(source, gain_ma_tick=_gain(recording, rows, rng))
+    delay = jitter = noise = None
+    between_ms = latency.lateness(rows.time_us, rows.commanded_ma, rows.measured_ma, STEP_MS)
+    with suppress(ValueError):  # too few commands
+        delay, jitter = latency.delay_and_jitter(between_ms)
+    try:
+        fitted = drive.fit(rows)
+    except ValueError:  # it does not close on something and open again
+        return Gripped(source, delay_ms=delay, jitter_ms=jitter)
+    with suppress(ValueError):  # it never rests
+        noise = encoder.noise(fitted.rests)
+    return Gripped(source, fitted, noise, delay, jitter, None, _weight(recording, rows, fitted, mm_per_px))
+
+
+def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
+    """Of each part the first recording that tells it, and all parts together."""
+    parts = ("drive", "encoder_ticks", "delay_ms", "jitter_ms", "gain_ma_tick", "weight")
+    tells = {part: one for part in parts for one in reversed(grips) if getattr(one, part) is not None}
+    return tells, Gripped("", **{part: getattr(one, part) for part, one in tells.items()})
+
+
+def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> Estimate | None:
+    """The servo's gain where the goals are recorded, as in a grasp."""
+    if not recording.has("control/goal_ticks"):
+        return None
+    count = len(rows.time_us)
+    goals, times = recording.read("control/goal_ticks")[:count], recording.read("control/t_us")[:count]
+    if not np.array_equal(times, rows.time_us):
+        return None
+    try:
+        return servo.gain(rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng)
+    except ValueError:
+        return None
+
+
+def _weight(recording: Recording, rows: GripperRows, fitted: DriveFit, mm_per_px: float) -> Weight | None:
+    """How the gel takes over the weight of what the gripper holds; None where no weight comes on."""
+    first_ms, last_ms = _longest_hold(rows)
+    if last_ms - first_ms < SHORTEST_HOLD_MS or recording.dot_xy_px is None:
+        return None
+    try:
+        moved_px = _tracked(recording)
+        along, came_ms, loaded_ms = _loading(moved_px[first_ms:last_ms])
+        came_ms += first_ms
+        sign = 1.0 if along > 0 else -1.0
+        axis = abs(along) - 1
+        rest_px = moved_px[came_ms - 200 : came_ms - 10].mean(axis=0)
+        moved_m = (moved_px - rest_px)[..., axis] * (sign * mm_per_px * 1e-3)
+        width, height = recording.frame_px
+        dot_m = (recording.dot_xy_px.reshape(-1, 2) - np.array([width, height]) / 2) * (mm_per_px * 1e-3)
+        end_ms = last_ms - 50
+        held = held_gel.held(
+            _pad(recording, mm_per_px, axis),
+            dot_m if axis == 0 else dot_m[:, ::-1],
+            moved_m[end_ms - 500 : end_ms].mean(0),
+        )
+        weight = np.nan_to_num(held.moved)
+        displacement_m = moved_m @ (weight / (weight**2).sum())
+        seen = _seen_motion(recording, moved_px, came_ms - AROUND_MS // 3, end_ms)[AROUND_MS // 3 :]
+        both = displacement_m[came_ms:end_ms] / displacement_m[end_ms - 500 : end_ms].mean() + seen / seen[-500:].mean()
+        creep = held_gel.creep(*_thinned(both[loaded_ms:] / 2), loaded_ms * 1e-3)
+    except ValueError:  # nothing moves as a held object does
+        return None
+    modulus_pa = GRAVITY_M_S2 / PADS / (creep.final * held.displacement_m * held.stiffness_m)
+    slips_ms = _slips(displacement_m[last_ms:])
+    per_ma = None
+    if slips_ms is not None:
+        at = np.minimum(slips_ms + last_ms - int(rows.time_us[0] // 1000), len(fitted.force_ma) - 1)
+        force_ma = fitted.force_ma[at]
+        per_ma = GRAVITY_M_S2 / PADS / force_ma if (force_ma > 0).all() else None
+    return Weight(held, creep, modulus_pa, per_ma)
+
+
+def _longest_hold(rows: GripperRows) -> tuple[int, int]:
+    """First and last ms of the longest time under one commanded current."""
+    changes = np.flatnonzero(np.diff(rows.commanded_ma) != 0) + 1
+    edges = np.concatenate([[0], changes, [len(rows.time_us) - 1]])
+    longest = int(np.argmax(np.diff(rows.time_us[edges])))
+    first, last = rows.time_us[edges[longest]], rows.time_us[edges[longest + 1]]
+    return int(first // 1000), int(last // 1000)
+
+
+def _tracked(recording: Recording) -> NDArray[np.float32]:
+    """Place of every dot at the end of each slice, (slices, dots, 2)."""
+    dots, radius_px = recording.dot_xy_px, recording.dot_radius_px
+    assert dots is not None and radius_px is not None
+    state = tracker.start(dots.reshape(-1, 2), tracker.PRESETS["stable"].for_dots(radius_px))
+    slices = min(len(recording), LONGEST_MS)
+    place = np.empty((slices, len(dots.reshape(-1, 2)), 2), np.float32)
+    for index in range(slices):
+        events = recording[index]
+        tracker.step(state, events.x, events.y, events.p)
+        place[index] = state.dot_xy_px
+    return place
+
+
+def _loading(place_px: NDArray[np.float32]) -> tuple[int, int, int]:
+    """Direction of the weight (1 or 2: x or y, negative against it), when it comes on, and within how many ms."""
+    mean_px = np.nanmean(place_px, axis=1)
+    if len(mean_px) < 4 * AROUND_MS:
+        raise ValueError("the hold is too short")
+    sums = np.concatenate([np.zeros((1, 2)), np.cumsum(mean_px, axis=0)])
+    third = AROUND_MS // 3
+    smooth = (sums[third:] - sums[:-third]) / third
+    step = smooth[2 * third :] - smooth[: -2 * third]
+    middle, axis = (int(place) for place in np.unravel_index(np.argmax(np.abs(step)), step.shape))
+    rises = float(step[middle, axis])
+    if abs(rises) < LEAST_STEP_PX:
+        raise ValueError("no weight comes on")
+    first = max(middle - AROUND_MS // 2, 0)
+    path = (mean_px[first : first + 3 * AROUND_MS, axis] - smooth[middle, axis]) / rises
+    came = int(np.argmax(path > 0.03))
+    full = came + int(np.argmax(path[came:] > 0.95))
+    if first + came < 210 or full <= came:
+        raise ValueError("the weight was there before the hold began")
+    return (axis + 1) * (1 if rises > 0 else -1), first + came, max(round((full - came) / 0.92), 1)
+
+
+def _seen_motion(recording: Recording, place_px: NDArray[np.float32], first: int, stop: int) -> Floats:
+    """How far all dots have moved along the weight since slice `first`, in slices up to `stop`, in a unit of its own.
+
+    Events on the rims of the dots, ON and OFF against each other, and one side of a dot against the other, added up. A
+    tracker hardly follows a creep of a hundredth of a pixel a second, of which it gets an event a slice; a sum does.
+    """
+    radius_px = recording.dot_radius_px
+    assert radius_px is not None
+    busy = _busy(recording, max(first - QUIET_MS, 0), first)
+    direction = np.nanmean(place_px[stop - 1] - place_px[first], axis=0)
+    direction /= max(float(np.hypot(*direction)), 1e-9)
+    sums = np.zeros(stop - first)
+    total = 0.0
+    for start in range(first, stop, BLOCK_SLICES):
+        end = min(start + BLOCK_SLICES, stop)
+        events = recording.between(start, end)
+        usual = ~busy[events.y, events.x]
+        x, y = events.x[usual].astype(np.float32), events.y[usual].astype(np.float32)
+        dots = place_px[(start + end) // 2]
+        off_x, off_y = x[:, None] - dots[:, 0], y[:, None] - dots[:, 1]
+        distance = np.hypot(off_x, off_y)
+        distance[np.isnan(distance)] = np.inf
+        at = np.arange(len(x)), distance.argmin(axis=1)
+        rim = np.abs(distance[at] - radius_px) < RIM_PX
+        side = (off_x[at] * direction[0] + off_y[at] * direction[1])[rim] / distance[at][rim]
+        total += float(side @ (1.0 - 2.0 * events.p[usual][rim]))
+        sums[start - first : end - first] = total
+    return sums
+
+
+def _busy(recording: Recording, first: int, stop: int) -> NDArray[np.bool_]:
+    """Pixels (rows, columns) with many events while nothing moves: hot ones."""
+    width, height = recording.frame_px
+    events = recording.between(first, stop)
+    counts = np.bincount(events.y.astype(np.int64) * width + events.x, minlength=width * height)
+    return counts.reshape(height, width) >= BUSY_EVENTS
+
+
+def _pad(recording: Recording, mm_per_px: float, axis: int) -> held_gel.Pad:
+    """The pad, with its x along the weight: it ends at the window, as that of a simulated sensor."""
+    width, _ = recording.frame_px
+    window = recording.window_px
+    end_m = ((window[0] if window is not None else width) - width / 2) * mm_per_px * 1e-3
+    across, down = (end_m - PAD_M[0], end_m), (-PAD_M[1] / 2, PAD_M[1] / 2)
+    columns, rows = PAD_NODES
+    nodes = contact.pad_nodes(columns, rows, across, down)
+    if axis == 1:
+        nodes = contact.pad_nodes(rows, columns, down, across)
+    return held_gel.Pad(nodes, gel.GelMaterial.height_m)
+
+
+def _thinned(displacement_m: Floats) -> tuple[Floats, Floats]:
+    """Times in s since the weight was on, and means of the displacement, as dense as its logarithm."""
+    if len(displacement_m) < 1000:
+        raise ValueError("the weight hangs too short")
+    edges = np.unique(np.round(np.geomspace(20, len(displacement_m), 40)).astype(int))
+    sums = np.concatenate([[0.0], np.cumsum(displacement_m)])
+    return (edges[1:] + edges[:-1]) / 2e3, np.diff(sums[edges]) / np.diff(edges)
+
+
+def _slips(displacement_m: Floats) -> NDArray[np.int64] | None:
+    """The slices in which the gel, because the object slips, goes back to SLIPS_AT; None where it does not slip."""
+    if len(displacement_m) < 20:
+        return None
+    smooth = np.convolve(displacement_m, np.ones(10) / 10, mode="valid")
+    largest = np.maximum.accumulate(smooth)
+    gone = np.flatnonzero(smooth < GONE * largest)
+    if not len(gone):
+        return None
+    before = smooth[: gone[0]]
+    return np.array([np.flatnonzero(before >= level * largest[gone[0]])[-1] + 5 for level in SLIPS_AT])

@@ -1,0 +1,189 @@
+"""Rows of the table and keys of the sensor's file from what a gripped object tells.
+
+Widths of the intervals: what the fit leaves, and at least by how much simulated sensors (randomized:100 to 149) were
+off. Forces need a scale. The object's weight is one for the gel's shear; for the normal force there is none but the
+force per current that somebody measured: without it, all that hangs on it is told in current, and the file takes the
+force per current of the sensor that is named as its like, so that it closes, slips and lets go at the same currents.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.kernels.identify.estimates import Estimate
+from evetac_cli.sim import gripper
+from evetac_cli.stages.identify.drive import DriveFit
+from evetac_cli.stages.identify.gripped import Gripped, Weight, merged
+from evetac_cli.stages.identify.sensor_text import Entry, Row
+
+MAKE_GRIP = "cannot be told from these recordings: make one as of the scene grip-steps (docs/identify.md)"
+MAKE_GRASP = "cannot be told from these recordings: make one with evetac grasp --controller fixed:6"
+MAKE_SLIP = "cannot be told from these recordings: make one in which the current falls until the object slips"
+NO_MASS = "cannot be told without --object-mass-g, the mass of the object that was held"
+NO_SCALE = "cannot be told: no recording shows a known normal force; a scale between the fingers, --force-per-current"
+NO_CREEP = "cannot be told from these recordings: make one in which the weight comes on at once and hangs for 10 s"
+BENDS = "cannot be told from a gripper: its fingers bend ten times as much as the gel"
+QUIET = "cannot be told from a quiet hold: nothing moves the gel at 100 Hz"
+# Half widths that an interval has at least, as a share of the value (drive, gel) or in the row's unit.
+LEAST_SHARE = {"friction_ma": 0.006, "damping_ma_s_m": 0.012, "mass_ma_s2_m": 0.2, "finger_ticks_ma": 0.08}
+BACKLASH_TICKS, BACKLASH_LOW_TICKS = 0.3, 0.05  # half width, and by how much the fit is too low
+ENCODER_LOW_TICKS, ENCODER_HIGH_TICKS = 0.06, 0.02  # a rest that is none makes noise
+MODULUS_SHARE, MODULUS_HIGH_SHARE = 0.10, 0.03  # half width, and by how much the fit is too high
+SCALE_SHARE, SCALE_POWER = 0.12, 1.5  # of a pixel that was not measured, and how the modulus goes with it
+CREEP_SHARE, CREEP_LOW_SHARE = 0.024, 0.009  # half width of both arms' share, and by how much the fit is too low
+# Beyond what the first and the last moment of slip tell: friction varies over a gel, and where the fingers are not
+# parallel, one end of the contact slips, and is weaker then, before the other does: the whole holds less than its
+# static friction, by 14 % at most among 17 simulated sensors.
+SLIP_LOW_SHARE, SLIP_HIGH_SHARE = 0.09, 0.13
+DELAY_MS, JITTER_MS = 3.5, 2.0  # an interval that is wider tells nothing
+TWO_TICKS_N = 0.13
+
+
+class Known(NamedTuple):
+    """What is known beside the recordings; None where it is not."""
+
+    object_mass_g: float | None
+    object_friction: float
+    force_per_current_n_ma: float | None
+    scale_given: bool
+
+
+def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tuple[list[Row], dict[str, Entry]]:
+    """Rows and keys of gripper, gel and friction; `like` is the row of the sensor that has what is not told."""
+    tells, known_parts = merged(grips)
+    source = {part: one.source for part, one in tells.items()}
+    usual = gripper.make_drive(like)
+    scale_n_ma = known.force_per_current_n_ma or usual.force_per_current_n_ma
+    listed: list[Row] = []
+    keys: dict[str, Any] = {}
+    if known_parts.drive is not None:
+        keys |= _drive_keys(known_parts.drive, known_parts.gain_ma_tick, usual, scale_n_ma, source["drive"])
+    listed += _drive_rows(known_parts.drive, source.get("drive", MAKE_GRIP))
+    for part, key, unit, widest in (
+        ("encoder_ticks", "encoder_noise_ticks", "ticks", math.inf),
+        ("delay_ms", "command_delay_ms", "ms", DELAY_MS),
+        ("jitter_ms", "command_jitter_ms", "ms", JITTER_MS),
+    ):
+        estimate = getattr(known_parts, part)
+        if part == "encoder_ticks" and estimate is not None:
+            low, high = estimate.low - ENCODER_LOW_TICKS, estimate.high + ENCODER_HIGH_TICKS
+            estimate = Estimate(estimate.value, max(low, 0.0), high)
+        if estimate is not None and estimate.high - estimate.low > widest:
+            estimate = None
+        if estimate is not None:
+            keys[key] = Entry(estimate.value, estimate, source[part])
+        listed.append(Row(f"gripper.{key}", unit, estimate, MAKE_GRIP if estimate is None else source[part]))
+    gain = known_parts.gain_ma_tick
+    listed.append(Row("gripper: servo gain", "mA/tick", gain, source.get("gain_ma_tick", MAKE_GRASP)))
+    given = known.force_per_current_n_ma
+    scale = None if given is None else Estimate(given, given, given)
+    listed.append(Row("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given"))
+    gel_rows, values = _gel(known_parts.weight, source.get("weight", ""), known, scale_n_ma)
+    listed += gel_rows
+    listed += [Row("normal_modulus_pa", "Pa", None, BENDS), Row("loss_tangent", "", None, QUIET)]
+    if keys:
+        scale_from = "as given" if given is not None else "not estimated: as of the sensor that is named as its like"
+        keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
+        values["gripper"] = Entry(keys, None, "forces stand for the force per current below")
+    return listed, values
+
+
+def _drive_rows(fit: DriveFit | None, source: str) -> list[Row]:
+    """Rows of the drive, in current."""
+    units = {
+        ("gripper: gear friction", "friction_ma"): ("mA", 1.0),
+        ("gripper: damping", "damping_ma_s_m"): ("mA s/mm", 1e-3),
+        ("gripper: moving mass", "mass_ma_s2_m"): ("mA s2/m", 1.0),
+        ("gripper: bending of the fingers", "finger_ticks_ma"): ("ticks/mA", 1.0),
+    }
+    listed = []
+    for (name, key), (unit, factor) in units.items():
+        estimate = None if fit is None else _scaled(_of_drive(fit, key), factor)
+        listed.append(Row(name, unit, estimate, source))
+    estimate = None if fit is None else _backlash(fit)
+    return [*listed, Row("gripper.backlash_ticks", "ticks", estimate, source)]
+
+
+def _of_drive(fit: DriveFit, key: str) -> Estimate:
+    """A value of the drive with an interval of two sd, or what simulated sensors were off by."""
+    value = fit.values[key]
+    half = max(2 * fit.sd[key], LEAST_SHARE[key] * value)
+    return Estimate(value, max(value - half, 0.0), value + half)
+
+
+def _backlash(fit: DriveFit) -> Estimate:
+    value = fit.values["backlash_ticks"] + BACKLASH_LOW_TICKS
+    half = math.hypot(2 * fit.sd["backlash_ticks"], BACKLASH_TICKS)
+    return Estimate(value, max(value - half, 0.0), value + half)
+
+
+def _scaled(estimate: Estimate, factor: float) -> Estimate:
+    return Estimate(*(factor * value for value in estimate))
+
+
+def _within(value: float, share: float) -> Estimate:
+    """A value that is known to this share of it, either way by the same factor."""
+    return Estimate(value, value / (1 + share), value * (1 + share))
+
+
+def _drive_keys(
+    fit: DriveFit, gain: Estimate | None, usual: gripper.Drive, scale_n_ma: float, source: str
+) -> dict[str, Entry]:
+    """Keys of the gripper's table, in which forces follow from the force per current."""
+    gain_ma_tick = usual.gain_ma_tick if gain is None else gain.value
+    servo_n_tick = gain_ma_tick * scale_n_ma
+    two_ticks_n = min(TWO_TICKS_N, servo_n_tick)
+    friction = _scaled(_of_drive(fit, "friction_ma"), scale_n_ma / (2 * servo_n_tick - two_ticks_n))
+    bending = _of_drive(fit, "finger_ticks_ma")
+    pitch_m = gripper.metres_per_tick(min(max(gripper.gap_m(fit.values["touch_ticks"]), 0.0), 0.104))
+    stiffness = [scale_n_ma / (ticks * pitch_m) for ticks in (bending.value, bending.high, bending.low)]
+    damping, mass = (_scaled(_of_drive(fit, key), scale_n_ma) for key in ("damping_ma_s_m", "mass_ma_s2_m"))
+    backlash = _backlash(fit)
+    gain_from = "not estimated" if gain is None else "from the grasp's goals"
+    return {
+        "servo_n_tick": Entry(servo_n_tick, None if gain is None else _scaled(gain, scale_n_ma), gain_from),
+        "two_ticks_n": Entry(two_ticks_n, None, "the gear's friction is below"),
+        "friction_factor": Entry(friction.value, friction, source),
+        "damping_n_s_m": Entry(damping.value, damping, source),
+        "mass_kg": Entry(mass.value, mass, source),
+        "finger_stiffness_n_m": Entry(stiffness[0], Estimate(*stiffness), source),
+        "backlash_ticks": Entry(backlash.value, backlash, source),
+    }
+
+
+def _gel(weight: Weight | None, source: str, known: Known, scale_n_ma: float) -> tuple[list[Row], dict[str, Entry]]:
+    """Rows and keys of the gel's shear modulus, creep and friction."""
+    values: dict[str, Entry] = {}
+    modulus = friction = factor = total = None
+    mass_kg = None if known.object_mass_g is None else 1e-3 * known.object_mass_g
+    whys = [MAKE_GRIP] * 4
+    if weight is not None:
+        whys = [NO_MASS, NO_CREEP, NO_MASS, NO_MASS]
+        share = sum(weight.creep.share) + CREEP_LOW_SHARE
+        total = Estimate(share, max(share - CREEP_SHARE, 0.0), share + CREEP_SHARE)
+        shares = np.array(weight.creep.share) + CREEP_LOW_SHARE / 2
+        creep = {"share": shares, "time_s": np.array(weight.creep.time_s)}
+        about = f"both together {total.low:.3g} to {total.high:.3g}; {source}"
+        values["creep"] = Entry(creep, None, about)
+        whys[1] = source
+    if weight is not None and mass_kg is not None:
+        scale_share = 0.0 if known.scale_given else SCALE_SHARE
+        modulus_pa = weight.modulus_pa * mass_kg / (1 + MODULUS_HIGH_SHARE)
+        modulus = _within(modulus_pa, math.hypot(MODULUS_SHARE, SCALE_POWER * scale_share))
+        values["shear_modulus_pa"] = Entry(modulus.value, modulus, source)
+        whys[0] = source
+        whys[2:] = [MAKE_SLIP] * 2
+        if weight.weight_per_ma is not None:
+            first, last = (weight.weight_per_ma * mass_kg).tolist()
+            friction = Estimate(last, first * (1 - SLIP_LOW_SHARE), last * (1 + SLIP_HIGH_SHARE))
+            whys[2] = source
+            as_factor = _scaled(friction, 1 / (scale_n_ma * known.object_friction))
+            given = known.force_per_current_n_ma is not None
+            factor, whys[3] = (as_factor, source) if given else (None, NO_SCALE)
+            needs = source if given else f"{source}; right for the force per current below alone"
+            values["static_friction_factor"] = Entry(as_factor.value, factor, needs)
+    named = [("shear_modulus_pa", "Pa", modulus), ("creep.share, both arms", "", total)]
+    named += [("static friction x force per current", "N/mA", friction), ("static_friction_factor", "", factor)]
+    return [Row(*one, why) for one, why in zip(named, whys, strict=True)], values

@@ -1,0 +1,87 @@
+"""Recordings of simulated sensors that are all different, to train and to evaluate force models that travel.
+
+    python scripts/force_randomized.py FOLDER --first 20000 --sensors 20
+
+For each sensor randomized:N, 5 s each (10 s with --waypoints 4), tracked by `stable`, and by `paper` in a folder of
+its own:
+
+- N-adapt-0 to 3: a flat face, pressed on with 6 to 20 N and sheared: what a model is adapted on;
+- N-shear-0, 1: the scene `shear` with fewer waypoints: to evaluate on, 20 N of normal force;
+- N-disc: a disc of 16 mm, 10 N; N-slip: an object of the paper's table slips out of the grip (a cut gel).
+"""
+
+import argparse
+from pathlib import Path
+
+from evetac_cli import params
+from evetac_cli.resources import SCENES
+from evetac_cli.stages import record, track
+
+FLAT, DISC = "size_mm = [30.0, 30.0]", "radius_mm = 8.0"
+# name of the trial: face, normal force and largest shear force in N
+PRESSES = {
+    "adapt-0": (FLAT, 20.0, 9.0),
+    "adapt-1": (FLAT, 12.0, 7.0),
+    "adapt-2": (FLAT, 6.0, 4.0),
+    "adapt-3": (FLAT, 16.0, 8.0),
+    "shear-0": (FLAT, 20.0, 9.0),
+    "shear-1": (FLAT, 20.0, 9.0),
+    "disc": (DISC, 10.0, 5.0),
+}
+TRIALS = (*PRESSES, "slip")
+OBJECTS = 20
+
+
+def scene_text(face: str, normal_n: float, shear_n: float, waypoints: int) -> str:
+    """The scene `shear` with another face, other forces and fewer waypoints."""
+    changes = {
+        FLAT: face,
+        "normal_n = 20.0": f"normal_n = {normal_n}",
+        "shear_n = 9.0": f"shear_n = {shear_n}",
+        "count = 40": f"count = {waypoints}",
+        "offset_mm = 10.0": f"offset_mm = {10.0 if face == FLAT else 5.0}",
+        'name = "shear"': 'name = "shear-short"',
+    }
+    text = (SCENES / "shear.toml").read_text()
+    for old, new in changes.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    return text
+
+
+def make(scene: str, sensor: int, seed: int, objects: str, output: Path) -> None:
+    """Record and track one trial, unless that is done."""
+    chosen = params.Record(scene=scene, objects=objects, sensor=f"randomized:{sensor}", seed=seed)
+    (trial,) = record.jobs([], chosen, output)
+    record.run(trial, chosen)
+    for preset, out in (("stable", None), ("paper", output.parent / "paper")):
+        by = params.Track(preset=preset)
+        (job,) = track.jobs([output], by, out)
+        track.run(job, by)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--first", type=int, default=0, help="number of the first sensor, and the first seed")
+    parser.add_argument("--sensors", type=int, default=20)
+    parser.add_argument("--trials", nargs="+", choices=TRIALS, default=TRIALS, help="only these of each sensor")
+    parser.add_argument("--waypoints", type=int, default=2, help="places that a face is moved to")
+    chosen = parser.parse_args()
+    for folder in (chosen.folder, chosen.folder / "paper", chosen.folder / "scenes"):
+        folder.mkdir(parents=True, exist_ok=True)
+    for name, press in PRESSES.items():
+        (chosen.folder / "scenes" / f"{name}.toml").write_text(scene_text(*press, chosen.waypoints))
+    for number, name in enumerate(TRIALS):
+        if name not in chosen.trials:
+            continue
+        for place in range(chosen.sensors):
+            sensor, seed = chosen.first + place, chosen.first + chosen.sensors * number + place
+            scene = "slip" if name == "slip" else str(chosen.folder / "scenes" / f"{name}.toml")
+            objects = str(1 + place % OBJECTS) if name == "slip" else "8"
+            make(scene, sensor, seed, objects, chosen.folder / f"{sensor}-{name}.recording.h5")
+            print(f"randomized:{sensor} {name}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,400 @@
+"""What each part of a sensor or a scene does to each stage: the same slips and grasps with the part, and without.
+
+    python scripts/part_effects.py -o effects.jsonl --seed 20000 --jobs 2 --publish       # the table of the docs
+    python scripts/part_effects.py -o look.jsonl --seed 0 --slips 3 --grasps 0 --part leak --part "slow pixels"
+    python scripts/part_effects.py -o effects.jsonl --seed 20000 --slips 0 --grasps 0     # the tables of what is there
+
+Every part is added alone to the quiet sensor `evetac` in the scenes `slip` (objects 2, 8, 14 in turn) and `lift` (11,
+12, 17), at the worse end of what `--sensor randomized` samples, or as the docs have it; what needs another part is
+compared with that one. From every slip are made labels, tracks, features, and the detections of the package's detector,
+by the default methods; a grasp is by the default controller. A trial is a line of JSON; trials whose line is there are
+not run again.
+
+Figures over the trials, all against the truth of the simulation itself: events_ms and tracking_px (root mean square
+over all dots) up to gross slip; the share of trials in which the labels' onset is -4 to +3 ms off it, and the F1 of
+their slices; the share in which the detector's first detection is -50 to +20 ms off it, and the F1 of its slices;
+microseconds of processor time that a slice of a slip takes to simulate, and to label, track, featurize and judge; how
+many grasps are held, and how far their object moved. Intervals of changes, 95 %, are a bootstrap over the pairs of
+trials; with fewer than some ten pairs such intervals are too narrow.
+"""
+
+import argparse
+import json
+import tempfile
+import tomllib
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from compare_steps import commit
+from numpy.typing import NDArray
+
+from evetac_cli.console import show
+from evetac_cli.errors import EvetacError
+from evetac_cli.jobs import silent
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.kernels.slip.labels import shift_labels
+from evetac_cli.numerics.pipeline.chain import BALANCE_S, LIFT_S, chain_of, package_model, prediction, timed
+from evetac_cli.params import Grasp, Record
+from evetac_cli.resources import SCENES
+from evetac_cli.stages import grasp, label, record
+from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
+from evetac_cli.stages.grasp import simulated as simulated_grasp
+from evetac_cli.stages.trials import SimulatedTrial
+from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.read import open_recording
+
+Row = dict[str, Any]
+Floats = NDArray[np.float64]
+
+ROOT = Path(__file__).resolve().parents[1]
+NAME = "part-effects"
+PAGE = ROOT / "docs" / "disturbances.md"
+NONE = "none"
+SLIPPED, GRASPED = (2, 8, 14), (11, 12, 17)  # objects, in turn
+RESAMPLES = 2000
+LEAST_PAIRS = 3  # of trials, for the interval of a change
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a part adds to the tables of a scene and to a sensor's row, and which part it is compared with."""
+
+    name: str
+    says: str  # its size, in words
+    scene: Row = field(default_factory=dict)
+    sensor: Row = field(default_factory=dict)
+    against: str = NONE
+    slips: bool = True  # False: a slip trial knows nothing of it
+
+
+SLOW = {"bandwidth_hz": 600.0}
+BY_LIGHT = {**SLOW, "bandwidth_by_light": True}
+PARTS = (
+    Part(NONE, "the sensor evetac"),
+    Part("creep", "10 % in 0.3 s and in 5 s", sensor={"creep": {"share": [0.1, 0.1], "time_s": [0.3, 5.0]}}),
+    Part("friction that varies", "by 20 % over 3 mm", sensor={"friction": {"patch_spread": 0.2, "patch_mm": 3.0}}),
+    Part(
+        "second finger",
+        "friction x 0.8, stiffness x 1.2",
+        {"gripper": {"second_finger": {"friction_factor": 0.8, "stiffness_factor": 1.2}}},
+    ),
+    Part(
+        "vibration of the hand",
+        "0.5 m/s2 at 18 Hz, 0.2 at 41 Hz",
+        {"hand": {"vibration": {"acceleration_m_s2": [0.5, 0.2], "frequency_hz": [18.0, 41.0]}}},
+    ),
+    Part("hand in an s-curve", "not a trapezoid of speed", {"hand": {"profile": "s-curve"}}, slips=False),
+    Part("hand in steps", "of 8 ms", {"hand": {"profile": "steps"}}, slips=False),
+    Part("encoder noise", "0.7 ticks", {"gripper": {"encoder_noise_ticks": 0.7}}, slips=False),
+    Part("late commands", "by 8 to 12 ms", {"gripper": {"command_delay_ms": 8.0, "command_jitter_ms": 4.0}}),
+    Part("backlash", "3 ticks", {"gripper": {"backlash_ticks": 3.0}}),
+    Part("less gear friction", "x 0.7", {"gripper": {"friction_factor": 0.7}}, slips=False),
+    Part("more gear friction", "x 1.3", {"gripper": {"friction_factor": 1.3}}, slips=False),
+    Part("OFF threshold of its own", "1.25 of that of ON", sensor={"threshold_off": 0.25}),
+    Part("high thresholds", "0.35, not 0.2", sensor={"threshold": 0.35}),
+    Part("uneven thresholds", "by 8 %, not 3 %", sensor={"mismatch": 0.08}),
+    Part("limit of the readout", "0.1 million events a second", sensor={"readout": {"events_per_s": 1e5}}),
+    Part("slow pixels", "600 Hz", sensor=SLOW),
+    Part("bandwidth by light", "on top of slow pixels", sensor=BY_LIGHT, against="slow pixels"),
+    Part(
+        "uneven light", "50 %, on top of both", sensor={**BY_LIGHT, "light_gradient": 0.5}, against="bandwidth by light"
+    ),
+    Part("blind pixels", "1 ms after an event", sensor={"refractory_us": 1000.0}),
+    Part("leak", "0.1 Hz a pixel", sensor={"leak_hz": 0.1}),
+    Part("noise", "0.11 Hz a pixel, not 0.03", sensor={"noise_hz": 0.11}),
+    Part("hot pixels", "400, not 6", sensor={"hot_pixels": 400}),
+    Part(
+        "dots that differ",
+        "radius by 6 %, contrast by 15 %",
+        sensor={"dot_radius_spread": 0.06, "dot_contrast_spread": 0.15},
+    ),
+    Part("lens", "k1 -0.05", sensor={"distortion": [-0.05, 0.0]}),
+    Part("light that flickers", "by 5 % at 100 Hz", {"light": {"flicker": {"depth": 0.05, "frequency_hz": 100.0}}}),
+    Part("light that steps", "to a half at 1 s", {"light": {"step": {"at_s": 1.0, "factor": 0.5}}}),
+    Part(
+        "calibration that is off", "3, -1 px and 1 deg", {"calibration": {"offset_px": [3.0, -1.0], "turned_deg": 1.0}}
+    ),
+)
+BY_NAME = {part.name: part for part in PARTS}
+
+# Column: heading and format of its cells.
+FIGURES = {
+    "events_ms": ("events a ms", ".1f"),
+    "tracking_px": ("tracking error [px]", ".3f"),
+    "labels_in_time": ("labels in time", ".2f"),
+    "labels_f1": ("F1 of labels", ".2f"),
+    "slip_in_time": ("slip detected in time", ".2f"),
+    "slip_f1": ("F1 of detector", ".2f"),
+    "record_us": ("simulated in [us a slice]", ".0f"),
+    "rest_us": ("labelled to judged in [us a slice]", ".0f"),
+    "held": ("grasps held", ".2f"),
+    "moved_mm": ("object moved in a grasp [mm]", ".2f"),
+}
+
+
+def as_toml(value: Any) -> str:
+    """A value as TOML; a table in braces."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {as_toml(item)}" for key, item in value.items()) + "}"
+    return json.dumps(value)
+
+
+def merged(table: Row, more: Row) -> Row:
+    """A table with keys more or other, tables within it key by key."""
+    both = {
+        key: merged(table[key], value) if isinstance(value, dict) and key in table else value
+        for key, value in more.items()
+    }
+    return {**table, **both}
+
+
+def planned(part: Part, kind: str, object_: int, seed: int, folder: Path) -> tuple[SimulatedTrial, Any]:
+    """The trial with a part, from files of a scene and a sensor, and the parameters of its stage."""
+    scene = merged(tomllib.loads((SCENES / f"{kind}.toml").read_text()), part.scene)
+    files = {"scene": scene, "sensor": {"like": "evetac", **part.sensor}}
+    for name, table in files.items():
+        (folder / f"{name}.toml").write_text("".join(f"{key} = {as_toml(value)}\n" for key, value in table.items()))
+    chosen: Row = {name: str(folder / f"{name}.toml") for name in files} | {"objects": str(object_), "seed": seed}
+    stage: Any = record
+    params: Any = Record(**chosen)
+    if kind == "lift":
+        stage, params = grasp, Grasp(**chosen, lift_s=LIFT_S, balance_s=BALANCE_S)
+    (made,) = stage.jobs([], params, folder)
+    return made, params
+
+
+def slip(part: Part, object_: int, seed: int, folder: Path) -> Row:
+    """The figures of one slip; onsets in slices from the start of the recording, None where there is none."""
+    made, _ = planned(part, "slip", object_, seed, folder)
+    chain = chain_of(made)
+    truth_ms, stop = chain.gross_slip_ms, chain.gross_slip_ms
+    with open_recording(made.output) as recording:
+        events = np.diff(recording.starts)[:stop]
+        true = label.from_truth(recording, metrics.F1_CUT_MS)
+    with StageFile(output_path(made.output, "labels", None), "labels") as labels:
+        labelled: NDArray[np.int8] = labels.read("label")
+    predicted = prediction(output_path(made.output, "features", None))
+    model = package_model()
+    known = np.where(np.isnan(predicted.probability), np.int8(-1), shift_labels(true.label, model.horizon_ms))
+    detector = metrics.counts(known, predicted.detected(model.threshold), true.onset)
+    apart_px = (chain.dot_xy_px - chain.true_dot_xy_px)[:stop]
+    first_ms = -1 if chain.detection_ms is None else chain.detection_ms
+    return {
+        "t_s_ms": truth_ms,
+        "label_ms": chain.label_ms,
+        "detection_ms": chain.detection_ms,
+        "events_ms": float(events.mean()),
+        "tracking_px": float(np.sqrt((apart_px**2).sum(-1).mean())),
+        "labels_in_time": truth_ms is not None
+        and chain.label_ms is not None
+        and EARLIEST_MS <= chain.label_ms - truth_ms <= LATEST_MS,
+        "slip_in_time": truth_ms is not None and metrics.timing(first_ms, truth_ms) == "correct",
+        "labels_counts": list(metrics.counts(true.label, labelled == 1, true.onset)),
+        "slip_counts": list(detector),
+        "record_us": chain.record_us,
+        "rest_us": chain.chain_us - chain.record_us,
+    }
+
+
+def lift(part: Part, object_: int, seed: int, folder: Path) -> Row:
+    """What became of one grasp."""
+    made, params = planned(part, "lift", object_, seed, folder)
+    outcome, seconds = timed(lambda: simulated_grasp.run(made, params, force=False, progress=silent))
+    (row,) = outcome.rows
+    return {
+        "held": bool(row["balanced"]),
+        "moved_mm": float(row["moved_mm"]),
+        "grasp_us": 1e6 * seconds / row["slices"],
+    }
+
+
+def identity(row: Row) -> tuple[Any, ...]:
+    """What tells a trial from others; `says` too, so that another size of a part is another trial."""
+    return tuple(row[name] for name in ("part", "says", "kind", "object", "seed"))
+
+
+def trials(chosen: argparse.Namespace) -> Iterator[Row]:
+    """The trials that are asked for, those of one part after the other's of the same seed."""
+    for kind, count, objects in (("slip", chosen.slips, SLIPPED), ("lift", chosen.grasps, GRASPED)):
+        for number in range(count):
+            for part in named(chosen.part):
+                if part.slips or kind == "lift":
+                    what = {"part": part.name, "says": part.says, "kind": kind}
+                    yield {**what, "object": objects[number % len(objects)], "seed": chosen.seed + number}
+
+
+def named(names: list[str] | None) -> list[Part]:
+    """The parts of these names, and those that they are compared with; all without names."""
+    wanted = [BY_NAME[name] for name in names] if names else list(PARTS)
+    while others := {part.against for part in wanted} - {part.name for part in wanted}:
+        wanted += [BY_NAME[name] for name in others]
+    return sorted(wanted, key=PARTS.index)
+
+
+def run(row: Row) -> Row:
+    """Run one trial, in a folder of its own; what a stage refuses has the reason instead of figures."""
+    made = slip if row["kind"] == "slip" else lift
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            return {**row, **made(BY_NAME[row["part"]], row["object"], row["seed"], Path(folder))}
+        except EvetacError as error:  # a part that a stage cannot do with is an answer, too
+            return {**row, "refused": str(error)}
+
+
+def source(name: str) -> str:
+    """What of a trial's line a figure is made of."""
+    return name.replace("_f1", "_counts")
+
+
+def knows(name: str, row: Row) -> bool:
+    """Whether a trial has what a figure is made of."""
+    return row.get(source(name)) is not None
+
+
+def figure(name: str, rows: list[Row]) -> float | None:
+    """A figure over some trials: F1 of all their slices, the median of run times, else a mean; None where none has it.
+
+    Why so: the first trial of a process loads compiled code, which is in its run time.
+    """
+    if name.endswith("_f1"):
+        counted = [row[source(name)] for row in rows if knows(name, row)]
+        return metrics.Counts(*(sum(column) for column in zip(*counted, strict=True))).f1 if counted else None
+    values = [float(row[name]) for row in rows if knows(name, row)]
+    if not values:
+        return None
+    return float(np.median(values) if name.endswith("_us") else np.mean(values))
+
+
+def change(name: str, pairs: list[tuple[Row, Row]]) -> Row:
+    """How much larger a figure is with the part, in pairs of a trial with it and one without, and its interval."""
+
+    def more(chosen: Iterable[tuple[Row, Row]]) -> float:
+        own, theirs = (figure(name, list(rows)) for rows in zip(*chosen, strict=True))
+        assert own is not None and theirs is not None
+        return own - theirs
+
+    rng = np.random.default_rng(0)
+    resampled = (rng.integers(len(pairs), size=len(pairs)) for _ in range(RESAMPLES))
+    low, high = np.percentile([more(pairs[one] for one in chosen) for chosen in resampled], (2.5, 97.5))
+    return {"more": more(pairs), "low": float(low), "high": float(high)}
+
+
+def tables(rows: list[Row]) -> tuple[list[Row], list[Row]]:
+    """The figures of each part, and every change from what it is compared with."""
+    figures, changes = [], []
+    for part in PARTS:
+        if not (own := of_part(rows, part)):
+            continue
+        kinds = [row["kind"] for row in own]
+        shown: Row = {"part": part.name, "size": part.says, "slips": kinds.count("slip"), "grasps": kinds.count("lift")}
+        shown["refused"] = sum("refused" in row for row in own)
+        for name in FIGURES:
+            shown[name] = figure(name, own)
+            theirs = {pair(row): row for row in of_part(rows, BY_NAME[part.against]) if knows(name, row)}
+            both = [(row, theirs[pair(row)]) for row in own if knows(name, row) and pair(row) in theirs]
+            if part.name != NONE and len(both) >= LEAST_PAIRS:
+                what = {"part": part.name, "against": part.against, "figure": name, "trials": len(both)}
+                changes.append({**what, **change(name, both)})
+        figures.append(shown)
+    return figures, changes
+
+
+def of_part(rows: list[Row], part: Part) -> list[Row]:
+    """The trials with a part of today's size."""
+    return [row for row in rows if (row["part"], row["says"]) == (part.name, part.says)]
+
+
+def pair(row: Row) -> tuple[Any, ...]:
+    """What a trial with a part and the same trial without it have in common."""
+    return row["kind"], row["object"], row["seed"]
+
+
+def sure(changes: Iterable[Row]) -> list[Row]:
+    """Those whose interval does not hold 0."""
+    return [row for row in changes if row["low"] > 0.0 or row["high"] < 0.0]
+
+
+def result(figures: list[Row], changes: list[Row], rows: list[Row], chosen: argparse.Namespace) -> Row:
+    """The file of docs/results: cells have the interval of a change where it does not hold 0."""
+    certain = {(row["part"], row["figure"]): row for row in sure(changes)}
+    cells = []
+    for row in figures:
+        ends: Row = {}
+        for name in FIGURES:
+            one = certain.get((row["part"], name))
+            ends |= {f"{name}_low": one and one["low"], f"{name}_high": one and one["high"]}
+        cells.append({**row, **ends})
+    columns = [{"heading": "part", "cell": "{part}"}, {"heading": "size", "cell": "{size}"}]
+    for name, (heading, form) in FIGURES.items():
+        interval = f"{{{name}_low:+{form}}} to {{{name}_high:+{form}}}"
+        columns.append({"heading": heading, "cell": f"{{{name}:{form}}}, {interval}"})
+    seeds = sorted({row["seed"] for row in rows})
+    commits = sorted({row["commit"] for row in rows})
+    flags = f"--seed {chosen.seed} --slips {chosen.slips} --grasps {chosen.grasps}"
+    slips, grasps = figures[0]["slips"], figures[0]["grasps"]
+    return {
+        "name": NAME,
+        "title": f"What each part does to each stage, {slips} slips and {grasps} grasps with each",
+        "simulated": True,
+        "made": f"at {', '.join(commits)}, seeds {seeds[0]} to {seeds[-1]}",
+        "commit": ", ".join(commits),
+        "uncommitted_changes": any(one.endswith("-dirty") for one in commits),
+        "commands": [f"python scripts/part_effects.py -o effects.jsonl {flags} --publish"],
+        "methods": {"record": record.METHOD, "label": label.METHOD, "grasp": grasp.METHOD},
+        "recipe_ids": [package_model().header["id"]],
+        "columns": columns,
+        "across": None,
+        "notes": [
+            "Behind a figure stands the interval of its change, 95 % by a bootstrap over pairs of trials, where that"
+            " does not hold 0; with fewer than some ten pairs it is too narrow, and of so many figures one in 20 would"
+            " have one by chance. Run times are of the processor, beside whatever else it did."
+        ],
+        "rows": cells,
+        "changes": changes,
+    }
+
+
+def publish(whole: Row) -> None:
+    """Write the file of docs/results, and its table into the page."""
+    from results import fill_page
+
+    folder = ROOT / "docs" / "results"
+    (folder / f"{NAME}.json").write_text(json.dumps(whole, indent=1) + "\n")
+    PAGE.write_text(fill_page(PAGE.read_text(), folder))
+
+
+def main() -> None:
+    """Run what is missing, print the tables, publish them if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one a trial")
+    parser.add_argument("--part", action="append", choices=[part.name for part in PARTS], help="default: all")
+    parser.add_argument("--seed", type=int, default=20_000, help="of the first trial; each has the next")
+    parser.add_argument("--slips", type=int, default=15, help="slips of each part")
+    parser.add_argument("--grasps", type=int, default=9, help="grasps of each part")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--publish", action="store_true", help="write docs/results and the page")
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
+    chosen = parser.parse_args()
+
+    rows = [json.loads(line) for line in chosen.out.read_text().splitlines()] if chosen.out.exists() else []
+    done, made_by = {identity(row) for row in rows}, {"commit": commit()}
+    missing = [row for row in trials(chosen) if identity(row) not in done]
+    with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool, chosen.out.open("a") as file:
+        for future in as_completed([pool.submit(run, row | made_by) for row in missing]):
+            rows.append(future.result())
+            file.write(json.dumps(rows[-1]) + "\n")
+            file.flush()
+    figures, changes = tables(rows)
+    whole = {"trials": len(rows), "commits": ", ".join(sorted({row["commit"] for row in rows}))}
+    show("part_effects", [*figures, *sure(changes)], whole, simulated=True, as_json=chosen.json)
+    if chosen.publish:
+        publish(result(figures, changes, rows, chosen))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,290 @@
+"""Forces of any sensor: closed forms of a pressed and sheared layer, other grids, adaptation, hostile input.
+
+The recordings are made up: a face over the whole gel moves all dots alike, by force x height / (modulus x area), and
+its pressure spreads them as sim/gel/dilation.py says.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli import params, resources
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import info, validate
+from evetac_cli.jobs import Outcome
+from evetac_cli.sim import scene
+from evetac_cli.sim.camera.gel_camera import dot_grid
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scenes.shared import pad
+from evetac_cli.stages.evaluate import force as evaluate_force
+from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe
+
+SLICES, PRESSED = 2000, slice(300, 1700)
+HEIGHT_M = gel.GelMaterial().height_m
+NORMAL_N = 12.0
+TRAIN = params.TrainForce(method="gel", contacts=12, epochs=1)
+ADAPT = params.TrainForce(adapt=True)
+
+
+def sensor_row(stiffer: float = 1.0) -> dict[str, Any]:
+    row = scene.sensor_row("evetac")
+    return {**row, **{key: stiffer * row[key] for key in ("shear_modulus_pa", "normal_modulus_pa")}}
+
+
+def trial(
+    folder: Path,
+    number: int,
+    *,
+    stiffer: float = 1.0,
+    grid_px: Any = None,
+    normal_n: float = NORMAL_N,
+    name: str = "evetac",
+    truth: bool = True,
+) -> Path:
+    """A recording without events, its truth and the tracks of its dots; the tracks' path."""
+    row = sensor_row(stiffer)
+    grid = np.array(dot_grid(row, False) if grid_px is None else grid_px)
+    rest_px = grid.reshape(-1, 2)
+    nodes = pad({"gel": {"cut": False}}, row)
+    columns = nodes.reshape(-1, 2).T
+    area_m2 = np.ptp(columns[0]) * np.ptp(columns[1]) * 24 * 18 / (23 * 17)  # about a cell more than between nodes
+    rng = np.random.default_rng(number)
+    time = np.arange(SLICES)
+    knots = rng.uniform(-6, 6, (6, 2))
+    at = np.linspace(PRESSED.start, PRESSED.stop, len(knots))
+    pressed = (time >= PRESSED.start) & (time < PRESSED.stop)
+    shear_n = pressed[:, None] * np.stack([np.interp(time, at, knots[:, axis]) for axis in (0, 1)], axis=1)
+    if not normal_n:
+        shear_n[:] = 0.0
+    depth_m = np.full(nodes.shape[:2], normal_n * HEIGHT_M / (row["normal_modulus_pa"] * area_m2))
+    rest_m = (rest_px - [320, 240]) * row["mm_per_px"] * 1e-3
+    spread_m = dilation(rest_m, nodes, depth_m, np.full(len(rest_m), depth_m[0, 0]), HEIGHT_M)
+    shift_m = shear_n * HEIGHT_M / (row["shear_modulus_pa"] * area_m2)
+    moved_m = shift_m[:, None] + pressed[:, None, None] * spread_m
+    dots = (rest_px + moved_m * 1e3 / row["mm_per_px"]).astype(np.float32)
+    sensor = {
+        "sensor/frame_px": np.array([640, 480], np.int32),
+        "sensor/name": name,
+        "sensor/dot_xy_px": grid,
+        "sensor/dot_radius_px": np.float64(15.0),
+    }
+    none = np.empty(0, np.int64)
+    zero = np.zeros(SLICES, np.float32)
+    recording: dict[str, Any] = {
+        "events/t": none,
+        **{f"events/{key}": none.astype(np.uint16) for key in "xy"},
+        "events/p": none.astype(np.uint8),
+        "ms_to_idx": np.zeros(SLICES + 1, np.int64),
+        "t_offset": np.int64(0),
+        **sensor,
+    }
+    if truth:
+        recording |= {
+            "truth/dot_xy_px": dots,
+            "truth/object_xy_px": np.zeros((SLICES, 2), np.float32),
+            **{f"truth/{key}": zero for key in ("slid_px", "every_node_slid_px", "slip_share", "visible_slip_share")},
+            "truth/slip": zero.astype(np.uint8),
+            "truth/normal_force_n": (normal_n * pressed).astype(np.float32),
+            "truth/shear_force_n": shear_n.astype(np.float32),
+            "truth/sampled_parameters": "{}",
+        }
+    made = Recipe("recording", 1, {"sensor_row": row, "dots": len(rest_px)}, seed=number, simulated_source=truth)
+    header = write_stage(folder / f"trial{number}.recording.h5", made, recording)
+    tracks = {
+        "dot_xy_px": dots,
+        "events_per_dot": np.zeros(dots.shape[:2], np.int32),
+        "lost": np.zeros(dots.shape[:2], np.uint8),
+        **sensor,
+    }
+    path = folder / f"trial{number}.tracks.h5"
+    write_stage(path, Recipe("tracks", 1, {"preset": "exact"}, parents=(header,)), tracks)
+    return path
+
+
+def run(stage: Any, files: list[Path], chosen: Any, out: Path) -> tuple[Path, Outcome]:
+    (job,) = stage.jobs(files, chosen, out)
+    outcome: Outcome = stage.run(job, chosen)
+    assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
+    return job.output, outcome
+
+
+def predicted(path: Path, chosen: params.PredictForce, out: Path) -> dict[str, Any]:
+    output, _ = run(predict_force, [path], chosen, out)
+    with StageFile(output) as file:
+        return {name: file.read(name) for name in file.contents() if "/" not in name}
+
+
+def true_shear(path: Path) -> Any:
+    with StageFile(path.with_name(path.name.replace("tracks", "recording"))) as recording:
+        return recording.read("truth/shear_force_n")
+
+
+def own_sensor(folder: Path, stiffer: float) -> str:
+    path = folder / f"{stiffer}.sensor.toml"
+    row = sensor_row(stiffer)
+    lines = [f"{key} = {row[key]}" for key in ("mm_per_px", "shear_modulus_pa", "normal_modulus_pa")]
+    path.write_text("\n".join(['like = "evetac"', *lines, "[creep]", "share = [0.0]", "time_s = [1.0]"]))
+    return str(path)
+
+
+def close(estimated: dict[str, Any], true: Any, stiffness: float = 1.0) -> None:
+    """Assert shear within 8 % of 6 N, normal force within 15 %, contact as it is, but where forces jump."""
+    assert np.abs(estimated["shear_n"] / stiffness - true)[PRESSED].max() < 0.5
+    assert np.abs(estimated["normal_n"] / stiffness - NORMAL_N)[PRESSED].max() < 0.15 * NORMAL_N
+    assert estimated["contact"][PRESSED].all()
+    assert not estimated["contact"][: PRESSED.start].any()
+    assert not estimated["contact"][PRESSED.stop :].any()
+
+
+@pytest.mark.parametrize("stiffer", [1.0, 0.6])
+def test_closed_form_of_a_known_gel(tmp_path: Path, stiffer: float) -> None:
+    """Assert the forces of a face over the whole gel, within 0.5 N of shear and 15 % of the normal force."""
+    path = trial(tmp_path, 0, stiffer=stiffer)
+    estimated = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, stiffer)), tmp_path)
+    close(estimated, true_shear(path))
+    assert (estimated["normal_sd_n"][PRESSED] < 0.25 * NORMAL_N).all()
+
+
+def test_an_unknown_gel_is_told_with_wide_bounds(tmp_path: Path) -> None:
+    """Assert that the gel alone decides the force of a displacement, and that the sd covers half to twice of it."""
+    path = trial(tmp_path, 0)
+    known = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path / "known.forces.h5")
+    unknown = predicted(path, params.PredictForce(), tmp_path / "unknown.forces.h5")
+    far = np.abs(known["shear_n"]) > 3
+    assert 0.6 < np.median(unknown["shear_n"][far] / known["shear_n"][far]) < 1.4
+    assert (unknown["shear_sd_n"][far] > 2 * known["shear_sd_n"][far]).all()
+    assert (np.abs(unknown["shear_n"] - true_shear(path))[far] < 2 * unknown["shear_sd_n"][far]).all()
+    at_rest = slice(0, PRESSED.start)
+    assert unknown["shear_sd_n"][at_rest].max() < 0.3
+
+
+@pytest.mark.parametrize("pitch_px", [45.0, 85.0])
+def test_other_grids(tmp_path: Path, pitch_px: float) -> None:
+    """Assert the same bounds for denser and sparser dots than any that the model was trained on."""
+    x, y = np.arange(30.0, 620, pitch_px), np.arange(25.0, 460, pitch_px)
+    path = trial(tmp_path, 0, grid_px=np.stack(np.meshgrid(x, y), axis=-1))
+    estimated = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path)
+    close(estimated, true_shear(path))
+
+
+def test_lost_dots(tmp_path: Path) -> None:
+    """Assert that forces stay where some dots are lost and have no value where all are; the rest is unharmed."""
+    path = trial(tmp_path, 0)
+    lost = tmp_path / "lost"
+    lost.mkdir()
+    with StageFile(path) as file:
+        header = file.header
+        arrays = {name: file.read(name) for name in file.contents()}
+    arrays["dot_xy_px"] = arrays["dot_xy_px"].copy()
+    arrays["lost"] = arrays["lost"].copy()
+    arrays["lost"][500:600] = 1
+    arrays["lost"][600:, ::6] = 1
+    arrays["dot_xy_px"][600:, ::6] = 0.0
+    write_stage(lost / "trial0.tracks.h5", Recipe("tracks", 1, {"preset": "lost"}, parents=(header,)), arrays)
+    estimated = predicted(lost / "trial0.tracks.h5", params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), lost)
+    assert np.isnan(estimated["shear_n"][500:600]).all()
+    assert np.isnan(estimated["contact_probability"][500:600]).all()
+    assert not estimated["contact"][500:600].any()
+    assert np.isfinite(estimated["shear_n"][600:]).all()
+    assert np.abs(estimated["shear_n"] - true_shear(path))[600 : PRESSED.stop].max() < 0.7
+
+
+def test_no_contact(tmp_path: Path) -> None:
+    """Assert that a gel at rest has no contact and no force, and cannot be adapted to."""
+    path = trial(tmp_path, 0, normal_n=0.0)
+    estimated = predicted(path, params.PredictForce(), tmp_path)
+    assert not estimated["contact"].any()
+    assert np.abs(estimated["shear_n"]).max() < 0.1
+    assert estimated["normal_n"].max() < 0.5
+    with pytest.raises(InputError, match="no reading is during a contact"):
+        run(train_force, [path], ADAPT, tmp_path)
+
+
+def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
+    """Assert that known forces make an unknown gel known, from truth as from a table, and evaluate says so."""
+    own = [trial(tmp_path, number, stiffer=1.6) for number in (1, 2, 3)]
+    model, outcome = run(train_force, own, ADAPT, tmp_path)
+    assert model.name == "own.force-model.h5"
+    assert outcome.rows[0]["contacts"] == 3
+    assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
+    assert outcome.rows[0]["normal_modulus_kpa"] == pytest.approx(1.6 * 1000, rel=0.15)
+    path = trial(tmp_path, 4, stiffer=1.6)
+    estimated = predicted(path, params.PredictForce(model=model), tmp_path / "a.forces.h5")
+    close(estimated, true_shear(path))
+    assert info.run([model, tmp_path / "a.forces.h5"]).rows[0]["dots"] == "any grid"
+    for one in own:
+        rows = [f"{at / 1000},{x},{y},{NORMAL_N}" for at, (x, y) in enumerate(true_shear(one)) if 300 <= at < 1700]
+        one.with_name(one.name.replace("tracks.h5", "force.csv")).write_text(
+            "\n".join(["t_s,shear_x_n,shear_y_n,normal_n", *rows])
+        )
+    table, outcome = run(train_force, own, ADAPT, tmp_path / "table.force-model.h5")
+    assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
+    for one in own:
+        one.with_name(one.name.replace("tracks.h5", "force.csv")).unlink()
+    chosen = params.EvaluateForce(model=str(resources.FORCE_MODEL), adapt=str(tmp_path / "trial[123].tracks.h5"))
+    report, outcome = run(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
+    errors = {row["stiffness"]: row["mae_n"] for row in outcome.rows}
+    assert list(errors) == ["unknown", "known", "adapted", "known, adapted"]
+    assert errors["adapted"] < 0.2 * errors["unknown"]
+    assert errors["adapted"] < 0.3
+    assert outcome.rows[2]["contact_right"] > 0.99
+    assert outcome.rows[2]["normal_mae_of_range"] < 0.1
+    assert report.with_suffix(".png").stat().st_size > 10_000
+    for stage, files, wrong, message in (
+        (train_force, own, params.TrainForce(adapt=True, model=model), "adapted already"),
+        (predict_force, [path], params.PredictForce(model=model, sensor="evetac"), "stiffness of its sensor"),
+        (evaluate_force, [path], params.EvaluateForce(model=str(model)), "adapted to one sensor"),
+        (evaluate_force, [path], params.EvaluateForce(model=str(tmp_path)), "among several"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run(stage, files, wrong, tmp_path / "refused.h5")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not a table of forces"),
+        ("t,fx,fy,fz\n0,1,2,3", "not a table of forces"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n", "without a reading"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.4,1,2", "not a reading"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.4,1,inf,3", "not a reading"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n,1,2,3", "not a reading"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n9.4,1,2,3", "beside the recording"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.1,,,\n", "no reading is during a contact"),
+    ],
+)
+def test_tables_that_are_none(tmp_path: Path, text: str, message: str) -> None:
+    """Assert that a table without readings, or with senseless ones, is refused in words."""
+    path = trial(tmp_path, 0, truth=False)
+    with pytest.raises(InputError, match="no known forces"):
+        run(train_force, [path], ADAPT, tmp_path)
+    path.with_name("trial0.force.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        run(train_force, [path], ADAPT, tmp_path)
+
+
+def test_training_is_the_same_for_one_seed(tmp_path: Path) -> None:
+    """Assert that the same seed gives the same arrays and another seed others, and that two sensors are not mixed."""
+    tracks = [trial(tmp_path, number) for number in (1, 2)]
+    arrays = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        chosen = params.TrainForce(method="gel", contacts=TRAIN.contacts, epochs=1, seed=seed)
+        path, outcome = run(train_force, tracks, chosen, tmp_path / f"{name}.force-model.h5")
+        assert outcome.rows[0]["trajectories"] == 2
+        with StageFile(path) as file:
+            arrays.append({key: file.read(key) for key in file.contents()})
+    assert all(np.array_equal(arrays[0][key], arrays[1][key]) for key in arrays[0])
+    assert not np.array_equal(arrays[0]["gel/0/weight"], arrays[2]["gel/0/weight"])
+    with pytest.raises(InputError, match="not of the paper's method"):
+        train_force.read_model(tmp_path / "a.force-model.h5")
+    other = trial(tmp_path, 3, name="second")
+    with pytest.raises(InputError, match="different sensors"):
+        run(train_force, [*tracks, other], ADAPT, tmp_path)
+    real = trial(tmp_path, 4, truth=False)
+    with pytest.raises(InputError, match="no truth"):
+        run(train_force, [real], TRAIN, tmp_path)

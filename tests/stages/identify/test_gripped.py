@@ -1,0 +1,216 @@
+"""What a recording of a gripper tells of gripper and gel, and what it does not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evetac_cli import params
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.identify.estimates import Estimate
+from evetac_cli.sim import gripper, scene
+from evetac_cli.stages import grasp, identify, record
+from evetac_cli.stages.identify import gripped, gripper_rows
+from evetac_cli.stages.identify.drive import NAMES, DriveFit, GripperRows
+from evetac_cli.stages.identify.gripped import Gripped, Weight
+from evetac_cli.stages.identify.gripper_rows import Known
+from evetac_cli.store.read import open_recording
+from tests.conftest import as_toml
+
+LIKE = scene.sensor_row("evetac")
+
+
+def gripped_whole() -> Gripped:
+    """All parts, with values of a usual gripper and gel under 0.5 kg."""
+    values = dict(zip(NAMES, (10.0, 400.0, 5.0, 1.4, 0.8, 1.0, 361.0, 61.0), strict=True))
+    fit = DriveFit(values, dict.fromkeys(NAMES, 0.001), 0.3, [], np.zeros(10))
+    held = gripped.held_gel.HeldFit(0.3e-3, 0.06, np.ones(4), 0.01)
+    creep = gripped.held_gel.Creep((0.02, 0.05), (0.3, 4.0), 1.0, 0.001)
+    weight = Weight(held, creep, 2 * 150e3, 2 * np.array([0.35, 0.36]))
+    plain = (Estimate(0.3, 0.2, 0.4), Estimate(3.0, 2.5, 3.5), Estimate(1.0, 0.5, 1.5), Estimate(6.0, 5.9, 6.1))
+    return Gripped("a.recording.h5", fit, *plain, weight)
+
+
+def test_what_is_written_simulates_the_same() -> None:
+    """Assert that the drive of the file's table has the friction, gain and damping that were told; the gel, too."""
+    listed, values = gripper_rows.rows([gripped_whole()], Known(500.0, 0.9, 0.45, True), LIKE)
+    table = {key: one.value for key, one in values["gripper"].value.items()}
+    drive = gripper.make_drive({"gripper": table})
+    assert drive.force_per_current_n_ma == 0.45
+    assert drive.friction_n == pytest.approx(10.0 * 0.45) and drive.gain_ma_tick == pytest.approx(6.0)
+    assert drive.damping_n_s_m == pytest.approx(400 * 0.45) and drive.mass_kg == pytest.approx(5 * 0.45)
+    assert values["shear_modulus_pa"].value == pytest.approx(150e3 / (1 + gripper_rows.MODULUS_HIGH_SHARE))
+    assert values["static_friction_factor"].value == pytest.approx(0.36 / (0.45 * 0.9))
+    assert list(values["creep"].value["time_s"]) == [0.3, 4.0]
+    by_name = {row.parameter: row for row in listed}
+    assert by_name["static_friction_factor"].estimate is not None
+    for row in listed:
+        if row.estimate is not None:
+            assert row.estimate.low <= row.estimate.value <= row.estimate.high, row
+
+
+def test_without_a_scale() -> None:
+    """Assert that without mass or force per current the rows that hang on them say so, and the others stand."""
+    listed, values = gripper_rows.rows([gripped_whole()], Known(None, 0.9, None, True), LIKE)
+    by_name = {row.parameter: row for row in listed}
+    for name in ("shear_modulus_pa", "static friction x force per current"):
+        assert by_name[name].estimate is None and "--object-mass-g" in by_name[name].source
+    assert "--force-per-current" in by_name["gripper.force_per_current_n_ma"].source
+    assert by_name["gripper: gear friction"].estimate is not None
+    assert "shear_modulus_pa" not in values and values["gripper"].value["force_per_current_n_ma"].value == 0.4
+    known = Known(500.0, 0.9, None, False)
+    with_mass, values = gripper_rows.rows([gripped_whole()], known, LIKE)
+    by_name = {row.parameter: row for row in with_mass}
+    wide = by_name["shear_modulus_pa"].estimate
+    assert wide is not None and wide.high > 1.15 * wide.value  # the size of a pixel is not known
+    assert by_name["static_friction_factor"].estimate is None
+    assert values["static_friction_factor"].value == pytest.approx(0.36 / (0.4 * 0.9))
+
+
+def test_nothing_told() -> None:
+    """Assert that without a gripper, and where the object never slips, each row says which recording it takes."""
+    listed, values = gripper_rows.rows([], Known(500.0, 0.9, None, True), LIKE)
+    assert values == {} and len(listed) == 16
+    assert all(row.estimate is None and row.source.startswith("cannot be told") for row in listed)
+    whole = gripped_whole()
+    assert whole.weight is not None
+    stuck = Gripped("a.recording.h5", whole.drive, weight=whole.weight._replace(weight_per_ma=None))
+    listed, values = gripper_rows.rows([stuck], Known(500.0, 0.9, None, True), LIKE)
+    by_name = {row.parameter: row for row in listed}
+    assert "until the object slips" in by_name["static friction x force per current"].source
+    assert "static_friction_factor" not in values and "shear_modulus_pa" in values
+
+
+def test_a_delay_that_could_be_anything_is_not_told() -> None:
+    """Assert the stated rule: an interval wider than half of what sensors have is none."""
+    vague = Gripped("a.recording.h5", delay_ms=Estimate(4.0, 1.0, 7.0), jitter_ms=Estimate(2.0, 0.0, 3.0))
+    listed, values = gripper_rows.rows([vague], Known(None, 0.9, None, True), LIKE)
+    by_name = {row.parameter: row.estimate for row in listed}
+    assert by_name["gripper.command_delay_ms"] is None and by_name["gripper.command_jitter_ms"] is None
+    assert values == {}
+
+
+def test_when_it_slips() -> None:
+    """Assert the slice in which the gel goes back, and that gel which does not has not slipped."""
+    held = np.linspace(1.0, 1.1, 3000)
+    assert gripped._slips(held) is None and gripped._slips(held[:5]) is None
+    gone = np.concatenate([held, 1.1 * np.exp(-np.arange(500) / 100)])
+    slips = gripped._slips(gone)
+    assert slips is not None and np.all(np.abs(slips - 3000) < 30) and np.all(np.diff(slips) >= 0)
+
+
+def test_when_the_weight_comes_on() -> None:
+    """Assert direction, time and length of a load, and that a hold without one, or a short one, is refused."""
+    path = np.zeros((5000, 6, 2), np.float32)
+    path[2000:, :, 1] = -5.0
+    path[2000:2100, :, 1] = np.linspace(0, -5, 100)[:, None]
+    path += np.random.default_rng(0).normal(0, 0.02, path.shape).astype(np.float32)
+    along, came, lasts = gripped._loading(path)
+    assert along == -2 and abs(came - 2003) < 10 and abs(lasts - 100) < 15
+    with pytest.raises(ValueError, match="no weight"):
+        gripped._loading(path[:1900])
+    with pytest.raises(ValueError, match="too short"):
+        gripped._loading(path[:500])
+
+
+def test_the_longest_hold() -> None:
+    """Assert the first and last ms under one commanded current."""
+    time_us = np.arange(1, 2001) * 2000
+    current = np.concatenate([np.arange(500.0), np.full(1000, 60.0), np.arange(500.0)])
+    assert gripped._longest_hold(GripperRows(time_us, current, current, time_us)) == (1002, 3002)
+
+
+@pytest.fixture(scope="module")
+def grip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scene grip-steps with coarse nodes, by a gripper with faults on a creeping gel."""
+    folder = tmp_path_factory.mktemp("grip")
+    coarse = scene.load("grip-steps")
+    coarse["solver"] = {"node_pitch_mm": 1.45}
+    coarse["gripper"] |= {"backlash_ticks": 2.0, "encoder_noise_ticks": 0.3, "command_delay_ms": 3.4}
+    coarse["gripper"]["command_jitter_ms"] = 2.2
+    (folder / "grip-steps.toml").write_text(as_toml(coarse))
+    chosen = params.Record(scene=str(folder / "grip-steps.toml"), sensor="realistic", objects="18", seed=3)
+    (job,) = record.jobs([], chosen, folder / "grip.recording.h5")
+    record.run(job, chosen)
+    return job.output
+
+
+@pytest.mark.slow
+def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
+    """Assert that the truth of a simulated sensor is within the intervals, and that its file simulates."""
+    by_goals = params.Grasp(controller="fixed:6", lift_s=2.0, balance_s=0.0, sensor="realistic")
+    (grasped,) = grasp.jobs([], by_goals, tmp_path / "grasp.recording.h5")
+    grasp.run(grasped, by_goals, force=False, progress=lambda done, of: None)
+    asked = params.Identify(object_mass_g=550.0, pixel_mm=0.0329, force_per_current=0.4)
+    (job,) = identify.jobs([grip, grasped.output], asked, tmp_path)
+    by_name = {row["parameter"]: row for row in identify.run(job, asked).rows}
+    truth = {
+        "gripper: gear friction": 3.87 / 0.4,
+        "gripper: damping": 0.15 / 0.4,
+        "gripper: moving mass": 2.0 / 0.4,
+        "gripper.backlash_ticks": 2.0,
+        "gripper.encoder_noise_ticks": 0.3,
+        "gripper.command_delay_ms": 3.4,
+        "gripper.command_jitter_ms": 2.2,
+        "gripper: servo gain": 5.0,
+        "shear_modulus_pa": 145e3,
+        "creep.share, both arms": 0.1,
+        "static friction x force per current": 0.9 * 0.4,
+        "static_friction_factor": 1.0,
+    }
+    for name, value in truth.items():
+        assert by_name[name]["low"] <= value <= by_name[name]["high"], (name, by_name[name])
+    for name in ("normal_modulus_pa", "loss_tangent", "noise_hz", "dots"):
+        assert by_name[name]["estimate"] is None and "cannot be told" in by_name[name]["from"]
+    _, sensor = scene.named_sensor(str(job.output))
+    chosen = params.Record(scene="slip", sensor=str(job.output), objects="18")
+    assert record.jobs([], chosen, tmp_path)[0].plan["sensor_row"]["gripper"] == sensor["gripper"]
+
+
+@pytest.mark.slow
+def test_truth_is_never_read(grip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that no truth is asked for, and that a current which is not finite tells nothing."""
+    with open_recording(grip) as recording:
+        read = recording.read
+
+        def without_truth(name: str, *range_: int) -> np.ndarray:
+            assert not name.startswith("truth"), name
+            return read(name, *range_)
+
+        monkeypatch.setattr(recording, "read", without_truth)
+        monkeypatch.setattr(gripped, "_weight", lambda *_: None)
+        gripping = gripped.find(recording, 0.0329, np.random.default_rng(0))
+        assert gripping is not None and gripping.drive is not None
+
+        def broken(name: str, *range_: int) -> np.ndarray:
+            column = without_truth(name, *range_)
+            return np.full(len(column), np.nan) if name == "gripper/current_ma" else column
+
+        monkeypatch.setattr(recording, "read", broken)
+        assert gripped.find(recording, 0.0329, np.random.default_rng(0)) is None
+
+
+def test_a_recording_without_a_gripper(tmp_path: Path) -> None:
+    """Assert that one without rows of a gripper tells nothing of it."""
+    short = scene.load("rest")
+    short["time"]["rest_s"] = 0.1
+    (tmp_path / "rest.toml").write_text(as_toml(short))
+    chosen = params.Record(scene=str(tmp_path / "rest.toml"))
+    (job,) = record.jobs([], chosen, tmp_path / "rest.recording.h5")
+    record.run(job, chosen)
+    with open_recording(job.output) as recording:
+        assert gripped.find(recording, 0.0329, np.random.default_rng(0)) is None
+
+
+def test_a_scene_without_a_current_to_follow(tmp_path: Path) -> None:
+    """Assert that --current-of refuses a scene that names no current for the gripper."""
+    asked = params.Record(camera="virtual", gripper="virtual", current_of="slip", dry_run=True)
+    (job,) = record.jobs([], asked, tmp_path)
+    with pytest.raises(InputError, match="names no current"):
+        record.dry_run([job], asked)
+    both = params.Record(camera="virtual", gripper="virtual", current_of="grip-steps", hold_s=3.0, dry_run=True)
+    with pytest.raises(InputError, match="no effect with --current-of"):
+        record.dry_run(record.jobs([], both, tmp_path), both)
+    asked = params.Record(camera="virtual", gripper="virtual", current_of="grip-steps", dry_run=True)
+    (job,) = record.jobs([], asked, tmp_path)
+    assert "-25 to 60 mA for 35.5 s" in str(record.dry_run([job], asked).rows)

@@ -1,0 +1,43 @@
+"""The current that a gripper follows: as scenes name it, and as devices are commanded."""
+
+import numpy as np
+import pytest
+
+from evetac_cli.devices import GripperReading
+from evetac_cli.sim import scene
+from evetac_cli.stages.record.current_course import CurrentCourse, Square
+from evetac_cli.stages.record.current_ramp import COMMAND_MS, Hold, start, step
+
+
+def test_a_line_with_a_square_wave() -> None:
+    """Assert the current at its points, between them, before and after them, and in the square wave."""
+    course = CurrentCourse((1.0, 2.0, 4.0), (0.0, 10.0, 10.0), Square(2.5, 3.5, 100, 4.0))
+    assert [course.at(time_s) for time_s in (0.0, 1.0, 1.5, 2.0, 9.0)] == [0.0, 0.0, 5.0, 10.0, 10.0]
+    assert [course.at(time_s) for time_s in (2.49, 2.5, 2.599, 2.6, 2.7, 3.45, 3.5)] == [10, 10, 10, 6, 10, 6, 10]
+    assert course.ends_s == 4.0
+
+
+def test_what_the_scene_grip_steps_is_for() -> None:
+    """Assert that its currents open and close more than once, hold for 15 s and fall below 0."""
+    course = CurrentCourse.read(scene.load("grip-steps"))
+    assert course is not None and course.square is not None and course.square.every_ms % 2 == 1
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(course.current_ma))))
+    assert len(turns) >= 6 and min(course.current_ma) < 0
+    assert any(
+        after - before > 15 and low == high
+        for before, after, low, high in zip(
+            course.at_s, course.at_s[1:], course.current_ma, course.current_ma[1:], strict=False
+        )
+    )
+    assert CurrentCourse.read(scene.load("slip")) is None
+
+
+def test_a_device_follows_it() -> None:
+    """Assert that commands follow the course whatever is read, and end with it."""
+    course = CurrentCourse((0.0, 0.1), (0.0, 50.0))
+    hold = Hold(10, 50.0, 1.0, -50.0, course)
+    state, rng = start(hold), np.random.default_rng(0)
+    given = []
+    while not state.ended:
+        given.append(step(state, hold, GripperReading(0.0, 100), rng))
+    assert given == pytest.approx(np.linspace(0, 50, 51)) and len(given) * COMMAND_MS == 102
