@@ -364,14 +364,6 @@ class Train:
     horizon_ms: int = parameter(
         0, "Predict slip so far ahead: labels are shifted by as much.", unit="ms", low=0, high=1000
     )
-    after_ms: int | None = parameter(
-        None,
-        "Slices after the onset to train on; default: 15, 20 or 50 by the network's history, as the paper. With more,"
-        " sliding that goes on is learned as slip, too.",
-        unit="ms",
-        low=1,
-        high=100000,
-    )
     preset: str = parameter(
         "paper",
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"

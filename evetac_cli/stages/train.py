@@ -171,7 +171,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     try:
         for number, fold in enumerate(folds):
             trajectories = (read_trajectory(job.inputs[index], architecture) for index in fold.trained_on)
-            samples = sampling.gather(trajectories, architecture, *shape, params.horizon_ms, params.after_ms)
+            samples = sampling.gather(trajectories, architecture, *shape, params.horizon_ms)
             result, resumed = _train(job, params, recipe, samples, (number, len(folds)), progress, start)
             last = result.checkpoints[-LAST_CHECKPOINTS:]
             graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in last]

@@ -63,17 +63,15 @@ def gather(
     rows: int = 7,
     columns: int = 8,
     horizon_ms: int = 0,
-    after_ms: int | None = None,
 ) -> Samples:
     """Sort the slices of trajectories into the three pools; slices that no sample needs are left out.
 
-    A trajectory with an onset is cut to the slices [0, onset + cut): `after_ms`, or 15 ms for a history of 10 or less,
-    20 ms to 20, 50 ms beyond, as in the paper. A slice is a sample when its history is full and it is labelled. With
-    `horizon_ms` the same slices are labelled as by `shift_labels`. ValueError where shapes, values or the onset do not
-    fit, or where the slip or the busy pool would be empty; the quiet pool may be.
+    A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
+    50 ms beyond. A slice is a sample when its history is full and it is labelled. With `horizon_ms` the same slices are
+    labelled as by `shift_labels`. ValueError where shapes, values or the onset do not fit, or where the slip or the
+    busy pool would be empty; the quiet pool may be.
     """
     history = architecture.history
-    cut = architecture.train_cut_ms if after_ms is None else after_ms
     pools: dict[str, list[NDArray[np.int64]]] = {"slip": [], "busy": [], "quiet": []}
     parts, shares = [], []
     begin = count = 0
@@ -86,7 +84,7 @@ def gather(
             raise ValueError(f"trajectory {index}: {error}") from error
         slices = len(shifted)
         if trajectory.onset >= 0:
-            slices = min(slices, trajectory.onset + cut)
+            slices = min(slices, trajectory.onset + architecture.train_cut_ms)
         label = shifted[:slices]
         drawn = (np.arange(slices) >= history - 1) & (label >= 0)
         if not drawn.any():
@@ -110,13 +108,13 @@ def gather(
 
 
 def _share_ahead(trajectory: Trajectory, horizon_ms: int) -> NDArray[np.float32]:
-    """Share of the contact that slips so much later, (slices,): 1 where it is labelled slip, NaN if it is not known."""
+    """Share of the contact that slips so much later, (slices,): 1 from the onset on, NaN if it is not known."""
     slices = len(trajectory.label)
     if trajectory.slip_share is None:
         return np.full(slices, np.nan, np.float32)
     later = np.minimum(np.arange(slices) + horizon_ms, slices - 1)
     share = trajectory.slip_share[later].astype(np.float32)
-    return np.where(trajectory.label[later] == 1, np.float32(1), share)
+    return np.where((trajectory.onset >= 0) & (later >= trajectory.onset), np.float32(1), share)
 
 
 class Batch(NamedTuple):

@@ -53,12 +53,6 @@ def test_history_sets_the_first_sample_and_the_cut(history: int, first: int, sli
     np.testing.assert_array_equal(samples.slip, np.arange(60, 60 + slipping))
 
 
-def test_the_cut_may_be_named() -> None:
-    """Assert that slip is kept for as long as is asked for, and no longer than there are slices."""
-    assert len(sampling.gather([trajectory(200, 60)], HIST10, after_ms=40).slip) == 40
-    assert len(sampling.gather([trajectory(200, 60)], HIST10, after_ms=1000).slip) == 140
-
-
 def test_busy_means_more_than_25_events_outside_the_window() -> None:
     """Assert that 25 events are quiet and 26 busy, and that events beside dots do not decide."""
     one = trajectory(40, 30, np.arange(40) == 20)
