@@ -625,6 +625,13 @@ class Grasp(Trials):
     model: Path | None = parameter(
         None, "Model file of the slip detector; default: the package's, disp-xy 10 ms ahead.", recipe=False
     )
+    slip_threshold: float = parameter(
+        0.8,
+        "Probability from which on the controller is told of slip. Lower than the package's detector's own, which is"
+        " chosen for timing: a grip is best tightened while the contact begins to slip.",
+        low=0.0,
+        high=1.0,
+    )
     controller: str = parameter(
         "paper",
         "Law of the grip; paper: the paper's, whose balance sets its reference at the first slip; paper-reset: at every"

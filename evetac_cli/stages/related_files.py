@@ -9,8 +9,16 @@ from evetac_cli.errors import InputError
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import Recording, open_recording
 
-COMMANDS = {"labels": "label", "tracks": "track", "features": "featurize"}  # that make a file of a kind from a recording
-BY_SLICE = {"labels": "label", "tracks": "dot_xy_px", "features": "displacement_px"}  # datasets with a row for every slice
+COMMANDS = {
+    "labels": "label",
+    "tracks": "track",
+    "features": "featurize",
+}  # that make a file of a kind from a recording
+BY_SLICE = {
+    "labels": "label",
+    "tracks": "dot_xy_px",
+    "features": "displacement_px",
+}  # datasets with a row for every slice
 
 
 def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:

@@ -105,6 +105,9 @@ class TrainedModel(NamedTuple):
 def _adapting(params: Train) -> tuple[Train, TrainedModel | None]:
     """The settings of a training, and the model that --adapt names, if any; InputError if they do not fit."""
     if not params.adapt:
+        if params.preset == "adapt":
+            hint = "name the model with --adapt"
+            raise InputError("adapts a trained model, and none is named", where="--preset adapt", hint=hint)
         return params, None
     path = MODEL if params.adapt == SHIPPED else Path(params.adapt)
     with StageFile(path, "model") as file:
@@ -121,7 +124,7 @@ def _adapting(params: Train) -> tuple[Train, TrainedModel | None]:
         given = getattr(params, name)
         if given not in (value, getattr(usual, name)):
             raise InputError(
-                "another than that of the model to adapt",
+                "another than the model to adapt needs",
                 where=f"--{name.replace('_', '-')}",
                 expected=f"{value}, or leave it out",
                 found=str(given),
@@ -138,7 +141,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     params, adapted = _adapting(params)
     headers = [_header(path) for path in job.inputs]
     learn, seed = job.learned, job.seed
-    check_disjoint(headers[:learn], headers[learn:], "validated on", job.inputs[learn:])
+    learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
+    check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
     labels = _label_method(job.inputs[:learn], headers[:learn])
     folds = make_folds(headers, learn, params.folds)
     parameters = {**recipe_of(params), "seed": seed, "trained_on": learn}

@@ -346,7 +346,7 @@ def test_flags_name_every_model_and_recipe() -> None:
 
 def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
     """Assert that --adapt goes on from a model's weights, with its normalisation, architecture and horizon."""
-    (job,) = train.jobs(trials, small(model="fast-slow", horizon_ms=10), tmp_path)
+    (job,) = train.jobs(trials[2:], small(model="fast-slow", horizon_ms=10), tmp_path)
     run(job, small(model="fast-slow", horizon_ms=10))
     adapt = Train(adapt=str(job.output), max_steps=30)
     (own,) = train.jobs(trials[:2], adapt, tmp_path / "own.model.h5")
@@ -358,16 +358,20 @@ def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
             moved = np.abs(after.read(name) - before.read(name)).max()
             assert moved == 0 if name.startswith("weights/input_") else 0 < moved < 0.02
     assert train.jobs(trials[:2], replace(adapt, adapt="shipped"), None)[0].output.name.endswith("10ms.model.h5")
+    (known,) = train.jobs(trials[2:], adapt, tmp_path / "known.model.h5")
+    with pytest.raises(InputError, match="validated on"):  # the model to adapt knows what would judge it
+        run(known, adapt)
 
 
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"model": "hist20"}, "--model: another than that of the model to adapt"),
-        ({"horizon_ms": 20}, "--horizon-ms: another than that of the model to adapt"),
-        ({"preset": "adam"}, "--preset: another than that of the model to adapt"),
+        ({"model": "hist20"}, "--model: another than the model to adapt needs"),
+        ({"horizon_ms": 20}, "--horizon-ms: another than the model to adapt needs"),
+        ({"preset": "adam"}, "--preset: another than the model to adapt needs"),
         ({"folds": 2}, "--folds: folds train from the beginning"),
         ({"adapt": "missing.model.h5"}, "missing.model.h5"),
+        ({"adapt": "", "preset": "adapt"}, "--preset adapt: adapts a trained model, and none is named"),
     ],
 )
 def test_what_cannot_be_adapted(trials: list[Path], tmp_path: Path, given: dict[str, Any], says: str) -> None:

@@ -100,6 +100,8 @@ def estimate(on: Floats, off: Floats, noise: float, rng: np.random.Generator) ->
         """Log of the ratio, the variance that endless events would leave, and the least inverse of squared events."""
         rising, falling, squares, inverse, pixels = sums @ weights
         enough = pixels >= FEWEST_TOGETHER
+        if not enough.any():
+            enough = pixels == pixels.max()
         # Of the busier half of the pixels: with few events, those of a last, unfinished threshold weigh more.
         many = enough & (np.cumsum(pixels[::-1])[::-1] <= pixels.sum() / 2)
         many[np.flatnonzero(enough)[-1]] = True

@@ -155,7 +155,9 @@ def run_short_grasp(
     try:
         with StageFile(model or resources.MODEL, "model") as file:
             detector = TimedDetector(
-                wrap_detector(open_detector(file, devices.camera.sensor, Grasp().tracker), devices)
+                wrap_detector(
+                    open_detector(file, devices.camera.sensor, Grasp().tracker, Grasp().slip_threshold), devices
+                )
             )
         watched = replace(devices, camera=CameraUntilLost(devices, plan["sensor_row"]["mm_per_px"]))
         run_grasp(watched, detector, control, timing, lambda _, rows: buffer.append_rows(rows), lambda _: None)

@@ -69,6 +69,9 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
             trials.append(_predict(path, model, gels, by_sensor, params))
             progress(number + 1, len(files))
         range_n = max(float(one.normal_n.max()) for one in trials)
+        if not range_n > 0:
+            expected = "recordings in which the gel is pressed"
+            raise InputError("there is no contact in these recordings", where=str(files[0]), expected=expected)
         rows = [_row(one, name, range_n) for one in trials for name in one.predicted]
         return rows, _summary(trials, rows, range_n, params)
 

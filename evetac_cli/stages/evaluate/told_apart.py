@@ -1,7 +1,5 @@
 """The windows of a recording for the classifier that tells two recordings apart (kernels/realism)."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,8 +39,3 @@ def area_of_halves(of: Floats) -> float | None:
     """AUC between every other pair of windows and the pairs between them; None where the recording is too short."""
     other = np.arange(len(of)) // classifier.BLOCK % 2 == 1
     return area(of[~other], of[other])
-
-
-def joined(recordings: Sequence[Recording]) -> Floats:
-    """Windows of several recordings, one after the other."""
-    return np.concatenate([window_features(one) for one in recordings])

@@ -69,7 +69,8 @@ def read(tracks: StageFile, noise_n: float, rng: np.random.Generator) -> Reading
 
 
 def _from_table(path: Path, slices: int) -> Readings:
-    lines = csv.reader(read_text(path, MOST_BYTES).splitlines())
+    text = read_text(path, MOST_BYTES).removeprefix("\ufeff")  # as Excel writes
+    lines = csv.reader(text.splitlines())
     first = [name.strip() for name in next(lines, [])]
     if first != COLUMNS:
         raise InputError(
@@ -97,6 +98,6 @@ def _from_table(path: Path, slices: int) -> Readings:
     if not rows:
         raise InputError("a table of forces without a reading", where=str(path))
     values = np.array(rows)
-    slice_ = (values[:, 0] * 1000).astype(np.int64)
+    slice_ = np.floor(values[:, 0] * 1000 + 1e-6).astype(np.int64)  # 1.001 s is slice 1001
     _, kept = np.unique(slice_ // EVERY, return_index=True)
     return Readings(slice_[kept], values[kept, 1:3], values[kept, 3])

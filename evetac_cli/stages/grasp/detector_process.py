@@ -51,6 +51,7 @@ class DetectorSettings:
     sensor: Mapping[str, Any]  # with the dot grid
     model: Path | None  # None: slices are recorded, and no slip is detected
     tracker: str
+    slip_threshold: float
     slices: int  # after which the grasp is over
 
 
@@ -89,7 +90,7 @@ def open_detector(settings: DetectorSettings) -> SlipDetector | None:
     from evetac_cli.store.files import StageFile
 
     with StageFile(settings.model, "model") as model:
-        first, detector = (load(model, settings.sensor, settings.tracker) for _ in range(2))
+        first, detector = (load(model, settings.sensor, settings.tracker, settings.slip_threshold) for _ in range(2))
     rng = np.random.default_rng(0)
     for k in range(WARM_UP_SLICES):
         first.step(noise(rng, k))

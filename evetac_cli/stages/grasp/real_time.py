@@ -150,7 +150,15 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         )
         signals = opened.enter_context(session.signals_counted(came))  # until here Ctrl-C breaks off
         sensor = _sensor(trial, params, world)
-        detector = DetectorSettings(camera, seeds, sensor, setup.model_path_for(params), params.tracker, timing.end_ms)
+        detector = DetectorSettings(
+            camera,
+            seeds,
+            sensor,
+            setup.model_path_for(params),
+            params.tracker,
+            params.slip_threshold,
+            timing.end_ms,
+        )
         controller = ControllerSettings(
             servo.port if servo is not None else gripper.port,
             gripper.baud,

@@ -101,7 +101,7 @@ def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -
         detector = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:
-                detector = setup.open_detector(model, sensor, params.tracker)
+                detector = setup.open_detector(model, sensor, params.tracker, params.slip_threshold)
         slices = len(recording)
         if not slices:
             raise InputError("there is not a single slice", where=str(trial.inputs[0]))

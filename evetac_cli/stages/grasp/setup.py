@@ -51,10 +51,15 @@ def make_timing(params: Grasp, recorded: Mapping[str, Any] | None = None) -> Tim
     return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)
 
 
-def open_detector(model: StageFile, sensor: Mapping[str, Any], preset: str) -> OnlineSlipDetector:
-    """The detector of a model, for a sensor with these datasets `sensor/...`."""
+def open_detector(
+    model: StageFile, sensor: Mapping[str, Any], preset: str, slip_threshold: float
+) -> OnlineSlipDetector:
+    """The detector of a model, for a sensor with these datasets `sensor/...`, with a threshold other than its own."""
     constants = tracker.PRESETS[preset].for_dots(float(sensor["sensor/dot_radius_px"]))
-    return OnlineSlipDetector.start(model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants)
+    window_px = sensor.get("sensor/window_px")
+    detector = OnlineSlipDetector.start(model, sensor["sensor/dot_xy_px"], window_px, constants)
+    detector.threshold = slip_threshold
+    return detector
 
 
 def grasp_parameters(trial: Trial, params: Grasp, control: Control) -> dict[str, Any]:
@@ -69,6 +74,7 @@ def grasp_parameters(trial: Trial, params: Grasp, control: Control) -> dict[str,
         "latency_ms": params.latency_ms,
         "control_hz": params.control_hz,
         "tracker": tracking if grip_control.uses_detector(control.law) else None,
+        "slip_threshold": params.slip_threshold if grip_control.uses_detector(control.law) else None,
         "lift_s": params.lift_s,
         "balance_s": params.balance_s,
     }

@@ -79,7 +79,7 @@ def play(
         detector = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:
-                detector = open_detector(model, devices.camera.sensor, params.tracker)
+                detector = open_detector(model, devices.camera.sensor, params.tracker, params.slip_threshold)
         run_grasp(devices, detector, control, timing, append, lambda done: progress(done, timing.end_ms))
     finally:
         devices.close()

@@ -119,6 +119,7 @@ def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> 
 def _weight(recording: Recording, rows: GripperRows, fitted: DriveFit, mm_per_px: float) -> Weight | None:
     """How the gel takes over the weight of what the gripper holds; None where no weight comes on."""
     first_ms, last_ms = _longest_hold(rows)
+    last_ms = min(last_ms, len(recording))
     if last_ms - first_ms < SHORTEST_HOLD_MS or recording.dot_xy_px is None:
         return None
     try:
@@ -138,7 +139,7 @@ def _weight(recording: Recording, rows: GripperRows, fitted: DriveFit, mm_per_px
             moved_m[end_ms - 500 : end_ms].mean(0),
         )
         weight = np.nan_to_num(held.moved)
-        displacement_m = moved_m @ (weight / (weight**2).sum())
+        displacement_m = np.nan_to_num(moved_m) @ (weight / (weight**2).sum())
         seen = _seen_motion(recording, moved_px, came_ms - AROUND_MS // 3, end_ms)[AROUND_MS // 3 :]
         both = displacement_m[came_ms:end_ms] / displacement_m[end_ms - 500 : end_ms].mean() + seen / seen[-500:].mean()
         creep = held_gel.creep(*_thinned(both[loaded_ms:] / 2), loaded_ms * 1e-3)

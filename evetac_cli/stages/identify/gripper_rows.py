@@ -83,7 +83,7 @@ def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tup
     gel_rows, values = _gel(known_parts.weight, source.get("weight", ""), known, scale_n_ma)
     listed += gel_rows
     listed += [Row("normal_modulus_pa", "Pa", None, BENDS), Row("loss_tangent", "", None, QUIET)]
-    if keys:
+    if keys or given is not None:
         scale_from = "as given" if given is not None else "not estimated: as of the sensor that is named as its like"
         keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
         values["gripper"] = Entry(keys, None, "forces stand for the force per current below")

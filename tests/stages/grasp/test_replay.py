@@ -61,9 +61,9 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
     (job,) = featurize.jobs([grasped], features, tmp_path)
     featurize.run(job, features)
     with StageFile(MODEL, "model") as model, StageFile(job.output, "features") as file:
-        detector, threshold = load_detector(model), float(model.read("threshold"))
+        detector = load_detector(model)
         probability = detector.over(read_series(file, detector.architecture))
-    slips = np.cumsum(is_slip(probability, threshold))
+    slips = np.cumsum(is_slip(probability, Grasp().slip_threshold))
     law = Control(PAPER)
     with open_recording(again) as now:
         np.testing.assert_array_equal(now.read("control/probability"), probability)
