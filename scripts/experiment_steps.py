@@ -89,7 +89,12 @@ TRAVEL_LEARN = (
     ("handling", "randomized", "1-9", 2, 4700),
     ("lift", "randomized", "1-9", 2, 4800),  # held firmly all the time: motion of the hand without slip
 )
-TRAVEL_CHOOSE = (("slip", "evetac", "1-9", 2, 500), ("slip", "randomized", "1-7", 5, 3100))
+TRAVEL_CHOOSE = (
+    ("slip", "evetac", "1-9", 2, 500),
+    ("slip", "randomized", "1-7", 5, 3100),
+    ("slip-varied", "evetac", "1-9", 2, 3600),
+    ("slip-varied", "randomized", "1-9", 2, 3700),
+)
 AHEAD = ("hist20", "fast-slow")  # the models that are trained to predict too
 LABELS = "event-flow"
 
@@ -318,7 +323,7 @@ def ship_steps(sizes: Sizes) -> Iterator[Command]:
     """Train the detector that travels, judge it on unseen objects, and put it into the package."""
     yield evetac("train", "travel/learn/*.features.h5", "--model", "disp-xy", "--horizon-ms", 10, "--preset", "adamw",
                  "--max-steps", min(sizes["steps"], 10_000), "--validate", "travel/choose", "--seed", sizes["seed"],
-                 "--seeds", min(sizes["seeds"], 3), "--out", "models/travel")  # fmt: skip
+                 "--seeds", sizes["seeds"], "--out", "models/travel")  # fmt: skip
     yield evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "models/travel/*.model.h5",
                  "--out", "ship.report.h5")  # fmt: skip
     yield script("ship_model.py", "models/travel/disp-xy-10ms*.model.h5", "ship.report.h5")
