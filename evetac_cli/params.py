@@ -512,10 +512,7 @@ class EvaluateVibration:
 
 @dataclass(frozen=True)
 class EvaluateRealism:
-    """Compare a simulated recording with a real one: rates, polarities, times between events, hot pixels, dot edges.
-
-    A classifier says how well windows of the two can be told apart.
-    """
+    """Compare a simulated recording with a real one: rates, intervals, dot edges, if they can be told apart."""
 
     same: Path | None = parameter(
         None, "Another recording of the real sensor, with the same motion: how well two of one can be told apart.",
