@@ -144,18 +144,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the intervals")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
+    models = [(name, Model.read(Path(path))) for name, _, path in (given.partition("=") for given in options.model)]
     rows: list[Row] = []
-    contacts: list[Row] = []
-    for given in options.model:
-        name, _, path = given.partition("=")
-        model = Model.read(Path(path))
+    for name, model in models:
         by_sensor = {folder.name: predictions(model, folder) for folder in options.folders}
         drawn = [trials for sensor, trials in by_sensor.items() if sensor.startswith("randomized")]
         rows += [row_of(name, sensor, [trials], model.threshold, options.seed) for sensor, trials in by_sensor.items()]
         if len(drawn) > 1:
             rows.append(row_of(name, f"mean of {len(drawn)} randomized", drawn, model.threshold, options.seed))
-        contacts += [in_contact(name, model, folder) for folder in options.contact]
     print(shown(rows))
+    contacts = [in_contact(name, model, folder) for name, model in models for folder in options.contact]
     if contacts:
         print("\n" + shown(contacts))
     if options.out is not None:
