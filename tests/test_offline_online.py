@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from evetac_cli.events import SLICE_US, Events, Slicer, concatenate, empty, slice_starts
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.params import Featurize, Track
+from evetac_cli.params import Featurize, Grasp, Track
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
@@ -120,10 +120,10 @@ def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
     (job,) = featurize.jobs([made.grasp], chosen, folder)
     featurize.run(job, chosen)
     with StageFile(made.model) as model, StageFile(job.output) as features, open_recording(made.grasp) as recording:
-        detector, threshold = load_detector(model), float(model.read("threshold"))
+        detector = load_detector(model)
         offline = detector.over(read_series(features, detector.architecture))
         np.testing.assert_array_equal(recording.read("control/probability"), offline)
         last_seen = recording.read("control/t_us") // SLICE_US - 1  # the slice that ended as a control step began
         step_slip = recording.read("control/slip")
-    slips = np.concatenate([[0], np.cumsum(is_slip(offline, threshold))])
+    slips = np.concatenate([[0], np.cumsum(is_slip(offline, Grasp().slip_threshold))])
     np.testing.assert_array_equal(step_slip, np.diff(slips[last_seen + 1], prepend=0) > 0)

@@ -97,7 +97,9 @@ def test_slip(name: str, short_scene: Path, tmp_path: Path) -> None:
     assert row["dots"] == (f"{shape[0]} rows x {shape[1]} columns" if shape[0] > 1 else f"{shape[1]} dots in no grid")
 
 
-@pytest.mark.parametrize("name", ["3 x 4", "13 x 10", "scattered"])
+@pytest.mark.parametrize(
+    "name", ["3 x 4", *(pytest.param(name, marks=pytest.mark.slow) for name in ("13 x 10", "scattered"))]
+)
 def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
     """Assert that networks over a grid are trained on any grid and refuse dots in no grid, which those of images take.
 
@@ -130,6 +132,7 @@ def test_two_dots_at_one_place(short_scene: Path, tmp_path: Path) -> None:
         run(track, params.Track(calibration=tmp_path / "twice.json"), recording, out=tmp_path / "twice.tracks.h5")
 
 
+@pytest.mark.slow
 def test_calibration_of_dots_in_no_grid(short_scene: Path, tmp_path: Path) -> None:
     """Assert that a press shows staggered dots to 0.5 px, and that they are tracked from there, with --any-grid."""
     scene = tomllib.loads((SCENES / "press.toml").read_text())
