@@ -342,10 +342,10 @@ class Featurize:
 class Train:
     """Train a slip detector on labelled features."""
 
-    model: str = parameter(
-        "hist10",
+    model: str | None = parameter(
+        None,
         "Architecture, named as in the paper's table; -6x6: event images summed over 6 x 6 px, for a CPU;"
-        " disp-xy: ours, which sees directions and changes of displacements.",
+        " disp-xy: ours, which sees directions and changes of displacements; default: hist10, or that of --adapt.",
         choices=(
             "no-hist",
             "hist10",
@@ -361,18 +361,27 @@ class Train:
             "disp-xy",
         ),
     )
-    horizon_ms: int = parameter(
-        0, "Predict slip so far ahead: labels are shifted by as much.", unit="ms", low=0, high=1000
+    horizon_ms: int | None = parameter(
+        None,
+        "Predict slip so far ahead: labels are shifted by as much; default: 0, or that of --adapt.",
+        unit="ms",
+        low=0,
+        high=1000,
     )
-    preset: str = parameter(
-        "paper",
+    preset: str | None = parameter(
+        None,
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
         " on normalised features, samples made stronger and weaker, and the average of the weights over training;"
-        " adapt: the same at a tenth of the rate, for --adapt.",
-        choices=("paper", "adam", "adamw", "adapt"),
+        " default: paper, or with --adapt, which takes no other, adamw with small steps.",
+        choices=("paper", "adam", "adamw"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
-    max_steps: int = parameter(40000, "Stop after this many steps, and say so.", unit="steps", low=1)
+    max_steps: int | None = parameter(
+        None,
+        "Stop after this many steps, and say so; default: 40000, or 1000 with --adapt.",
+        unit="steps",
+        low=1,
+    )
     seed: int = parameter(0, "Seed of weights, sampling and augmentation.", low=0, high=2**31 - 1)
     seeds: int = parameter(
         1, "Models to train, each with the next seed and in a file of its own.", low=1, high=1000, recipe=False
@@ -396,7 +405,7 @@ class Train:
     adapt: str = parameter(
         "",
         "Go on from this trained model, or `shipped`, the package's: a few recordings of one's own sensor adapt it."
-        " Architecture and horizon are the model's; 1000 small steps unless --max-steps says otherwise.",
+        " Architecture and horizon are the model's.",
         recipe=False,
     )
 

@@ -11,7 +11,7 @@ which the same command goes on to the same result.
 import time
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -45,8 +45,20 @@ OUTPUT = "model"
 METHOD = 4
 VALIDATE_EVERY = 8
 SHIPPED = "shipped"  # the package's model, for --adapt
-ADAPT_STEPS = 1000
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
+
+
+class Settings(NamedTuple):
+    """What a training takes from the flags, from a model to adapt, or from its defaults; part of the recipe."""
+
+    model: str
+    horizon_ms: int
+    preset: str
+    max_steps: int
+
+
+USUAL = Settings("hist10", 0, "paper", max_steps=40000)
+ADAPT_STEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -70,13 +82,13 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
             expected="at least two features files",
             found=f"{len(files)}, all of them validate",
         )
-    params, _ = _adapting(params)
+    settings, _ = _settings(params)
     one_file(range(params.seeds), out)
     trainings = []
     for seed in range(params.seed, params.seed + params.seeds):
-        horizon_ms = f"-{params.horizon_ms}ms" if params.horizon_ms else ""
+        horizon_ms = f"-{settings.horizon_ms}ms" if settings.horizon_ms else ""
         number = f"-s{seed}" if params.seeds > 1 else ""
-        name = f"{params.model}{horizon_ms}{number}.model.h5"
+        name = f"{settings.model}{horizon_ms}{number}.model.h5"
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
         trainings.append(TrainJob((*learn, *validate), output, len(learn), seed))
     return trainings
@@ -102,50 +114,47 @@ class TrainedModel(NamedTuple):
     weights: dict[str, NDArray[np.float32]]
 
 
-def _adapting(params: Train) -> tuple[Train, TrainedModel | None]:
+def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
     """The settings of a training, and the model that --adapt names, if any; InputError if they do not fit."""
     if not params.adapt:
-        if params.preset == "adapt":
-            hint = "name the model with --adapt"
-            raise InputError("adapts a trained model, and none is named", where="--preset adapt", hint=hint)
-        return params, None
-    path = MODEL if params.adapt == SHIPPED else Path(params.adapt)
+        usual, trained = USUAL, None
+    else:
+        usual, trained = _to_adapt(MODEL if params.adapt == SHIPPED else Path(params.adapt))
+        fixed: dict[str, Any] = {"model": usual.model, "horizon_ms": usual.horizon_ms, "preset": None, "folds": 0}
+        for name, value in fixed.items():
+            if getattr(params, name) not in (value, None):
+                raise InputError(
+                    "does not go with --adapt",
+                    where=f"--{name.replace('_', '-')}",
+                    expected=f"{value}, as the model, or none" if value else "none",
+                    found=str(getattr(params, name)),
+                )
+    given = {name: getattr(params, name) for name in Settings._fields}
+    return usual._replace(**{name: value for name, value in given.items() if value is not None}), trained
+
+
+def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
+    """A model to adapt, and the settings that this takes unless the flags say otherwise."""
     with StageFile(path, "model") as file:
         if file.read("architecture") not in ARCHITECTURES:
             raise InputError("of an unknown architecture", where=str(path), found=str(file.read("architecture")))
-        wanted = {"model": file.read("architecture"), "horizon_ms": int(file.read("horizon_ms")), "preset": "adapt"}
+        settings = Settings(str(file.read("architecture")), int(file.read("horizon_ms")), "adapt", ADAPT_STEPS)
         rows, columns = (int(size) for size in file.read("dot_shape"))
-        names = (name for name in file.contents() if name.startswith("weights/"))
-        trained = TrainedModel(
-            path, file.header, (rows, columns), {name.removeprefix("weights/"): file.read(name) for name in names}
-        )
-    usual = Train()
-    for name, value in wanted.items():
-        given = getattr(params, name)
-        if given not in (value, getattr(usual, name)):
-            raise InputError(
-                "another than the model to adapt needs",
-                where=f"--{name.replace('_', '-')}",
-                expected=f"{value}, or leave it out",
-                found=str(given),
-            )
-    if params.folds:
-        raise InputError("folds train from the beginning", where="--folds", expected="none with --adapt")
-    if params.max_steps == usual.max_steps:
-        wanted["max_steps"] = ADAPT_STEPS
-    return replace(params, **wanted), trained
+        names = [name for name in file.contents() if name.startswith("weights/")]
+        weights = {name.removeprefix("weights/"): file.read(name) for name in names}
+        return settings, TrainedModel(path, file.header, (rows, columns), weights)
 
 
 def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
-    params, adapted = _adapting(params)
+    settings, adapted = _settings(params)
     headers = [_header(path) for path in job.inputs]
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
     labels = _label_method(job.inputs[:learn], headers[:learn])
     folds = make_folds(headers, learn, params.folds)
-    parameters = {**recipe_of(params), "seed": seed, "trained_on": learn}
+    parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
     parents = (*headers, adapted.header) if adapted is not None else tuple(headers)
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=parents)
     simulated = any(header["simulated"] for header in parents)
@@ -168,15 +177,15 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             found="{} x {}".format(*adapted.dot_shape),
         )
     start = adapted.weights if adapted is not None else None
-    architecture = ARCHITECTURES[params.model]
+    architecture = ARCHITECTURES[settings.model]
     if isinstance(architecture, DotArchitecture):
         _check_grid(shape, job.inputs[0])
     predictions: list[list[Prediction]] = []
     try:
         for number, fold in enumerate(folds):
             trajectories = (read_trajectory(job.inputs[index], architecture) for index in fold.trained_on)
-            samples = sampling.gather(trajectories, architecture, *shape, params.horizon_ms)
-            result, resumed = _train(job, params, recipe, samples, (number, len(folds)), progress, start)
+            samples = sampling.gather(trajectories, architecture, *shape, settings.horizon_ms)
+            result, resumed = _train(job, params, settings, recipe, samples, (number, len(folds)), progress, start)
             last = result.checkpoints[-LAST_CHECKPOINTS:]
             graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in last]
             detectors = [Detector(graph, architecture) for graph in graphs]
@@ -184,7 +193,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             for index in fold.evaluated_on:
                 trajectory = read_trajectory(job.inputs[index], architecture)
                 for detector, of_detector in zip(detectors, predictions, strict=True):
-                    of_detector.append(predict(detector, trajectory, headers[index], params.horizon_ms))
+                    of_detector.append(predict(detector, trajectory, headers[index], settings.horizon_ms))
         choice = choose_threshold(predictions)
     except ValueError as error:
         raise InputError(
@@ -195,7 +204,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         "onnx": np.frombuffer(graphs[choice.checkpoint], np.uint8),
         "architecture": architecture.name,
         "history": np.int64(architecture.history),
-        "horizon_ms": np.int64(params.horizon_ms),
+        "horizon_ms": np.int64(settings.horizon_ms),
         "dot_shape": np.array(shape, np.int32),
         "threshold": np.float64(choice.threshold),
         "curve/step": result.curve_step,
@@ -213,10 +222,10 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         job,
         made=True,
         simulated=simulated,
-        model=params.model,
-        preset=params.preset,
+        model=settings.model,
+        preset=settings.preset,
         seed=seed,
-        horizon_ms=params.horizon_ms,
+        horizon_ms=settings.horizon_ms,
         labels=labels,
         trajectories=learn,
         validated_on=sum(len(fold.evaluated_on) for fold in folds),
@@ -234,6 +243,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
 def _train(
     job: TrainJob,
     params: Train,
+    settings: Settings,
     recipe: Recipe,
     samples: Samples,
     place: tuple[int, int],
@@ -261,10 +271,10 @@ def _train(
 
     result = training.train(
         samples,
-        training.PRESETS[params.preset],
+        training.ADAPT if start is not None else training.PRESETS[settings.preset],
         np.random.default_rng(seed if number == networks - 1 else (seed, number)),
         epochs=params.epochs,
-        max_steps=params.max_steps,
+        max_steps=settings.max_steps,
         on_progress=lambda step, steps, loss: progress(number * steps + step, networks * steps),
         device=params.device,
         resume_from=saved,

@@ -364,14 +364,28 @@ def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ({}, ("hist10", 0, "paper", 40000)),
+        ({"model": "no-hist", "horizon_ms": 5, "preset": "adamw", "max_steps": 7}, ("no-hist", 5, "adamw", 7)),
+        ({"adapt": "shipped"}, ("disp-xy", 10, "adapt", 1000)),
+        ({"adapt": "shipped", "max_steps": 40000}, ("disp-xy", 10, "adapt", 40000)),
+        ({"adapt": "shipped", "model": "disp-xy", "horizon_ms": 10}, ("disp-xy", 10, "adapt", 1000)),
+    ],
+)
+def test_settings_are_what_was_said(given: dict[str, Any], wanted: tuple[str, int, str, int]) -> None:
+    """Assert that a flag that is given counts, also where it says the usual value, and the rest follows --adapt."""
+    assert tuple(train._settings(Train(**given))[0]) == wanted
+
+
+@pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"model": "hist20"}, "--model: another than the model to adapt needs"),
-        ({"horizon_ms": 20}, "--horizon-ms: another than the model to adapt needs"),
-        ({"preset": "adam"}, "--preset: another than the model to adapt needs"),
-        ({"folds": 2}, "--folds: folds train from the beginning"),
+        ({"model": "hist10"}, "--model: does not go with --adapt"),
+        ({"horizon_ms": 0}, "--horizon-ms: does not go with --adapt"),
+        ({"preset": "paper"}, "--preset: does not go with --adapt"),
+        ({"folds": 2}, "--folds: does not go with --adapt"),
         ({"adapt": "missing.model.h5"}, "missing.model.h5"),
-        ({"adapt": "", "preset": "adapt"}, "--preset adapt: adapts a trained model, and none is named"),
     ],
 )
 def test_what_cannot_be_adapted(trials: list[Path], tmp_path: Path, given: dict[str, Any], says: str) -> None:

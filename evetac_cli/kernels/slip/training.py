@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, Literal, NamedTuple
 
@@ -61,22 +61,11 @@ PRESETS = {
             # slips in half for long, under a slanted finger, lost. The second output is thrown away after training.
             share_weight=1.0,
         ),
-        # not the paper's: from a trained network's weights to those for one sensor, of which there are few recordings
-        Preset(
-            "adapt",
-            "adamw",
-            learning_rate=2e-4,
-            normalise=True,
-            epochs=70,
-            checkpoint_every=10,
-            weight_decay=0.01,
-            cosine=True,
-            average=0.99,
-            gain=(0.6, 1.6),
-            share_weight=1.0,
-        ),
     ]
 }
+
+# From a trained network's weights to those for one sensor, of which there are few recordings: small steps.
+ADAPT = replace(PRESETS["adamw"], name="adapt", learning_rate=2e-4, average=0.99, gain=(0.6, 1.6))
 
 
 def factors(preset: Preset, samples: int, rng: np.random.Generator) -> NDArray[np.float32]:

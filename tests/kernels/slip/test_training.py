@@ -15,12 +15,13 @@ from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.networks import from_weights
 from evetac_cli.kernels.slip.sampling import Samples
-from evetac_cli.kernels.slip.training import PRESETS, Training
+from evetac_cli.kernels.slip.training import ADAPT, PRESETS, Training
 
 HIST10 = ARCHITECTURES["hist10"]
 PAPER = PRESETS["paper"]
 ADAM = PRESETS["adam"]
 ADAMW = PRESETS["adamw"]
+ALL = [*PRESETS.values(), ADAPT]
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +63,7 @@ def same(first: Training, second: Training) -> bool:
     return all(np.array_equal(one[name], other[name]) for name in one)
 
 
-@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+@pytest.mark.parametrize("preset", ALL, ids=lambda preset: preset.name)
 def test_same_seed_same_network(problem: Samples, preset: training.Preset) -> None:
     """Assert that the generator's seed fixes all weights and losses, whatever torch's own generator did before."""
     first = training.train(problem, preset, np.random.default_rng(4), max_steps=20)
@@ -219,7 +220,7 @@ def test_training_without_quiet_slices(problem: Samples) -> None:
     """Assert that both recipes train where the quiet pool is empty."""
     assert len(problem.quiet) > 0
     noisy = replace(problem, quiet=np.empty(0, np.int64))
-    for preset in PRESETS.values():
+    for preset in ALL:
         result = training.train(noisy, preset, np.random.default_rng(17), max_steps=5)
         assert np.all(np.isfinite(result.curve_loss))
 
@@ -243,7 +244,7 @@ def run_and_stop(samples: Samples, preset: training.Preset, after: int, steps: i
     return states[0]
 
 
-@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+@pytest.mark.parametrize("preset", ALL, ids=lambda preset: preset.name)
 @pytest.mark.parametrize("after", [50, 100])
 def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, preset: training.Preset, after: int) -> None:
     """Assert that a run broken off and taken up again ends with the same checkpoints and curve, bit for bit."""
