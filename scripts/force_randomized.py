@@ -13,7 +13,8 @@ its own:
 import argparse
 from pathlib import Path
 
-from evetac_cli import params
+from evetac_cli.params.learning import Track
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import record, track
 
@@ -51,11 +52,11 @@ def scene_text(face: str, normal_n: float, shear_n: float, waypoints: int) -> st
 
 def make(scene: str, sensor: int, seed: int, objects: str, output: Path) -> None:
     """Record and track one trial, unless that is done."""
-    chosen = params.Record(scene=scene, objects=objects, sensor=f"randomized:{sensor}", seed=seed)
+    chosen = Record(scene=scene, objects=objects, sensor=f"randomized:{sensor}", seed=seed)
     (trial,) = record.jobs([], chosen, output)
     record.run(trial, chosen)
     for preset, out in (("stable", None), ("paper", output.parent / "paper")):
-        by = params.Track(preset=preset)
+        by = Track(preset=preset)
         (job,) = track.jobs([output], by, out)
         track.run(job, by)
 

@@ -39,7 +39,8 @@ from evetac_cli.jobs import silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.numerics.pipeline.chain import BALANCE_S, LIFT_S, chain_of, package_model, prediction, timed
-from evetac_cli.params import Grasp, Record
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import grasp, label, record
 from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS

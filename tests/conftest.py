@@ -9,12 +9,14 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from evetac_cli import params
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.word_sources import PreparedWords
 from evetac_cli.devices.virtual.world import VirtualWorld
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import Featurize, Label, Track, Train, TrainForce
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import featurize, grasp, label, record, track, train
 from evetac_cli.stages.force import train_force
@@ -108,30 +110,30 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     """Recordings with labels, tracks and features, a model trained on them, and a grasp with that model."""
     folder = tmp_path_factory.mktemp("made")
     made = Made(folder, short_scene)
-    recipe = params.Record(scene=str(short_scene), objects="8", count=3)
+    recipe = Record(scene=str(short_scene), objects="8", count=3)
     for job in record.jobs([], recipe, folder):
         record.run(job, recipe)
         made.recordings.append(job.output)
     # A trial that no model is trained on; its name keeps it apart from the others.
-    alone = params.Record(scene=str(short_scene), objects="8", seed=77)
+    alone = Record(scene=str(short_scene), objects="8", seed=77)
     (job,) = record.jobs([], alone, folder / "apart.recording.h5")
     record.run(job, alone)
     for path in (*made.recordings, job.output):
         for stage, chosen in (
-            (track, params.Track()),
-            (label, params.Label(after_ms=25)),
-            (featurize, params.Featurize()),
+            (track, Track()),
+            (label, Label(after_ms=25)),
+            (featurize, Featurize()),
         ):
             (job,) = stage.jobs([path], chosen, None)
             stage.run(job, chosen)
     features = [made.beside(path, "features") for path in made.recordings]
-    training = params.Train(epochs=1, max_steps=20, preset="adam", validate=str(features[-1]))
+    training = Train(epochs=1, max_steps=20, preset="adam", validate=str(features[-1]))
     (job,) = train.jobs(features, training, made.model)
     train.run(job, training)
-    fitting = params.TrainForce(samples=10, epochs=2)
+    fitting = TrainForce(samples=10, epochs=2)
     (job,) = train_force.jobs([made.beside(path, "tracks") for path in made.recordings], fitting, made.force_model)
     train_force.run(job, fitting)
-    grasping = params.Grasp(model=made.model, lift_s=1.0, balance_s=0.2)
+    grasping = Grasp(model=made.model, lift_s=1.0, balance_s=0.2)
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)
     return made

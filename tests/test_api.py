@@ -14,7 +14,10 @@ import numpy as np
 import pytest
 
 import evetac_cli as evetac
-from evetac_cli import api, params
+from evetac_cli import api
+from evetac_cli.params.evaluation import EvaluateLabels
+from evetac_cli.params.learning import PredictForce
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages.evaluate import labels
 from evetac_cli.stages.force import predict_force
@@ -34,11 +37,11 @@ def files(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(made.beside(recording, kind), folder / f"a.{kind}.h5")
     shutil.copy(made.model, folder / "slip.model.h5")
     shutil.copy(made.force_model, folder / "dots.force-model.h5")
-    force = params.PredictForce(model=made.force_model)
+    force = PredictForce(model=made.force_model)
     (job,) = predict_force.jobs([folder / "a.tracks.h5"], force, None)
     predict_force.run(job, force)
-    (job,) = labels.jobs([folder / "a.labels.h5"], params.EvaluateLabels(), folder / "a.report.h5")
-    labels.run(job, params.EvaluateLabels())
+    (job,) = labels.jobs([folder / "a.labels.h5"], EvaluateLabels(), folder / "a.report.h5")
+    labels.run(job, EvaluateLabels())
     return folder
 
 
@@ -69,7 +72,7 @@ def test_every_public_function_is_offered() -> None:
 
 def test_simulate_gives_the_events_of_record(short_scene: Path, tmp_path: Path) -> None:
     """Assert that slices and truth of `simulate` are those that `record` writes with the same flags."""
-    recipe = params.Record(scene=str(short_scene), objects="3", seed=5)
+    recipe = Record(scene=str(short_scene), objects="3", seed=5)
     (job,) = jobs([], recipe, tmp_path)
     run(job, recipe)
     trial = evetac.simulate(str(short_scene), 3, seed=5)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from evetac_cli.events import SLICE_US, Events, Slicer, concatenate, empty, slice_starts
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.params import Featurize, Grasp, Track
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import Featurize, Track
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector

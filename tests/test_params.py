@@ -7,11 +7,13 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
-from evetac_cli import params
 from evetac_cli.cli.config import COMMANDS, resolve
 from evetac_cli.cli.main import EVALUATE, PIPELINE
 from evetac_cli.errors import InputError
-from evetac_cli.params import Label, Record, Track, Train, flag_of, recipe_of
+from evetac_cli.params.evaluation import EvaluateLabels, EvaluateSlip
+from evetac_cli.params.learning import Label, Track, Train
+from evetac_cli.params.parameter import flag_of, recipe_of
+from evetac_cli.params.recording import Record
 
 EVERY = {command.name: command.params for command in PIPELINE}
 EVERY |= {f"evaluate {command.name}": command.params for command in EVALUATE}
@@ -77,8 +79,8 @@ def test_types_of_toml(tmp_path: Path) -> None:
 def test_nested_table(tmp_path: Path) -> None:
     """Assert that `evaluate slip` reads [evaluate.slip], and `slip` or `evaluate` alone mean nothing else."""
     path = config(tmp_path, "[evaluate.slip]\nthreshold = 0.25\n[evaluate.labels]\n")
-    assert resolve(params.EvaluateSlip, "evaluate slip", {}, path).threshold == 0.25
-    assert resolve(params.EvaluateLabels, "evaluate labels", {}, path) == params.EvaluateLabels()
+    assert resolve(EvaluateSlip, "evaluate slip", {}, path).threshold == 0.25
+    assert resolve(EvaluateLabels, "evaluate labels", {}, path) == EvaluateLabels()
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "[label]\n", "[evaluate]\n"])
@@ -111,11 +113,11 @@ def test_unknown_names(tmp_path: Path, text: str, key: str, near: str) -> None:
 
 def test_unknown_names_of_evaluate(tmp_path: Path) -> None:
     """Assert that the tables under [evaluate] are checked as well."""
-    message = refusal(params.EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate.slp]\nthreshold = 1.0\n"))
+    message = refusal(EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate.slp]\nthreshold = 1.0\n"))
     assert "did you mean `slip`?" in message
-    message = refusal(params.EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate]\nthreshold = 1.0\n"))
+    message = refusal(EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate]\nthreshold = 1.0\n"))
     assert "unknown table `threshold`" in message
-    message = refusal(params.EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate.slip]\nthresold = 1.0\n"))
+    message = refusal(EvaluateSlip, "evaluate slip", {}, config(tmp_path, "[evaluate.slip]\nthresold = 1.0\n"))
     assert "[evaluate.slip]: unknown key `thresold`" in message
     assert "did you mean `threshold`?" in message
 

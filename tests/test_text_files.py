@@ -14,19 +14,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli import params, text_files
+from evetac_cli import text_files
 from evetac_cli.cli import config
 from evetac_cli.errors import InputError
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.calibration_pickle import read_pickle
-from evetac_cli.params import Calibrate
+from evetac_cli.params.learning import Label, Track
+from evetac_cli.params.recording import Calibrate, Record
 from evetac_cli.sim import scene
 from evetac_cli.stages import calibrate
 from evetac_cli.store.calibration import read_calibration
 
 FRAME_PX = (640, 480)
 READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
-    "--config": ("a.toml", lambda path: config.resolve(params.Label, "label", {}, path)),
+    "--config": ("a.toml", lambda path: config.resolve(Label, "label", {}, path)),
     "--scene": ("a.toml", lambda path: scene.load(str(path))),
     "--calibration": ("a.json", read_calibration),
     "calibrate --import": ("a.pkl", read_pickle),
@@ -151,7 +152,7 @@ def test_text_in_toml_may_hold_dots_and_brackets(tmp_path: Path) -> None:
     path.write_text(
         f"# {many}\n[record]\nscene = '{many}' # {many}\nobjects = \"{many}\\\"{many}\"\nstream = '''\n{many}\n'''\n"
     )
-    chosen = config.resolve(params.Record, "record", {}, path)
+    chosen = config.resolve(Record, "record", {}, path)
     assert (chosen.scene, chosen.objects, chosen.stream) == (many, f'{many}"{many}', f"{many}\n")
 
 
@@ -160,7 +161,7 @@ def test_a_path_in_toml_holds_no_zero_byte(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text('[track]\ncalibration = "a\\u0000b"\n')
     with pytest.raises(InputError, match="calibration"):
-        config.resolve(params.Track, "track", {}, path)
+        config.resolve(Track, "track", {}, path)
 
 
 JSON = {

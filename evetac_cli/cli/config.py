@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
-from evetac_cli.params import flag_of
+from evetac_cli.params.parameter import flag_of
 from evetac_cli.text_files import read_toml
 
 # A table of a config file for each: [track], [evaluate.slip].

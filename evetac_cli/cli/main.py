@@ -1,6 +1,6 @@
 """The command line: pick a command, read its flags, run its jobs, print the result or the error.
 
-Flags are made from the dataclasses in params.py, so a parameter is written down once. A stage is imported only when it
+Flags are made from the dataclasses in params/, so a parameter is written down once. A stage is imported only when it
 is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
 """
 
@@ -17,11 +17,13 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from evetac_cli import __version__, console, params, resources
+from evetac_cli import __version__, console, resources
 from evetac_cli.cli import config, exit_codes, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome, require_possible_name
+from evetac_cli.params import evaluation, grasp, inspection, learning, recording
+from evetac_cli.params.parameter import flag_of
 
 MOST_ROWS = 100  # of one table on a terminal
 
@@ -39,47 +41,63 @@ class Command:
 
 
 PIPELINE = (
-    Command("record", params.Record, "stages.record", ""),
-    Command("trim", params.Trim, "stages.trim", "Recordings."),
+    Command("record", recording.Record, "stages.record", ""),
+    Command("trim", recording.Trim, "stages.trim", "Recordings."),
     Command(
-        "calibrate", params.Calibrate, "stages.calibrate", "Press recordings; none with --import.", files_needed=False
+        "calibrate",
+        recording.Calibrate,
+        "stages.calibrate",
+        "Press recordings; none with --import.",
+        files_needed=False,
     ),
-    Command("identify", params.Identify, "stages.identify", "Recordings of one sensor.", "files"),
-    Command("label", params.Label, "stages.label", "Recordings."),
-    Command("track", params.Track, "stages.track", "Recordings."),
-    Command("featurize", params.Featurize, "stages.featurize", "Recordings (tracks and labels lie beside them)."),
-    Command("train", params.Train, "stages.train", "Labelled features, one file a trajectory.", "steps"),
-    Command("track-rgb", params.TrackRgb, "stages.track_rgb", "Simulated recordings.", "frames"),
+    Command("identify", recording.Identify, "stages.identify", "Recordings of one sensor.", "files"),
+    Command("label", learning.Label, "stages.label", "Recordings."),
+    Command("track", learning.Track, "stages.track", "Recordings."),
+    Command("featurize", learning.Featurize, "stages.featurize", "Recordings (tracks and labels lie beside them)."),
+    Command("train", learning.Train, "stages.train", "Labelled features, one file a trajectory.", "steps"),
+    Command("track-rgb", learning.TrackRgb, "stages.track_rgb", "Simulated recordings.", "frames"),
     Command(
         "train-force",
-        params.TrainForce,
+        learning.TrainForce,
         "stages.force.train_force",
         "Tracks of shear recordings; the last file is held out.",
         "epochs",
     ),
-    Command("predict-force", params.PredictForce, "stages.force.predict_force", "Tracks."),
-    Command("grasp", params.Grasp, "stages.grasp", ""),
+    Command("predict-force", learning.PredictForce, "stages.force.predict_force", "Tracks."),
+    Command("grasp", grasp.Grasp, "stages.grasp", ""),
 )
 EVALUATE = (
     Command(
-        "slip", params.EvaluateSlip, "stages.evaluate.slip", "Labelled features that the model never saw.", "files"
+        "slip", evaluation.EvaluateSlip, "stages.evaluate.slip", "Labelled features that the model never saw.", "files"
     ),
-    Command("vibration", params.EvaluateVibration, "stages.evaluate.vibration", "Recordings.", "ms"),
-    Command("data-rate", params.EvaluateDataRate, "stages.evaluate.data_rate", "Recordings.", "files"),
-    Command("labels", params.EvaluateLabels, "stages.evaluate.labels", "Labels of simulated recordings.", "files"),
-    Command("tracking", params.EvaluateTracking, "stages.evaluate.tracking", "Tracks by one preset or more.", "files"),
-    Command("grasp", params.EvaluateGrasp, "stages.evaluate.grasp", "Recordings made by grasp.", "files"),
-    Command("force", params.EvaluateForce, "stages.evaluate.force", "Tracks of simulated shear recordings.", "files"),
+    Command("vibration", evaluation.EvaluateVibration, "stages.evaluate.vibration", "Recordings.", "ms"),
+    Command("data-rate", evaluation.EvaluateDataRate, "stages.evaluate.data_rate", "Recordings.", "files"),
+    Command("labels", evaluation.EvaluateLabels, "stages.evaluate.labels", "Labels of simulated recordings.", "files"),
     Command(
-        "realism", params.EvaluateRealism, "stages.evaluate.realism", "A real recording, then a simulated one.", "files"
+        "tracking", evaluation.EvaluateTracking, "stages.evaluate.tracking", "Tracks by one preset or more.", "files"
     ),
-    Command("cost", params.EvaluateCost, "numerics.cost", "Part model: features, models.", "rows", files_needed=False),
-    Command("stability", params.EvaluateStability, "numerics.stability", "", "rows"),
+    Command("grasp", evaluation.EvaluateGrasp, "stages.evaluate.grasp", "Recordings made by grasp.", "files"),
+    Command(
+        "force", evaluation.EvaluateForce, "stages.evaluate.force", "Tracks of simulated shear recordings.", "files"
+    ),
+    Command(
+        "realism",
+        evaluation.EvaluateRealism,
+        "stages.evaluate.realism",
+        "A real recording, then a simulated one.",
+        "files",
+    ),
+    Command(
+        "cost", evaluation.EvaluateCost, "numerics.cost", "Part model: features, models.", "rows", files_needed=False
+    ),
+    Command("stability", evaluation.EvaluateStability, "numerics.stability", "", "rows"),
 )
 # Of inspect/: a page for people, made again whenever asked for.
-VIEW = Command("view", params.View, "inspect.view", "Stage files of one trial; others of its name are found.", "images")
-EXPORT = Command("export", params.Export, "inspect.export", "Recordings.", "events")
-DOCTOR = Command("doctor", params.Doctor, "inspect.doctor", "")
+VIEW = Command(
+    "view", inspection.View, "inspect.view", "Stage files of one trial; others of its name are found.", "images"
+)
+EXPORT = Command("export", inspection.Export, "inspect.export", "Recordings.", "events")
+DOCTOR = Command("doctor", inspection.Doctor, "inspect.doctor", "")
 
 app = typer.Typer(
     cls=Commands,
@@ -153,7 +171,7 @@ def _add(
     for item in fields(command.params):
         unit = f" \\[{item.metadata['unit']}]" if item.metadata["unit"] else ""
         choices = f" ({', '.join(item.metadata['choices'])})" if len(item.metadata["choices"]) > 1 else ""
-        flag = params.flag_of(item)
+        flag = flag_of(item)
         has_default = item.default is not None and item.default is not False and item.default != ""
         default = f" \\[default: {item.default}]" if has_default else ""
         text = item.metadata["help"].replace("[", "\\[")  # text, not markup

@@ -21,7 +21,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.errors import EXTRAS, DeviceError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import Doctor
+from evetac_cli.params.inspection import Doctor
 
 RULES = "/etc/udev/rules.d/60-evetac.rules"
 RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"

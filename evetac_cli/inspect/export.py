@@ -5,7 +5,7 @@ from pathlib import Path
 from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export, target_path
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.params import Export
+from evetac_cli.params.inspection import Export
 
 
 def run(

@@ -42,7 +42,7 @@ from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import Doctor
+from evetac_cli.params.inspection import Doctor
 from evetac_cli.store.provenance import made
 
 CURRENT_MA, MOVE_S, STEP_S, LEAST_COMMANDS = 20, 0.2, 0.005, 10

@@ -15,7 +15,8 @@ from evetac_cli.numerics import labels, models, plots, scene_parts, simulator_co
 from evetac_cli.numerics.grasp import cost as grasp
 from evetac_cli.numerics.pipeline import cost as pipeline
 from evetac_cli.numerics.tracker import cost as tracker
-from evetac_cli.params import EvaluateCost, recipe_of
+from evetac_cli.params.evaluation import EvaluateCost
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report, report_job
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header

@@ -20,7 +20,10 @@ from evetac_cli.jobs import Progress
 from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.numerics.paired import difference, known
 from evetac_cli.numerics.rows import Extent, Row, collect, run_times
-from evetac_cli.params import EvaluateCost, Label, Record, recipe_of
+from evetac_cli.params.evaluation import EvaluateCost
+from evetac_cli.params.learning import Label
+from evetac_cli.params.parameter import recipe_of
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import label, record
 from evetac_cli.stages.evaluate import Rows
 from evetac_cli.stages.evaluate.labels import true_onset

@@ -27,7 +27,8 @@ from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.numerics.rows import Row, collect, run_times
 from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
-from evetac_cli.params import EvaluateCost, Grasp
+from evetac_cli.params.evaluation import EvaluateCost
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows, picture
 from evetac_cli.stages.evaluate.slip import split_models

@@ -7,7 +7,9 @@ from typing import Any
 
 from evetac_cli.jobs import Progress
 from evetac_cli.numerics.rows import Extent, Row, run_times
-from evetac_cli.params import EvaluateCost, Grasp, Record
+from evetac_cli.params.evaluation import EvaluateCost
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, record
 from evetac_cli.stages.evaluate import Rows, picture
 from evetac_cli.stages.grasp.simulated import play as play_grasp

@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
-from evetac_cli.params import SOLVER_OPTIONS, Trials, flag_of
+from evetac_cli.params.parameter import flag_of
+from evetac_cli.params.trials import SOLVER_OPTIONS, Trials
 
 FLAGS = {item.name: flag_of(item) for item in fields(Trials) if item.name in SOLVER_OPTIONS}
 

@@ -10,7 +10,7 @@ from evetac_cli.numerics.camera import cost as camera_cost
 from evetac_cli.numerics.gel import cost as gel_cost
 from evetac_cli.numerics.gel import unloading
 from evetac_cli.numerics.rows import collect
-from evetac_cli.params import EvaluateCost
+from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.stages.evaluate import Rows
 
 # Those that the picture shows, of whichever rows have them.

@@ -13,7 +13,8 @@ from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.numerics import simulator_stability
 from evetac_cli.numerics.grasp import stability as grasp
 from evetac_cli.numerics.tracker import stability as tracker
-from evetac_cli.params import EvaluateStability, recipe_of
+from evetac_cli.params.evaluation import EvaluateStability
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, report
 
 OUTPUT = "report"

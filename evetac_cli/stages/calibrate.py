@@ -17,7 +17,8 @@ from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.calibration import dot_search, grid, rest_image
 from evetac_cli.kernels.calibration.rest_image import RestImage
-from evetac_cli.params import Calibrate, recipe_of
+from evetac_cli.params.parameter import recipe_of
+from evetac_cli.params.recording import Calibrate
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
 from evetac_cli.store.provenance import Recipe, made

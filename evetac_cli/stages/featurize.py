@@ -16,7 +16,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import GEL_PX
-from evetac_cli.params import Featurize, recipe_of
+from evetac_cli.params.learning import Featurize
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage

@@ -16,7 +16,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.labelling import event_flow, flow
-from evetac_cli.params import Label, recipe_of
+from evetac_cli.params.learning import Label
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe

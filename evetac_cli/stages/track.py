@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.params import Track
+from evetac_cli.params.learning import Track
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.store.calibration import Calibration, read_calibration
 from evetac_cli.store.files import up_to_date, write_stage

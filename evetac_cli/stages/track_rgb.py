@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.tracking import frame_tracker
-from evetac_cli.params import TrackRgb, recipe_of
+from evetac_cli.params.learning import TrackRgb
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.stages.track import COLUMNS

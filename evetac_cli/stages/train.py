@@ -27,7 +27,8 @@ from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
-from evetac_cli.params import Train, recipe_of
+from evetac_cli.params.learning import Train
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import MODEL
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file

@@ -16,7 +16,7 @@ from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
-from evetac_cli.params import Trials
+from evetac_cli.params.trials import Trials
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.store.segments import refuse_leftover

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
-from evetac_cli.params import Trim
+from evetac_cli.params.recording import Trim
 from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.store import schema
 from evetac_cli.store.files import stem, up_to_date, write_stage

@@ -7,7 +7,10 @@ from enum import StrEnum
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
-from evetac_cli.params import SOLVER_OPTIONS, Grasp, Record, flag_of
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.parameter import flag_of
+from evetac_cli.params.recording import Record
+from evetac_cli.params.trials import SOLVER_OPTIONS
 
 
 class Source(StrEnum):

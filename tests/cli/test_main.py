@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from evetac_cli import __version__, params
+from evetac_cli import __version__
 from evetac_cli.cli import main
 from evetac_cli.cli.main import EVALUATE, PIPELINE, app
 from evetac_cli.errors import (
@@ -31,6 +31,8 @@ from evetac_cli.errors import (
     error_dict,
 )
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.params.learning import Label
+from evetac_cli.params.parameter import flag_of
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import StageFile, write_stage
@@ -135,7 +137,7 @@ def test_help_says_everything(path: list[str], command: main.Command) -> None:
     assert command.params.__doc__ in text
     for item in dataclasses.fields(command.params):
         about = item.metadata
-        flag = params.flag_of(item)
+        flag = flag_of(item)
         start = text.index(f" {flag} ")
         entry = text[start : start + 600]
         said = plain_text(about["help"])
@@ -466,9 +468,9 @@ def test_many_outputs_are_checked_quickly(label_is: Any, files: list[str]) -> No
     """Assert that thousands of files are compared in no time, not each with each (that took minutes)."""
     label_is(skipped)
     jobs = [Job((), Path(f"{number}.h5")) for number in range(30_000)]
-    main._check_outputs(jobs, [], params.Label(), force=True)
+    main._check_outputs(jobs, [], Label(), force=True)
     with pytest.raises(InputError, match=r"29999\.h5"):
-        main._check_outputs([*jobs, jobs[-1]], [], params.Label(), force=True)
+        main._check_outputs([*jobs, jobs[-1]], [], Label(), force=True)
 
 
 def test_force_never_replaces_an_input(label_is: Any, files: list[str]) -> None:
@@ -517,7 +519,7 @@ def test_flags_and_config_reach_the_stage(label_is: Any, files: list[str]) -> No
     def row(*arguments: str) -> dict[str, Any]:
         return dict(json.loads(evetac("label", files[0], "--json", *arguments).stdout)["rows"][0])
 
-    assert row().items() >= dataclasses.asdict(params.Label()).items()
+    assert row().items() >= dataclasses.asdict(Label()).items()
     assert row("--config", "c.toml").items() >= {"confirm_ms": 9, "threshold_px": 0.25}.items()
     flags = row("--config", "c.toml", "--confirm-ms", "3", "--after-ms", "0")
     assert flags.items() >= {"confirm_ms": 3, "threshold_px": 0.25, "after_ms": 0}.items()

@@ -12,7 +12,8 @@ from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.devices.opening import open_peers, open_rig
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import InputError
-from evetac_cli.params import Grasp, Record
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import grasp, record
 

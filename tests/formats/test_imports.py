@@ -18,12 +18,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.events import slice_starts
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import read_text
 from evetac_cli.formats.read.event_validation import Columns, normalise
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
@@ -613,7 +613,7 @@ def test_m4_a_note_out_of_all_measure_is_refused(tmp_path: Path, fields: dict[st
     note = {"start_us": 0, "slices": 3, "frame_px": [640, 480], "simulated": False, "events": 0, **fields}
     path = tmp_path / "a.txt"
     path.write_text(f"# evetac {json.dumps(note)}\n")
-    chosen = params.Record(source=path)
+    chosen = Record(source=path)
     (job,) = record.jobs([], chosen, tmp_path / "a.recording.h5")
     with pytest.raises(InputError, match="note"):
         record.run(job, chosen)

@@ -22,7 +22,7 @@ from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.word_sources import PreparedWords
 from evetac_cli.inspect import doctor
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import Doctor
+from evetac_cli.params.inspection import Doctor
 
 RATES = (2_000_000,)  # each at which nobody answers takes its time
 PATIENCE_MS = 300.0  # the virtual servo's process may have to wait for a core

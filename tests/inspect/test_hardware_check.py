@@ -15,7 +15,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.inspect import hardware_check
 from evetac_cli.inspect.hardware_check import run
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import Doctor
+from evetac_cli.params.inspection import Doctor
 from tests.conftest import SLOW, is_off
 
 GRIPPER_STEPS = [

@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
@@ -74,7 +74,7 @@ def test_notes_of_an_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     """Assert that what the reader noted, what was dropped and the source are shown."""
     source = tmp_path / "a.txt"
     source.write_text("0 1 1 1\n1 9999 1 1\n")
-    chosen = params.Record(source=source, frame_size="640x480")
+    chosen = Record(source=source, frame_size="640x480")
     (job,) = record.jobs([], chosen, tmp_path / "a.recording.h5")
     record.run(job, chosen)
     lines = shown(job.output, capsys)

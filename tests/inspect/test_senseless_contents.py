@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evetac_cli import params
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate, view
+from evetac_cli.params.evaluation import EvaluateLabels, EvaluateSlip, EvaluateTracking, EvaluateVibration
+from evetac_cli.params.inspection import View
+from evetac_cli.params.learning import Featurize, Label, PredictForce, Track, TrackRgb
+from evetac_cli.params.recording import Trim
 from evetac_cli.stages import featurize, label, track, track_rgb, trim
 from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.stages.evaluate import slip as evaluate_slip
@@ -337,23 +340,23 @@ def run(stage: Any, chosen: Any, path: Path) -> Callable[[Path], Any]:
 
 
 STAGES: dict[str, tuple[str, Callable[[Path], Any]]] = {
-    "trim": ("recording", lambda path: run(trim, params.Trim(), path)),
-    "track": ("recording", lambda path: run(track, params.Track(), path)),
-    "label truth": ("recording", lambda path: run(label, params.Label(method="truth"), path)),
-    "track-rgb": ("recording", lambda path: run(track_rgb, params.TrackRgb(), path)),
+    "trim": ("recording", lambda path: run(trim, Trim(), path)),
+    "track": ("recording", lambda path: run(track, Track(), path)),
+    "label truth": ("recording", lambda path: run(label, Label(method="truth"), path)),
+    "track-rgb": ("recording", lambda path: run(track_rgb, TrackRgb(), path)),
     "featurize": (
         "recording",
-        lambda path: run(featurize, params.Featurize(tracks=path.parent, labels=path.parent), path),
+        lambda path: run(featurize, Featurize(tracks=path.parent, labels=path.parent), path),
     ),
-    "evaluate labels": ("labels", lambda path: run(evaluate_labels, params.EvaluateLabels(), path)),
-    "evaluate tracking": ("tracks", lambda path: run(evaluate_tracking, params.EvaluateTracking(), path)),
+    "evaluate labels": ("labels", lambda path: run(evaluate_labels, EvaluateLabels(), path)),
+    "evaluate tracking": ("tracks", lambda path: run(evaluate_tracking, EvaluateTracking(), path)),
     "evaluate slip": (
         "features",
-        lambda path: run(evaluate_slip, params.EvaluateSlip(model=path.with_name("a.model.h5")), path),
+        lambda path: run(evaluate_slip, EvaluateSlip(model=path.with_name("a.model.h5")), path),
     ),
     "predict-force": (
         "tracks",
-        lambda path: run(predict_force, params.PredictForce(model=path.with_name("a.force-model.h5")), path),
+        lambda path: run(predict_force, PredictForce(model=path.with_name("a.force-model.h5")), path),
     ),
 }
 
@@ -481,14 +484,14 @@ def test_m4_evaluate_vibration_of_events_before_time_0(tmp_path: Path, monkeypat
     small_files.recording(path)
     recording("events/t", slice(0, 10), -5000, "").apply(path)
     with pytest.raises(InputError, match="events/t"):
-        run(evaluate_vibration, params.EvaluateVibration(windows="0.1"), path)
+        run(evaluate_vibration, EvaluateVibration(windows="0.1"), path)
 
 
 def test_m4_view_of_a_grid_that_does_not_fit(small: dict[str, Path]) -> None:
     """Assert that view refuses tracks whose grid has fewer dots than they follow."""
     tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "").apply(small["tracks"])
     with pytest.raises(InputError, match="sensor/dot_xy_px"):
-        view.run([small["tracks"]], params.View(), small["tracks"].with_name("page.html"))
+        view.run([small["tracks"]], View(), small["tracks"].with_name("page.html"))
 
 
 def test_m4_evaluate_tracking_of_tracks_from_frames(small: dict[str, Path]) -> None:

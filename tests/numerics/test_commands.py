@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evetac_cli import params
 from evetac_cli.cli import main
 from evetac_cli.console import plain
 from evetac_cli.errors import InputError
@@ -22,6 +21,7 @@ from evetac_cli.numerics.gel import cost as gel_cost
 from evetac_cli.numerics.gel import stability as gel_stability
 from evetac_cli.numerics.gel import unloading
 from evetac_cli.numerics.rows import Extent
+from evetac_cli.params.evaluation import EvaluateCost, EvaluateStability
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 from evetac_cli.sim.gel import gel
 from evetac_cli.stages.evaluate import picture
@@ -36,7 +36,7 @@ CAMERA = [
      "time_us_median": 100.0 * n, "time_us_p99": 200.0 * n}
     for n, late in ((1, 5.0), (2, math.inf), (4, 0.3))
 ]  # fmt: skip
-STAGES = [("cost", cost, params.EvaluateCost), ("stability", stability, params.EvaluateStability)]
+STAGES = [("cost", cost, EvaluateCost), ("stability", stability, EvaluateStability)]
 each = pytest.mark.parametrize(("name", "stage", "cls"), STAGES, ids=[stage[0] for stage in STAGES])
 
 
@@ -158,7 +158,7 @@ def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
 
 def test_cost_of_the_simulator():
     """Assert real rows of mechanics and camera, in this order, with errors that fall the finer a setting is."""
-    _, outcome = make(cost, params.EvaluateCost())
+    _, outcome = make(cost, EvaluateCost())
     parts = [row["part"] for row in outcome.rows]
     assert parts[:MECHANICS_ROWS] == ["mechanics, constant friction"] * MECHANICS_ROWS
     assert parts[-7:] == ["camera"] * 7
@@ -183,14 +183,14 @@ def test_cost_of_the_simulator():
 
 def test_every_part_is_a_choice():
     """Assert that the tables hold the parts that the commands accept, no more and no fewer."""
-    for parts, cls in ((cost.PARTS, params.EvaluateCost), (stability.PARTS, params.EvaluateStability)):
+    for parts, cls in ((cost.PARTS, EvaluateCost), (stability.PARTS, EvaluateStability)):
         assert list(parts) == list(cls.__dataclass_fields__["part"].metadata["choices"])
 
 
 @pytest.mark.parametrize("given", [{"part": "track", "model": "a.model.h5"}, {"part": "grasp"}, {"part": "label"}])
 def test_parts_without_files(given, tmp_path):
     """Assert that files and --model are refused where a part does not take them."""
-    chosen = params.EvaluateCost(**given)
+    chosen = EvaluateCost(**given)
     with pytest.raises(InputError):
         cost.jobs([] if chosen.model else [tmp_path / "a.features.h5"], chosen, None)
 
@@ -198,15 +198,15 @@ def test_parts_without_files(given, tmp_path):
 @needs_matplotlib
 def test_the_picture_lies_beside_the_report(pictures, tmp_path):
     """Assert that the picture has the report's name, is drawn again only where it is missing, and leaves no trace."""
-    output, outcome = make(cost, params.EvaluateCost(), tmp_path / "here.h5")
+    output, outcome = make(cost, EvaluateCost(), tmp_path / "here.h5")
     picture = tmp_path / "here.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert outcome.summary["plot"] == str(picture)
     written = picture.stat().st_mtime_ns
-    assert "plot" not in make(cost, params.EvaluateCost(), output)[1].summary
+    assert "plot" not in make(cost, EvaluateCost(), output)[1].summary
     assert picture.stat().st_mtime_ns == written
     picture.unlink()
-    make(cost, params.EvaluateCost(), output)
+    make(cost, EvaluateCost(), output)
     assert picture.exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["here.h5", "here.png"]
 
@@ -226,7 +226,7 @@ def test_lines_of_the_picture():
     """Assert a panel for each error, a line for each integrator, and no points for a blow-up, 0, or infinity."""
     from matplotlib.figure import Figure
 
-    _, outcome = make(cost, params.EvaluateCost())
+    _, outcome = make(cost, EvaluateCost())
     axes = Figure().subplots()
     plots.draw_panel(axes, outcome.rows[:MECHANICS_ROWS], "error_um_object_rms")
     labels = axes.get_legend_handles_labels()[1]
@@ -256,7 +256,7 @@ def test_what_a_line_is_called():
 def test_without_matplotlib(pictures, monkeypatch, tmp_path):
     """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    output, outcome = make(cost, params.EvaluateCost())
+    output, outcome = make(cost, EvaluateCost())
     assert "'.[plot]'" in outcome.summary["plot"]
     assert [path.name for path in tmp_path.iterdir()] == [output.name]
 
@@ -284,7 +284,7 @@ def by_hand(monkeypatch):
 
 def test_stability_counts_what_is_ok(by_hand):
     """Assert that the summary counts cases, refusals and what is not ok, and that rows that are not ok come first."""
-    outcome = make(stability, params.EvaluateStability())[1]
+    outcome = make(stability, EvaluateStability())[1]
     counts = {"cases": 3, "refused": 1, "cases_not_ok": 1, "not_ok_by_part": "gel 0 of 2, gripper 1 of 1"}
     assert outcome.summary.items() >= {**counts, "not_ok": "gripper: b"}.items()
     assert [(row["case"], row["ok"]) for row in outcome.rows] == [
@@ -316,7 +316,7 @@ def test_strict_is_satisfied(tmp_path):
 
 def test_a_fault_in_the_gel_is_reported(monkeypatch):
     """Assert that all real cases are ok, and that a step which gives the object energy turns some to not ok."""
-    assert make(stability, params.EvaluateStability())[1].summary["not_ok"] is None
+    assert make(stability, EvaluateStability())[1].summary["not_ok"] is None
     real = gel.step
 
     def step(state, *given, **changes):
@@ -325,7 +325,7 @@ def test_a_fault_in_the_gel_is_reported(monkeypatch):
         return info
 
     monkeypatch.setattr(gel, "step", step)
-    faulty = make(stability, params.EvaluateStability(seed=1), force=True)[1]
+    faulty = make(stability, EvaluateStability(seed=1), force=True)[1]
     assert bounds.ENERGY.quantity in [row["quantity"] for row in faulty.rows if not row["ok"]]
     assert faulty.summary["cases_not_ok"] > 0
 

@@ -7,7 +7,8 @@ import pytest
 
 from evetac_cli.jobs import silent
 from evetac_cli.numerics import cost, labels
-from evetac_cli.params import EvaluateCost, Record
+from evetac_cli.params.evaluation import EvaluateCost
+from evetac_cli.params.recording import Record
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
 

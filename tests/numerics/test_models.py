@@ -15,7 +15,7 @@ from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.numerics import cost, models
-from evetac_cli.params import EvaluateCost, EvaluateSlip
+from evetac_cli.params.evaluation import EvaluateCost, EvaluateSlip
 from evetac_cli.stages.evaluate import slip
 from evetac_cli.store.files import StageFile
 from tests.stages.evaluate.test_slip import features_file, trained

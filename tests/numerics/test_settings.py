@@ -3,7 +3,9 @@
 from dataclasses import fields
 
 from evetac_cli.numerics.settings import Setting, line
-from evetac_cli.params import Grasp, Record, flag_of
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.parameter import flag_of
+from evetac_cli.params.recording import Record
 
 
 def test_names_and_flags() -> None:

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import typer
 
-from evetac_cli import params
 from evetac_cli.cli.main import app
+from evetac_cli.params.evaluation import EvaluateGrasp, EvaluateLabels, EvaluateSlip, EvaluateTracking
 from evetac_cli.stages.evaluate import grasp, labels, slip, tracking
 from tests.conftest import Made
 
@@ -264,10 +264,10 @@ def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
     """Assert figures and facts of the demo's table, from real reports on one trial and one grasp."""
     trial = made.folder / "apart.recording.h5"  # no model is trained on it
     stages: list[tuple[str, Any, Any, Path]] = [
-        ("labels", labels, params.EvaluateLabels(), made.beside(trial, "labels")),
-        ("tracking", tracking, params.EvaluateTracking(), made.beside(trial, "tracks")),
-        ("slip", slip, params.EvaluateSlip(model=made.model), made.beside(trial, "features")),
-        ("grasp", grasp, params.EvaluateGrasp(), made.grasp),
+        ("labels", labels, EvaluateLabels(), made.beside(trial, "labels")),
+        ("tracking", tracking, EvaluateTracking(), made.beside(trial, "tracks")),
+        ("slip", slip, EvaluateSlip(model=made.model), made.beside(trial, "features")),
+        ("grasp", grasp, EvaluateGrasp(), made.grasp),
     ]
     evaluations = {}
     for name, stage, chosen, file in stages:

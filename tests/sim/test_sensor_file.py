@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli import params
 from evetac_cli.errors import InputError
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import table
 from evetac_cli.sim import scene, sensor_file
 from evetac_cli.sim.camera.gel_camera import dot_grid
@@ -162,7 +162,7 @@ def test_the_recipe_hangs_on_the_content(tmp_path: Path) -> None:
     """Assert that another file of the same content, or like another sensor of the same row, is the same recipe."""
 
     def recipe_id(sensor: str) -> str:
-        (job, *_) = record.jobs([], params.Record(scene="press", sensor=sensor), tmp_path)
+        (job, *_) = record.jobs([], Record(scene="press", sensor=sensor), tmp_path)
         return simulated.make_recipe(job).id
 
     first = recipe_id(written(tmp_path, "one", noise_hz=0.5, summary="mine"))

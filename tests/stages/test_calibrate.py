@@ -11,11 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from evetac_cli import params
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate, empty, slice_starts
 from evetac_cli.kernels.calibration.rest_image import RestImage
+from evetac_cli.params.learning import Featurize, Track
+from evetac_cli.params.recording import Calibrate, Record
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.camera import gel_camera
 from evetac_cli.sim.scene import sensor_row
@@ -54,7 +55,7 @@ def pressed(tmp_path_factory: pytest.TempPathFactory, truth: Grid) -> Path:
     scene["time"]["rest_s"] = 0.1
     folder = tmp_path_factory.mktemp("pressed")
     (folder / "press.toml").write_text(as_toml(scene))
-    chosen = params.Record(scene=str(folder / "press.toml"))
+    chosen = Record(scene=str(folder / "press.toml"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gel_camera, "dot_grid", lambda sensor_row, cut: truth)
         (job,) = record.jobs([], chosen, folder / "press.recording.h5")
@@ -105,7 +106,7 @@ def seen(halves: tuple[RestImage, RestImage], tmp_path: Path, monkeypatch: pytes
 
 def calibrated(source: Path, **chosen: Any) -> tuple[dict[str, Any], Path]:
     """The row of a calibration beside its recording, and the file."""
-    wanted = params.Calibrate(**chosen)
+    wanted = Calibrate(**chosen)
     (job,) = calibrate.jobs([source], wanted, source.with_suffix(".json"))
     return calibrate.run(job, wanted).rows[0], job.output
 
@@ -145,7 +146,7 @@ def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
     assert path.read_bytes() == before
     with pytest.raises(InputError, match="any_grid is false in the file, true wanted"):
         calibrated(short, any_grid=True)
-    forced = params.Calibrate(any_grid=True)
+    forced = Calibrate(any_grid=True)
     (job,) = calibrate.jobs([short], forced, path)
     assert calibrate.run(job, forced, force=True).made
     path.write_text("{}")
@@ -203,11 +204,11 @@ def test_missing_dot(seen: Show, tmp_path: Path, events: Events, truth: Grid) ->
     assert table["dot_xy_px"][2][3] == [None, None]
     assert table["neighbours"][2 * 9 + 3] == []
     short = recorded(tmp_path / "short.recording.h5", selected(events, events.t < 300_000))
-    tracking = params.Track(calibration=made)
+    tracking = Track(calibration=made)
     (job,) = track.jobs([short], tracking, None)
     track.run(job, tracking)
-    (job,) = featurize.jobs([short], params.Featurize(), None)
-    featurize.run(job, params.Featurize())
+    (job,) = featurize.jobs([short], Featurize(), None)
+    featurize.run(job, Featurize())
     with StageFile(job.output, "features") as features:
         displacement = features.read("displacement_px")
     assert np.isfinite(displacement).all()
@@ -287,7 +288,7 @@ def test_nothing_moved(tmp_path: Path, events: Events) -> None:
 @pytest.mark.skipif(not NOISE.exists(), reason="the recording of noise is not here")
 def test_noise_is_no_dot(tmp_path: Path) -> None:
     """Assert that a real camera's noise at a still scene is refused, also when taken for strokes."""
-    importing = params.Record(source=NOISE)
+    importing = Record(source=NOISE)
     (job,) = record.jobs([], importing, tmp_path / "noise.recording.h5")
     record.run(job, importing)
     with pytest.raises(InputError, match="no dot was seen to move"):
@@ -304,7 +305,7 @@ def test_official_files_give_one_grid(tmp_path: Path, truth: Grid) -> None:
     """Assert that pickle and JSON of the official calibration become the same grid, with neighbours along rows."""
     tables = []
     for source in (PICKLE, REAL):
-        chosen = params.Calibrate(source=source)
+        chosen = Calibrate(source=source)
         (job,) = calibrate.jobs([], chosen, tmp_path / f"{source.suffix[1:]}.json")
         outcome = calibrate.run(job, chosen)
         assert not outcome.simulated

@@ -15,10 +15,22 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli import params
 from evetac_cli.cli.config import COMMANDS
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
+from evetac_cli.params.evaluation import (
+    EvaluateDataRate,
+    EvaluateForce,
+    EvaluateGrasp,
+    EvaluateLabels,
+    EvaluateRealism,
+    EvaluateSlip,
+    EvaluateTracking,
+    EvaluateVibration,
+)
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import Featurize, Label, PredictForce, Track, TrackRgb, Train, TrainForce
+from evetac_cli.params.recording import Record, Trim
 from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, train, trim
 from evetac_cli.stages.evaluate import data_rate as evaluate_data_rate
 from evetac_cli.stages.evaluate import force as evaluate_force
@@ -94,7 +106,7 @@ def force_models(folder: Path) -> str:
 
 def another_grasp(folder: Path) -> list[Path]:
     """A grasp without the detector, which is quickly made."""
-    chosen = params.Grasp(controller="none", lift_s=1.0, balance_s=0.0)
+    chosen = Grasp(controller="none", lift_s=1.0, balance_s=0.0)
     (job,) = grasp.jobs([], chosen, folder / "contact-alone.recording.h5")
     grasp.run(job, chosen, force=True)
     return [job.output]
@@ -104,57 +116,57 @@ GRASP = {"model": model, "lift_s": 1.0}
 TRAIN = {"epochs": 1, "max_steps": 5, "preset": "adam"}
 FORCE = {"samples": 10, "epochs": 2}
 STAGES = [
-    Stage("record", record, some(params.Record, scene=scene), some(params.Record, scene=scene, seed=1), nothing),
-    Stage("trim", trim, some(params.Trim, to_ms=200), some(params.Trim, to_ms=190), of("recording")),
+    Stage("record", record, some(Record, scene=scene), some(Record, scene=scene, seed=1), nothing),
+    Stage("trim", trim, some(Trim, to_ms=200), some(Trim, to_ms=190), of("recording")),
     Stage(
-        "label", label, some(params.Label, after_ms=15), some(params.Label, after_ms=15, slip_distance_px=0.4),
+        "label", label, some(Label, after_ms=15), some(Label, after_ms=15, slip_distance_px=0.4),
         of("recording"),
     ),
-    Stage("track", track, some(params.Track), some(params.Track, preset="paper"), of("recording")),
-    Stage("featurize", featurize, some(params.Featurize), some(params.Featurize, images=True), of("recording")),
-    Stage("train", train, some(params.Train, **TRAIN), some(params.Train, **TRAIN, seed=1), every("features")),
-    Stage("track-rgb", track_rgb, some(params.TrackRgb), some(params.TrackRgb, seed=1), of("recording")),
+    Stage("track", track, some(Track), some(Track, preset="paper"), of("recording")),
+    Stage("featurize", featurize, some(Featurize), some(Featurize, images=True), of("recording")),
+    Stage("train", train, some(Train, **TRAIN), some(Train, **TRAIN, seed=1), every("features")),
+    Stage("track-rgb", track_rgb, some(TrackRgb), some(TrackRgb, seed=1), of("recording")),
     Stage(
-        "train-force", train_force, some(params.TrainForce, **FORCE), some(params.TrainForce, **FORCE, seed=1),
+        "train-force", train_force, some(TrainForce, **FORCE), some(TrainForce, **FORCE, seed=1),
         every("tracks"),
     ),
     Stage(
-        "predict-force", predict_force, some(params.PredictForce, model=force_model),
-        some(params.PredictForce, model=force_model), of("tracks"), of("tracks", 1),
+        "predict-force", predict_force, some(PredictForce, model=force_model),
+        some(PredictForce, model=force_model), of("tracks"), of("tracks", 1),
     ),
     Stage(
-        "grasp", grasp, some(params.Grasp, **GRASP, balance_s=0.0), some(params.Grasp, **GRASP, balance_s=0.1), nothing,
+        "grasp", grasp, some(Grasp, **GRASP, balance_s=0.0), some(Grasp, **GRASP, balance_s=0.1), nothing,
     ),
     Stage(
-        "evaluate slip", evaluate_slip, some(params.EvaluateSlip, model=model),
-        some(params.EvaluateSlip, model=model, threshold=0.5), one("apart.features.h5"),
+        "evaluate slip", evaluate_slip, some(EvaluateSlip, model=model),
+        some(EvaluateSlip, model=model, threshold=0.5), one("apart.features.h5"),
     ),
     Stage(
-        "evaluate labels", evaluate_labels, some(params.EvaluateLabels), some(params.EvaluateLabels),
+        "evaluate labels", evaluate_labels, some(EvaluateLabels), some(EvaluateLabels),
         of("labels"), of("labels", 1),
     ),
     Stage(
-        "evaluate tracking", evaluate_tracking, some(params.EvaluateTracking), some(params.EvaluateTracking),
+        "evaluate tracking", evaluate_tracking, some(EvaluateTracking), some(EvaluateTracking),
         of("tracks"), of("tracks", 1),
     ),
     Stage(
-        "evaluate vibration", evaluate_vibration, some(params.EvaluateVibration, windows="0.2"),
-        some(params.EvaluateVibration, windows="0.25"), of("recording"),
+        "evaluate vibration", evaluate_vibration, some(EvaluateVibration, windows="0.2"),
+        some(EvaluateVibration, windows="0.25"), of("recording"),
     ),
     Stage(
-        "evaluate data-rate", evaluate_data_rate, some(params.EvaluateDataRate, around_s=0.1),
-        some(params.EvaluateDataRate, around_s=0.05), of("recording"),
+        "evaluate data-rate", evaluate_data_rate, some(EvaluateDataRate, around_s=0.1),
+        some(EvaluateDataRate, around_s=0.05), of("recording"),
     ),
     Stage(
-        "evaluate force", evaluate_force, some(params.EvaluateForce, model=force_models, samples=10),
-        some(params.EvaluateForce, model=force_models, samples=10, seed=1), one("apart.tracks.h5"),
+        "evaluate force", evaluate_force, some(EvaluateForce, model=force_models, samples=10),
+        some(EvaluateForce, model=force_models, samples=10, seed=1), one("apart.tracks.h5"),
     ),
     Stage(
-        "evaluate grasp", evaluate_grasp, some(params.EvaluateGrasp), some(params.EvaluateGrasp),
+        "evaluate grasp", evaluate_grasp, some(EvaluateGrasp), some(EvaluateGrasp),
         one("grasp.recording.h5"), another_grasp,
     ),
     Stage(
-        "evaluate realism", evaluate_realism, some(params.EvaluateRealism), some(params.EvaluateRealism),
+        "evaluate realism", evaluate_realism, some(EvaluateRealism), some(EvaluateRealism),
         two_recordings(0), two_recordings(1),
     ),
 ]  # fmt: skip
@@ -315,8 +327,8 @@ def test_empty_recording(stage: Stage, made: Made, tmp_path: Path) -> None:
     empty = tmp_path / "empty.recording.h5"
     empty_recording(made.recordings[0], empty)
     if stage.name == "featurize":
-        (job,) = track.jobs([empty], params.Track(), None)
-        track.run(job, params.Track())
+        (job,) = track.jobs([empty], Track(), None)
+        track.run(job, Track())
     (job,) = stage.module.jobs([empty], stage.params(tmp_path), None)
     stage.module.run(job, stage.params(tmp_path))
     assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
@@ -339,7 +351,7 @@ def test_labels_of_another_recording_are_refused(folder: Path, tmp_path: Path) -
     one, other, *_ = sorted(folder.glob("short-*.recording.h5"))
     for kind in ("labels", "tracks"):
         foreign = other.with_name(other.name.replace("recording", kind))
-        chosen = params.Featurize(**{kind: foreign})
+        chosen = Featurize(**{kind: foreign})
         (job,) = featurize.jobs([one], chosen, tmp_path / "out.features.h5")
         with pytest.raises(InputError, match="another recording"):
             featurize.run(job, chosen)
@@ -349,7 +361,7 @@ def test_labels_of_another_recording_are_refused(folder: Path, tmp_path: Path) -
 def test_a_model_is_not_judged_on_what_it_learned(folder: Path, tmp_path: Path) -> None:
     """Assert that evaluate slip refuses features of a recording that the model was trained or validated on."""
     for path in sorted(folder.glob("short-*.features.h5")):
-        chosen = params.EvaluateSlip(model=folder / "hist10.model.h5")
+        chosen = EvaluateSlip(model=folder / "hist10.model.h5")
         (job,) = evaluate_slip.jobs([path], chosen, tmp_path / "out.report.h5")
         with pytest.raises(InputError, match="both trained on and evaluated on"):
             evaluate_slip.run(job, chosen)
@@ -357,7 +369,7 @@ def test_a_model_is_not_judged_on_what_it_learned(folder: Path, tmp_path: Path) 
 
 def test_parameters_reach_the_header(folder: Path) -> None:
     """Assert that every parameter that changes numbers stands in the header of what was made with it."""
-    for kind, cls in (("labels", params.Label),):
+    for kind, cls in (("labels", Label),):
         path = sorted(folder.glob(f"short-*.{kind}.h5"))[0]
         names = {item.name for item in dataclasses.fields(cls) if item.metadata["recipe"]}
         assert names == header(path)["parameters"].keys()

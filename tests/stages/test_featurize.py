@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip.features import event_image
-from evetac_cli.params import Featurize
+from evetac_cli.params.learning import Featurize
 from evetac_cli.stages import featurize
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording

@@ -8,12 +8,13 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, empty
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.numerics.labels import flow_constants
+from evetac_cli.params.evaluation import EvaluateLabels
+from evetac_cli.params.learning import Label
 from evetac_cli.stages import label
 from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.store.files import StageFile, write_stage
@@ -25,7 +26,7 @@ METHODS = ("event-flow", "farneback", "dis", "event-count", "truth")
 
 
 def run(recording: Path, out: Path, **chosen: Any) -> tuple[Path, dict[str, Any]]:
-    given = params.Label(after_ms=15, **chosen)
+    given = Label(after_ms=15, **chosen)
     (job,) = label.jobs([recording], given, out)
     return job.output, label.run(job, given).rows[0]
 
@@ -113,8 +114,8 @@ def test_slip_before_the_ramp_is_no_onset(made: Made, tmp_path: Path) -> None:
         file["truth/every_node_slid_px"][early] = 1.0
     output, row = run(beside, tmp_path, method="truth")
     assert row["onset_ms"] == onset
-    (job,) = evaluate_labels.jobs([output], params.EvaluateLabels(), tmp_path)
-    (evaluated,) = evaluate_labels.run(job, params.EvaluateLabels()).rows
+    (job,) = evaluate_labels.jobs([output], EvaluateLabels(), tmp_path)
+    (evaluated,) = evaluate_labels.run(job, EvaluateLabels()).rows
     assert evaluated["t_s_ms"] == onset
     assert evaluated["t_every_node_ms"] >= onset
 
@@ -124,8 +125,8 @@ def test_reports_name_labels_from_truth(made: Made, tmp_path: Path) -> None:
     beside = tmp_path / made.recordings[0].name
     beside.write_bytes(made.recordings[0].read_bytes())
     output, _ = run(beside, tmp_path, method="truth")
-    (job,) = evaluate_labels.jobs([output], params.EvaluateLabels(), tmp_path)
-    outcome = evaluate_labels.run(job, params.EvaluateLabels())
+    (job,) = evaluate_labels.jobs([output], EvaluateLabels(), tmp_path)
+    outcome = evaluate_labels.run(job, EvaluateLabels())
     assert outcome.summary["method"] == "truth"
     assert outcome.summary["onset_error_ms_median"] == 0
     assert outcome.summary["within_minus4_plus3_ms"] == 1
@@ -145,8 +146,8 @@ def test_an_onset_that_was_missed_counts_against(made: Made, tmp_path: Path) -> 
     beside.write_bytes(made.recordings[0].read_bytes())
     output, row = run(beside, tmp_path, method="event-count", threshold_events=10**6)
     assert row["onset_ms"] is None
-    (job,) = evaluate_labels.jobs([output], params.EvaluateLabels(), tmp_path)
-    summary = evaluate_labels.run(job, params.EvaluateLabels()).summary
+    (job,) = evaluate_labels.jobs([output], EvaluateLabels(), tmp_path)
+    summary = evaluate_labels.run(job, EvaluateLabels()).summary
     assert summary["onsets_found"] == 0
     assert summary["within_minus4_plus3_ms"] == 0
 

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from evetac_cli import params, stages
+from evetac_cli import stages
 from evetac_cli.devices import replay
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import events_on_disk, read_dsec
 from evetac_cli.formats.write import pieces
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import Featurize, Label, Track, TrackRgb
+from evetac_cli.params.recording import Record, Trim
 from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, trim
 from evetac_cli.store import contents, read
 from evetac_cli.store.read import open_recording
@@ -32,7 +35,7 @@ def folders(made: Made, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
         repeated = Repeated(trial, 50.0)
     for folder, slices in zip(both, (SHORT, LONG), strict=True):
         repeated.write(folder / "a.recording.h5", slices)
-        _run(track, params.Track(), folder)
+        _run(track, Track(), folder)
         export(folder / "a.recording.h5", "dsec", folder / "a.dsec.h5")
         _import("a.dsec.h5")(folder, folder / "imported.recording.h5")
     return both
@@ -45,7 +48,7 @@ def _run(stage: object, chosen: object, folder: Path, out: Path | None = None) -
 
 def _import(source: str, **options: object) -> Callable[[Path, Path], None]:
     def run(folder: Path, out: Path) -> None:
-        chosen = params.Record(source=folder / source, **options)  # type: ignore[arg-type]
+        chosen = Record(source=folder / source, **options)  # type: ignore[arg-type]
         (job,) = record.jobs([], chosen, out)
         record.run(job, chosen)
 
@@ -53,7 +56,7 @@ def _import(source: str, **options: object) -> Callable[[Path, Path], None]:
 
 
 def _replay(folder: Path, out: Path) -> None:
-    chosen = params.Grasp(camera=f"replay:{folder / 'a.recording.h5'}")
+    chosen = Grasp(camera=f"replay:{folder / 'a.recording.h5'}")
     (job,) = grasp.jobs([], chosen, out)
     grasp.run(job, chosen)
 
@@ -72,12 +75,12 @@ BLOCKS = (
     (replay, "PACKET_EVENTS", 1 << 10),
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
-    "trim": lambda folder, out: _run(trim, params.Trim(from_ms=100), folder, out),
-    "track": lambda folder, out: _run(track, params.Track(), folder, out),
-    "featurize": lambda folder, out: _run(featurize, params.Featurize(images=True), folder, out),
-    "track-rgb": lambda folder, out: _run(track_rgb, params.TrackRgb(), folder, out),
-    "label": lambda folder, out: _run(label, params.Label(), folder, out),
-    "label by flow": lambda folder, out: _run(label, params.Label(method="farneback"), folder, out),
+    "trim": lambda folder, out: _run(trim, Trim(from_ms=100), folder, out),
+    "track": lambda folder, out: _run(track, Track(), folder, out),
+    "featurize": lambda folder, out: _run(featurize, Featurize(images=True), folder, out),
+    "track-rgb": lambda folder, out: _run(track_rgb, TrackRgb(), folder, out),
+    "label": lambda folder, out: _run(label, Label(), folder, out),
+    "label by flow": lambda folder, out: _run(label, Label(method="farneback"), folder, out),
     "grasp again": _replay,
     "import": _import("a.dsec.h5"),
     "import --sort": _import("a.dsec.h5", sort=True),

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.params import Grasp, Record
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, part_costs, record
 from evetac_cli.stages.part_costs import BLOCK, Append, measure
 from evetac_cli.stages.trials import SimulatedTrial

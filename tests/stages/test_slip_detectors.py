@@ -11,9 +11,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from evetac_cli import params, resources
+from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.stages import grasp
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
@@ -162,7 +163,7 @@ def test_m7_grasp_refuses_an_endless_model(model: Path) -> None:
     graph = stored_graph(model)
     endless_loop(graph)
     store_graph(model, graph)
-    chosen = params.Grasp(model=model, lift_s=0.1, balance_s=0.0)
+    chosen = Grasp(model=model, lift_s=0.1, balance_s=0.0)
     (job,) = grasp.jobs([], chosen, model.with_name("a.recording.h5"))
     with pytest.raises(InputError, match="onnx"):
         grasp.run(job, chosen)

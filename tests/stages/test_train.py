@@ -14,7 +14,7 @@ from evetac_cli.inspect import validate
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.params import Train
+from evetac_cli.params.learning import Train
 from evetac_cli.stages import slip_detectors, splits, train
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -336,7 +336,7 @@ def test_a_gpu_that_is_not_there_is_refused(
 
 
 def test_flags_name_every_model_and_recipe() -> None:
-    """Assert that what params.py offers is what there is."""
+    """Assert that what the flags offer is what there is."""
     from evetac_cli.kernels.slip.training import PRESETS
 
     choices = {name: item.metadata["choices"] for name, item in Train.__dataclass_fields__.items()}

@@ -8,7 +8,8 @@ import pytest
 
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.errors import InputError
-from evetac_cli.params import Grasp, Record
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, record
 from evetac_cli.stages.record.imported import ImportJob
 from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, SimulatedTrial, device_trials

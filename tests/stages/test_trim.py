@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.inspect import validate
-from evetac_cli.params import Featurize, Track, Trim
+from evetac_cli.params.learning import Featurize, Track
+from evetac_cli.params.recording import Trim
 from evetac_cli.stages import featurize, track, trim
 from evetac_cli.store import schema
 from evetac_cli.store.files import StageFile

@@ -8,7 +8,8 @@ import pytest
 
 from evetac_cli.devices.cameras import parse
 from evetac_cli.errors import InputError
-from evetac_cli.params import Grasp, Record
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, record
 from evetac_cli.stages.unused_options import GRASP, RECORD, refuse_unused_of_grasp, refuse_unused_of_record
 

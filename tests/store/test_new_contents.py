@@ -9,7 +9,7 @@ import pytest
 
 from evetac_cli.errors import SchemaError
 from evetac_cli.inspect import validate
-from evetac_cli.params import Track
+from evetac_cli.params.learning import Track
 from evetac_cli.stages import track
 from evetac_cli.store import contents
 from evetac_cli.store.files import StageFile, write_stage

@@ -15,7 +15,7 @@ from evetac_cli.inspect.view.time_series import model_output, series_panels, sli
 from evetac_cli.inspect.view.trial_files import Trial, open_trial
 from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
-from evetac_cli.params import View
+from evetac_cli.params.inspection import View
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 

@@ -24,7 +24,7 @@ from evetac_cli.jobs import Progress
 from evetac_cli.numerics.grasp.trials import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
 from evetac_cli.numerics.paired import Floats, difference, known
 from evetac_cli.numerics.rows import Extent, Row, collect, run_times
-from evetac_cli.params import EvaluateCost
+from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.stages.evaluate import Rows, picture
 from evetac_cli.stages.grasp.loop import SlipDetector
 from evetac_cli.stages.related_files import named_files

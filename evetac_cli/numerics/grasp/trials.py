@@ -18,7 +18,7 @@ from evetac_cli.devices.simulated import rig
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
-from evetac_cli.params import Grasp
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import grasp_outcome, scene
 from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.setup import open_detector

@@ -18,7 +18,9 @@ from evetac_cli.jobs import silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.numerics.settings import Setting
-from evetac_cli.params import Featurize, Grasp, Label, Record, Track
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import Featurize, Label, Track
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import featurize, grasp, label, record, track
 from evetac_cli.stages.evaluate.labels import true_onsets
 from evetac_cli.stages.evaluate.slip_models import Model, check, predict_all

@@ -44,7 +44,7 @@ from evetac_cli.numerics.pipeline.chain import (
 )
 from evetac_cli.numerics.rows import Extent, Row, run_times
 from evetac_cli.numerics.settings import Setting, line
-from evetac_cli.params import EvaluateCost
+from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.stages.evaluate import Rows, picture
 
 TRIALS = Extent(quick=4, full=20)

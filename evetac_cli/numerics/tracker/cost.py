@@ -25,7 +25,7 @@ from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants
 from evetac_cli.numerics.camera.cost import Workload, oscillation, play_ideal, play_scans
 from evetac_cli.numerics.plots import STILL
 from evetac_cli.numerics.rows import Extent, Row, collect, run_times
-from evetac_cli.params import EvaluateCost
+from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 from evetac_cli.stages.evaluate import Rows

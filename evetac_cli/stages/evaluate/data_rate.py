@@ -16,7 +16,8 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.params import EvaluateDataRate, recipe_of
+from evetac_cli.params.evaluation import EvaluateDataRate
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.stages.evaluate.labels import true_onset

@@ -19,7 +19,8 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.params import EvaluateForce, recipe_of
+from evetac_cli.params.evaluation import EvaluateForce
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import Rows, gel_force, picture, report, report_job
 from evetac_cli.stages.evaluate.gel_force import ForceReportJob

@@ -19,7 +19,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress
 from evetac_cli.kernels.force.gel_forces import Floats, Forces
 from evetac_cli.kernels.force.models import CONTACT_N
-from evetac_cli.params import EvaluateForce, recipe_of
+from evetac_cli.params.evaluation import EvaluateForce
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report
 from evetac_cli.stages.force import adapt_gel, gel_model, readings
 from evetac_cli.stages.force.gel_model import Gel, GelModel

@@ -18,7 +18,8 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.params import EvaluateGrasp, recipe_of
+from evetac_cli.params.evaluation import EvaluateGrasp
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import table
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.params import EvaluateLabels, recipe_of
+from evetac_cli.params.evaluation import EvaluateLabels
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.scenes.true_slip import SLIP_PX
 from evetac_cli.stages.evaluate import Rows, report, report_job
 from evetac_cli.stages.label import ramp_start

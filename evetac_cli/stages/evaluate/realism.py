@@ -25,7 +25,8 @@ from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify import figures
 from evetac_cli.kernels.identify.rest import check_still, find_hot
-from evetac_cli.params import EvaluateRealism, recipe_of
+from evetac_cli.params.evaluation import EvaluateRealism
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim import scene
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job, told_apart
 from evetac_cli.stages.identify import pressed

@@ -18,7 +18,8 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.kernels.slip import metrics
-from evetac_cli.params import EvaluateSlip, recipe_of
+from evetac_cli.params.evaluation import EvaluateSlip
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job
 from evetac_cli.stages.evaluate.slip_models import Model, check, predict_all
 from evetac_cli.stages.evaluate.slip_tables import tables

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.params import EvaluateTracking, recipe_of
+from evetac_cli.params.evaluation import EvaluateTracking
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path

@@ -19,7 +19,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels import vibration
-from evetac_cli.params import EvaluateVibration, recipe_of
+from evetac_cli.params.evaluation import EvaluateVibration
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.store.read import Recording, open_recording
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, outcome
 from evetac_cli.kernels.force import gel_forces
-from evetac_cli.params import TrainForce
+from evetac_cli.params.learning import TrainForce
 from evetac_cli.resources import FORCE_MODEL
 from evetac_cli.stages.force import gel_model, readings
 from evetac_cli.stages.force.gel_model import Adapted, Gel, GelModel

@@ -8,7 +8,8 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.params import PredictForce, recipe_of
+from evetac_cli.params.learning import PredictForce
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import FORCE_MODEL
 from evetac_cli.stages import per_file
 from evetac_cli.stages.force import gel_model

@@ -16,7 +16,9 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.params import EvaluateForce, TrainForce, recipe_of
+from evetac_cli.params.evaluation import EvaluateForce
+from evetac_cli.params.learning import TrainForce
+from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.force import adapt_gel, train_gel
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint

@@ -15,7 +15,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import Errors
 from evetac_cli.kernels.force.models import CONTACT_N
-from evetac_cli.params import TrainForce
+from evetac_cli.params.learning import TrainForce
 from evetac_cli.resources import table
 from evetac_cli.stages.force import gel_model, readings
 from evetac_cli.stages.force.gel_model import GelModel

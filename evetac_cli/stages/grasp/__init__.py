@@ -17,7 +17,7 @@ from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.grip import control as grip_control
-from evetac_cli.params import Grasp
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.stages import part_costs
 from evetac_cli.stages.grasp import simulated
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector

@@ -25,7 +25,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
-from evetac_cli.params import Grasp
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.realtime.processes import raised_priority, set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.stages import session

@@ -17,7 +17,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
-from evetac_cli.params import Grasp
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.grasp import setup
 from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, grasp_slices

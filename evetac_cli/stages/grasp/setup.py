@@ -10,7 +10,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.params import Grasp
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import scene
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector

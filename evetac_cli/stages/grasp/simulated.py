@@ -13,7 +13,7 @@ from evetac_cli.devices import Rig
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome, silent
 from evetac_cli.kernels.grip.control import Control
-from evetac_cli.params import Grasp
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages.grasp.loop import TrialBuffer, run_grasp
 from evetac_cli.stages.grasp.setup import (

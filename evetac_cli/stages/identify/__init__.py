@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
-from evetac_cli.params import Identify, recipe_of
+from evetac_cli.params.parameter import recipe_of
+from evetac_cli.params.recording import Identify
 from evetac_cli.sim import scene, sensor_file
 from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, Row, sensor_text

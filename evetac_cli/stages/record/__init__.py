@@ -17,7 +17,7 @@ from evetac_cli.devices.opening import require_arm
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.read_rosbag import is_bag_folder
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import part_costs
 from evetac_cli.stages.record import capture, capture_plan, imported, live_view, simulated
 from evetac_cli.stages.record.imported import ImportJob

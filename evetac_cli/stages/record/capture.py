@@ -30,7 +30,7 @@ from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.processes import raised_priority
 from evetac_cli.stages import session

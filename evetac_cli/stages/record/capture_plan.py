@@ -6,7 +6,8 @@ from dataclasses import asdict, fields
 from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import Record, flag_of
+from evetac_cli.params.parameter import flag_of
+from evetac_cli.params.recording import Record
 from evetac_cli.sim import scene
 from evetac_cli.stages import session
 from evetac_cli.stages.record.current_course import CurrentCourse

@@ -10,7 +10,7 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, outcome
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.stages.trials import OUTPUT
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.disk import existing_folder

@@ -13,7 +13,7 @@ from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.stages.record.capture_plan import settings
 from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial
 

@@ -10,7 +10,7 @@ from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, GRIPPER_FAULTS, Fau
 from evetac_cli.devices.virtual.servo import Answer
 from evetac_cli.devices.virtual.servo_process import LATE_S, Faults
 from evetac_cli.errors import InputError
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.inspect import view
-from evetac_cli.params import View
+from evetac_cli.params.inspection import View
 from tests.inspect.view.trials import write_trial
 
 

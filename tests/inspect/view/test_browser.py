@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.inspect import view
-from evetac_cli.params import View
+from evetac_cli.params.inspection import View
 from tests.inspect.view.trials import NASTY, ONSET, SLICES, moving, write_recording, write_tracks
 
 

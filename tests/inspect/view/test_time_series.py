@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from evetac_cli.inspect.view import collect_view, time_series
 from evetac_cli.inspect.view.trial_files import open_trial
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
-from evetac_cli.params import View
+from evetac_cli.params.inspection import View
 from tests.inspect.view.trials import SLICES
 
 

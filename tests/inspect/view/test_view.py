@@ -20,7 +20,7 @@ from evetac_cli.inspect import view
 from evetac_cli.inspect.view import event_images, time_series
 from evetac_cli.inspect.view import page as view_page
 from evetac_cli.inspect.view.trial_files import open_trial
-from evetac_cli.params import View
+from evetac_cli.params.inspection import View
 from evetac_cli.store.read import open_recording
 from tests import small_files
 from tests.inspect.view.trials import (

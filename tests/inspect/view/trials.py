@@ -11,7 +11,7 @@ from evetac_cli.events import slice_starts
 from evetac_cli.inspect.view import collect_view
 from evetac_cli.inspect.view.trial_files import open_trial
 from evetac_cli.inspect.view.view_data import ViewData
-from evetac_cli.params import View
+from evetac_cli.params.inspection import View
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Header, Recipe
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli import params, resources
+from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.numerics import cost as command
 from evetac_cli.numerics.grasp import cost, trials
 from evetac_cli.numerics.grasp.trials import GraspResult, ShortGrasp
 from evetac_cli.numerics.rows import Extent
-from evetac_cli.params import EvaluateCost
+from evetac_cli.params.evaluation import EvaluateCost
 
 
 def test_cost_of_a_late_detector(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,7 +41,7 @@ def test_a_real_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     }.items():  # fmt: skip
         monkeypatch.setattr(cost, name, Extent(amount, amount))
     monkeypatch.setattr(cost, "BALANCE_S", 0.1)
-    chosen = params.EvaluateCost(part="grasp")
+    chosen = EvaluateCost(part="grasp")
     (job,) = command.jobs([], chosen, tmp_path)
     assert job.output.name == "grasp.cost.report.h5"
     outcome = command.run(job, chosen)

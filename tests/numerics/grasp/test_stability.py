@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli import params
 from evetac_cli.devices.simulated import SimulatedGripper
 from evetac_cli.errors import DeviceError
 from evetac_cli.jobs import Job
@@ -18,6 +17,7 @@ from evetac_cli.numerics.extreme_scenes import LIFTS
 from evetac_cli.numerics.grasp import stability
 from evetac_cli.numerics.grasp.stability import Case, DyingDetector, UnevenSlices, extreme_cases, grasp_rows
 from evetac_cli.numerics.grasp.trials import GraspResult
+from evetac_cli.params.evaluation import EvaluateStability
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.stages.evaluate import Rows
 from tests.numerics.grasp.conftest import CountingDetector
@@ -139,7 +139,7 @@ def test_refusals_are_ok() -> None:
 def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert rows of real grasps, what is not ok first, counted by controller in the summary."""
     monkeypatch.setattr(stability, "extreme_cases", lambda full: [Case("as usual", timing=SHORT)])
-    chosen = params.EvaluateStability(part="grasp")
+    chosen = EvaluateStability(part="grasp")
     outcome = command.run(Job((), tmp_path / "a.report.h5"), chosen)
     assert {(row["controller"], row["case"]) for row in outcome.rows} == {
         (controller, "as usual") for controller in stability.QUICK_CONTROLLERS

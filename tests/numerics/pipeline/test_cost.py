@@ -17,7 +17,7 @@ from evetac_cli.numerics.pipeline.chain import BALANCE_S, LIFT_S, Chain, Lifted,
 from evetac_cli.numerics.pipeline.cost import DEFAULTS, ERRORS, Measured, tables, trials
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.numerics.settings import Setting, line
-from evetac_cli.params import EvaluateCost
+from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.stages.evaluate.labels import true_onsets
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import open_recording

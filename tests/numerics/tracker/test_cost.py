@@ -10,7 +10,7 @@ from evetac_cli.kernels.tracking.tracker import PRESETS
 from evetac_cli.numerics import cost as command
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.numerics.tracker import cost
-from evetac_cli.params import EvaluateCost
+from evetac_cli.params.evaluation import EvaluateCost
 
 
 @pytest.fixture(scope="module")

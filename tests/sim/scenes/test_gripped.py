@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evetac_cli import params
 from evetac_cli.errors import SceneError
 from evetac_cli.events import concatenate
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES, table
 from evetac_cli.sim import gripper, sampling, scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
@@ -270,7 +270,7 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
     del hurried["push"]
     path = tmp_path / "hurried.toml"
     path.write_text(as_toml(hurried))
-    recipe = params.Record(scene=str(path))
+    recipe = Record(scene=str(path))
     (job,) = record.jobs([], recipe, tmp_path)
     record.run(job, recipe)
     _, _, about_slip, most_kb = ratios(job.output)
@@ -290,7 +290,7 @@ def test_data_rates_are_the_papers(tmp_path: Path) -> None:
     The paper gives mean and deviation of five trials. Two means of five with this deviation differ by less than
     t * sd * sqrt(2 / 5) in 95 of 100 cases, with t = 2.306 (Student's, 8 degrees of freedom): at contact by 0.012.
     """
-    recipe = params.Record(scene="data-rate", count=5)
+    recipe = Record(scene="data-rate", count=5)
     measured = []
     for job in record.jobs([], recipe, tmp_path):
         record.run(job, recipe)

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.inspect import validate
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
 from evetac_cli.sim import scene
 from evetac_cli.sim.gel.dilation import dilation

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from evetac_cli.cli import main
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.params import EvaluateDataRate
+from evetac_cli.params.evaluation import EvaluateDataRate
 from evetac_cli.stages.evaluate import data_rate
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest

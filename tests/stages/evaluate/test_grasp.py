@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from evetac_cli import params
+from evetac_cli.params.evaluation import EvaluateGrasp
 from evetac_cli.resources import table
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate.grasp import describe_setting, tables, without_gain
@@ -159,7 +159,7 @@ def test_the_picture() -> None:
 
 def test_a_table_of_a_real_grasp(made, tmp_path) -> None:
     """Assert that a recording of grasp becomes a row in each of the three tables, alike in all."""
-    chosen = params.EvaluateGrasp()
+    chosen = EvaluateGrasp()
     (job,) = evaluate_grasp.jobs([made.grasp], chosen, tmp_path)
     whole, objects, trials = split(evaluate_grasp.run(job, chosen).rows)
     assert len(whole) == len(objects) == len(trials) == 1

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evetac_cli import params
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.jobs import Outcome
+from evetac_cli.params.evaluation import EvaluateRealism
+from evetac_cli.params.recording import Record
 from evetac_cli.sim import scene
 from evetac_cli.stages import record
 from evetac_cli.stages.evaluate import realism
@@ -21,7 +22,7 @@ from tests.conftest import as_toml
 
 
 def resting(folder: Path, sensor: str, seed: int) -> Path:
-    chosen = params.Record(scene="rest", sensor=sensor, seed=seed)
+    chosen = Record(scene="rest", sensor=sensor, seed=seed)
     (job,) = record.jobs([], chosen, folder / f"{Path(sensor).stem}-{seed}.recording.h5")
     record.run(job, chosen)
     return job.output
@@ -40,8 +41,8 @@ def imported(path: Path, events: Events, slices: int, frame_px: tuple[int, int] 
 
 
 def compared(real: Path, simulated: Path, out: Path) -> tuple[dict[tuple[str, str], dict[str, Any]], Outcome]:
-    (job,) = realism.jobs([real, simulated], params.EvaluateRealism(), out)
-    outcome = realism.run(job, params.EvaluateRealism())
+    (job,) = realism.jobs([real, simulated], EvaluateRealism(), out)
+    outcome = realism.run(job, EvaluateRealism())
     return {(row["phase"], row["figure"]): row for row in outcome.rows}, outcome
 
 
@@ -115,7 +116,7 @@ def test_windows_are_told_apart(tmp_path: Path) -> None:
     first, second, other = noisy(0, 0.5), noisy(1, 0.5), noisy(2, 0.6)
     apart = {}
     for name, simulated, same in (("like", second, None), ("unlike", other, second)):
-        asked = params.EvaluateRealism(same=same)
+        asked = EvaluateRealism(same=same)
         (job,) = realism.jobs([first, simulated], asked, tmp_path / f"{name}.realism.report.h5")
         outcome = realism.run(job, asked)
         rows = outcome.rows
@@ -130,7 +131,7 @@ def test_windows_are_told_apart(tmp_path: Path) -> None:
 def test_what_cannot_be_compared(same: tuple[Path, Path], tmp_path: Path) -> None:
     """Assert that one file, other frames and recordings with no phase in common are refused in words."""
     with pytest.raises(InputError, match="two recordings"):
-        realism.jobs([same[0]], params.EvaluateRealism(), None)
+        realism.jobs([same[0]], EvaluateRealism(), None)
     nothing = Events(np.empty(0, np.int64), *(np.empty(0, np.uint16),) * 2, np.empty(0, np.uint8))
     small = imported(tmp_path / "small.recording.h5", nothing, 1000, (346, 260))
     with pytest.raises(InputError, match="different frames"):

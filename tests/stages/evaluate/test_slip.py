@@ -14,7 +14,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.params import EvaluateSlip, Train
+from evetac_cli.params.evaluation import EvaluateSlip
+from evetac_cli.params.learning import Train
 from evetac_cli.stages import slip_detectors, train
 from evetac_cli.stages.evaluate import slip, slip_tables
 from evetac_cli.stages.evaluate.slip_models import Model

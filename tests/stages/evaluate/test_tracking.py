@@ -9,9 +9,10 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
+from evetac_cli.params.evaluation import EvaluateTracking
+from evetac_cli.params.learning import Track
 from evetac_cli.stages import track
 from evetac_cli.stages.evaluate import tracking
 from evetac_cli.store.files import StageFile
@@ -28,14 +29,14 @@ def recording(made: Made, tmp_path: Path) -> Path:
 
 def tracked(recording: Path, name: str, **chosen: Any) -> Path:
     """Tracks of it, in a folder of that name."""
-    how = params.Track(**chosen)
+    how = Track(**chosen)
     (job,) = track.jobs([recording], how, recording.parent / name)
     track.run(job, how)
     return job.output
 
 
 def evaluate(*files: Path, recordings: Path | None = None, **how: Any) -> Outcome:
-    chosen = params.EvaluateTracking(recordings=recordings)
+    chosen = EvaluateTracking(recordings=recordings)
     (job,) = tracking.jobs(list(files), chosen, None)
     return tracking.run(job, chosen, **how)
 

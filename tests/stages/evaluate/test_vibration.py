@@ -10,7 +10,8 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, slice_starts
 from evetac_cli.jobs import Outcome
-from evetac_cli.params import EvaluateVibration, Record
+from evetac_cli.params.evaluation import EvaluateVibration
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
 from evetac_cli.stages.evaluate import vibration
 from evetac_cli.store.files import write_stage

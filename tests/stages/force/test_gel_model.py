@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli import params, resources
+from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info, validate
 from evetac_cli.jobs import Outcome
+from evetac_cli.params.evaluation import EvaluateForce
+from evetac_cli.params.learning import PredictForce, TrainForce
 from evetac_cli.sim import scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
@@ -27,8 +29,8 @@ from evetac_cli.store.provenance import Recipe
 SLICES, PRESSED = 2000, slice(300, 1700)
 HEIGHT_M = gel.GelMaterial().height_m
 NORMAL_N = 12.0
-TRAIN = params.TrainForce(method="gel", contacts=12, epochs=1)
-ADAPT = params.TrainForce(adapt=True)
+TRAIN = TrainForce(method="gel", contacts=12, epochs=1)
+ADAPT = TrainForce(adapt=True)
 
 
 def sensor_row(stiffer: float = 1.0) -> dict[str, Any]:
@@ -113,7 +115,7 @@ def run(stage: Any, files: list[Path], chosen: Any, out: Path) -> tuple[Path, Ou
     return job.output, outcome
 
 
-def predicted(path: Path, chosen: params.PredictForce, out: Path) -> dict[str, Any]:
+def predicted(path: Path, chosen: PredictForce, out: Path) -> dict[str, Any]:
     output, _ = run(predict_force, [path], chosen, out)
     with StageFile(output) as file:
         return {name: file.read(name) for name in file.contents() if "/" not in name}
@@ -145,7 +147,7 @@ def close(estimated: dict[str, Any], true: Any, stiffness: float = 1.0) -> None:
 def test_closed_form_of_a_known_gel(tmp_path: Path, stiffer: float) -> None:
     """Assert the forces of a face over the whole gel, within 0.5 N of shear and 15 % of the normal force."""
     path = trial(tmp_path, 0, stiffer=stiffer)
-    estimated = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, stiffer)), tmp_path)
+    estimated = predicted(path, PredictForce(sensor=own_sensor(tmp_path, stiffer)), tmp_path)
     close(estimated, true_shear(path))
     assert (estimated["normal_sd_n"][PRESSED] < 0.25 * NORMAL_N).all()
 
@@ -153,8 +155,8 @@ def test_closed_form_of_a_known_gel(tmp_path: Path, stiffer: float) -> None:
 def test_an_unknown_gel_is_told_with_wide_bounds(tmp_path: Path) -> None:
     """Assert that the gel alone decides the force of a displacement, and that the sd covers half to twice of it."""
     path = trial(tmp_path, 0)
-    known = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path / "known.forces.h5")
-    unknown = predicted(path, params.PredictForce(), tmp_path / "unknown.forces.h5")
+    known = predicted(path, PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path / "known.forces.h5")
+    unknown = predicted(path, PredictForce(), tmp_path / "unknown.forces.h5")
     far = np.abs(known["shear_n"]) > 3
     assert 0.6 < np.median(unknown["shear_n"][far] / known["shear_n"][far]) < 1.4
     assert (unknown["shear_sd_n"][far] > 2 * known["shear_sd_n"][far]).all()
@@ -168,7 +170,7 @@ def test_other_grids(tmp_path: Path, pitch_px: float) -> None:
     """Assert the same bounds for denser and sparser dots than any that the model was trained on."""
     x, y = np.arange(30.0, 620, pitch_px), np.arange(25.0, 460, pitch_px)
     path = trial(tmp_path, 0, grid_px=np.stack(np.meshgrid(x, y), axis=-1))
-    estimated = predicted(path, params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path)
+    estimated = predicted(path, PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path)
     close(estimated, true_shear(path))
 
 
@@ -186,7 +188,7 @@ def test_lost_dots(tmp_path: Path) -> None:
     arrays["lost"][600:, ::6] = 1
     arrays["dot_xy_px"][600:, ::6] = 0.0
     write_stage(lost / "trial0.tracks.h5", Recipe("tracks", 1, {"preset": "lost"}, parents=(header,)), arrays)
-    estimated = predicted(lost / "trial0.tracks.h5", params.PredictForce(sensor=own_sensor(tmp_path, 1.0)), lost)
+    estimated = predicted(lost / "trial0.tracks.h5", PredictForce(sensor=own_sensor(tmp_path, 1.0)), lost)
     assert np.isnan(estimated["shear_n"][500:600]).all()
     assert np.isnan(estimated["contact_probability"][500:600]).all()
     assert not estimated["contact"][500:600].any()
@@ -197,7 +199,7 @@ def test_lost_dots(tmp_path: Path) -> None:
 def test_no_contact(tmp_path: Path) -> None:
     """Assert that a gel at rest has no contact and no force, and cannot be adapted to."""
     path = trial(tmp_path, 0, normal_n=0.0)
-    estimated = predicted(path, params.PredictForce(), tmp_path)
+    estimated = predicted(path, PredictForce(), tmp_path)
     assert not estimated["contact"].any()
     assert np.abs(estimated["shear_n"]).max() < 0.1
     assert estimated["normal_n"].max() < 0.5
@@ -214,7 +216,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     assert outcome.rows[0]["normal_modulus_kpa"] == pytest.approx(1.6 * 1000, rel=0.15)
     path = trial(tmp_path, 4, stiffer=1.6)
-    estimated = predicted(path, params.PredictForce(model=model), tmp_path / "a.forces.h5")
+    estimated = predicted(path, PredictForce(model=model), tmp_path / "a.forces.h5")
     close(estimated, true_shear(path))
     assert info.run([model, tmp_path / "a.forces.h5"]).rows[0]["dots"] == "any grid"
     for one in own:
@@ -226,7 +228,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     for one in own:
         one.with_name(one.name.replace("tracks.h5", "force.csv")).unlink()
-    chosen = params.EvaluateForce(model=str(resources.FORCE_MODEL), adapt=str(tmp_path / "trial[123].tracks.h5"))
+    chosen = EvaluateForce(model=str(resources.FORCE_MODEL), adapt=str(tmp_path / "trial[123].tracks.h5"))
     report, outcome = run(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
     errors = {row["stiffness"]: row["mae_n"] for row in outcome.rows}
     assert list(errors) == ["unknown", "known", "adapted", "known, adapted"]
@@ -236,10 +238,10 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[2]["normal_mae_of_range"] < 0.1
     assert report.with_suffix(".png").stat().st_size > 10_000
     for stage, files, wrong, message in (
-        (train_force, own, params.TrainForce(adapt=True, model=model), "adapted already"),
-        (predict_force, [path], params.PredictForce(model=model, sensor="evetac"), "stiffness of its sensor"),
-        (evaluate_force, [path], params.EvaluateForce(model=str(model)), "adapted to one sensor"),
-        (evaluate_force, [path], params.EvaluateForce(model=str(tmp_path)), "among several"),
+        (train_force, own, TrainForce(adapt=True, model=model), "adapted already"),
+        (predict_force, [path], PredictForce(model=model, sensor="evetac"), "stiffness of its sensor"),
+        (evaluate_force, [path], EvaluateForce(model=str(model)), "adapted to one sensor"),
+        (evaluate_force, [path], EvaluateForce(model=str(tmp_path)), "among several"),
     ):
         with pytest.raises(InputError, match=message):
             run(stage, files, wrong, tmp_path / "refused.h5")
@@ -273,7 +275,7 @@ def test_training_is_the_same_for_one_seed(tmp_path: Path) -> None:
     tracks = [trial(tmp_path, number) for number in (1, 2)]
     arrays = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        chosen = params.TrainForce(method="gel", contacts=TRAIN.contacts, epochs=1, seed=seed)
+        chosen = TrainForce(method="gel", contacts=TRAIN.contacts, epochs=1, seed=seed)
         path, outcome = run(train_force, tracks, chosen, tmp_path / f"{name}.force-model.h5")
         assert outcome.rows[0]["trajectories"] == 2
         with StageFile(path) as file:

@@ -8,10 +8,11 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info, validate
 from evetac_cli.jobs import Outcome
+from evetac_cli.params.evaluation import EvaluateForce
+from evetac_cli.params.learning import PredictForce, TrackRgb, TrainForce
 from evetac_cli.stages import track_rgb
 from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import predict_force, train_force
@@ -20,7 +21,7 @@ from evetac_cli.store.provenance import Recipe
 
 N_PX = 0.4  # shear force for each px of mean displacement
 SLICES = 2400
-FIT = params.TrainForce(samples=40, epochs=5)
+FIT = TrainForce(samples=40, epochs=5)
 
 
 def trial(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, truth: bool = True) -> Path:
@@ -89,7 +90,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three trials to fit on and one apart, their tracks from events and from frames, and a model for each sensor."""
     folder = tmp_path_factory.mktemp("force")
     tracks = [trial(folder, number) for number in range(4)]
-    frames = [run(track_rgb, [folder / f"trial{number}.recording.h5"], params.TrackRgb())[0] for number in range(4)]
+    frames = [run(track_rgb, [folder / f"trial{number}.recording.h5"], TrackRgb())[0] for number in range(4)]
     run(train_force, tracks[:3], FIT, folder / "events.force-model.h5")
     run(train_force, frames[:3], FIT, folder / "frames.force-model.h5")
     return folder
@@ -110,7 +111,7 @@ def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
     The mean of the absolute value of a normal deviate is sqrt(2 / pi) of its deviation.
     """
     files = [made / "trial3.tracks.h5", made / "rgb" / "trial3.tracks.h5"]
-    chosen = params.EvaluateForce(model=str(made), samples=45)
+    chosen = EvaluateForce(model=str(made), samples=45)
     output, outcome = run(evaluate_force, files, chosen, tmp_path)
     assert output.with_suffix(".png").stat().st_size > 10_000
     assert outcome.simulated
@@ -134,10 +135,10 @@ def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
     rows = []
     for seed in (1, 2):
         model = tmp_path / f"{seed}.force-model.h5"
-        run(train_force, learn, params.TrainForce(samples=40, epochs=2, seed=seed), model)
-        chosen = params.EvaluateForce(model=str(model), samples=45)
+        run(train_force, learn, TrainForce(samples=40, epochs=2, seed=seed), model)
+        chosen = EvaluateForce(model=str(model), samples=45)
         rows.append(run(evaluate_force, judged, chosen, tmp_path / f"{seed}.report.h5")[1].rows[1])
-    chosen = params.EvaluateForce(model=str(tmp_path), samples=45)
+    chosen = EvaluateForce(model=str(tmp_path), samples=45)
     network = run(evaluate_force, judged, chosen, tmp_path / "both.report.h5")[1].rows[1]
     assert [row["models"] for row in (*rows, network)] == [1, 1, 2]
     assert rows[0]["mae_n_x"] != rows[1]["mae_n_x"]
@@ -149,7 +150,7 @@ def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
 def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
     """Assert that a gel whose dots move 1.3 times as far gives 1.3 times the force, without the paper beside it."""
     soft = trial(tmp_path, 7, softer=1.3)
-    chosen = params.EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
+    chosen = EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
     _, outcome = run(evaluate_force, [soft], chosen, tmp_path / "out")
     regression = outcome.rows[0]
     assert regression["gain"] == pytest.approx(1.3, abs=0.01)
@@ -160,7 +161,7 @@ def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
 
 def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
     """Assert that force tells every slice what the model says of it, also of tracks without a recording."""
-    chosen = params.PredictForce(model=made / "events.force-model.h5")
+    chosen = PredictForce(model=made / "events.force-model.h5")
     output, _ = run(predict_force, [made / "trial3.tracks.h5"], chosen, tmp_path)
     with StageFile(output) as reported, StageFile(made / "trial3.recording.h5") as recording:
         regression, network = reported.read("regression_n"), reported.read("network_n")
@@ -183,7 +184,7 @@ def refused(stage: Any, files: list[Path], chosen: Any, message: str, tmp_path: 
 
 def test_what_was_learned_is_not_judged(made: Path, tmp_path: Path) -> None:
     """Assert that a recording that was fitted on is refused, whichever sensor tracked it, and so is one held out."""
-    chosen = params.EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
+    chosen = EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
     for number in range(3):
         refused(evaluate_force, [made / f"trial{number}.tracks.h5"], chosen, "trained on and evaluated on", tmp_path)
     refused(train_force, [made / "trial0.tracks.h5", made / "trial0.tracks.h5"], FIT, "held out", tmp_path)
@@ -193,19 +194,19 @@ def test_sensors_are_kept_apart(made: Path, tmp_path: Path) -> None:
     """Assert that no model is fitted to two sensors, and that each file needs the one model of its own."""
     events, frames = made / "trial3.tracks.h5", made / "rgb" / "trial3.tracks.h5"
     refused(train_force, [made / "trial0.tracks.h5", frames], FIT, "different sensors", tmp_path)
-    only = params.EvaluateForce(model=str(made / "frames.force-model.h5"))
+    only = EvaluateForce(model=str(made / "frames.force-model.h5"))
     refused(evaluate_force, [events], only, "no model of dots tracked in events", tmp_path)
     run(train_force, [made / "trial0.tracks.h5", made / "trial1.tracks.h5"], FIT, tmp_path / "other.force-model.h5")
     (tmp_path / "events.force-model.h5").write_bytes((made / "events.force-model.h5").read_bytes())
-    refused(evaluate_force, [events], params.EvaluateForce(model=str(tmp_path)), "two models", tmp_path)
+    refused(evaluate_force, [events], EvaluateForce(model=str(tmp_path)), "two models", tmp_path)
 
 
 def test_another_grid_is_refused(made: Path, tmp_path: Path) -> None:
     """Assert that a cut gel's tracks do not fit a closed gel's model, in all three commands."""
     cut = trial(tmp_path, 8, columns=8)
     model = made / "events.force-model.h5"
-    refused(predict_force, [cut], params.PredictForce(model=model), "another dot grid", tmp_path)
-    refused(evaluate_force, [cut], params.EvaluateForce(model=str(model)), "another dot grid", tmp_path)
+    refused(predict_force, [cut], PredictForce(model=model), "another dot grid", tmp_path)
+    refused(evaluate_force, [cut], EvaluateForce(model=str(model)), "another dot grid", tmp_path)
     refused(train_force, [made / "trial0.tracks.h5", cut], FIT, "different dot grids", tmp_path)
 
 
@@ -213,11 +214,11 @@ def test_what_cannot_be_answered(made: Path, tmp_path: Path) -> None:
     """Assert that too few files, no truth, too short a contact and no model to evaluate are refused in words."""
     model = str(made / "events.force-model.h5")
     refused(train_force, [made / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
-    refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(model=model), "too short", tmp_path)
-    refused(evaluate_force, [made / "trial3.tracks.h5"], params.EvaluateForce(), "no force-model file", tmp_path)
+    refused(evaluate_force, [made / "trial3.tracks.h5"], EvaluateForce(model=model), "too short", tmp_path)
+    refused(evaluate_force, [made / "trial3.tracks.h5"], EvaluateForce(), "no force-model file", tmp_path)
     real = trial(tmp_path, 9, truth=False)
-    refused(evaluate_force, [real], params.EvaluateForce(model=model), "has no truth", tmp_path)
-    refused(track_rgb, [tmp_path / "trial9.recording.h5"], params.TrackRgb(), "only a simulation", tmp_path)
+    refused(evaluate_force, [real], EvaluateForce(model=model), "has no truth", tmp_path)
+    refused(track_rgb, [tmp_path / "trial9.recording.h5"], TrackRgb(), "only a simulation", tmp_path)
 
 
 def test_damaged_network_is_refused(made: Path, tmp_path: Path) -> None:
@@ -225,6 +226,4 @@ def test_damaged_network_is_refused(made: Path, tmp_path: Path) -> None:
     path = shutil.copy(made / "events.force-model.h5", tmp_path / "wrong.force-model.h5")
     with h5py.File(path, "r+") as h5:
         h5["dot_shape"][...] = [7, 8]
-    refused(
-        predict_force, [made / "trial3.tracks.h5"], params.PredictForce(model=path), "0/weight is impossible", tmp_path
-    )
+    refused(predict_force, [made / "trial3.tracks.h5"], PredictForce(model=path), "0/weight is impossible", tmp_path)

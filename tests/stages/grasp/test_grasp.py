@@ -13,7 +13,7 @@ from evetac_cli.events import empty
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law
 from evetac_cli.kernels.grip.paper import Phase
-from evetac_cli.params import Grasp
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.resources import MODEL
 from evetac_cli.sim import gripper
 from evetac_cli.stages import grasp

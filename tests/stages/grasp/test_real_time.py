@@ -19,7 +19,7 @@ from evetac_cli.errors import DeviceError, InputError, attached_outcome
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
-from evetac_cli.params import Grasp
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import grasp
 from evetac_cli.stages.grasp import real_time

@@ -10,7 +10,9 @@ from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
 from evetac_cli.kernels.slip.decision import is_slip
-from evetac_cli.params import Featurize, Grasp, Record, Track
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import Featurize, Track
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, grasp, record, track
 from evetac_cli.stages.slip_detectors import load_detector, read_series

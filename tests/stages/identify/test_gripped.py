@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli import params
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.identify.estimates import Estimate
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.recording import Identify, Record
 from evetac_cli.sim import gripper, scene
 from evetac_cli.stages import grasp, identify, record
 from evetac_cli.stages.identify import gripped, gripper_rows
@@ -129,7 +130,7 @@ def grip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     coarse["gripper"] |= {"backlash_ticks": 2.0, "encoder_noise_ticks": 0.3, "command_delay_ms": 3.4}
     coarse["gripper"]["command_jitter_ms"] = 2.2
     (folder / "grip-steps.toml").write_text(as_toml(coarse))
-    chosen = params.Record(scene=str(folder / "grip-steps.toml"), sensor="realistic", objects="18", seed=3)
+    chosen = Record(scene=str(folder / "grip-steps.toml"), sensor="realistic", objects="18", seed=3)
     (job,) = record.jobs([], chosen, folder / "grip.recording.h5")
     record.run(job, chosen)
     return job.output
@@ -138,10 +139,10 @@ def grip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
     """Assert that the truth of a simulated sensor is within the intervals, and that its file simulates."""
-    by_goals = params.Grasp(controller="fixed:6", lift_s=2.0, balance_s=0.0, sensor="realistic")
+    by_goals = Grasp(controller="fixed:6", lift_s=2.0, balance_s=0.0, sensor="realistic")
     (grasped,) = grasp.jobs([], by_goals, tmp_path / "grasp.recording.h5")
     grasp.run(grasped, by_goals, force=False, progress=lambda done, of: None)
-    asked = params.Identify(object_mass_g=550.0, pixel_mm=0.0329, force_per_current=0.4)
+    asked = Identify(object_mass_g=550.0, pixel_mm=0.0329, force_per_current=0.4)
     (job,) = identify.jobs([grip, grasped.output], asked, tmp_path)
     by_name = {row["parameter"]: row for row in identify.run(job, asked).rows}
     truth = {
@@ -163,7 +164,7 @@ def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
     for name in ("normal_modulus_pa", "loss_tangent", "noise_hz", "dots"):
         assert by_name[name]["estimate"] is None and "cannot be told" in by_name[name]["from"]
     _, sensor = scene.named_sensor(str(job.output))
-    chosen = params.Record(scene="slip", sensor=str(job.output), objects="18")
+    chosen = Record(scene="slip", sensor=str(job.output), objects="18")
     assert record.jobs([], chosen, tmp_path)[0].plan["sensor_row"]["gripper"] == sensor["gripper"]
 
 
@@ -195,7 +196,7 @@ def test_a_recording_without_a_gripper(tmp_path: Path) -> None:
     short = scene.load("rest")
     short["time"]["rest_s"] = 0.1
     (tmp_path / "rest.toml").write_text(as_toml(short))
-    chosen = params.Record(scene=str(tmp_path / "rest.toml"))
+    chosen = Record(scene=str(tmp_path / "rest.toml"))
     (job,) = record.jobs([], chosen, tmp_path / "rest.recording.h5")
     record.run(job, chosen)
     with open_recording(job.output) as recording:
@@ -204,13 +205,13 @@ def test_a_recording_without_a_gripper(tmp_path: Path) -> None:
 
 def test_a_scene_without_a_current_to_follow(tmp_path: Path) -> None:
     """Assert that --current-of refuses a scene that names no current for the gripper."""
-    asked = params.Record(camera="virtual", gripper="virtual", current_of="slip", dry_run=True)
+    asked = Record(camera="virtual", gripper="virtual", current_of="slip", dry_run=True)
     (job,) = record.jobs([], asked, tmp_path)
     with pytest.raises(InputError, match="names no current"):
         record.dry_run([job], asked)
-    both = params.Record(camera="virtual", gripper="virtual", current_of="grip-steps", hold_s=3.0, dry_run=True)
+    both = Record(camera="virtual", gripper="virtual", current_of="grip-steps", hold_s=3.0, dry_run=True)
     with pytest.raises(InputError, match="no effect with --current-of"):
         record.dry_run(record.jobs([], both, tmp_path), both)
-    asked = params.Record(camera="virtual", gripper="virtual", current_of="grip-steps", dry_run=True)
+    asked = Record(camera="virtual", gripper="virtual", current_of="grip-steps", dry_run=True)
     (job,) = record.jobs([], asked, tmp_path)
     assert "-25 to 60 mA for 35.5 s" in str(record.dry_run([job], asked).rows)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evetac_cli import params
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.identify import figures
+from evetac_cli.params.recording import Identify, Record, Trim
 from evetac_cli.sim import scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.stages import identify, record, trim
@@ -23,14 +23,14 @@ HALF_MS = 1350
 
 
 def recorded(folder: Path, sensor: str = "evetac", seed: int = 0, name: str = "rest") -> Path:
-    chosen = params.Record(scene="rest", sensor=sensor, seed=seed)
+    chosen = Record(scene="rest", sensor=sensor, seed=seed)
     (job,) = record.jobs([], chosen, folder / f"{name}.recording.h5")
     record.run(job, chosen)
     return job.output
 
 
 def identified(files: list[Path], out: Path, **chosen: str) -> tuple[dict[str, dict], Path]:
-    asked = params.Identify(**chosen)
+    asked = Identify(**chosen)
     (job,) = identify.jobs(files, asked, out)
     rows = identify.run(job, asked).rows
     return {row["parameter"]: row for row in rows}, job.output
@@ -74,9 +74,9 @@ def test_a_second_time(resting: Path, tmp_path: Path) -> None:
     """Assert that the same recipe is not made again, another not without --force, and that none is half written."""
     _, path = identified([resting], tmp_path)
     before = path.read_bytes()
-    (job,) = identify.jobs([resting], params.Identify(), tmp_path)
-    assert not identify.run(job, params.Identify()).made
-    other = params.Identify(name="lab-3")
+    (job,) = identify.jobs([resting], Identify(), tmp_path)
+    assert not identify.run(job, Identify()).made
+    other = Identify(name="lab-3")
     with pytest.raises(InputError, match="made otherwise"):
         identify.run(job, other)
     assert path.read_bytes() == before
@@ -88,7 +88,7 @@ def test_a_second_time(resting: Path, tmp_path: Path) -> None:
 def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> None:
     """Assert that a recording without a rest says for each figure which recording it takes, and names no value."""
     short = tmp_path / "short.recording.h5"
-    asked = params.Trim(to_ms=300)
+    asked = Trim(to_ms=300)
     (job,) = trim.jobs([resting], asked, short)
     trim.run(job, asked)
     rows, path = identified([short], tmp_path / "none.sensor.toml")
@@ -110,7 +110,7 @@ def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> N
 def test_what_is_wrong_is_said(given: dict[str, str], says: str, tmp_path: Path) -> None:
     """Assert that names which cannot be are refused before any work."""
     with pytest.raises(InputError, match=says):
-        identify.jobs([tmp_path / "a.recording.h5"], params.Identify(**given), None)
+        identify.jobs([tmp_path / "a.recording.h5"], Identify(**given), None)
 
 
 def test_on_the_command_line(resting: Path, tmp_path: Path) -> None:
@@ -131,12 +131,12 @@ def test_a_real_camera_at_rest(tmp_path: Path) -> None:
     Rates, hot pixels and their share of all events, and median and 90th percentile of the times between two events of a
     hot pixel, and between two of one polarity. Simulated with seed 10,000, which chose nothing.
     """
-    asked = params.Record(source=NOISE)
+    asked = Record(source=NOISE)
     (job,) = record.jobs([], asked, tmp_path / "noise.recording.h5")
     record.run(job, asked)
     halves = []
     for number in range(2):
-        cut = params.Trim(from_ms=number * HALF_MS, to_ms=(number + 1) * HALF_MS)
+        cut = Trim(from_ms=number * HALF_MS, to_ms=(number + 1) * HALF_MS)
         (part,) = trim.jobs([job.output], cut, tmp_path / f"half{number}.recording.h5")
         trim.run(part, cut)
         halves.append(part.output)
@@ -162,7 +162,7 @@ def test_a_press_scene_rests_before_it_presses(tmp_path: Path) -> None:
     short["time"]["rest_s"] = 0.6
     short["motion"] |= {"normal_n": 2.0, "shear_n": 1.0, "move_s": [0.2, 0.2]}
     (tmp_path / "touch.toml").write_text(as_toml(short))
-    chosen = params.Record(scene=str(tmp_path / "touch.toml"), sensor="bare-dvxplorer")
+    chosen = Record(scene=str(tmp_path / "touch.toml"), sensor="bare-dvxplorer")
     (job,) = record.jobs([], chosen, tmp_path / "touch.recording.h5")
     record.run(job, chosen)
     rows, _ = identified([job.output], tmp_path)
@@ -177,7 +177,7 @@ def stroked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     faster["solver"] = {"node_pitch_mm": 1.45}
     folder = tmp_path_factory.mktemp("stroked")
     (folder / "press.toml").write_text(as_toml(faster))
-    chosen = params.Record(scene=str(folder / "press.toml"), seed=3)
+    chosen = Record(scene=str(folder / "press.toml"), seed=3)
     (job,) = record.jobs([], chosen, folder / "press.recording.h5")
     record.run(job, chosen)
     return job.output

@@ -22,7 +22,7 @@ from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.inspect import repair, validate
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import record, session
 from evetac_cli.stages.record import capture

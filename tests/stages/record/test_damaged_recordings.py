@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.inspect import validate
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import record, session
 from evetac_cli.store.read import open_recording
 from tests.stages.record.test_capture import evetac

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.events import Events, empty
-from evetac_cli.params import Record
+from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
 from evetac_cli.stages.record import live_view
 from tests.conftest import Made

@@ -1,0 +1,34 @@
+"""One parameter of a command: default, help, unit and range; what of it goes into flags and a recipe.
+
+Fields with `recipe=False` choose files or how to run; they do not change the numbers and are not part of a recipe.
+"""
+
+import dataclasses
+from dataclasses import field, fields
+from typing import Any
+
+
+def parameter(
+    default: Any,
+    help_: str,
+    *,
+    unit: str = "",
+    choices: tuple[str, ...] = (),
+    low: float | None = None,
+    high: float | None = None,
+    recipe: bool = True,
+    flag: str = "",
+) -> Any:
+    """A dataclass field that knows its help text, unit and range (both ends included)."""
+    about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high, "recipe": recipe, "flag": flag}
+    return field(default=default, metadata=about)
+
+
+def recipe_of(params: Any) -> dict[str, Any]:
+    """The parameters that determine the numbers, for a header."""
+    return {item.name: getattr(params, item.name) for item in fields(params) if item.metadata["recipe"]}
+
+
+def flag_of(item: "dataclasses.Field[Any]") -> str:
+    """The long flag of a field: --step-size for step_size; without dashes it is a positional argument."""
+    return str(item.metadata["flag"]) or "--" + item.name.replace("_", "-")

@@ -1,0 +1,184 @@
+"""Recordings and the sensor that makes them: record, trim, calibrate, identify."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from evetac_cli.params.parameter import parameter
+from evetac_cli.params.trials import Trials
+
+READOUT_RATES = (
+    *("constant-100", "constant-200", "constant-500", "constant-1000", "lossy-2000", "lossy-5000", "lossy-10000"),
+    *("variable-2000", "variable-5000", "variable-10000", "variable-15000"),
+)
+
+
+@dataclass(frozen=True)
+class Record(Trials):
+    """Record events: simulate a scene, record from devices, or import a foreign event file."""
+
+    scene: str = parameter(
+        "slip",
+        "Scene: slip, slip-varied, handling, data-rate, grip-steps, shear, press, rest, edge, vibration,"
+        " vibration-randomized, or a TOML file.",
+    )
+    objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
+    tones: str | None = parameter(
+        None, "Tones to play, of 1 to 2500, as in `200,300`; default: the scene's.", unit="Hz", flag="--tone"
+    )
+    source: Path | None = parameter(
+        None,
+        "Import this event file instead of simulating: AEDAT4, DSEC HDF5, text `t x y p`, Prophesee RAW or DAT, or a"
+        " bag of ROS 1 or ROS 2 (its folder).",
+        flag="--from",
+        recipe=False,
+    )
+    frame_size: str | None = parameter(
+        None, "Frame of the imported file where it does not say, as in 640x480.", unit="px"
+    )
+    sort: bool = parameter(False, "Sort imported events whose time goes backwards, instead of refusing them.")
+    stream: str | None = parameter(None, "Which event stream, or topic, of the imported file, where it has several.")
+    calibration: Path | None = parameter(
+        None, "Dot grid (JSON) to store with a recording that is imported or from a device.", recipe=False
+    )
+    camera: str = parameter(
+        "sim",
+        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2 (README,"
+        " Hardware, lists them);"
+        " dvxplorer or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing; replay:FILE.",
+        recipe=False,
+    )
+    gripper: str | None = parameter(
+        None,
+        "Gripper: sim; virtual, with faults as in virtual:overload@1+lost-answer%2 (late-answer, lost-answer, bad-crc,"
+        " watchdog, overload, unplug; @SECONDS after torque first went on); none; or its PORT or PORT@BAUD; default:"
+        " that of the camera, or none.",
+        recipe=False,
+    )
+    seconds: float | None = parameter(
+        None,
+        "Devices and --live: record, or look, for so long; default: until the gripper has let go, or Ctrl-C.",
+        unit="s",
+        low=0.001,
+        high=86400.0,
+        recipe=False,
+    )
+    arm: bool = parameter(
+        False,
+        "Devices: move a real gripper. Torque is switched off at the end, and whenever something fails: what is held"
+        " then falls.",
+        recipe=False,
+    )
+    closing_ma: int = parameter(
+        10, "Devices: current that closes the gripper until contact.", unit="mA", low=1, high=500, recipe=False
+    )
+    holding_ma: float | None = parameter(
+        None,
+        "Devices: current that holds the object; default: what a virtual world asks for, 50 otherwise.",
+        unit="mA",
+        low=0.0,
+        high=1000.0,
+        recipe=False,
+    )
+    hold_s: float = parameter(
+        1.0, "Devices: how long it is held before the current falls.", unit="s", low=0.0, high=3600.0, recipe=False
+    )
+    lowest_ma: float = parameter(
+        -50.0,
+        "Devices: the recording ends where the current has fallen to this; less than --holding-ma.",
+        unit="mA",
+        low=-500.0,
+        high=1000.0,
+        recipe=False,
+    )
+    current_of: str | None = parameter(
+        None,
+        "Devices: the gripper follows the current that this scene names (grip-steps, or a TOML file), instead of"
+        " closing, holding and letting it fall.",
+        recipe=False,
+    )
+    watchdog_ms: int = parameter(
+        100,
+        "Devices: the gripper lets go if it gets no command for so long, or nobody records; a multiple of 20.",
+        unit="ms",
+        low=20,
+        high=500,
+        recipe=False,
+    )
+    threshold_on: int | None = parameter(
+        None,
+        "Devices: contrast threshold of brighter, 0 most sensitive, 17 least; default: the driver's.",
+        low=0,
+        high=17,
+        recipe=False,
+    )
+    threshold_off: int | None = parameter(
+        None, "Devices: ... of darker; default: the driver's.", low=0, high=17, recipe=False
+    )
+    readout_rate: str | None = parameter(
+        None,
+        "Devices: frames a second that the sensor reads out; default: variable-5000.",
+        choices=READOUT_RATES,
+        recipe=False,
+    )
+    expected_event_rate: float = parameter(
+        1e6, "Devices: events a second that the disk must have room for.", unit="1/s", low=0.0, high=1e9, recipe=False
+    )
+    resume: bool = parameter(False, "Devices: go on with a series, made with the same set-up.", recipe=False)
+    live: bool = parameter(False, "Show what the camera sees, and write nothing.", recipe=False)
+
+
+@dataclass(frozen=True)
+class Trim:
+    """Cut a range of slices out of a recording, as a recording of its own."""
+
+    from_ms: int = parameter(0, "First slice of the piece.", unit="ms", low=0)
+    to_ms: int | None = parameter(None, "Slice after its last; default: the end.", unit="ms", low=1)
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Find the dot grid of a gel in a press recording, or import it, and write it as JSON for --calibration."""
+
+    refine: Path | None = parameter(
+        None, "Start from this default grid (JSON); dots that were not pressed keep its places.", recipe=False
+    )
+    source: Path | None = parameter(
+        None,
+        "Import this instead: the official software's pickle, which is not executed, or JSON.",
+        flag="--import",
+        recipe=False,
+    )
+    gel: str | None = parameter(
+        None, "What the gel is; default: as its columns say, 9 or 8, or the default grid.", choices=("cut", "closed")
+    )
+    any_grid: bool = parameter(False, "Take dots that are not the whole grid of an Evetac, also those in no grid.")
+
+
+@dataclass(frozen=True)
+class Identify:
+    """Estimate a sensor from recordings (at rest, pressed, gripping); write it as TOML for --sensor, with intervals."""
+
+    like: str = parameter("evetac", "The sensor that has all which the recordings do not tell.")
+    name: str = parameter("own-sensor", "What recordings made with it call the sensor.")
+    seed: int = parameter(0, "Seed of the bootstrap intervals.", low=0, high=2**31 - 1)
+    object_mass_g: float | None = parameter(
+        None, "Mass of the object that a gripper held: the scale of the gel's stiffness.", unit="g", low=1.0, high=1e5
+    )
+    object_friction: float = parameter(
+        0.9, "Static friction of that object on the gel of an average sensor; 0.9 is glass.", low=0.01, high=10.0
+    )
+    force_per_current: float | None = parameter(
+        None,
+        "Force of a finger for each mA of the gripper's current, by a scale between the fingers; it makes forces out of"
+        " what recordings tell in current.",
+        unit="N/mA",
+        low=0.001,
+        high=100.0,
+    )
+    pixel_mm: float | None = parameter(
+        None,
+        "Size of a pixel on the gel, by a ruler laid on it; default: that of --like, taken as known within 12 %.",
+        unit="mm",
+        low=0.001,
+        high=1.0,
+    )
