@@ -12,6 +12,7 @@ from evetac_cli.errors import EvetacError
 PACKAGE = Path(__file__).resolve().parent
 DATA = PACKAGE / "data"
 SCENES = DATA / "scenes"
+SHIPPED = "shipped"  # names the package's model where a flag asks for one
 MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
 FORCE_MODEL = DATA / "models" / "gel.force-model.h5"  # of `predict-force`, likewise
 

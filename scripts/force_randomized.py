@@ -5,9 +5,11 @@
 For each sensor randomized:N, 5 s each (10 s with --waypoints 4), tracked by `stable`, and by `paper` in a folder of
 its own:
 
-- N-adapt-0 to 3: a flat face, pressed on with 6 to 20 N and sheared: what a model is adapted on;
+- N-adapt-0 to 11: a flat face, pressed on with 6 to 20 N and sheared: a minute that a model is adapted on;
 - N-shear-0, 1: the scene `shear` with fewer waypoints: to evaluate on, 20 N of normal force;
 - N-disc: a disc of 16 mm, 10 N; N-slip: an object of the paper's table slips out of the grip (a cut gel).
+
+What is there already is not made again.
 """
 
 import argparse
@@ -29,7 +31,9 @@ PRESSES = {
     "shear-1": (FLAT, 20.0, 9.0),
     "disc": (DISC, 10.0, 5.0),
 }
-TRIALS = (*PRESSES, "slip")
+FIRST_TRIALS = (*PRESSES, "slip")
+PRESSES |= {f"adapt-{number}": PRESSES[f"adapt-{number % 4}"] for number in range(4, 12)}
+TRIALS = (*FIRST_TRIALS, *(name for name in PRESSES if name not in FIRST_TRIALS))  # their seeds follow from their order
 OBJECTS = 20
 
 

@@ -143,7 +143,7 @@ class EvaluateForce:
     model: str = parameter(
         "", "Force model, folder or glob of several: each judges the tracks of its own sensor.", recipe=False
     )
-    adapt: str = parameter(
+    adapt_on: str = parameter(
         "",
         "Tracks (a folder or a glob) of the same sensors, on which a model of method gel is adapted first; one row"
         " more of each sensor.",

@@ -175,12 +175,12 @@ class TrainForce:
         " files.",
         choices=("paper", "gel"),
     )
-    adapt: bool = parameter(
-        False,
-        "Adapt a model of method gel to your sensor instead, from recordings under known forces: readings lie beside"
-        " the tracks as NAME.force.csv, or are the truth of a simulation.",
+    adapt: str = parameter(
+        "",
+        "Go on from this model of method gel, or `shipped`, the package's: recordings of your sensor under known forces"
+        " adapt it. Readings lie beside the tracks as NAME.force.csv, or are the truth of a simulation.",
+        recipe=False,
     )
-    model: Path | None = parameter(None, "With --adapt: the model; default: the one that evetac has.", recipe=False)
     sensor: str | None = parameter(
         None,
         "With --adapt: your sensor's file as `evetac identify` writes it, or a sensor's name; default: unknown.",
@@ -190,10 +190,17 @@ class TrainForce:
         0.1, "With --sensor: relative error of its moduli, one standard deviation.", low=0.0, high=2.0
     )
     contacts: int = parameter(4000, "Of method gel: contacts that are simulated.", low=10, high=1000000)
-    samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
-    noise_n: float = parameter(0.05, "Noise of the force sensor that is fitted to, sd.", unit="N", low=0.0, high=100.0)
+    samples: int = parameter(
+        200, "Of method paper: samples of each trajectory, evenly spread over the contact.", low=3, high=100000
+    )
+    noise_n: float = parameter(
+        0.05, "Noise of the force sensor that is fitted to, sd; not of method gel.", unit="N", low=0.0, high=100.0
+    )
     epochs: int = parameter(
-        50, "Passes over the samples; of the paper's network the best on the last file is kept.", low=1, high=100000
+        50,
+        "Passes over the samples; of the paper's network the best on the last file is kept. Not with --adapt.",
+        low=1,
+        high=100000,
     )
     seed: int = parameter(0, "Seed of the noise, the first weights and the order of samples.", low=0, high=2**31 - 1)
 

@@ -29,7 +29,7 @@ from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
 from evetac_cli.params.learning import Train
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.resources import MODEL
+from evetac_cli.resources import MODEL, SHIPPED
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.stages.related_files import named_files
@@ -45,7 +45,6 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 OUTPUT = "model"
 METHOD = 4
 VALIDATE_EVERY = 8
-SHIPPED = "shipped"  # the package's model, for --adapt
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
 

@@ -1,6 +1,6 @@
-"""Refuses options of `record` and `grasp` that would have no effect in a run: none is ignored silently."""
+"""Refuses options of `record`, `grasp` and `train-force` that would have no effect: none is ignored silently."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import fields
 from enum import StrEnum
 
@@ -8,6 +8,7 @@ from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import TrainForce
 from evetac_cli.params.parameter import flag_of
 from evetac_cli.params.recording import Record
 from evetac_cli.params.trials import SOLVER_OPTIONS
@@ -48,15 +49,47 @@ GRASP: dict[str, tuple[Source, ...]] = {
 }
 
 
+class Training(StrEnum):
+    """Ways to a force model that options belong to."""
+
+    PAPER = "a training by the paper's method (--method paper)"
+    GEL = "a training for any sensor (--method gel)"
+    ADAPTATION = "an adaptation (--adapt)"
+    SENSOR = "an adaptation to a sensor of which something is known (--adapt with --sensor)"
+
+
+TRAIN_FORCE: dict[str, tuple[Training, ...]] = {
+    "method": (Training.PAPER, Training.GEL),
+    "sensor": (Training.ADAPTATION,),
+    "stiffness_error": (Training.SENSOR,),
+    "contacts": (Training.GEL,),
+    "samples": (Training.PAPER,),
+    "noise_n": (Training.PAPER, Training.ADAPTATION),
+    "epochs": (Training.PAPER, Training.GEL),
+}
+
+
 def refuse_unused_of_record(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> None:
     """InputError for an option of record that is not at its default and belongs to nothing that this run has."""
-    _refuse(params, RECORD, _record_sources(params, cameras, gripper))
+    _refuse(params, RECORD, _record_sources(params, cameras, gripper), _source_flags(params))
 
 
 def refuse_unused_of_grasp(params: Grasp, camera: NamedCamera) -> None:
     """InputError for an option of grasp that is not at its default and belongs to nothing that this run has."""
     scene = {Source.SCENE} if camera.simulates_scene else set()
-    _refuse(params, GRASP, scene | ({Source.GRASPED} if camera.is_adjustable else set()))
+    _refuse(params, GRASP, scene | ({Source.GRASPED} if camera.is_adjustable else set()), _source_flags(params))
+
+
+def refuse_unused_of_train_force(params: TrainForce) -> None:
+    """InputError for an option of train-force that is not at its default and has no effect in this training."""
+    if params.adapt:
+        ways, found = {Training.ADAPTATION}, f"--adapt {params.adapt}"
+        if params.sensor is not None:
+            ways.add(Training.SENSOR)
+    else:
+        ways = {Training.GEL if params.method == "gel" else Training.PAPER}
+        found = f"--method {params.method}, no --adapt"
+    _refuse(params, TRAIN_FORCE, ways, found)
 
 
 def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> set[Source]:
@@ -74,15 +107,17 @@ def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: Nam
     return sources
 
 
-def _refuse(params: Record | Grasp, table: Mapping[str, tuple[Source, ...]], sources: set[Source]) -> None:
+def _refuse(
+    params: Record | Grasp | TrainForce, table: Mapping[str, tuple[StrEnum, ...]], parts: Set[StrEnum], found: str
+) -> None:
     for item in fields(params):
         belongs = table.get(item.name)
-        if belongs is None or getattr(params, item.name) == item.default or sources.intersection(belongs):
+        if belongs is None or getattr(params, item.name) == item.default or not parts.isdisjoint(belongs):
             continue
         raise InputError(
             f"has no effect in this run: it belongs to {' or '.join(belongs)}",
             where=flag_of(item),
-            found=_source_flags(params),
+            found=found,
             hint=f"leave out {flag_of(item)}",
         )
 

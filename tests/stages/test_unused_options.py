@@ -1,4 +1,4 @@
-"""No option of `record` is ignored without a word."""
+"""No option of `record`, `grasp` and `train-force` is ignored without a word."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -9,9 +9,18 @@ import pytest
 from evetac_cli.devices.cameras import parse
 from evetac_cli.errors import InputError
 from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import TrainForce
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, record
-from evetac_cli.stages.unused_options import GRASP, RECORD, refuse_unused_of_grasp, refuse_unused_of_record
+from evetac_cli.stages.force import train_force
+from evetac_cli.stages.unused_options import (
+    GRASP,
+    RECORD,
+    TRAIN_FORCE,
+    refuse_unused_of_grasp,
+    refuse_unused_of_record,
+    refuse_unused_of_train_force,
+)
 
 FILE = {"source": Path("one.txt")}
 REPLAY = {"camera": "replay:a.recording.h5"}
@@ -111,3 +120,32 @@ def test_what_belongs_to_a_simulated_grasp(option: dict[str, Any]) -> None:
             refuse_unused(Grasp(camera=camera, **option))
     for camera in ("sim", "virtual"):
         refuse_unused(Grasp(camera=camera, **option))
+
+
+@pytest.mark.parametrize(
+    ("run", "option", "belongs"),
+    [
+        ({}, {"sensor": "evetac"}, "an adaptation"),
+        ({"method": "gel"}, {"sensor": "evetac"}, "an adaptation"),
+        ({"adapt": "shipped"}, {"stiffness_error": 0.2}, "of which something is known"),
+        ({"adapt": "shipped"}, {"method": "gel"}, "a training by the paper's method .* or a training for any sensor"),
+        ({"adapt": "shipped"}, {"epochs": 3}, "a training by the paper's method"),
+        ({"adapt": "shipped"}, {"samples": 30}, "a training by the paper's method"),
+        ({"method": "gel"}, {"noise_n": 0.1}, "a training by the paper's method .* or an adaptation"),
+        ({}, {"contacts": 30}, "a training for any sensor"),
+    ],
+)
+def test_options_of_another_training(run: dict[str, Any], option: dict[str, Any], belongs: str) -> None:
+    """Assert that an option that does nothing in a training of forces is refused by name, before files are read."""
+    refuse_unused_of_train_force(TrainForce(**run))
+    flag = "--" + next(iter(option)).replace("_", "-")
+    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to .*{belongs}"):
+        train_force.jobs([Path("a.tracks.h5")], TrainForce(**run, **option), None)
+    assert {item.name for item in fields(TrainForce)} - set(TRAIN_FORCE) == {"adapt", "seed"}
+
+
+def test_options_of_this_training() -> None:
+    """Assert that options with an effect are not refused."""
+    refuse_unused_of_train_force(TrainForce(adapt="a.h5", sensor="evetac", stiffness_error=0.2, noise_n=0.1))
+    refuse_unused_of_train_force(TrainForce(samples=9, epochs=2, noise_n=0.1))
+    refuse_unused_of_train_force(TrainForce(method="gel", contacts=20, epochs=2))

@@ -52,7 +52,7 @@ class TrialForce(NamedTuple):
 def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ForceReportJob]:
     """One report over all tracks files."""
     models = named_files(params.model, "force-model", "--model")
-    own = named_files(params.adapt, "tracks", "--adapt") if params.adapt else []
+    own = named_files(params.adapt_on, "tracks", "--adapt-on") if params.adapt_on else []
     (job,) = report_job(files, "force", out, *own, *models)
     return [ForceReportJob(job.inputs, job.output, len(models), len(own))]
 
@@ -68,7 +68,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, prog
     if job.own:
         raise InputError(
             "a model of the paper's method cannot be adapted",
-            where="--adapt",
+            where="--adapt-on",
             expected="a model of train-force --method gel",
             found=str(model_paths[0]),
         )

@@ -1,10 +1,11 @@
 """evaluate force with a model for any sensor: errors by what is known of the sensor's gel (simulated recordings).
 
 Each tracks file has a row for each of these: `unknown`, nothing but the dots; `known`, scale and moduli of the sensor,
-the moduli with an error as large as `--stiffness-error` (creep stays unknown); with `--adapt`, `adapted` on tracks of
-the same sensor from nothing known, and `known, adapted`. Truth is compared without the noise of a force sensor, every
-40 ms of the contact; readings that a model is adapted on have that noise. `shear_within_sd` and `normal_within_sd` are
-the shares of errors within one predicted standard deviation (68 % if that is right), `contact_right` that of slices.
+the moduli with an error as large as `--stiffness-error` (creep stays unknown); with `--adapt-on`, `adapted` on tracks
+of the same sensor from nothing known, and `known, adapted`. Truth is compared without the noise of a force sensor,
+every 40 ms of the contact; readings that a model is adapted on have that noise. `shear_within_sd` and
+`normal_within_sd` are the shares of errors within one predicted standard deviation (68 % if that is right),
+`contact_right` that of slices.
 """
 
 import zlib
@@ -59,7 +60,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
     with StageFile(job.inputs[-1], "force-model") as file:
         model_header, model = file.header, gel_model.read_gel_model(file)
     if model.adapted is not None:
-        expected = "the model that it was adapted from, with --adapt"
+        expected = "the model that it was adapted from, with --adapt-on"
         raise InputError("the model is adapted to one sensor", where="--model", expected=expected)
     headers, own_headers, by_sensor = _headers(files, own, model_header)
     trials: list[Trial] = []
@@ -105,7 +106,7 @@ def _headers(
         if missing:
             raise InputError(
                 "no tracks to adapt on",
-                where="--adapt",
+                where="--adapt-on",
                 expected="some of each sensor that is evaluated",
                 found=f"none of {', '.join(missing[:5])}",
             )

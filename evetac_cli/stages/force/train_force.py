@@ -23,6 +23,7 @@ from evetac_cli.stages.force import adapt_gel, train_gel
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.track_rgb import PRESET
+from evetac_cli.stages.unused_options import refuse_unused_of_train_force
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
@@ -53,6 +54,7 @@ class ForceModel(NamedTuple):
 
 def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
     """One model from all tracks files together: `shear.force-model.h5` beside the first (`gel...`, `own...`)."""
+    refuse_unused_of_train_force(params)
     if params.adapt:
         return [adapt_gel.job(files, params, out)]
     if params.method == "gel":

@@ -30,7 +30,7 @@ SLICES, PRESSED = 2000, slice(300, 1700)
 HEIGHT_M = gel.GelMaterial().height_m
 NORMAL_N = 12.0
 TRAIN = TrainForce(method="gel", contacts=12, epochs=1)
-ADAPT = TrainForce(adapt=True)
+ADAPT = TrainForce(adapt="shipped")
 
 
 def sensor_row(stiffer: float = 1.0) -> dict[str, Any]:
@@ -228,7 +228,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     for one in own:
         one.with_name(one.name.replace("tracks.h5", "force.csv")).unlink()
-    chosen = EvaluateForce(model=str(resources.FORCE_MODEL), adapt=str(tmp_path / "trial[123].tracks.h5"))
+    chosen = EvaluateForce(model=str(resources.FORCE_MODEL), adapt_on=str(tmp_path / "trial[123].tracks.h5"))
     report, outcome = run(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
     errors = {row["stiffness"]: row["mae_n"] for row in outcome.rows}
     assert list(errors) == ["unknown", "known", "adapted", "known, adapted"]
@@ -238,7 +238,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[2]["normal_mae_of_range"] < 0.1
     assert report.with_suffix(".png").stat().st_size > 10_000
     for stage, files, wrong, message in (
-        (train_force, own, TrainForce(adapt=True, model=model), "adapted already"),
+        (train_force, own, TrainForce(adapt=str(model)), "adapted already"),
         (predict_force, [path], PredictForce(model=model, sensor="evetac"), "stiffness of its sensor"),
         (evaluate_force, [path], EvaluateForce(model=str(model)), "adapted to one sensor"),
         (evaluate_force, [path], EvaluateForce(model=str(tmp_path)), "among several"),
