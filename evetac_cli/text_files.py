@@ -9,7 +9,7 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -99,6 +99,26 @@ def parse_toml(text: str) -> dict[str, Any]:
         if type(value) is int and value.bit_length() >= WHOLE_BITS:
             raise ValueError(f"a whole number of more than {WHOLE_BITS} bits")
     return table
+
+
+def as_toml(table: Mapping[str, Any]) -> str:
+    """A table as TOML, which the standard library only reads: its own values first, then its tables."""
+    values = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
+    tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    parts = [_lines(values), *(f"[{key}]\n{_lines(value)}" for key, value in tables.items())]
+    return "\n".join(part for part in parts if part)
+
+
+def _lines(table: Mapping[str, Any]) -> str:
+    return "".join(f"{key} = {_toml_value(value)}\n" for key, value in table.items())
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {_toml_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml_value, value)) + "]"
+    return json.dumps(value) if isinstance(value, str | bool) else str(value)  # nan and inf are numbers of TOML
 
 
 def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int = WHOLE_BITS) -> Any:

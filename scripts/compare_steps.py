@@ -20,6 +20,7 @@ A step of 0.0125 ms costs about 80 times a step of 1 ms: some 10 to 30 s of proc
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -98,6 +99,15 @@ def run(row: Row) -> Row:
         with tempfile.TemporaryDirectory() as folder:
             results[name] = (slip if row["kind"] == "slip" else grasp)(trial, setting, Path(folder))
     return {**row, "commit": commit(), **results}
+
+
+def finished_rows(path: Path) -> list[Row]:
+    """The lines of JSON of a file, if there is one; a last line that was cut off is removed from it."""
+    content = path.read_bytes() if path.exists() else b""
+    whole = content[: content.rfind(b"\n") + 1]
+    if len(whole) < len(content):
+        os.truncate(path, len(whole))
+    return [json.loads(line) for line in whole.splitlines()]
 
 
 def commit() -> str:
@@ -196,7 +206,7 @@ def main() -> None:
     chosen = parser.parse_args()
     chosen.kind = chosen.kind or list(COUNTS)
 
-    rows = [json.loads(line) for line in chosen.out.read_text().splitlines()] if chosen.out.exists() else []
+    rows = finished_rows(chosen.out)
     for planned in missing(chosen, rows):
         row = run(planned)
         rows.append(row)

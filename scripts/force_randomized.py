@@ -14,13 +14,15 @@ What is there already is not made again.
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from evetac_cli.params.learning import Track
 from evetac_cli.params.recording import Record
-from evetac_cli.resources import SCENES
+from evetac_cli.sim import scene
 from evetac_cli.stages import record, track
 
-FLAT, DISC = "size_mm = [30.0, 30.0]", "radius_mm = 8.0"
+FLAT: dict[str, Any] = {}  # that of the scene, 30 mm x 30 mm
+DISC = {"size_mm": None, "radius_mm": 8.0}
 # name of the trial: face, normal force and largest shear force in N
 PRESSES = {
     "adapt-0": (FLAT, 20.0, 9.0),
@@ -37,26 +39,15 @@ TRIALS = (*FIRST_TRIALS, *(name for name in PRESSES if name not in FIRST_TRIALS)
 OBJECTS = 20
 
 
-def scene_text(face: str, normal_n: float, shear_n: float, waypoints: int) -> str:
+def scene_text(face: dict[str, Any], normal_n: float, shear_n: float, waypoints: int) -> str:
     """The scene `shear` with another face, other forces and fewer waypoints."""
-    changes = {
-        FLAT: face,
-        "normal_n = 20.0": f"normal_n = {normal_n}",
-        "shear_n = 9.0": f"shear_n = {shear_n}",
-        "count = 40": f"count = {waypoints}",
-        "offset_mm = 10.0": f"offset_mm = {10.0 if face == FLAT else 5.0}",
-        'name = "shear"': 'name = "shear-short"',
-    }
-    text = (SCENES / "shear.toml").read_text()
-    for old, new in changes.items():
-        assert old in text, old
-        text = text.replace(old, new)
-    return text
+    motion = {"normal_n": normal_n, "shear_n": shear_n, "count": waypoints, "offset_mm": 5.0 if face else 10.0}
+    return scene.changed("shear", {"name": "shear-short", "face": face, "motion": motion})
 
 
-def make(scene: str, sensor: int, seed: int, objects: str, output: Path) -> None:
+def make(scene_name: str, sensor: int, seed: int, objects: str, output: Path) -> None:
     """Record and track one trial, unless that is done."""
-    chosen = Record(scene=scene, objects=objects, sensor=f"randomized:{sensor}", seed=seed)
+    chosen = Record(scene=scene_name, objects=objects, sensor=f"randomized:{sensor}", seed=seed)
     (trial,) = record.jobs([], chosen, output)
     record.run(trial, chosen)
     for preset, out in (("stable", None), ("paper", output.parent / "paper")):
@@ -82,9 +73,9 @@ def main() -> None:
             continue
         for place in range(chosen.sensors):
             sensor, seed = chosen.first + place, chosen.first + chosen.sensors * number + place
-            scene = "slip" if name == "slip" else str(chosen.folder / "scenes" / f"{name}.toml")
+            scene_name = "slip" if name == "slip" else str(chosen.folder / "scenes" / f"{name}.toml")
             objects = str(1 + place % OBJECTS) if name == "slip" else "8"
-            make(scene, sensor, seed, objects, chosen.folder / f"{sensor}-{name}.recording.h5")
+            make(scene_name, sensor, seed, objects, chosen.folder / f"{sensor}-{name}.recording.h5")
             print(f"randomized:{sensor} {name}", flush=True)
 
 

@@ -21,7 +21,6 @@ trials; with fewer than some ten pairs such intervals are too narrow.
 import argparse
 import json
 import tempfile
-import tomllib
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -30,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from compare_steps import commit
+from compare_steps import commit, finished_rows
 from numpy.typing import NDArray
 
 from evetac_cli.console import show
@@ -41,13 +40,14 @@ from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.numerics.pipeline.chain import BALANCE_S, LIFT_S, chain_of, package_model, prediction, timed
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Record
-from evetac_cli.resources import SCENES
+from evetac_cli.sim import scene
 from evetac_cli.stages import grasp, label, record
 from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.stages.grasp import simulated as simulated_grasp
 from evetac_cli.stages.trials import SimulatedTrial
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import open_recording
+from evetac_cli.text_files import as_toml
 
 Row = dict[str, Any]
 Floats = NDArray[np.float64]
@@ -138,28 +138,11 @@ FIGURES = {
 }
 
 
-def as_toml(value: Any) -> str:
-    """A value as TOML; a table in braces."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {as_toml(item)}" for key, item in value.items()) + "}"
-    return json.dumps(value)
-
-
-def merged(table: Row, more: Row) -> Row:
-    """A table with keys more or other, tables within it key by key."""
-    both = {
-        key: merged(table[key], value) if isinstance(value, dict) and key in table else value
-        for key, value in more.items()
-    }
-    return {**table, **both}
-
-
 def planned(part: Part, kind: str, object_: int, seed: int, folder: Path) -> tuple[SimulatedTrial, Any]:
     """The trial with a part, from files of a scene and a sensor, and the parameters of its stage."""
-    scene = merged(tomllib.loads((SCENES / f"{kind}.toml").read_text()), part.scene)
-    files = {"scene": scene, "sensor": {"like": "evetac", **part.sensor}}
-    for name, table in files.items():
-        (folder / f"{name}.toml").write_text("".join(f"{key} = {as_toml(value)}\n" for key, value in table.items()))
+    files = {"scene": scene.changed(kind, part.scene), "sensor": as_toml({"like": "evetac", **part.sensor})}
+    for name, text in files.items():
+        (folder / f"{name}.toml").write_text(text)
     chosen: Row = {name: str(folder / f"{name}.toml") for name in files} | {"objects": str(object_), "seed": seed}
     stage: Any = record
     params: Any = Record(**chosen)
@@ -382,7 +365,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
     chosen = parser.parse_args()
 
-    rows = [json.loads(line) for line in chosen.out.read_text().splitlines()] if chosen.out.exists() else []
+    rows = finished_rows(chosen.out)
     done, made_by = {identity(row) for row in rows}, {"commit": commit()}
     missing = [row for row in trials(chosen) if identity(row) not in done]
     with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool, chosen.out.open("a") as file:

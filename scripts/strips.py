@@ -6,7 +6,6 @@
 """
 
 import argparse
-import re
 from pathlib import Path
 
 import matplotlib
@@ -16,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from evetac_cli.kernels.slip.features import event_image
-from evetac_cli.resources import PACKAGE
+from evetac_cli.sim import scene
 from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.store.read import Recording, open_recording
 
@@ -95,8 +94,7 @@ def main() -> None:
     )
     chosen = parser.parse_args()
     if chosen.short_vibration:
-        scene = (PACKAGE / "data" / "scenes" / "vibration.toml").read_text()
-        chosen.short_vibration.write_text(re.sub(r"(?m)^tone_s = .*", "tone_s = 3.0", scene))
+        chosen.short_vibration.write_text(scene.changed("vibration", {"time": {"tone_s": 3.0}}))
     for path in chosen.recordings:
         print(strip(path, chosen.out))
 

@@ -4,7 +4,6 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -20,6 +19,7 @@ from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import featurize, grasp, label, record, track, train
 from evetac_cli.stages.force import train_force
+from evetac_cli.text_files import as_toml
 
 settings.register_profile("patient", deadline=None)  # no test depends on how fast the machine is
 settings.load_profile("patient")
@@ -34,23 +34,6 @@ SHORT = {
     "after_lost_s": 0.02,
     "longest_s": 4.0,
 }
-
-
-def as_toml(table: dict[str, Any]) -> str:
-    """TOML of a table of tables (the standard library only reads)."""
-    plain = [f"{key} = {_value(value)}" for key, value in table.items() if not isinstance(value, dict)]
-    for name, group in table.items():
-        if isinstance(group, dict):
-            plain += [f"[{name}]", *(f"{key} = {_value(value)}" for key, value in group.items())]
-    return "\n".join(plain) + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_value(entry)}" for key, entry in value.items()) + "}"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 @pytest.fixture(scope="session", autouse=True)

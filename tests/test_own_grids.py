@@ -19,7 +19,7 @@ from evetac_cli.stages import calibrate, featurize, grasp, label, record, track,
 from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
-from tests.conftest import as_toml
+from evetac_cli.text_files import as_toml
 
 Dots = NDArray[np.float64]
 

@@ -1,11 +1,13 @@
 """Text files from elsewhere, at each place that reads one: refused in words, at once, whatever they are."""
 
 import json
+import math
 import os
 import pickle
 import resource
 import signal
 import socket
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
@@ -244,3 +246,17 @@ def test_what_is_no_json_is_refused(text: str) -> None:
     """Assert that broken text, numbers that JSON does not have, and those of thousands of digits are refused."""
     with pytest.raises(ValueError):
         text_files.parse_json(text)
+
+
+def test_toml_that_is_written_is_read() -> None:
+    """Assert that texts, numbers, truth values, lists and tables in tables come back as they were."""
+    table = {
+        "text": 'a "quoted" \\ line\nand \u00b5',
+        "inner": {"flag": True, "deeper": {"list": [[1, 2.5], []], "deepest": {"x": -1e-7}}},
+        "flags": [False, True],
+        "wide": [math.inf, -math.inf],
+        "empty": {},
+    }
+    assert tomllib.loads(text_files.as_toml(table)) == table
+    assert math.isnan(tomllib.loads(text_files.as_toml({"x": math.nan}))["x"])
+    assert text_files.as_toml({}) == ""

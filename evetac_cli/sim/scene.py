@@ -21,7 +21,7 @@ from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim import sampling, sensor_file
 from evetac_cli.sim.solver import resolve
-from evetac_cli.text_files import read_toml
+from evetac_cli.text_files import as_toml, read_toml
 
 FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
 SENSOR_SEED = 104729  # with the seeds of a trial: keeps what samples its sensor apart from what samples the trial
@@ -82,6 +82,22 @@ def load(name_or_path: str) -> dict[str, Any]:
     _check_finite(scene, str(path), "")
     _check(scene, str(path))
     return scene
+
+
+def changed(name: str, changes: Mapping[str, Any]) -> str:
+    """The text of a packaged scene with other values, tables key by key; a key whose value is None is left out.
+
+    It is a scene of one's own, to be written to a file for --scene; what is wrong with it is said when it is loaded.
+    """
+    return as_toml(_merged(load(name), changes))
+
+
+def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    new = {
+        key: _merged(table.get(key, {}), value) if isinstance(value, Mapping) else value
+        for key, value in changes.items()
+    }
+    return {key: value for key, value in {**table, **new}.items() if value is not None}
 
 
 def _check(scene: dict[str, Any], where: str) -> None:

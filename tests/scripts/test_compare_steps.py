@@ -1,6 +1,8 @@
 """What compare_steps makes of trials whose onsets and outcomes are known, and which trials it still has to run."""
 
 import argparse
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -69,3 +71,21 @@ def test_trials_that_are_there_are_not_run_again() -> None:
     assert [(row["object"], row["number"]) for row in planned] == [(19, 0), (20, 0), (1, 1), (2, 1)]
     assert list(compare_steps.missing(chosen, planned[:3])) == planned[3:]
     assert list(compare_steps.missing(argparse.Namespace(**{**vars(chosen), "seed": 1}), planned)) != []
+
+
+def test_a_line_that_was_cut_off_is_measured_again(tmp_path: Path) -> None:
+    """Assert that whole lines are read, a cut one is removed from the file, and a bad one is not passed by."""
+    path = tmp_path / "steps.jsonl"
+    assert compare_steps.finished_rows(path) == []
+    for content, rows, kept in (
+        ('{"seed": 1}\n{"seed": 2}\n', [{"seed": 1}, {"seed": 2}], '{"seed": 1}\n{"seed": 2}\n'),
+        ('{"seed": 1}\n{"seed": 2, "hel', [{"seed": 1}], '{"seed": 1}\n'),
+        ('{"seed": 1}\n{"seed": 2}', [{"seed": 1}], '{"seed": 1}\n'),
+        ('{"see', [], ""),
+    ):
+        path.write_text(content)
+        assert compare_steps.finished_rows(path) == rows
+        assert path.read_text() == kept
+    path.write_text('{"see\n{"seed": 2}\n')
+    with pytest.raises(json.JSONDecodeError):
+        compare_steps.finished_rows(path)

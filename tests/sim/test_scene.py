@@ -15,7 +15,7 @@ from evetac_cli.sim import scene
 from evetac_cli.sim.parts import parts
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
-from tests.conftest import as_toml
+from evetac_cli.text_files import as_toml
 
 
 def named(name: str) -> dict[str, Any]:
@@ -323,3 +323,21 @@ def test_no_texture_to_show(name: str, gel: str | None, texture: str, says: str)
     """Assert that --texture is refused where it could change nothing."""
     with pytest.raises(InputError, match=f"--texture(.|\n)*{says}"):
         scene.plan(name, "8", "evetac", ("ramp", "rub", "press"), gel, texture=texture)
+
+
+def test_a_packaged_scene_that_is_changed(tmp_path: Path) -> None:
+    """Assert that values change key by key, None takes one away, the rest stays, and nonsense is said when read."""
+    path, shear = tmp_path / "own.toml", scene.load("shear")
+    path.write_text(scene.changed("shear", {}))
+    assert scene.load(str(path)) == shear
+    path.write_text(
+        scene.changed(
+            "shear", {"face": {"size_mm": None, "radius_mm": 8.0}, "light": {"step": {"at_s": 1.0, "factor": 0.5}}}
+        )
+    )
+    own = scene.load(str(path))
+    assert own.pop("light") == {"step": {"at_s": 1.0, "factor": 0.5}}
+    assert own == {**shear, "face": {"static_friction": shear["face"]["static_friction"], "radius_mm": 8.0}}
+    path.write_text(scene.changed("shear", {"motion": {"shear_nn": 4.0}}))
+    with pytest.raises(SceneError, match="did you mean"):
+        scene.load(str(path))

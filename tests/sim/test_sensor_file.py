@@ -13,7 +13,7 @@ from evetac_cli.sim import scene, sensor_file
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.stages import record
 from evetac_cli.stages.record import simulated
-from tests.conftest import as_toml
+from evetac_cli.text_files import as_toml
 
 HOT = {
     "x_px": [3, 600],

@@ -25,7 +25,8 @@ from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
-from tests.conftest import DATA, as_toml
+from evetac_cli.text_files import as_toml
+from tests.conftest import DATA
 
 Grid = NDArray[np.float64]
 Show = Callable[[NDArray[np.bool_]], Path]

@@ -22,7 +22,8 @@ from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.shared import material
 from evetac_cli.stages import record
 from evetac_cli.store.read import open_recording
-from tests.conftest import Made, as_toml
+from evetac_cli.text_files import as_toml
+from tests.conftest import Made
 
 
 def world(object_number: int, seed: int = 0, name: str = "slip", sensor: str = "evetac") -> GraspSimulation:

@@ -13,7 +13,8 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scene import plan, sensor_row
 from evetac_cli.sim.scenes.pressing import Pressing
-from tests.conftest import DATA, as_toml
+from evetac_cli.text_files import as_toml
+from tests.conftest import DATA
 
 
 def pressing(name: str, tmp_path: Path, **changes: dict[str, object]) -> Pressing:

@@ -22,7 +22,7 @@ from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
 from evetac_cli.sim.scenes.vibrating import ORDERS, Drift, Vibration, pressed_by_disc, resonance, waves
 from evetac_cli.stages import record
-from tests.conftest import as_toml
+from evetac_cli.text_files import as_toml
 
 PURE = {"second_harmonic_least": [0.0] * 5, "second_harmonic_most": [0.0] * 5, "modulation_most": [0.0] * 5}
 SHORT = {"rest_s": 0.01, "tone_at_s": 0.05, "after_s": 0.02}

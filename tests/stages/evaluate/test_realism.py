@@ -18,7 +18,7 @@ from evetac_cli.stages import record
 from evetac_cli.stages.evaluate import realism
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
-from tests.conftest import as_toml
+from evetac_cli.text_files import as_toml
 
 
 def resting(folder: Path, sensor: str, seed: int) -> Path:

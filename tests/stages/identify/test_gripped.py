@@ -16,7 +16,7 @@ from evetac_cli.stages.identify.drive import NAMES, DriveFit, GripperRows
 from evetac_cli.stages.identify.gripped import Gripped, Weight
 from evetac_cli.stages.identify.gripper_rows import Known
 from evetac_cli.store.read import open_recording
-from tests.conftest import as_toml
+from evetac_cli.text_files import as_toml
 
 LIKE = scene.sensor_row("evetac")
 

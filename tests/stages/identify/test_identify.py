@@ -15,7 +15,8 @@ from evetac_cli.sim import scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.stages import identify, record, trim
 from evetac_cli.store.read import open_recording
-from tests.conftest import DATA, as_toml
+from evetac_cli.text_files import as_toml
+from tests.conftest import DATA
 
 TRUE_RATIO = 1.61 / 0.2  # of the sensor evetac
 NOISE = DATA / "dvxplorer_static_noise.aedat4"
