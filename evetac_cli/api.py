@@ -118,7 +118,8 @@ class Gel(NamedTuple):
     """What is known of a gel before it is touched; a recording and a simulation have these attributes too.
 
     dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot. dot_radius_px: of the
-    printed dots. window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel.
+    printed dots. window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel. contrast_over_threshold:
+    events that a pixel gives as the rim of a dot passes it, as `evetac identify` tells it; None if unknown.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     gel = evetac.Gel(recording.dot_xy_px, recording.dot_radius_px, recording.window_px)
@@ -129,6 +130,7 @@ class Gel(NamedTuple):
     dot_xy_px: NDArray[np.float64] | None
     dot_radius_px: float | None
     window_px: tuple[int, int, int, int] | None = None
+    contrast_over_threshold: float | None = None
 
 
 class _HasGel(Protocol):
@@ -140,6 +142,8 @@ class _HasGel(Protocol):
     def dot_radius_px(self) -> float | None: ...
     @property
     def window_px(self) -> tuple[int, int, int, int] | None: ...
+    @property
+    def contrast_over_threshold(self) -> float | None: ...
 
 
 class DotTracker:
@@ -190,7 +194,8 @@ class SlipDetector:
     def __init__(self, gel: _HasGel, model: str | Path | None = None, tracker_preset: str = "stable") -> None:
         dot_xy_px, constants = _dots(gel, tracker_preset)
         with StageFile(Path(model) if model is not None else resources.MODEL, "model") as file:
-            self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants)
+            ratio = gel.contrast_over_threshold
+            self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, ratio)
 
     @property
     def threshold(self) -> float:
@@ -224,6 +229,7 @@ class Simulation:
         width, height = sensor["sensor/frame_px"]
         self.frame_px = int(width), int(height)
         self.dot_radius_px = float(sensor["sensor/dot_radius_px"])
+        self.contrast_over_threshold = float(sensor["sensor/contrast_over_threshold"])
         self.window_px: tuple[int, int, int, int] | None = None  # of a cut gel: x0, y0, x1, y1, ends excluded
         if "sensor/window_px" in sensor:
             x0, y0, x1, y1 = (int(edge) for edge in sensor["sensor/window_px"])

@@ -313,6 +313,13 @@ def sensor_row(name: str) -> dict[str, Any]:
     return dict(rows[name])
 
 
+def contrast_over_threshold(sensor_row: Mapping[str, Any]) -> float:
+    """Events that a pixel gives as the rim of a dot passes it, by log contrast and thresholds; ON and OFF averaged."""
+    on = float(sensor_row["threshold"])
+    off = float(sensor_row.get("threshold_off", on))
+    return float(sensor_row["log_contrast"]) * (1.0 / on + 1.0 / off) / 2.0
+
+
 def for_trial(plan: dict[str, Any], seeds: Sequence[int]) -> dict[str, Any]:
     """The plan of one trial: where each has a sensor of its own, that is sampled; its ranges stay beside it."""
     if plan["sensor"] != FOR_EACH_TRIAL:

@@ -19,6 +19,9 @@ from evetac_cli.kernels.calibration import dot_search, grid, rest_image
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.params.recording import Calibrate
+from evetac_cli.sim import scene, sensor_file
+from evetac_cli.sim.camera.gel_camera import dot_grid
+from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
 from evetac_cli.store.provenance import Recipe, made
@@ -138,10 +141,12 @@ def seen(recording: Recording, start: int, stop: int, *, backwards: bool = False
 
 
 def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
-    """Read the official software's pickle, or JSON, and write it as ours."""
+    """Read the official software's pickle, JSON, or the dots of a sensor's TOML file, and write them as ours."""
     (source,) = job.inputs
     if source.suffix == ".json":
         calibration = read_calibration(source)
+    elif source.suffix == sensor_file.SUFFIX:
+        calibration = _of_sensor(source, params)
     else:
         centres, radius = read_pickle(source)
         if (centres < 0).any() or (centres > np.array(FRAME_PX) - 1).any():
@@ -162,6 +167,22 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
         return _outcome(job, recipe, made_now=False)
     _write(job, calibration, recipe, {})
     return _outcome(job, recipe, made_now=True)
+
+
+def _of_sensor(source: Path, params: Calibrate) -> Calibration:
+    """The dots of a sensor's file as the camera sees them, and what identify told of its contrast and threshold."""
+    _, row = scene.named_sensor(str(source))
+    cut = params.gel != "closed"
+    dots, lens = dot_grid(row, cut), Lens.of_sensor(row)
+    x0, y0, x1, y1 = row["window_px"]
+    width, height = row["frame_px"]
+    return Calibration(
+        (width, height),
+        dots if lens is None else lens.seen(dots),
+        row["dot_radius_px"],
+        (x0, y0, x1, y1) if cut else None,
+        scene.contrast_over_threshold(row),
+    )
 
 
 def _arranged(places: Grid, params: Calibrate, where: str) -> Grid:

@@ -25,7 +25,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "features"
-METHOD = 3
+METHOD = 4
 SLIP_SHARE = "visible_slip_share"  # what a simulation knows beside the labels, to train on
 COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # a row for every slice
 
@@ -69,6 +69,11 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         parents.append(tracks.header)
         rest_xy_px = tracks.read("sensor/dot_xy_px")
         window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
+        ratio = recording.contrast_over_threshold
+        if tracks.has("sensor/contrast_over_threshold"):
+            ratio = float(tracks.read("sensor/contrast_over_threshold"))
+        if ratio is not None:
+            arrays["contrast_over_threshold"] = np.float64(ratio)
         if recording.has(f"truth/{SLIP_SHARE}"):
             arrays[SLIP_SHARE] = recording.read(f"truth/{SLIP_SHARE}")
         for path in labels_path:

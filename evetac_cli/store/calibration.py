@@ -1,6 +1,6 @@
 """Dot grids as JSON: the keys of the official base calibration (frame_px, radius_px, dot_xy_px), and optionally
-rows, columns, mask and window_px. The dots may come in any order; rows and columns follow from their centres. Dots in
-no grid are one row, [[[x, y], [x, y], ...]].
+rows, columns, mask, window_px and contrast_over_threshold. The dots may come in any order; rows and columns follow from
+their centres. Dots in no grid are one row, [[[x, y], [x, y], ...]].
 
 A dot is missing where its centre is null or the mask, one list a row, is false: so a damaged dot is taken out of use
 by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.grid); files
@@ -22,17 +22,19 @@ from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 MOST_PX = 65536  # events count columns and rows in uint16
+MOST_EVENTS = 1000  # of a pixel as a rim passes it; a real one gives about 10
 LEAST_RADIUS_PX = 0.01  # files are written to 0.001 px
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Where the dots of one gel are at rest."""
+    """Where the dots of one gel are at rest, and how many events a pixel gives as a dot's rim passes, if known."""
 
     frame_px: tuple[int, int]
     dot_xy_px: NDArray[np.float64]  # (rows, columns, 2)
     dot_radius_px: float
     window_px: tuple[int, int, int, int] | None
+    contrast_over_threshold: float | None = None
 
     def arrays(self) -> dict[str, Any]:
         """As the datasets of a stage file's sensor group."""
@@ -42,6 +44,8 @@ class Calibration:
         }
         if self.window_px is not None:
             arrays["sensor/window_px"] = np.array(self.window_px, np.int32)
+        if self.contrast_over_threshold is not None:
+            arrays["sensor/contrast_over_threshold"] = np.float64(self.contrast_over_threshold)
         return arrays
 
     def digest(self) -> str:
@@ -64,6 +68,7 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
         window = None if table.get("window_px") is None else _whole(table, "window_px", 4)
         mask = table.get("mask")
         shape = [table[key] for key in ("rows", "columns") if key in table]
+        ratio = table.get("contrast_over_threshold")
     except KeyError as error:
         raise InputError(
             f"the key {error} is missing", where=where, expected="frame_px, radius_px, dot_xy_px"
@@ -79,6 +84,11 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
             "radius_px",
             _is_number(radius) and LEAST_RADIUS_PX <= radius <= max(width, height),
             "a number above 0, in px",
+        ),
+        (
+            "contrast_over_threshold",
+            ratio is None or (_is_number(ratio) and 0 < ratio < MOST_EVENTS),
+            f"a number above 0 and below {MOST_EVENTS}",
         ),
         ("window_px", 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height, "x0, y0, x1, y1 inside the frame"),
     ):
@@ -110,7 +120,13 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
             expected=f"{frame_px[0]} x {frame_px[1]} px",
             found=f"{width} x {height} px",
         )
-    return Calibration((width, height), arranged, float(radius), (x0, y0, x1, y1) if window else None)
+    return Calibration(
+        (width, height),
+        arranged,
+        float(radius),
+        (x0, y0, x1, y1) if window else None,
+        None if ratio is None else float(ratio),
+    )
 
 
 def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
@@ -150,7 +166,7 @@ def write_calibration(
     neighbours: indices of dots, counted row by row, a list for each dot. quality: how well the dots were detected, as
     flat figures with units in their names. provenance: the recipe's identity, its id, when and where it was made.
     """
-    dots = calibration.dot_xy_px
+    dots, ratio = calibration.dot_xy_px, calibration.contrast_over_threshold
     present = np.isfinite(dots).all(axis=2)
     table = {
         "frame_px": list(calibration.frame_px),
@@ -158,6 +174,7 @@ def write_calibration(
         "rows": dots.shape[0],
         "columns": dots.shape[1],
         "window_px": None if calibration.window_px is None else list(calibration.window_px),
+        **({} if ratio is None else {"contrast_over_threshold": round(ratio, 4)}),
         "dot_xy_px": [[_rounded(dot) for dot in row] for row in dots],
         "mask": present.tolist(),
         "neighbours": neighbours,

@@ -318,6 +318,24 @@ def test_official_files_give_one_grid(tmp_path: Path, truth: Grid) -> None:
     assert {4 * 9 + 3, 4 * 9 + 5, 3 * 9 + 4, 5 * 9 + 4} <= set(first["neighbours"][4 * 9 + 4])
 
 
+def test_the_file_of_a_sensor_is_imported(tmp_path: Path) -> None:
+    """Assert that identify's file gives dots as its camera sees them, and log contrast over both thresholds."""
+    source = tmp_path / "mine.sensor.toml"
+    source.write_text(
+        'like = "evetac"\nlog_contrast = 1.5\nthreshold = 0.25\nthreshold_off = 0.3\ndistortion = [-0.05, 0.0]\n'
+    )
+    chosen = Calibrate(source=source)
+    (job,) = calibrate.jobs([], chosen, tmp_path / "mine.json")
+    outcome = calibrate.run(job, chosen)
+    assert (outcome.rows[0]["dots"], outcome.rows[0]["gel"]) == (56, "cut")
+    result = read_calibration(job.output)
+    assert result.contrast_over_threshold == pytest.approx((1.5 / 0.25 + 1.5 / 0.3) / 2)
+    straight = gel_camera.dot_grid(sensor_row("evetac"), cut=True)
+    moved_px = np.linalg.norm(result.dot_xy_px - straight, axis=2)
+    assert moved_px.max() > 1.0  # in a corner; a straight lens would leave all in place
+    assert moved_px.min() < 0.1  # in the middle of the frame
+
+
 def test_command_line(tmp_path: Path) -> None:
     """Assert that nothing to work on, too much of it and wrong names end with 2 and say what is wanted."""
     hostile = tmp_path / "hostile.pkl"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
+EVENTS_A_RIM = 8.0  # of a pixel as a dot's rim passes it: log contrast over threshold of the sensor `evetac`
 GEL_PX = (540, 480)  # width and height of an event image: the frame without the window strip
 
 # Widths that are the same in all rows of the paper's table.
@@ -49,6 +50,9 @@ class DotArchitecture:
     fc1: int  # widths of the two layers that encode a dot
     fc2: int
     every: int = 1  # slices from one prediction to the next; held in between
+    # Whether events are counted as by a camera of EVENTS_A_RIM, where contrast and threshold of the sensor are known:
+    # a camera of half the threshold gives twice the events for the same motion. The paper's models count what there is.
+    like_one_camera: bool = False
 
     def __post_init__(self) -> None:
         channels = [view.channel for view in self.views]
@@ -88,6 +92,12 @@ class DotArchitecture:
     def train_cut_ms(self) -> int:
         """How much of a trajectory after its onset is trained on."""
         return _train_cut_ms(self.history)
+
+    def events_factor(self, contrast_over_threshold: float | None) -> float:
+        """What the events of each dot are multiplied by; contrast over threshold of the sensor, None if unknown."""
+        if not self.like_one_camera or contrast_over_threshold is None:
+            return 1.0
+        return EVENTS_A_RIM / contrast_over_threshold
 
 
 @dataclass(frozen=True)
@@ -192,6 +202,7 @@ ARCHITECTURES: dict[str, Architecture] = {
             ),
             fc1=24,
             fc2=8,
+            like_one_camera=True,
         ),
     )
 }

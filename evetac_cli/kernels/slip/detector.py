@@ -73,18 +73,25 @@ class Live:
         detector: Detector,
         rest_xy_px: NDArray[np.floating],
         window_px: tuple[int, int, int, int] | NDArray[np.int32] | None,
+        contrast_over_threshold: float | None = None,
     ) -> None:
-        """Start before the first slice; dots at rest (n, 2) in px, and the window (x0, y0, x1, y1) or None."""
+        """Start before the first slice; dots at rest (n, 2) in px, and the window (x0, y0, x1, y1) or None.
+
+        contrast_over_threshold: of the sensor, None if unknown.
+        """
         self.detector = detector
         self.slices = 0
         self._probability = float("nan")
         self._window_px = window_px
-        history = detector.architecture.history
-        self._dots = features.start(rest_xy_px, history)
+        architecture = detector.architecture
+        history, factor = architecture.history, 1.0
+        if isinstance(architecture, DotArchitecture):
+            factor = architecture.events_factor(contrast_over_threshold)
+        self._dots = features.start(rest_xy_px, history, factor)
         self._newest = np.array([history - 1])
-        if isinstance(detector.architecture, DotArchitecture):
-            self._views = inputs.view_table(detector.architecture.views)
-            shape = (1, len(self._dots.rest_xy_px), detector.architecture.inputs_per_dot)
+        if isinstance(architecture, DotArchitecture):
+            self._views = inputs.view_table(architecture.views)
+            shape = (1, len(self._dots.rest_xy_px), architecture.inputs_per_dot)
             self._batch = np.zeros(shape, np.float32)
             inputs.fill(self._dots.ring[:history], self._newest, self._views, self._batch)  # compiles or loads it now
         self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=history)

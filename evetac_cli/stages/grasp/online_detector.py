@@ -65,11 +65,15 @@ class OnlineSlipDetector:
         dot_xy_px: NDArray[np.float64],
         window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
         constants: tracker.TrackerConstants,
+        contrast_over_threshold: float | None = None,
     ) -> "OnlineSlipDetector":
-        """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid."""
+        """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid.
+
+        contrast_over_threshold: of the sensor, None if unknown.
+        """
         known = dots_for(model, dot_xy_px)
         rest = dot_xy_px.reshape(-1, 2)
-        live = Live(load_detector(model), rest[known], window_px)
+        live = Live(load_detector(model), rest[known], window_px, contrast_over_threshold)
         missing = np.isnan(rest[:, 0])
         return cls(
             tracker.start(rest, constants),

@@ -57,7 +57,9 @@ def open_detector(
     """The detector of a model, for a sensor with these datasets `sensor/...`, with a threshold other than its own."""
     constants = tracker.PRESETS[preset].for_dots(float(sensor["sensor/dot_radius_px"]))
     window_px = sensor.get("sensor/window_px")
-    detector = OnlineSlipDetector.start(model, sensor["sensor/dot_xy_px"], window_px, constants)
+    ratio = sensor.get("sensor/contrast_over_threshold")
+    known = None if ratio is None else float(ratio)
+    detector = OnlineSlipDetector.start(model, sensor["sensor/dot_xy_px"], window_px, constants, known)
     detector.threshold = slip_threshold
     return detector
 

@@ -7,7 +7,14 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture, View
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    EVENTS_A_RIM,
+    Architecture,
+    DotArchitecture,
+    ImageArchitecture,
+    View,
+)
 
 # the paper's table of model configurations: history, l_i, l_fc1, l_fc2
 PAPER_ROWS = {
@@ -51,6 +58,16 @@ def test_image_models_are_the_papers(name: str, history: int) -> None:
 def test_train_cut_follows_history(row: Architecture) -> None:
     """Assert that longer histories train on more of the slip, with the paper's three values."""
     assert row.train_cut_ms == {1: 15, 10: 15, 20: 20, 50: 50}[row.history]
+
+
+def test_events_are_counted_as_by_one_camera() -> None:
+    """Assert that a camera of half the threshold counts half its events; unknown ones and the paper's models all."""
+    ours, paper = ARCHITECTURES["disp-xy"], ARCHITECTURES["fast-slow"]
+    assert isinstance(ours, DotArchitecture)
+    assert isinstance(paper, DotArchitecture)
+    assert ours.events_factor(EVENTS_A_RIM) == 1.0
+    assert ours.events_factor(2 * EVENTS_A_RIM) == 0.5
+    assert ours.events_factor(None) == paper.events_factor(2 * EVENTS_A_RIM) == 1.0
 
 
 def test_columns_of_a_channel() -> None:
