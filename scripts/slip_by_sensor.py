@@ -253,8 +253,8 @@ def main() -> None:
     rows = sensor_rows(models, sensors, options.seed)
     tables = [result("slip-by-sensor", title, rows, sensor_columns(list(models)), headers, about)]
     if options.contact:
-        found = [features(folder) for folder in options.contact]
-        paths, headers = [path for group, _ in found for path in group], [one for _, group in found for one in group]
+        grasps = [features(folder) for folder in options.contact]
+        paths, headers = [path for group, _ in grasps for path in group], [one for _, group in grasps for one in group]
         rows = [in_contact(name, model, paths) for name, model in models.items()]
         title = "Contact without slip: slices at which nothing slips, nor will within 20 ms, that are called slip"
         tables.append(result("slip-in-contact", title, rows, CONTACT_COLUMNS, headers, about))
