@@ -55,7 +55,7 @@ PIPELINE = (
         params.TrainForce,
         "stages.force.train_force",
         "Tracks of shear recordings; the last file is held out.",
-        "epochs",
+        "steps",
     ),
     Command("predict-force", params.PredictForce, "stages.force.predict_force", "Tracks."),
     Command("grasp", params.Grasp, "stages.grasp", ""),
