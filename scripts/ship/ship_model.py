@@ -7,12 +7,13 @@ from the report; they have no part in the choice.
 """
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
 from evetac_cli.resources import MODEL
 from evetac_cli.stages.evaluate.slip_models import Model
-from evetac_cli.store.files import StageFile, put, put_header, replacing
+from evetac_cli.store.files import StageFile
 
 FIGURES = ("slip_early", "slip_correct", "slip_late", "f1", "trajectories", "objects")
 
@@ -20,15 +21,6 @@ FIGURES = ("slip_early", "slip_correct", "slip_late", "f1", "trajectories", "obj
 def validation_score(path: Path) -> float:
     with StageFile(path, "model") as file:
         return float(file.read("checkpoint/score")[int(file.read("checkpoint/chosen"))])
-
-
-def ship(source: Path, target: Path) -> None:
-    """Copy a model without the networks that were not chosen."""
-    with StageFile(source, "model") as file, replacing(target) as h5:
-        for name in file.contents():
-            if name != "checkpoint/onnx":
-                put(h5, name, file.read(name))
-        put_header(h5, file.header)
 
 
 def main() -> None:
@@ -58,7 +50,7 @@ def main() -> None:
         "id": model.header["id"],
     }
     MODEL.parent.mkdir(exist_ok=True)
-    ship(best, MODEL)
+    shutil.copyfile(best, MODEL)
     MODEL.with_suffix("").with_suffix(".json").write_text(json.dumps(made, indent=1) + "\n")
 
 
