@@ -316,7 +316,7 @@ def film_steps(sizes: Sizes) -> Iterator[Command]:
     yield evetac("grasp", "--object", 17, "--seed", 0, "--lift-s", 7, "--balance-s", 5,
                  "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
     yield evetac("track", "catch.recording.h5")
-    yield script("film.py", "catch.recording.h5", "--out", "catch.gif")
+    yield script("film/film.py", "catch.recording.h5", "--out", "catch.gif")
 
 
 def ship_steps(sizes: Sizes) -> Iterator[Command]:
@@ -326,4 +326,4 @@ def ship_steps(sizes: Sizes) -> Iterator[Command]:
                  "--seeds", sizes["seeds"], "--out", "models/travel")  # fmt: skip
     yield evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "models/travel/*.model.h5",
                  "--out", "ship.report.h5")  # fmt: skip
-    yield script("ship_model.py", "models/travel/disp-xy-10ms*.model.h5", "ship.report.h5")
+    yield script("ship/ship_model.py", "models/travel/disp-xy-10ms*.model.h5", "ship.report.h5")

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from compare_steps import commit, finished_rows
 from numpy.typing import NDArray
+from results import publish
 
 from evetac_cli.console import show
 from evetac_cli.errors import EvetacError
@@ -343,15 +344,6 @@ def result(figures: list[Row], changes: list[Row], rows: list[Row], chosen: argp
     }
 
 
-def publish(whole: Row) -> None:
-    """Write the file of docs/results, and its table into the page."""
-    from results import fill_page
-
-    folder = ROOT / "docs" / "results"
-    (folder / f"{NAME}.json").write_text(json.dumps(whole, indent=1) + "\n")
-    PAGE.write_text(fill_page(PAGE.read_text(), folder))
-
-
 def main() -> None:
     """Run what is missing, print the tables, publish them if asked to."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -377,7 +369,7 @@ def main() -> None:
     whole = {"trials": len(rows), "commits": ", ".join(sorted({row["commit"] for row in rows}))}
     show("part_effects", [*figures, *sure(changes)], whole, simulated=True, as_json=chosen.json)
     if chosen.publish:
-        publish(result(figures, changes, rows, chosen))
+        publish(result(figures, changes, rows, chosen), PAGE)
 
 
 if __name__ == "__main__":

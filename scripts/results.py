@@ -114,6 +114,13 @@ def fill_page(page: str, results: Path) -> str:
     return re.sub(pattern, replace, page, flags=re.DOTALL)
 
 
+def publish(result: Result, page: Path) -> None:
+    """Write a result into docs/results, and its table into a page."""
+    folder = ROOT / "docs" / "results"
+    (folder / f"{result['name']}.json").write_text(json.dumps(result, indent=1) + "\n")
+    page.write_text(fill_page(page.read_text(), folder))
+
+
 def main() -> None:
     """Write the tables into the pages."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

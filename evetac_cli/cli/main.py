@@ -61,7 +61,7 @@ PIPELINE = (
         learning.TrainForce,
         "stages.force.train_force",
         "Tracks of shear recordings; the last file is held out.",
-        "epochs",
+        "steps",
     ),
     Command("predict-force", learning.PredictForce, "stages.force.predict_force", "Tracks."),
     Command("grasp", grasp.Grasp, "stages.grasp", ""),

@@ -20,10 +20,10 @@ import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store import contents, netcdf, schema
-from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
+from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
 from evetac_cli.store.new_contents import NewContents
-from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, identity_fault
+from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, folded, identity_fault, unfolded
 from evetac_cli.text_files import SEED_BITS, parse_json
 
 CHUNK_ROWS = 65536
@@ -144,7 +144,8 @@ def _read_header(file: CheckedHdf5) -> Header:
     try:
         header = dict(parse_json(text, most_values=math.inf, whole_bits=SEED_BITS))
         canonical(header)
-    except (ValueError, TypeError):
+        header = unfolded(header, MOST_TEXT_BYTES)
+    except (KeyError, ValueError, TypeError):
         raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
     number = header.get("version")
     version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", number) if isinstance(number, str) else None
@@ -321,7 +322,7 @@ def put_header(h5: h5py.File, header: Header) -> None:
 
     Comes last: dimensions are those of the datasets that are there.
     """
-    h5.attrs["header"] = json.dumps(header, sort_keys=True, allow_nan=False)
+    h5.attrs["header"] = json.dumps(folded(header), sort_keys=True, allow_nan=False)
     netcdf.describe_file(h5, header)
 
 

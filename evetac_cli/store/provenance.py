@@ -11,6 +11,7 @@ import hashlib
 import json
 import platform
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import metadata
@@ -22,6 +23,8 @@ from evetac_cli import __version__
 from evetac_cli.store import schema
 
 Header = dict[str, Any]
+
+LEAST_SHARED = 64  # characters: its place in the list takes some 20
 
 
 def canonical(value: Any) -> str:
@@ -84,6 +87,47 @@ class Recipe:
             "history": history,
             "made": made(),
         }
+
+
+def folded(header: Header) -> Header:
+    """The header as it lies in a file: what several ancestors have as a parameter stands once, in its list `shared`.
+
+    Such an ancestor has, beside its own `parameters`, `shared`: name of a parameter -> place in that list. Why so: a
+    model has hundreds of recordings of few scenes, whose parameters are most of its header.
+    """
+    ancestors = header["history"].values()
+    counts = Counter(canonical(value) for ancestor in ancestors for value in ancestor["parameters"].values())
+    texts = {text for text, count in counts.items() if count > 1 and len(text) >= LEAST_SHARED}
+    places: dict[str, int] = {}
+    history = {}
+    for id_, ancestor in sorted(header["history"].items()):
+        known = {name: canonical(value) for name, value in ancestor["parameters"].items()}
+        shared = {name: places.setdefault(text, len(places)) for name, text in known.items() if text in texts}
+        own = {name: value for name, value in ancestor["parameters"].items() if name not in shared}
+        history[id_] = {**ancestor, "parameters": own, "shared": shared} if shared else ancestor
+    return {**header, "history": history, "shared": [json.loads(text) for text in places]} if places else header
+
+
+def unfolded(header: Header, most_characters: int) -> Header:
+    """The whole header of one that lies in a file; ValueError where `shared` does not fit, or makes more than so much.
+
+    Ancestors have parameters that they share in common, not as copies.
+    """
+    values = header.pop("shared", [])
+    if not isinstance(values, list):
+        raise ValueError("expected a list of what is shared")
+    sizes = [len(canonical(value)) for value in values]
+    history = header.get("history")
+    for ancestor in history.values() if isinstance(history, dict) else ():
+        shared = ancestor.pop("shared", {}) if isinstance(ancestor, dict) else {}
+        if not isinstance(shared, dict) or not all(type(at) is int and 0 <= at < len(sizes) for at in shared.values()):
+            raise ValueError("an ancestor shares what is not there")
+        most_characters -= sum(sizes[at] for at in shared.values())
+        if most_characters < 0:
+            raise ValueError("too long")
+        if shared:
+            ancestor["parameters"] = {**ancestor["parameters"], **{name: values[at] for name, at in shared.items()}}
+    return header
 
 
 def recompute_id(header: Header) -> str:

@@ -232,6 +232,21 @@ def test_header_with_a_wrong_value(made: Path, key: str, value: Any) -> None:
         assert f"its header is not valid: {key}" in refusal(made)
 
 
+@pytest.mark.parametrize("shared", [{"a": 1}, 3, None, ["not what the ids are of"], []])
+def test_header_whose_shared_parameters_were_edited(tmp_path: Path, shared: Any) -> None:
+    """Assert that parameters of several ancestors come back from a file, and that others in their place are refused."""
+    long = {"text": "x" * 100}
+    parents = tuple(Recipe("recording", 1, {"scene": long, "number": number}).header() for number in range(2))
+    path = tmp_path / "a.labels.h5"
+    made = write_stage(path, Recipe("labels", 1, {}, parents=parents), labels())
+    with StageFile(path) as file:
+        assert file.header == made
+    with h5py.File(path) as h5:
+        assert h5.attrs["header"].count("x" * 100) == 1
+    edit_header(path, shared=shared)
+    assert ("was edited" if isinstance(shared, list) and shared else "its header is not valid") in refusal(path)
+
+
 def test_wrong_kind(made: Path) -> None:
     """Assert that another kind than wanted is refused with both, and any kind is taken where none is wanted."""
     message = refusal(made, "recording")

@@ -20,7 +20,10 @@ from evetac_cli.store.provenance import (
     canonical,
     content_digest,
     first_difference,
+    folded,
+    identity_fault,
     recompute_id,
+    unfolded,
 )
 
 PARENT = Recipe("recording", 1, {"object": 3}, seed=1).header()
@@ -271,3 +274,61 @@ def test_m4_a_header_without_an_identity_has_no_id(change: dict[str, Any]) -> No
     header = {key: value for key, value in {**HEADER, **change}.items() if value is not ...}
     assert recompute_id(header) == ""
     assert recompute_id(HEADER) == HEADER["id"]
+
+
+def family(recordings: int) -> Header:
+    """The header of a model of recordings that have their scene in common, and the numbers of some sensors."""
+    scene = {"name": "slip", "time": {"rest_s": 0.2, "load_s": 0.5}, "summary": "an object slips out of the grip"}
+    rows = [{"seed": row, "dots": list(range(100))} for row in range(2)]
+    made = [
+        Recipe("recording", 1, {"scene": scene, "row": rows[number % 2], "trial": number}, seed=number).header()
+        for number in range(recordings)
+    ]
+    return Recipe("model", 1, {"scene": scene}, parents=tuple(made)).header()
+
+
+def as_stored(header: Header) -> Header:
+    """What is read of a header that was written."""
+    stored: Header = json.loads(canonical(folded(header)))
+    return stored
+
+
+def test_what_ancestors_share_stands_once_in_a_file() -> None:
+    """Assert that a header comes back whole with ids that fit, and is shorter in a file, where something is shared."""
+    header = family(20)
+    stored = as_stored(header)
+    assert header == family(20) | {"made": header["made"]}  # folding changes nothing in it
+    assert len(stored["shared"]) == 3
+    assert {frozenset(one["parameters"]) for one in stored["history"].values()} == {frozenset(["trial"])}
+    assert len(canonical(stored)) < 0.6 * len(canonical(header))
+    jsonschema.validate(stored, json.loads((schemas() / "header.v1.json").read_text()))
+    whole = unfolded(stored, 10**5)
+    assert whole == header
+    assert identity_fault(whole) == ""
+    for alone in (family(1), PARENT, BASE.header()):
+        assert folded(alone) == alone == unfolded(as_stored(alone), 0)
+
+
+def test_headers_whose_shared_parameters_do_not_fit() -> None:
+    """Assert that places that are not there, other types and too much are refused, and that sharing nothing is not."""
+    whole = family(4)
+
+    def broken(**changes: Any) -> Header:
+        stored = as_stored(whole)
+        next(iter(stored["history"].values())).update(changes)
+        return stored
+
+    for stored in (
+        *(broken(shared=shared) for shared in ([], "scene", 3, {"scene": 3}, {"scene": -1}, {"scene": True})),
+        *(broken(shared={"scene": at}) for at in (0.0, None, "0")),
+        as_stored(whole) | {"shared": {}},
+        as_stored(whole) | {"shared": []},
+    ):
+        with pytest.raises(ValueError, match="share"):
+            unfolded(stored, 10**5)
+    with pytest.raises(ValueError, match="too long"):
+        unfolded(as_stored(whole), 1000)
+    with pytest.raises((KeyError, TypeError)):
+        unfolded(broken(parameters=None), 10**5)
+    for odd in ({"history": 3}, {"history": {"a": 3}}, {"history": {"a": {}}}, {}):
+        assert unfolded(dict(odd), 0) == odd

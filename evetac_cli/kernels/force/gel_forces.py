@@ -153,20 +153,19 @@ def adapt(
     shear_n: Floats,
     normal_n: Floats,
     contact: NDArray[np.int64],
+    time_s: Floats,
     reading_sd_n: float,
-    step_s: float,
 ) -> Scale:
     """The weights after known forces: regression with the weights before as prior (ridge towards them).
 
     shear (n, 2, 4), normal (n, 2): terms; shear_n (n, 2), normal_n (n,): readings of a force sensor, NaN where there is
-    none; contact (n,): the number of the contact that a sample belongs to; step_s: time between samples.
+    none; contact (n,): the number of the contact that a sample belongs to; time_s (n,): rising in each contact.
     Why contacts count: the error of a contact is the same in all its samples, so each has an unknown part of its own
     here, and a hundred samples of one contact tell less of the gel than ten of each of ten.
     """
-    many = max(1.0, AGREES_S / step_s)
 
     def floor(share_mm2: float, modulus: float) -> float:
-        return float(many * ((share_mm2 * modulus) ** 2 + reading_sd_n**2))
+        return float((share_mm2 * modulus) ** 2 + reading_sd_n**2)
 
     shears = [
         _update(
@@ -175,6 +174,7 @@ def adapt(
             shear[:, axis],
             shear_n[:, axis],
             contact,
+            time_s,
             errors.shear_share,
             floor(errors.shear_floor_mm2, scale.shear[axis, 0]),
             offsets=True,
@@ -187,6 +187,7 @@ def adapt(
         normal,
         normal_n,
         contact,
+        time_s,
         errors.normal_share,
         floor(errors.normal_floor_mm2, scale.normal[0]),
         offsets=False,
@@ -200,12 +201,14 @@ def _update(
     terms: Floats,
     reading_n: Floats,
     contact: NDArray[np.int64],
+    time_s: Floats,
     share: float,
     variance: float,
     offsets: bool,
 ) -> tuple[Floats, Floats]:
     """Mean and covariance of weights after readings; each contact has a factor of its own besides, of sd `share`.
 
+    variance: of a reading that has no other within AGREES_S; so many as there are tell together what one does.
     offsets: and an offset of its own, of its typical force times `share`, as a force of both signs may have.
     """
     known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)
@@ -214,6 +217,7 @@ def _update(
     terms, reading_n = terms[known], reading_n[known]
     numbers, place = np.unique(contact[known], return_inverse=True)
     of_contact = np.equal(place.reshape(-1)[:, None], np.arange(len(numbers)))
+    alone = 1.0 / (variance * _beside(contact[known], time_s[known]))[:, None]
     first = terms[:, :1] * mean[0]
     typical = np.sqrt((of_contact * first**2).sum(axis=0) / of_contact.sum(axis=0))
     own = np.column_stack([of_contact * first, *([of_contact * typical] if offsets else [])])
@@ -226,11 +230,22 @@ def _update(
     values, vectors = np.linalg.eigh(before)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     scaled = everything @ root
-    precision = scaled.T @ scaled / variance + np.eye(len(before))
+    precision = scaled.T @ (alone * scaled) + np.eye(len(before))
     start = np.concatenate([mean, np.zeros(own.shape[1])])
-    moved = np.linalg.solve(precision, scaled.T @ (reading_n - everything @ start) / variance)
+    moved = np.linalg.solve(precision, (alone * scaled).T @ (reading_n - everything @ start))
     after = np.asarray(root @ np.linalg.solve(precision, root.T), np.float64)
     return (start + root @ moved)[:size], after[:size, :size]
+
+
+def _beside(contact: NDArray[np.int64], time_s: Floats) -> Floats:
+    """How many samples (n,) lie within AGREES_S about each one in its contact, itself counted."""
+    many = np.empty(len(time_s))
+    for number in np.unique(contact):
+        of_contact = contact == number
+        times = time_s[of_contact]
+        last = np.searchsorted(times, times + AGREES_S / 2, side="right")
+        many[of_contact] = last - np.searchsorted(times, times - AGREES_S / 2)
+    return many
 
 
 def contact_signs(field_mm: Floats, normal_mm2: Floats) -> Floats:

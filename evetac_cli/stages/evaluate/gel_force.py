@@ -27,11 +27,11 @@ from evetac_cli.stages.force import adapt_gel, gel_model, readings
 from evetac_cli.stages.force.gel_model import Gel, GelModel
 from evetac_cli.stages.force.train_gel import known_sensor
 from evetac_cli.stages.related_files import recording_with_truth
-from evetac_cli.stages.splits import check_disjoint, object_name
+from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
-METHOD = 1
+METHOD = 2
 KNOWN_KEYS = ("mm_per_px", *gel_model.MODULI.values())
 
 
@@ -47,7 +47,6 @@ class Trial(NamedTuple):
 
     path: Path
     sensor_name: str
-    object: str
     shear_n: Floats
     normal_n: Floats
     predicted: dict[str, tuple[Forces, Floats]]  # forces, and probability of contact
@@ -127,7 +126,7 @@ def _gels(name: str, row: Mapping[str, Any], model: GelModel, own: list[Path], p
     if own:
         for before, after in (("unknown", "adapted"), ("known", "known, adapted")):
             estimated = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
-            gels[after] = Gel(*adapt_gel.adapted(model, gels[before], estimated, params.noise_n))
+            gels[after] = adapt_gel.adapted(model, gels[before], estimated, params.noise_n)
     return gels
 
 
@@ -149,7 +148,7 @@ def _predict(
             predicted[known] = (Forces(*(values[at] for values in estimated.forces)), estimated.contact[at])
         shear_n = recording.read("truth/shear_force_n")[:: readings.EVERY].astype(float)
         normal_n = recording.read("truth/normal_force_n")[:: readings.EVERY].astype(float)
-        return Trial(path, name, object_name(tracks.header), shear_n, normal_n, predicted)
+        return Trial(path, name, shear_n, normal_n, predicted)
 
 
 def _row(trial: Trial, name: str, range_n: float) -> dict[str, Any]:

@@ -17,13 +17,17 @@ from evetac_cli.kernels.force import gel_forces
 from evetac_cli.params.learning import TrainForce
 from evetac_cli.resources import FORCE_MODEL, SHIPPED
 from evetac_cli.stages.force import gel_model, readings
-from evetac_cli.stages.force.gel_model import Adapted, Gel, GelModel
+from evetac_cli.stages.force.gel_model import Gel, GelModel
+from evetac_cli.stages.force.readings import Readings
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 
 OUTPUT = "force-model"
-METHOD = 1
-SHORTEST_CONTACT = 5  # readings
+METHOD = 2
+SHORTEST_CONTACT_MS = 200
+GAP_MS = 200  # a shorter time without contact, as dots that are lost for a moment make it, divides no contact
+CONTACT_READING_N = 0.5  # a normal force that was measured tells contact better than dots do
+READING_LASTS_MS = 1000  # until the next one, at most
 
 
 class Known(NamedTuple):
@@ -34,6 +38,7 @@ class Known(NamedTuple):
     shear_n: gel_forces.Floats
     normal_n: gel_forces.Floats
     contact: NDArray[np.int64]
+    time_s: gel_forces.Floats
 
 
 def job(files: list[Path], params: TrainForce, out: Path | None) -> Job:
@@ -88,10 +93,9 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
     )
 
 
-def adapted(model: GelModel, gel: Gel, known: Known, noise_n: float) -> Adapted:
+def adapted(model: GelModel, gel: Gel, known: Known, noise_n: float) -> Gel:
     """The weights after known forces."""
-    scale = gel_forces.adapt(gel.scale, model.errors, *known, noise_n, readings.EVERY * gel_forces.SLICE_S)
-    return Adapted(scale, gel.mm_per_px, gel.creep_time_s)
+    return gel._replace(scale=gel_forces.adapt(gel.scale, model.errors, *known, noise_n))
 
 
 def known_forces(model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: float, rng: np.random.Generator) -> Known:
@@ -101,10 +105,8 @@ def known_forces(model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: floa
         with StageFile(path, "tracks") as tracks:
             read = readings.read(tracks, noise_n, rng)
             predicted = gel_model.predict(model, gel, tracks)
-        touches = predicted.contact[read.slice_] >= gel_model.CONTACT
-        number = np.cumsum(np.diff(touches, prepend=False) & touches)  # of the contact that a reading belongs to
-        lengths = np.bincount(number[touches], minlength=1)
-        used = touches & (lengths[number] >= SHORTEST_CONTACT)
+        number = contact_numbers(_touches(predicted.contact >= gel_model.CONTACT, read))[read.slice_]
+        used = number >= 0
         at = read.slice_[used]
         parts.append(
             Known(
@@ -113,14 +115,38 @@ def known_forces(model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: floa
                 read.shear_n[used],
                 read.normal_n[used],
                 contacts + number[used],
+                np.asarray(at * gel_forces.SLICE_S, np.float64),
             )
         )
-        contacts += int(number.max(initial=0)) + 1
+        contacts += int(number.max(initial=-1)) + 1
     whole = Known(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     if not len(whole.contact):
         raise InputError(
             "no reading is during a contact",
             where=f"{paths[0]} and {len(paths) - 1} more",
-            expected=f"contacts of {SHORTEST_CONTACT * readings.EVERY} ms or more, with readings",
+            expected=f"contacts of {SHORTEST_CONTACT_MS} ms or more, with readings",
         )
     return whole
+
+
+def _touches(dots_say: NDArray[np.bool_], read: Readings) -> NDArray[np.bool_]:
+    """Whether there is contact in each slice: by the normal force where it was measured, else by the dots."""
+    touches = dots_say.copy()
+    until = np.append(read.slice_[1:], len(touches))
+    for first, end, normal_n in zip(read.slice_, until, read.normal_n, strict=True):
+        if np.isfinite(normal_n):
+            touches[first : min(end, first + READING_LASTS_MS)] = normal_n >= CONTACT_READING_N
+    return touches
+
+
+def contact_numbers(touches: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The number of the contact that each slice belongs to, or -1; short gaps divide none, short contacts are none."""
+    numbers = np.full(len(touches), -1)
+    edges = np.flatnonzero(np.diff(touches, prepend=False, append=False))
+    begins, ends = edges[::2], edges[1::2]
+    apart = begins[1:] - ends[:-1] >= GAP_MS
+    begins, ends = np.append(begins[:1], begins[1:][apart]), np.append(ends[:-1][apart], ends[-1:])
+    lasting = ends - begins >= SHORTEST_CONTACT_MS
+    for number, (begin, end) in enumerate(zip(begins[lasting], ends[lasting], strict=True)):
+        numbers[begin:end] = number
+    return numbers

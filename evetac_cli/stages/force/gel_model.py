@@ -42,8 +42,8 @@ class Prior(NamedTuple):
     mm_log_sd: float
 
 
-class Adapted(NamedTuple):
-    """The weights after known forces, of one sensor."""
+class Gel(NamedTuple):
+    """A model's weights for one sensor."""
 
     scale: Scale
     mm_per_px: float
@@ -57,22 +57,12 @@ class GelModel(NamedTuple):
     errors: Errors
     contact: Floats  # (3,)
     prior: Prior
-    adapted: Adapted | None
-
-
-class Gel(NamedTuple):
-    """A model's weights for one sensor."""
-
-    scale: Scale
-    mm_per_px: float
-    creep_time_s: Floats
+    adapted: Gel | None  # to one sensor, by known forces
 
 
 class Predicted(NamedTuple):
-    """What a model tells of every slice: force over modulus (slices, 3), terms, forces, probability of contact."""
+    """What a model tells of every slice: terms of shear and normal force, forces, probability of contact."""
 
-    over_modulus_mm2: Floats
-    signs: Floats
     shear: Floats
     normal: Floats
     forces: Forces
@@ -111,7 +101,7 @@ def gel_of(model: GelModel, known: Mapping[str, Any], stiffness_error: float) ->
     stiffness_error: sd of the logarithm of moduli that are known. A scale that is not known makes forces less sure.
     """
     if model.adapted is not None:
-        return Gel(*model.adapted)
+        return model.adapted
     expected = model.prior.stiffness
     mm_log_sd = 0.0 if "mm_per_px" in known else model.prior.mm_log_sd
 
@@ -171,7 +161,7 @@ def predict(model: GelModel, gel: Gel, tracks: StageFile) -> Predicted:
     normal = gel_forces.normal_terms(found_mm2[:, 2])
     forces = gel_forces.predict(gel.scale, model.errors, shear, normal)
     contact = gel_forces.contact_probability(signs, model.contact)
-    return Predicted(found_mm2, signs, shear, normal, forces, contact)
+    return Predicted(shear, normal, forces, contact)
 
 
 def arrays_of(model: GelModel) -> dict[str, Any]:
@@ -242,6 +232,6 @@ def read_gel_model(file: StageFile) -> GelModel:
     adapted = None
     if file.has("adapted"):
         scale = Scale(*(file.read(f"adapted/{name}") for name in Scale._fields))
-        adapted = Adapted(scale, float(file.read("adapted/mm_per_px")), file.read("adapted/creep_time_s"))
+        adapted = Gel(scale, float(file.read("adapted/mm_per_px")), file.read("adapted/creep_time_s"))
     network = GelNetwork(layers, linear, file.read("gel/scale_mm2"))
     return GelModel(network, Errors(*file.read("gel/errors").tolist()), file.read("gel/contact"), prior, adapted)

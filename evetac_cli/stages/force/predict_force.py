@@ -18,7 +18,7 @@ from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 
 OUTPUT = "forces"
-METHOD = 1
+METHOD = 2
 BLOCK_SLICES = 5000
 
 

@@ -70,14 +70,19 @@ def read(tracks: StageFile, noise_n: float, rng: np.random.Generator) -> Reading
 
 def _from_table(path: Path, slices: int) -> Readings:
     text = read_text(path, MOST_BYTES).removeprefix("\ufeff")  # as Excel writes
-    lines = csv.reader(text.splitlines())
-    first = [name.strip() for name in next(lines, [])]
+    if "\0" in text:
+        raise InputError("not a table of forces: it holds bytes of value 0", where=str(path))
+    try:
+        lines = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise InputError(f"not a table of forces: {error}", where=str(path), expected=",".join(COLUMNS)) from None
+    first = [name.strip() for name in lines[0]] if lines else []
     if first != COLUMNS:
         raise InputError(
             "not a table of forces", where=f"{path}, line 1", expected=",".join(COLUMNS), found=",".join(first)[:80]
         )
     rows = []
-    for number, line in enumerate(lines, start=2):
+    for number, line in enumerate(lines[1:], start=2):
         if not line:
             continue
         try:

@@ -6,15 +6,16 @@ moves with the object, the rest follows; in some contacts the shear is shared ou
 off by what a tracker errs, and the displacement field is read from them as from a recording's.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from evetac_cli.jobs import Progress, silent
 from evetac_cli.kernels.force.dot_field import lattice_field
+from evetac_cli.kernels.identify import held_gel
 from evetac_cli.sim import sampling
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
@@ -52,7 +53,7 @@ def sample(
     ranges: Mapping[str, Any],
     count: int,
     rng: np.random.Generator,
-    on_progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> Contacts:
     """So many contacts of sensors from a row of ranges, SHEARS samples each."""
     fields, forces, rows = [], [], []
@@ -62,8 +63,8 @@ def sample(
         fields.append(field_mm)
         forces.append(over_modulus)
         rows.append(row)
-        if on_progress and number % 100 == 0:
-            on_progress(number, count)
+        if number % 100 == 99 or number == count - 1:
+            progress(number + 1, count)
     return Contacts(np.concatenate(fields), np.concatenate(forces), rows)
 
 
@@ -148,25 +149,14 @@ def _pressed(gap_m: Floats, stiffness: float, normal_n: float) -> Floats:
 
 def _shared_shear(nodes: Floats, depth_m: Floats, rng: np.random.Generator) -> Floats:
     """Displacement of each node (rows, columns) for each m that the object moves: 1 where it sticks."""
-    rows, columns = depth_m.shape
-    pitch_m = nodes[0, 1, 0] - nodes[0, 0, 0], nodes[1, 0, 1] - nodes[0, 0, 1]
-    along = [_second_differences(size) / pitch**2 for size, pitch in zip((columns, rows), pitch_m, strict=True)]
-    across_layer = sparse.kron(sparse.eye(rows), along[0]) + sparse.kron(along[1], sparse.eye(columns))
-    layer = (sparse.eye(rows * columns) + HEIGHT_M**2 / 3 * across_layer).tocsr()
+    layer = held_gel.layer(held_gel.Pad(nodes, HEIGHT_M))
     sticks = (depth_m > 0).ravel()
-    share = np.ones(rows * columns)
+    share = np.ones(depth_m.size)
     if not sticks.all():
         pulled = -np.asarray(layer[~sticks][:, sticks].sum(axis=1)).ravel()
         share[~sticks] = spsolve(layer[~sticks][:, ~sticks].tocsc(), pulled)
     if rng.random() < SLIPPING_SHARE:
         slipping = spsolve(layer.tocsc(), depth_m.ravel())
         share += rng.random() * (slipping * share.sum() / slipping.sum() - share)
-    result: Floats = share.reshape(rows, columns)
+    result: Floats = share.reshape(depth_m.shape)
     return result
-
-
-def _second_differences(size: int) -> Any:
-    """Minus the second derivative along a line of nodes with free ends, in units of the pitch."""
-    own = np.full(size, 2.0)
-    own[[0, -1]] = 1.0
-    return sparse.diags([own, -np.ones(size - 1), -np.ones(size - 1)], [0, 1, -1])

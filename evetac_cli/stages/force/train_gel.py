@@ -25,7 +25,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording
 
 OUTPUT = "force-model"
-METHOD = 1
+METHOD = 2
 RANGES = "randomized"  # the sensors that contacts are of
 
 
@@ -52,7 +52,7 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress) -> Out
     from evetac_cli.stages.force import static_contacts
 
     sampling, training = np.random.default_rng(params.seed).spawn(2)
-    contacts = static_contacts.sample(ranges, params.contacts, sampling)
+    contacts = static_contacts.sample(ranges, params.contacts, sampling, progress)
     trained = gel_training.train(contacts.field_mm, contacts.over_modulus_mm2, training, params.epochs, progress)
     prior = gel_model.prior_of(contacts.sensor_rows)
     unmeasured = GelModel(trained.network, Errors(0.0, 0.0, 0.0, 0.0), np.zeros(3), prior, None)

@@ -83,3 +83,37 @@ def test_shapes_that_do_not_fit() -> None:
     """Assert that arrays of different dots are refused."""
     with pytest.raises(ValueError, match="expected shapes"):
         lattice_field(np.zeros((2, 5, 2)), np.zeros((6, 2)), np.ones((2, 5), np.bool_))
+
+
+def test_dots_that_were_left_behind_are_left_out() -> None:
+    """Assert that dots which stayed where the others moved on change nothing, in these samples alone."""
+    rest_mm = grid()
+    moved_mm = np.repeat(linear(rest_mm) + [0.8, -0.6], 3, axis=0)
+    true = lattice_field(moved_mm, rest_mm, seen(moved_mm))
+    behind = [11, 30, 31, 52]
+    moved_mm[1, behind] = 0.0
+    kept = dot_field.with_neighbours(moved_mm, rest_mm, seen(moved_mm))
+    assert np.flatnonzero(~kept[1]).tolist() == behind
+    assert kept[[0, 2]].all()
+    assert np.allclose(lattice_field(moved_mm, rest_mm, seen(moved_mm)), true, atol=1e-9)
+
+
+def test_the_border_of_a_contact_is_kept() -> None:
+    """Assert that no dot is left out of a surface whose displacement fades over 2.3 mm beside a sheared face."""
+    rest_mm = grid()
+    fades = np.exp(-np.maximum(rest_mm[:, 0] - 1.0, 0.0) / 2.3)
+    moved_mm = np.stack([fades, np.zeros_like(fades)], axis=1)[None]
+    assert dot_field.with_neighbours(moved_mm, rest_mm, seen(moved_mm)).all()
+
+
+def test_neighbours_of_few_or_unseen_dots() -> None:
+    """Assert that dots without enough neighbours are kept, and that dots which are not seen count for nothing."""
+    rest_mm = grid()
+    moved_mm = 1.5 * linear(rest_mm)
+    few = dot_field.with_neighbours(moved_mm[:, :8], rest_mm[:8], seen(moved_mm[:, :8]))
+    assert few.all()
+    wrong = moved_mm.copy()
+    wrong[0, ::2] = 50.0
+    tracked = seen(moved_mm)
+    tracked[0, ::2] = False
+    assert np.array_equal(dot_field.with_neighbours(wrong, rest_mm, tracked), tracked)

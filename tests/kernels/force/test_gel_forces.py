@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import LATTICE_MM
@@ -85,6 +86,11 @@ def readings(
     return terms, force_n + rng.normal(0, 0.05, force_n.shape), number
 
 
+def seconds(contact: NDArray[np.int64]) -> Floats:
+    """Times of readings, one every 40 ms."""
+    return np.arange(len(contact)) * 0.04
+
+
 def test_known_forces_find_the_stiffness() -> None:
     """Assert that weights come from readings where these are many, and stay as before where there are none."""
     rng = np.random.default_rng(1)
@@ -92,12 +98,12 @@ def test_known_forces_find_the_stiffness() -> None:
     before = gel_forces.scale_of(gel(0.4, (0.05, 0.05), 0.03))
     terms, force_n, number = readings(rng, truth, contacts=30)
     normal = gel_forces.normal_terms(rng.uniform(0, 20, len(terms)))
-    after = gel_forces.adapt(before, ERRORS, terms, normal, force_n, 1.7 * normal[:, 0], number, 0.05, 0.04)
+    after = gel_forces.adapt(before, ERRORS, terms, normal, force_n, 1.7 * normal[:, 0], number, seconds(number), 0.05)
     assert np.allclose(after.shear[:, 0], 0.22, rtol=0.03)
     assert after.normal[0] == pytest.approx(1.7, rel=0.03)
     assert (np.abs(after.shear - truth) < 4 * np.sqrt(np.diagonal(after.shear_covariance, axis1=1, axis2=2))).all()
     nothing = np.full_like(force_n, np.nan)
-    same = gel_forces.adapt(before, ERRORS, terms, normal, nothing, nothing[:, 0], number, 0.05, 0.04)
+    same = gel_forces.adapt(before, ERRORS, terms, normal, nothing, nothing[:, 0], number, seconds(number), 0.05)
     assert all(np.array_equal(one, other) for one, other in zip(same, before, strict=True))
 
 
@@ -108,10 +114,24 @@ def test_many_samples_of_one_contact_tell_little() -> None:
     for contacts, samples in ((1, 2000), (10, 200)):
         terms, force_n, number = readings(np.random.default_rng(2), before.shear[0], contacts, samples)
         normal = gel_forces.normal_terms(np.zeros(len(terms)))
-        after = gel_forces.adapt(before, ERRORS, terms, normal, force_n, normal[:, 0], number, 0.05, 0.04)
+        after = gel_forces.adapt(before, ERRORS, terms, normal, force_n, normal[:, 0], number, seconds(number), 0.05)
         sds.append(np.sqrt(after.shear_covariance[0, 0, 0]) / 0.15)
     assert 0.04 < sds[0] < 0.06
     assert sds[1] < 0.5 * sds[0]
+
+
+def test_how_often_a_contact_is_read_matters_little() -> None:
+    """Assert that a table of one reading a second tells nearly as much as one of 25: errors last longer than 40 ms."""
+    before = gel_forces.scale_of(gel(0.4))
+    terms, force_n, number = readings(np.random.default_rng(7), before.shear[0], contacts=3, samples=250)
+    normal = gel_forces.normal_terms(np.zeros(len(terms)))
+    sds = []
+    for every in (1, 25):
+        at = slice(None, None, every)
+        known = (terms[at], normal[at], force_n[at], normal[at, 0], number[at], seconds(number)[at])
+        after = gel_forces.adapt(before, ERRORS, *known, 0.05)
+        sds.append(np.sqrt(after.shear_covariance[0, 0, 0]))
+    assert sds[1] == pytest.approx(sds[0], rel=0.05)
 
 
 def test_standard_deviations_cover() -> None:
@@ -127,7 +147,7 @@ def test_standard_deviations_cover() -> None:
         floor = rng.normal(0, ERRORS.shear_floor_mm2, (len(terms), 2))
         terms[:, :, 0] += floor
         normal = gel_forces.normal_terms(np.zeros(len(terms)))
-        after = gel_forces.adapt(before, ERRORS, terms, normal, force_n, normal[:, 0], number, 0.05, 0.04)
+        after = gel_forces.adapt(before, ERRORS, terms, normal, force_n, normal[:, 0], number, seconds(number), 0.05)
         new, force_n, number = readings(rng, truth, contacts=3, samples=20)
         new[:, :, 0] += rng.normal(0, ERRORS.shear_floor_mm2, (len(new), 2))
         estimated = gel_forces.predict(after, ERRORS, new, gel_forces.normal_terms(np.zeros(len(new))))

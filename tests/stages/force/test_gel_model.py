@@ -12,8 +12,7 @@ import pytest
 
 from evetac_cli import resources
 from evetac_cli.errors import InputError
-from evetac_cli.inspect import info, validate
-from evetac_cli.jobs import Outcome
+from evetac_cli.inspect import info
 from evetac_cli.params.evaluation import EvaluateForce
 from evetac_cli.params.learning import PredictForce, TrainForce
 from evetac_cli.sim import scene
@@ -22,9 +21,10 @@ from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.shared import pad
 from evetac_cli.stages.evaluate import force as evaluate_force
-from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.stages.force import adapt_gel, predict_force, train_force
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.stages.force.made_up import run, write_trial
 
 SLICES, PRESSED = 2000, slice(300, 1700)
 HEIGHT_M = gel.GelMaterial().height_m
@@ -69,50 +69,8 @@ def trial(
     shift_m = shear_n * HEIGHT_M / (row["shear_modulus_pa"] * area_m2)
     moved_m = shift_m[:, None] + pressed[:, None, None] * spread_m
     dots = (rest_px + moved_m * 1e3 / row["mm_per_px"]).astype(np.float32)
-    sensor = {
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": name,
-        "sensor/dot_xy_px": grid,
-        "sensor/dot_radius_px": np.float64(15.0),
-    }
-    none = np.empty(0, np.int64)
-    zero = np.zeros(SLICES, np.float32)
-    recording: dict[str, Any] = {
-        "events/t": none,
-        **{f"events/{key}": none.astype(np.uint16) for key in "xy"},
-        "events/p": none.astype(np.uint8),
-        "ms_to_idx": np.zeros(SLICES + 1, np.int64),
-        "t_offset": np.int64(0),
-        **sensor,
-    }
-    if truth:
-        recording |= {
-            "truth/dot_xy_px": dots,
-            "truth/object_xy_px": np.zeros((SLICES, 2), np.float32),
-            **{f"truth/{key}": zero for key in ("slid_px", "every_node_slid_px", "slip_share", "visible_slip_share")},
-            "truth/slip": zero.astype(np.uint8),
-            "truth/normal_force_n": (normal_n * pressed).astype(np.float32),
-            "truth/shear_force_n": shear_n.astype(np.float32),
-            "truth/sampled_parameters": "{}",
-        }
     made = Recipe("recording", 1, {"sensor_row": row, "dots": len(rest_px)}, seed=number, simulated_source=truth)
-    header = write_stage(folder / f"trial{number}.recording.h5", made, recording)
-    tracks = {
-        "dot_xy_px": dots,
-        "events_per_dot": np.zeros(dots.shape[:2], np.int32),
-        "lost": np.zeros(dots.shape[:2], np.uint8),
-        **sensor,
-    }
-    path = folder / f"trial{number}.tracks.h5"
-    write_stage(path, Recipe("tracks", 1, {"preset": "exact"}, parents=(header,)), tracks)
-    return path
-
-
-def run(stage: Any, files: list[Path], chosen: Any, out: Path) -> tuple[Path, Outcome]:
-    (job,) = stage.jobs(files, chosen, out)
-    outcome: Outcome = stage.run(job, chosen)
-    assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
-    return job.output, outcome
+    return write_trial(folder, made, grid, dots, normal_n * pressed, shear_n, name)
 
 
 def predicted(path: Path, chosen: PredictForce, out: Path) -> dict[str, Any]:
@@ -258,6 +216,8 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
         ("t_s,shear_x_n,shear_y_n,normal_n\n,1,2,3", "not a reading"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n9.4,1,2,3", "beside the recording"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n0.1,,,\n", "no reading is during a contact"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.4,1,2,\0", "bytes of value 0"),
+        pytest.param("t_s,shear_x_n,shear_y_n,normal_n\n0.4,1,2," + "1" * 200_000, "field larger", id="large field"),
     ],
 )
 def test_tables_that_are_none(tmp_path: Path, text: str, message: str) -> None:
@@ -268,6 +228,37 @@ def test_tables_that_are_none(tmp_path: Path, text: str, message: str) -> None:
     path.with_name("trial0.force.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         run(train_force, [path], ADAPT, tmp_path)
+
+
+def test_contacts_are_numbered_over_time() -> None:
+    """Assert that a contact is a stretch of time: short gaps do not divide it, short touches are none, none is none."""
+    touches = np.zeros(3000, np.bool_)
+    for begin, end in ((100, 500), (600, 900), (1200, 1350), (2000, 3000)):
+        touches[begin:end] = True
+    numbers = adapt_gel.contact_numbers(touches)
+    assert (numbers[100:900] == 0).all()
+    assert (numbers[2000:] == 1).all()
+    assert (np.delete(numbers, [*range(100, 900), *range(2000, 3000)]) == -1).all()
+    assert (adapt_gel.contact_numbers(np.zeros(50, np.bool_)) == -1).all()
+    assert adapt_gel.contact_numbers(touches[:0]).shape == (0,)
+
+
+def test_two_contacts_with_a_reading_each(tmp_path: Path) -> None:
+    """Assert that readings a second apart are of two contacts where the gel was let go between them."""
+    path = trial(tmp_path, 1)
+    with StageFile(path) as file:
+        header, arrays = file.header, {name: file.read(name) for name in file.contents()}
+    arrays["dot_xy_px"][800:1100] = arrays["dot_xy_px"][0]
+    own = tmp_path / "own"
+    own.mkdir()
+    write_stage(own / path.name, Recipe("tracks", 1, {"preset": "let go"}, parents=(header,)), arrays)
+    table = own / "trial1.force.csv"
+    counts = []
+    for between in ("", "1.0,0,0,0\n"):
+        table.write_text(f"t_s,shear_x_n,shear_y_n,normal_n\n0.6,0,0,\n{between}1.2,0,0,\n")
+        counts.append(run(train_force, [own / path.name], ADAPT, own / f"{len(counts)}.force-model.h5")[1].rows[0])
+    assert [row["contacts"] for row in counts] == [2, 2]
+    assert [row["readings"] for row in counts] == [2, 2]
 
 
 def test_training_is_the_same_for_one_seed(tmp_path: Path) -> None:

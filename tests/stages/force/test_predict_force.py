@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.inspect import info, validate
-from evetac_cli.jobs import Outcome
+from evetac_cli.inspect import info
 from evetac_cli.params.evaluation import EvaluateForce
 from evetac_cli.params.learning import PredictForce, TrackRgb, TrainForce
 from evetac_cli.stages import track_rgb
 from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import predict_force, train_force
-from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe
+from tests.stages.force.made_up import run, write_trial
 
 N_PX = 0.4  # shear force for each px of mean displacement
 SLICES = 2400
@@ -37,52 +37,8 @@ def trial(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, t
     force_n = pressed[:, None] * np.stack([np.interp(time, at, knots[:, axis]) for axis in (0, 1)], axis=1)
     rest = np.stack(np.meshgrid(60.0 + 62.0 * np.arange(columns), 40.0 + 62.0 * np.arange(7)), axis=-1)
     dots = (rest.reshape(1, -1, 2) + force_n[:, None] * softer / N_PX).astype(np.float32)
-    sensor = {
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": "evetac" if softer == 1 else "soft-gel",
-        "sensor/dot_xy_px": rest,
-        "sensor/dot_radius_px": np.float64(15.0),
-    }
-    none = np.empty(0, np.int64)
-    events = {"events/t": none, **{f"events/{name}": none.astype(np.uint16) for name in "xy"}}
-    recording: dict[str, Any] = {
-        **events,
-        "events/p": none.astype(np.uint8),
-        "ms_to_idx": np.zeros(SLICES + 1, np.int64),
-        "t_offset": np.int64(0),
-        **sensor,
-    }
-    if truth:
-        recording |= {
-            "truth/dot_xy_px": dots,
-            "truth/object_xy_px": np.zeros((SLICES, 2), np.float32),
-            "truth/slid_px": np.zeros(SLICES, np.float32),
-            "truth/slip": np.zeros(SLICES, np.uint8),
-            "truth/every_node_slid_px": np.zeros(SLICES, np.float32),
-            "truth/slip_share": np.zeros(SLICES, np.float32),
-            "truth/visible_slip_share": np.zeros(SLICES, np.float32),
-            "truth/normal_force_n": 20 * pressed.astype(np.float32),
-            "truth/shear_force_n": force_n.astype(np.float32),
-            "truth/sampled_parameters": "{}",
-        }
     made = Recipe("recording", 1, {"softer": softer, "columns": columns}, seed=number, simulated_source=truth)
-    header = write_stage(folder / f"trial{number}.recording.h5", made, recording)
-    tracks = {
-        "dot_xy_px": dots,
-        "events_per_dot": np.zeros(dots.shape[:2], np.int32),
-        "lost": np.zeros(dots.shape[:2], np.uint8),
-        **sensor,
-    }
-    path = folder / f"trial{number}.tracks.h5"
-    write_stage(path, Recipe("tracks", 1, {"preset": "exact"}, parents=(header,)), tracks)
-    return path
-
-
-def run(stage: Any, files: list[Path], chosen: Any, out: Path | None = None) -> tuple[Path, Outcome]:
-    (job,) = stage.jobs(files, chosen, out)
-    outcome: Outcome = stage.run(job, chosen)
-    assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
-    return job.output, outcome
+    return write_trial(folder, made, rest, dots, 20.0 * pressed, force_n, "evetac" if softer == 1 else "soft-gel")
 
 
 @pytest.fixture(scope="module")

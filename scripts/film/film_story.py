@@ -1,4 +1,4 @@
-"""What the film shows (scripts/film.py): which catch, which stretches of time, and how fast each is shown."""
+"""What the film shows (film.py): which catch, which stretches of time, and how fast each is shown."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -1,6 +1,6 @@
 """Put the force model into the package that `predict-force` uses by default, and beside it how it was made.
 
-python scripts/ship_force_model.py MODELS/gel.force-model.h5
+python scripts/ship/ship_force_model.py MODELS/gel.force-model.h5
 """
 
 import json

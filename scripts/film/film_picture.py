@@ -1,4 +1,4 @@
-"""How one picture of the film looks (scripts/film.py): the scene from the side, the gel, the camera's view, and charts.
+"""How one picture of the film looks (film.py): the scene from the side, the gel, the camera's view, and charts.
 
 The camera's view is turned by a quarter, so that down is down; beside it, at the same height, the gel from the side.
 Drawn twice as large and averaged, but for the events, which keep their pixels.

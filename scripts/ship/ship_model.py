@@ -1,6 +1,6 @@
 """Put the slip detector into the package that `grasp` uses by default, and beside it how it was made.
 
-    python scripts/ship_model.py MODELS/disp-xy-10ms-s*.model.h5 ship.report.h5
+    python scripts/ship/ship_model.py MODELS/disp-xy-10ms-s*.model.h5 ship.report.h5
 
 Of the seeds it takes the one that was best on the validation trajectories. Its figures on objects never seen are copied
 from the report; they have no part in the choice.
