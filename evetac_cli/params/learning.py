@@ -134,6 +134,13 @@ class Train:
         1, "Models to train, each with the next seed and in a file of its own.", low=1, high=1000, recipe=False
     )
     device: str = parameter("cpu", "Where it is computed; numbers depend on it.", choices=("cpu", "cuda"))
+    networks: int | None = parameter(
+        None,
+        "Train so many networks apart, from other first weights, and let the mean of their logits decide: steadier on"
+        " objects and sensors unlike those learned from, at so many times the cost; default: 1, or as --adapt has.",
+        low=1,
+        high=32,
+    )
     objects: str = parameter(
         "", "Use the features of these objects only, as in `1-9` or `1-3,8`.", recipe=False, flag="--object"
     )

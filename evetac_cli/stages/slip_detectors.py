@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip import features, inputs, onnx_graphs
@@ -94,14 +95,19 @@ def load_detector(model: StageFile) -> Detector:
 def check_graph(model: StageFile) -> bytes:
     """The graph in a model file; InputError if it is not ours, or not that of the weights beside it."""
     architecture, shape = _of_model(model)
-    names = (name for name in model.contents() if name.startswith("weights/"))
-    weights = {name.removeprefix("weights/"): model.read(name) for name in names}
+    weights = read_weights(model)
     graph: bytes = model.read("onnx").tobytes()
     try:
         onnx_graphs.check(graph, architecture, *shape, weights)
     except ValueError as error:
         raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
     return graph
+
+
+def read_weights(model: StageFile) -> dict[str, NDArray[np.float32]]:
+    """The weights in a model file by their names in the detector; those of several networks begin with a number."""
+    names = [name for name in model.contents() if name.startswith("weights/")]
+    return {name.removeprefix("weights/"): model.read(name) for name in names}
 
 
 def check_checkpoints(model: StageFile) -> None:

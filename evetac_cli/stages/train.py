@@ -21,8 +21,15 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.kernels.slip import sampling
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, LEAST_COLUMNS, LEAST_ROWS, DotArchitecture
+from evetac_cli.kernels.slip import onnx_graphs, sampling
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    LEAST_COLUMNS,
+    LEAST_ROWS,
+    DotArchitecture,
+    joined,
+    parted,
+)
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.sampling import Samples
@@ -33,7 +40,7 @@ from evetac_cli.resources import MODEL, SHIPPED
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.stages.related_files import named_files
-from evetac_cli.stages.slip_detectors import predict, read_trajectory
+from evetac_cli.stages.slip_detectors import predict, read_trajectory, read_weights
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
@@ -55,9 +62,10 @@ class Settings(NamedTuple):
     horizon_ms: int
     preset: str
     max_steps: int
+    networks: int  # trained apart; the mean of their logits is the detector's
 
 
-USUAL = Settings("hist10", 0, "paper", max_steps=40000)
+USUAL = Settings("hist10", 0, "paper", max_steps=40000, networks=1)
 ADAPT_STEPS = 1000
 
 
@@ -111,7 +119,7 @@ class TrainedModel(NamedTuple):
     path: Path
     header: Header
     dot_shape: tuple[int, int]
-    weights: dict[str, NDArray[np.float32]]
+    weights: list[dict[str, NDArray[np.float32]]]  # of each of its networks
 
 
 def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
@@ -120,7 +128,8 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
         usual, trained = USUAL, None
     else:
         usual, trained = _to_adapt(MODEL if params.adapt == SHIPPED else Path(params.adapt))
-        fixed: dict[str, Any] = {"model": usual.model, "horizon_ms": usual.horizon_ms, "preset": None, "folds": 0}
+        fixed: dict[str, Any] = {"preset": None, "folds": 0}
+        fixed |= {name: getattr(usual, name) for name in ("model", "horizon_ms", "networks")}
         for name, value in fixed.items():
             if getattr(params, name) not in (value, None):
                 raise InputError(
@@ -138,10 +147,10 @@ def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
     with StageFile(path, "model") as file:
         if file.read("architecture") not in ARCHITECTURES:
             raise InputError("of an unknown architecture", where=str(path), found=str(file.read("architecture")))
-        settings = Settings(str(file.read("architecture")), int(file.read("horizon_ms")), "adapt", ADAPT_STEPS)
         rows, columns = (int(size) for size in file.read("dot_shape"))
-        names = [name for name in file.contents() if name.startswith("weights/")]
-        weights = {name.removeprefix("weights/"): file.read(name) for name in names}
+        weights = parted(read_weights(file))
+        architecture, horizon_ms = str(file.read("architecture")), int(file.read("horizon_ms"))
+        settings = Settings(architecture, horizon_ms, "adapt", ADAPT_STEPS, len(weights))
         return settings, TrainedModel(path, file.header, (rows, columns), weights)
 
 
@@ -163,8 +172,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
 
     import torch
 
-    from evetac_cli.kernels.slip import networks
-
     if params.device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
     torch.set_num_threads(1)  # these networks are too small to share, and one thread gives one result
@@ -176,18 +183,27 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             expected="{} x {} dots, as of {}".format(*shape, job.inputs[0]),
             found="{} x {}".format(*adapted.dot_shape),
         )
-    start = adapted.weights if adapted is not None else None
     architecture = ARCHITECTURES[settings.model]
     if isinstance(architecture, DotArchitecture):
         _check_grid(shape, job.inputs[0])
     predictions: list[list[Prediction]] = []
+    resumed: int | None = None
     try:
         for number, fold in enumerate(folds):
             trajectories = (read_trajectory(job.inputs[index], architecture) for index in fold.trained_on)
             samples = sampling.gather(trajectories, architecture, *shape, settings.horizon_ms)
-            result, resumed = _train(job, params, settings, recipe, samples, (number, len(folds)), progress, start)
-            last = result.checkpoints[-LAST_CHECKPOINTS:]
-            graphs = [networks.onnx_graph(networks.from_weights(architecture, one.weights, *shape)) for one in last]
+            results: list[Training] = []
+            for member in range(settings.networks):
+                place = number * settings.networks + member, len(folds) * settings.networks
+                start = None if adapted is None else adapted.weights[member]
+                result, resumed_at = _train(job, params, settings, recipe, samples, place, progress, start)
+                results.append(result)
+                resumed = resumed_at if resumed is None else resumed
+            steps = [checkpoint.step for checkpoint in result.checkpoints[-LAST_CHECKPOINTS:]]
+            last = [
+                joined([each.checkpoints[back - len(steps)].weights for each in results]) for back in range(len(steps))
+            ]
+            graphs = [onnx_graphs.build(architecture, weights, *shape) for weights in last]
             detectors = [Detector(graph, architecture) for graph in graphs]
             predictions = predictions or [[] for _ in detectors]
             for index in fold.evaluated_on:
@@ -200,7 +216,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             f"cannot be trained: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more"
         ) from error
     arrays: dict[str, Any] = {
-        **{f"weights/{name}": value for name, value in last[choice.checkpoint].weights.items()},
+        **{f"weights/{name}": value for name, value in last[choice.checkpoint].items()},
         "onnx": np.frombuffer(graphs[choice.checkpoint], np.uint8),
         "architecture": architecture.name,
         "history": np.int64(architecture.history),
@@ -208,16 +224,17 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         "dot_shape": np.array(shape, np.int32),
         "threshold": np.float64(choice.threshold),
         "curve/step": result.curve_step,
-        "curve/loss": result.curve_loss,
-        "checkpoint/step": np.array([checkpoint.step for checkpoint in last], np.int64),
+        "curve/loss": np.mean([each.curve_loss for each in results], axis=0),
+        "checkpoint/step": np.array(steps, np.int64),
         "checkpoint/score": choice.scores,
         "checkpoint/threshold": choice.thresholds,
         "checkpoint/chosen": np.int64(choice.checkpoint),
         "checkpoint/onnx": np.stack([np.frombuffer(graph, np.uint8) for graph in graphs]),
     }
     write_stage(job.output, recipe, arrays)
-    for number in range(len(folds)):
-        _part(job, number, len(folds)).unlink(missing_ok=True)
+    trainings = len(folds) * settings.networks
+    for number in range(trainings):
+        _part(job, number, trainings).unlink(missing_ok=True)
     return outcome(
         job,
         made=True,
@@ -230,11 +247,12 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         trajectories=learn,
         validated_on=sum(len(fold.evaluated_on) for fold in folds),
         folds=params.folds,
+        networks=settings.networks,
         steps=result.steps,
         steps_of_all_epochs=result.steps_planned,
         stopped_early=result.cut,
         resumed_at_step=resumed,
-        loss=float(result.curve_loss[-1]),
+        loss=float(arrays["curve/loss"][-1]),
         threshold=choice.threshold,
         validation_score=choice.score,
     )
@@ -285,9 +303,9 @@ def _train(
 
 
 def _part(job: Job, number: int, networks: int) -> Path:
-    """Where the state of a run is saved: NAME.model.part, or NAME.model.fold1.part for the first fold."""
-    fold = "" if number == networks - 1 else f".fold{number + 1}"
-    return job.output.with_name(job.output.name.removesuffix(".h5") + fold + ".part")
+    """Where the state of a run is saved: NAME.model.part, or NAME.model.network1.part for the first of several."""
+    name = "" if number == networks - 1 else f".network{number + 1}"
+    return job.output.with_name(job.output.name.removesuffix(".h5") + name + ".part")
 
 
 def _read_part(path: Path, recipe: Recipe) -> "TrainingState | None":

@@ -20,6 +20,7 @@ from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
     DotArchitecture,
+    prefixes,
     weight_shapes,
 )
 from evetac_cli.store import schema
@@ -278,7 +279,7 @@ def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     stored = {
         path.removeprefix("weights/"): shape for path, (_, shape) in shapes.items() if path.startswith("weights/")
     }
-    wanted = weight_shapes(architecture, rows, columns)
+    wanted = weight_shapes(architecture, rows, columns, prefixes(stored))
     for layer in sorted(wanted.keys() | stored.keys()):
         if wanted.get(layer) != stored.get(layer):
             expected = (

@@ -12,7 +12,8 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Job, Outcome, Progress, silent
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip import onnx_graphs
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.params.learning import Train
 from evetac_cli.stages import slip_detectors, splits, train
@@ -20,6 +21,7 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 
 SLICES, ONSET = 170, 130
+NETWORKS = 1  # of the model of the package
 
 
 def features_file(
@@ -281,9 +283,41 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
     (again,) = train.jobs(trials, params, tmp_path / "again")
     interrupted(again, params, monkeypatch, at=220)
     left = sorted(path.name for path in again.output.parent.iterdir())
-    assert left == ["hist10.model.fold1.part", "hist10.model.fold2.part"]
+    assert left == ["hist10.model.network1.part", "hist10.model.network2.part"]
     run(again, params)
     assert contents(again.output) == folded
+    assert [path.name for path in again.output.parent.iterdir()] == ["hist10.model.h5"]
+
+
+def test_several_networks_decide_by_the_mean_of_their_logits(
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that of three networks the last is that of one alone, others differ, and their logits' mean decides."""
+    params = small(networks=3)
+    alone, job = (train.jobs(trials, params, tmp_path / name)[0] for name in ("alone", "three"))
+    run(alone, small())
+    (row,) = run(job, params).rows
+    assert row["networks"] == 3
+    with StageFile(alone.output) as one, StageFile(job.output) as three:
+        weights = parted(slip_detectors.read_weights(three))
+        for name, array in slip_detectors.read_weights(one).items():
+            np.testing.assert_array_equal(weights[2][name], array)
+        rows, columns = (int(size) for size in three.read("dot_shape"))
+        detector = slip_detectors.load_detector(three)
+    architecture = ARCHITECTURES["hist10"]
+    assert isinstance(architecture, DotArchitecture)
+    assert not np.array_equal(weights[0]["fc1.weight"], weights[1]["fc1.weight"])
+    rng = np.random.default_rng(0)
+    batch = rng.uniform(0, 3, (20, rows * columns, architecture.inputs_per_dot)).astype(np.float32)
+    each = [Detector(onnx_graphs.build(architecture, one, rows, columns), architecture) for one in weights]
+    logits = [np.log(p / (1 - p)) for p in (one.probability(batch).astype(float) for one in each)]
+    expected = 1 / (1 + np.exp(-np.mean(logits, axis=0)))
+    np.testing.assert_allclose(detector.probability(batch), expected, rtol=1e-4)
+
+    (again,) = train.jobs(trials, params, tmp_path / "again")
+    interrupted(again, params, monkeypatch, at=220)
+    run(again, params)
+    assert contents(again.output) == contents(job.output)
     assert [path.name for path in again.output.parent.iterdir()] == ["hist10.model.h5"]
 
 
@@ -366,14 +400,17 @@ def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("given", "wanted"),
     [
-        ({}, ("hist10", 0, "paper", 40000)),
-        ({"model": "no-hist", "horizon_ms": 5, "preset": "adamw", "max_steps": 7}, ("no-hist", 5, "adamw", 7)),
-        ({"adapt": "shipped"}, ("disp-xy", 10, "adapt", 1000)),
-        ({"adapt": "shipped", "max_steps": 40000}, ("disp-xy", 10, "adapt", 40000)),
-        ({"adapt": "shipped", "model": "disp-xy", "horizon_ms": 10}, ("disp-xy", 10, "adapt", 1000)),
+        ({}, ("hist10", 0, "paper", 40000, 1)),
+        (
+            {"model": "no-hist", "horizon_ms": 5, "preset": "adamw", "max_steps": 7, "networks": 2},
+            ("no-hist", 5, "adamw", 7, 2),
+        ),
+        ({"adapt": "shipped"}, ("disp-xy", 10, "adapt", 1000, NETWORKS)),
+        ({"adapt": "shipped", "max_steps": 40000}, ("disp-xy", 10, "adapt", 40000, NETWORKS)),
+        ({"adapt": "shipped", "model": "disp-xy", "horizon_ms": 10}, ("disp-xy", 10, "adapt", 1000, NETWORKS)),
     ],
 )
-def test_settings_are_what_was_said(given: dict[str, Any], wanted: tuple[str, int, str, int]) -> None:
+def test_settings_are_what_was_said(given: dict[str, Any], wanted: tuple[str, int, str, int, int]) -> None:
     """Assert that a flag that is given counts, also where it says the usual value, and the rest follows --adapt."""
     assert tuple(train._settings(Train(**given))[0]) == wanted
 
@@ -385,6 +422,7 @@ def test_settings_are_what_was_said(given: dict[str, Any], wanted: tuple[str, in
         ({"horizon_ms": 0}, "--horizon-ms: does not go with --adapt"),
         ({"preset": "paper"}, "--preset: does not go with --adapt"),
         ({"folds": 2}, "--folds: does not go with --adapt"),
+        ({"networks": 32}, "--networks: does not go with --adapt"),
         ({"adapt": "missing.model.h5"}, "missing.model.h5"),
     ],
 )

@@ -4,8 +4,12 @@ Why so: the table stands here and not beside the networks, because `grasp` and `
 inputs but must not import torch. This module needs numpy alone.
 """
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
 EVENTS_A_RIM = 8.0  # of a pixel as a dot's rim passes it: log contrast over threshold of the sensor `evetac`
@@ -126,10 +130,40 @@ class ImageArchitecture:
 
 
 Architecture = DotArchitecture | ImageArchitecture
+Weights = NDArray[np.float32]
 
 
-def weight_shapes(architecture: Architecture, rows: int, columns: int) -> dict[str, tuple[int, ...]]:
-    """Shape of every array of a network's weights by its name; rows and columns of dots mean nothing for images."""
+def joined(networks: Sequence[Mapping[str, Weights]]) -> dict[str, Weights]:
+    """The weights of a detector of these networks: of one as they are, of several named with the network's number.
+
+    Such a detector's logit is the mean of those of its networks.
+    """
+    if len(networks) == 1:
+        return dict(networks[0])
+    return {f"{number}.{name}": array for number, each in enumerate(networks) for name, array in each.items()}
+
+
+def prefixes(names: Iterable[str]) -> list[str]:
+    """What the names of each network's weights begin with: nothing where there is only one network."""
+    numbers = {int(first) for first, _, rest in (name.partition(".") for name in names) if first.isdigit() and rest}
+    return [f"{number}." for number in range(len(numbers))] if numbers else [""]
+
+
+def parted(weights: Mapping[str, Weights]) -> list[dict[str, Weights]]:
+    """The weights of each network of a detector, by their names in it: what `joined` joined."""
+    return [
+        {name.removeprefix(prefix): array for name, array in weights.items() if name.startswith(prefix)}
+        for prefix in prefixes(weights)
+    ]
+
+
+def weight_shapes(
+    architecture: Architecture, rows: int, columns: int, networks: Sequence[str] = ("",)
+) -> dict[str, tuple[int, ...]]:
+    """Shape of every array of a detector's weights by its name; rows and columns of dots mean nothing for images.
+
+    networks: what the names of each network's weights begin with, as from `prefixes`.
+    """
     layers: dict[str, tuple[int, ...]]
     if isinstance(architecture, ImageArchitecture):
         wide = architecture.history
@@ -153,7 +187,7 @@ def weight_shapes(architecture: Architecture, rows: int, columns: int) -> dict[s
     shapes: dict[str, tuple[int, ...]] = {"input_scale": (wide,), "input_offset": (wide,)}
     for name, shape in layers.items():
         shapes |= {f"{name}.weight": shape, f"{name}.bias": shape[:1]}
-    return shapes
+    return {prefix + name: shape for prefix in networks for name, shape in shapes.items()}
 
 
 _PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))

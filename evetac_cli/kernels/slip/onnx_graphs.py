@@ -6,6 +6,8 @@ Why so:
 - A graph from a file may hold a loop without end or a constant of 32 GB, and onnxruntime would run it. So `check` takes
   out of it nothing but the weights, writes our graph for them, and refuses the one from the file if it is another. That
   leaves no operator, attribute, constant, name or file that our own writer does not write, and bounds every size.
+- A detector may be several networks that were trained apart: its logit is the mean of theirs, and the names of their
+  weights begin with their number, as in `1.fc1.weight`.
 - Without torch, because `grasp`, `evaluate` and `validate` check graphs and must not wait for its import.
 """
 
@@ -18,7 +20,13 @@ from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture, ImageArchitecture, weight_shapes
+from evetac_cli.kernels.slip.architectures import (
+    Architecture,
+    DotArchitecture,
+    ImageArchitecture,
+    prefixes,
+    weight_shapes,
+)
 
 # why so: the onnx package would stamp its newest versions, which the oldest onnxruntime we allow does not read
 OPSET = 17
@@ -29,7 +37,7 @@ STAMPS = ("ir_version", "producer_name", "producer_version", "doc_string")  # wh
 def build(
     architecture: Architecture, weights: Mapping[str, NDArray[np.float32]], rows: int = 7, columns: int = 8
 ) -> bytes:
-    """The ONNX file of a network with these weights: features (batch, ...) float32 -> probability (batch,)."""
+    """The ONNX file of a detector with these weights: features (batch, ...) float32 -> probability (batch,)."""
     model = _model(architecture, weights, rows, columns)
     onnx.checker.check_model(model, full_check=True)
     serialised: bytes = model.SerializeToString()
@@ -51,9 +59,10 @@ def check(
     if model.functions or model.training_info or model.metadata_props:
         raise ValueError("expected one graph, found functions, training or metadata beside it")
     inside = _weights_inside(model, architecture, rows, columns)
-    for name, array in (weights or {}).items():
-        if name not in inside or not np.array_equal(inside[name], array):
-            raise ValueError(f"expected the weights of the file, found others as {name}")
+    if weights is not None:
+        for name in sorted({*weights, *inside}):
+            if name not in inside or name not in weights or not np.array_equal(inside[name], weights[name]):
+                raise ValueError(f"expected the weights of the file, found others as {name}")
     ours = _model(architecture, inside, rows, columns)
     for field in STAMPS:
         model.ClearField(field)
@@ -66,10 +75,10 @@ def _weights_inside(model: Any, architecture: Architecture, rows: int, columns: 
     """The weights that a graph holds, in the shapes of the architecture; a normalisation left out is the identity."""
     stored = {tensor.name: tensor for tensor in model.graph.initializer}
     arrays = {}
-    for name, shape in weight_shapes(architecture, rows, columns).items():
+    for name, shape in weight_shapes(architecture, rows, columns, prefixes(stored)).items():
         tensor = stored.get(name)
-        if tensor is None and name in ("input_offset", "input_scale"):
-            arrays[name] = np.full(shape, float(name == "input_scale"), np.float32)
+        if tensor is None and name.endswith(("input_offset", "input_scale")):
+            arrays[name] = np.full(shape, float(name.endswith("input_scale")), np.float32)
             continue
         size = int(np.prod(shape, dtype=np.int64))
         if tensor is None or tensor.data_type != TensorProto.FLOAT or len(tensor.raw_data) != 4 * size:
@@ -91,13 +100,16 @@ def _difference(model: Any, ours: Any) -> str:
 
 def _model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]], rows: int, columns: int) -> Any:
     graph = _Graph(weights)
-    if isinstance(architecture, DotArchitecture):
-        shape = [rows * columns, architecture.inputs_per_dot]
-        value = _dot_layers(graph, architecture, rows, columns, graph.normalised("features", [-1]))
-    else:
-        shape = list(architecture.input_shape)
-        value = _image_layers(graph, architecture, graph.normalised("features", [-1, 1, 1]))
-    value = graph.add("Sigmoid", value)
+    logits = []
+    for prefix in prefixes(weights):
+        graph.prefix = prefix
+        if isinstance(architecture, DotArchitecture):
+            shape = [rows * columns, architecture.inputs_per_dot]
+            logits.append(_dot_layers(graph, architecture, rows, columns, graph.normalised("features", [-1])))
+        else:
+            shape = list(architecture.input_shape)
+            logits.append(_image_layers(graph, architecture, graph.normalised("features", [-1, 1, 1])))
+    value = graph.add("Sigmoid", logits[0] if len(logits) == 1 else graph.add("Mean", *logits))
     graph.add("Reshape", value, graph.constant("per_batch", [-1]), output="probability")
     content = helper.make_graph(
         graph.nodes,
@@ -143,6 +155,7 @@ class _Graph:
         self.nodes: list[Any] = []
         self.arrays: dict[str, NDArray[Any]] = dict(arrays)
         self.used: list[str] = []
+        self.prefix = ""  # of the weights' names of the network that is being added
 
     def add(self, operator: str, value: str, *more: str, output: str = "", **attributes: Any) -> str:
         output = output or f"value{len(self.nodes)}"
@@ -150,12 +163,14 @@ class _Graph:
         return output
 
     def layer(self, operator: str, value: str, name: str, **attributes: Any) -> str:
-        self.used += [f"{name}.weight", f"{name}.bias"]
-        return self.add(operator, value, f"{name}.weight", f"{name}.bias", **attributes)
+        names = [f"{self.prefix}{name}.weight", f"{self.prefix}{name}.bias"]
+        self.used += names
+        return self.add(operator, value, *names, **attributes)
 
     def constant(self, name: str, values: list[int]) -> str:
-        self.arrays[name] = np.array(values, np.int64)
-        self.used.append(name)
+        if name not in self.used:  # which all networks of a detector share
+            self.arrays[name] = np.array(values, np.int64)
+            self.used.append(name)
         return name
 
     def normalised(self, value: str, shape: list[int]) -> str:
@@ -163,9 +178,10 @@ class _Graph:
 
         Why so: not folded into the first layer, as a channel that hardly varies would cancel there.
         """
-        if np.all(self.arrays["input_offset"] == 0) and np.all(self.arrays["input_scale"] == 1):
+        offset, scale = f"{self.prefix}input_offset", f"{self.prefix}input_scale"
+        if np.all(self.arrays[offset] == 0) and np.all(self.arrays[scale] == 1):
             return value
-        for name in ("input_offset", "input_scale"):
+        for name in (offset, scale):
             self.arrays[name] = self.arrays[name].reshape(shape)
             self.used.append(name)
-        return self.add("Mul", self.add("Sub", value, "input_offset"), "input_scale")
+        return self.add("Mul", self.add("Sub", value, offset), scale)

@@ -17,7 +17,7 @@ from evetac_cli.stages.splits import check_disjoint, object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
-NOT_WEIGHTS = ("weights/input_scale", "weights/input_offset")  # fixed, not trained
+NOT_WEIGHTS = ("input_scale", "input_offset")  # fixed, not trained
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Model:
                 read_horizon_ms(file),
                 float(file.read("threshold")),
                 (rows, columns),
-                sum(int(np.prod(shape)) for name, shape in shapes.items() if name not in NOT_WEIGHTS),
+                sum(int(np.prod(shape)) for name, shape in shapes.items() if not name.endswith(NOT_WEIGHTS)),
             )
 
     def detector(self) -> Detector:
