@@ -10,7 +10,8 @@ half seconds of the first recordings from those of the second, of either from th
 sensor's.
 
 What is compared and how was committed before the first run on sensors from 20,000 on. A sensor that WORK holds already
-is not made again, so that a run may be stopped and several may share the sensors; the table is of all that WORK holds.
+is not made again, so that a run may be stopped and several may share the sensors; one that was cut off is made again.
+The table is of all that WORK holds, with --camera-only or without, never both.
 All figures are simulated.
 """
 
@@ -21,6 +22,7 @@ import shutil
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -29,8 +31,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from reproduce import commit
 
 from evetac_cli.console import print_table
+from evetac_cli.resources import SCENES
 from evetac_cli.sim import gripper, scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
@@ -38,7 +42,6 @@ from evetac_cli.stages.evaluate import told_apart
 from evetac_cli.store.read import open_recording
 
 ROOT = Path(__file__).resolve().parents[1]
-SCENES = ROOT / "evetac_cli" / "data" / "scenes"
 # The packaged scenes, with a longer rest, and with fewer and faster strokes after each of which the gel comes to rest.
 REST = {"rest_s": 3.0}
 PRESS = {"lines": 5, "speed_mm_s": 40.0, "approach_s": 0.8, "node_pitch_mm": 1.0}
@@ -186,8 +189,7 @@ def places(row: Mapping[str, Any], sensor_file: Path) -> NDArray[np.float64] | N
 
 def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> None:
     """All of one sensor, into WORK/NUMBER.json and WORK/NUMBER.npz."""
-    result = work / f"{number}.json"
-    if result.exists():
+    if kept(work, number) is not None:
         return
     started = time.perf_counter()
     sensor, folder = f"randomized:{number}", work / str(number)
@@ -211,7 +213,9 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
         "second": features(recordings(work, folder, sensor, number + SECOND_SEED, "second")),
         "twin": features(recordings(work, folder, str(twin), number + TWIN_SEED, "twin")),
     }
-    np.savez(work / f"{number}.npz", first=windows["first"], second=windows["second"], twin=windows["twin"])
+    unfinished = work / f"{number}.part.npz"
+    np.savez(unfinished, first=windows["first"], second=windows["second"], twin=windows["twin"])
+    unfinished.replace(work / f"{number}.npz")
     shutil.copy(twin, work / f"{number}.sensor.toml")
     if not keep:
         shutil.rmtree(folder)
@@ -223,8 +227,33 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
         "places_off_px": None if off_px is None else np.abs(off_px).ravel().tolist(),
         "seconds": time.perf_counter() - started,
     }
-    result.write_text(json.dumps(about, indent=1))
+    unfinished = work / f"{number}.json.part"
+    unfinished.write_text(json.dumps(about, indent=1))
+    unfinished.replace(work / f"{number}.json")
     print(f"randomized:{number}: {about['seconds']:.0f} s", file=sys.stderr)
+
+
+def kept(work: Path, number: int) -> tuple[Row, dict[str, NDArray[np.float64]]] | None:
+    """What WORK holds of a sensor: its result and its windows; None where either is missing or cut off."""
+    try:
+        result: Row = json.loads((work / f"{number}.json").read_text())
+        with (work / f"{number}.npz").open("rb") as file, np.load(file) as windows:
+            return result, {name: windows[name] for name in ("first", "second", "twin")}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, dict[str, NDArray[np.float64]]]]:
+    """All sensors that WORK holds, by number; ValueError where some are with the gripper, and others without."""
+    numbers = sorted(int(path.stem) for path in work.glob("*.json") if path.stem.isdigit())
+    found = {number: one for number in numbers if (one := kept(work, number)) is not None}
+    others = [str(number) for number, (result, _) in found.items() if result["camera_only"] != camera_only]
+    if others:
+        how = "with" if camera_only else "without"
+        raise ValueError(
+            f"{work} holds sensors that were made {how} the gripper: {', '.join(others)}; take another folder"
+        )
+    return found
 
 
 def interval(result: Row, parameter: Parameter) -> tuple[float, bool] | None:
@@ -269,12 +298,12 @@ def parameter_rows(results: list[Row]) -> list[Row]:
     return rows
 
 
-def area_rows(work: Path, numbers: list[int]) -> list[Row]:
+def area_rows(windows: Mapping[int, Mapping[str, NDArray[np.float64]]]) -> list[Row]:
     """A row for every sensor: how well its windows are told from its own again, its twin's, and the next one's."""
-    kept = {number: dict(np.load(work / f"{number}.npz")) for number in numbers}
+    numbers = list(windows)
     rows = []
     for place, number in enumerate(numbers):
-        own, other = kept[number], kept[numbers[(place + 1) % len(numbers)]]
+        own, other = windows[number], windows[numbers[(place + 1) % len(numbers)]]
         same = told_apart.area(own["first"], own["second"])
         of_twin = [told_apart.area(own[name], own["twin"]) for name in ("first", "second")]
         twin = None if None in of_twin else float(np.mean([one for one in of_twin if one is not None]))
@@ -291,15 +320,6 @@ def area_rows(work: Path, numbers: list[int]) -> list[Row]:
             }
         )
     return rows
-
-
-def commit() -> tuple[str, bool]:
-    """The commit, and whether the tree differs from it but for the results themselves."""
-    git = ["git", "-C", str(ROOT)]
-    head = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    status = [*git, "status", "--porcelain", "--", ":!docs/results"]
-    changes = subprocess.run(status, capture_output=True, text=True, check=False)
-    return head.stdout.strip() or "unknown", bool(changes.stdout.strip())
 
 
 def summary(results: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
@@ -334,6 +354,10 @@ def main() -> None:
     asked.work.mkdir(parents=True, exist_ok=True)
     for name, values in (("rest", REST), ("press", PRESS)):
         (asked.work / f"{name}.toml").write_text(changed(name, values), encoding="utf-8")
+    try:
+        all_kept(asked.work, camera_only=asked.camera_only)
+    except ValueError as error:
+        raise SystemExit(f"error: {error}") from None
     numbers = range(asked.first, asked.first + asked.count)
     with ThreadPoolExecutor(asked.jobs) as pool:
         made = [
@@ -342,8 +366,10 @@ def main() -> None:
         ]
         for one in made:
             one.result()
-    results = [json.loads(path.read_text()) for path in sorted(asked.work.glob("*.json")) if path.stem.isdigit()]
-    parameters, areas = parameter_rows(results), area_rows(asked.work, [row["number"] for row in results])
+    found = all_kept(asked.work, camera_only=asked.camera_only)
+    results = [result for result, _ in found.values()]
+    parameters = parameter_rows(results)
+    areas = area_rows({number: windows for number, (_, windows) in found.items()})
     of_all = summary(results, parameters, areas)
     print_table("blind identification", parameters, {}, simulated=True)
     print_table("windows told apart", areas, of_all, simulated=True)

@@ -122,21 +122,19 @@ def find(
 
 def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, float]:
     """First runs of every other pair of strokes and of the other pairs, all events, and how long the strokes took."""
-    strokes = calibrate.strokes(recording)
-    if not strokes:
-        raise ValueError("no strokes")
     nothing = np.zeros(recording.frame_px[::-1], np.uint8)
     halves = [[RestImage(nothing, nothing), RestImage(nothing, nothing)] for _ in range(2)]
     events = stroke_events.start(recording.frame_px)
-    for stroke, (start, stop) in enumerate(strokes):
-        half = stroke // 2 % 2  # two strokes each: there and back
-        for backwards in (False, True):
-            picture = calibrate.seen(recording, start, stop, backwards=backwards)
-            halves[half][backwards] = halves[half][backwards].joined(picture)
+    edges = []
+    for half, (start, stop), pictures in calibrate.stroke_images(recording):
+        halves[half] = [one.joined(picture) for one, picture in zip(halves[half], pictures, strict=True)]
+        edges += [start, stop]
         for first in range(start, stop, calibrate.BLOCK_SLICES):
             block = recording.between(first, min(stop, first + calibrate.BLOCK_SLICES))
             stroke_events.add(events, *block, half)
-    return (Runs(*halves[0]), Runs(*halves[1])), events, (strokes[-1][1] - strokes[0][0]) * 1e-3
+    if not edges:
+        raise ValueError("no strokes")
+    return (Runs(*halves[0]), Runs(*halves[1])), events, (edges[-1] - edges[0]) * 1e-3
 
 
 def _filled(seen: NDArray[np.float64]) -> NDArray[np.float64]:
