@@ -17,13 +17,14 @@ FEWEST_DOTS = 8
 # What scans, thresholds of some events each and the largest of several strokes add, chosen on simulated press scenes
 # (sensors randomized:100 to 123), and how far single sensors were from that (sd).
 RADIUS_ADDED_PX, RADIUS_BY_EVENTS_PX, RADIUS_SD_PX = 0.04, 3.2, 0.08  # the second over squared events from dot to gel
-# Of the blur that is seen, less where runs before strokes count more than runs after them, and with many events.
-BLUR_KEPT, USUAL_EXCESS, BLUR_BY_EXCESS, BLUR_SD = 1.06, 0.25, -1.05, 0.042
-USUAL_EVENTS, BLUR_BY_EVENTS = 6.5, -0.012
-BLUR_SD_FEW_EVENTS = 0.8  # over squared events
+# Logarithm of the blur over that which is seen: a constant, and what is added for each unit of by how much runs before
+# strokes count more than runs after them, of the inverse of the events from dot to gel, of its square, and for each Hz
+# of a pixel's noise, which ends runs too early. How far single sensors were from that (sd); more over squared events.
+BLUR, BLUR_BY_EXCESS, BLUR_BY_EVENTS, BLUR_BY_SQUARED_EVENTS, BLUR_BY_NOISE = -0.044, -0.72, 4.29, -14.4, -0.62
+BLUR_SD, BLUR_SD_FEW_EVENTS = 0.03, 0.3
 # Events that a first run lacks of contrast over threshold: so many, and so many times those that scans merge.
 RUN_LACKS_ON, RUN_LACKS_OFF = (0.6, 0.7), (0.75, 0.75)
-EVENTS_SD = 0.02
+EVENTS_SD = 0.03
 # How far single dots of equal size, and of equal contrast, were from each other: relative sd, and its own sd.
 RADIUS_CHANCE, RADIUS_CHANCE_SD = 0.0025, 0.001
 CONTRAST_CHANCE, CONTRAST_CHANCE_SD = 0.012, 0.006
@@ -39,11 +40,13 @@ class Optics(NamedTuple):
     dot_contrast_spread: Estimate
 
 
-def optics(dots: Dots, kept_share: float, off_over_on: float | None, rng: np.random.Generator) -> Optics:
+def optics(
+    dots: Dots, kept_share: float, off_over_on: float | None, noise_hz: float, rng: np.random.Generator
+) -> Optics:
     """What the rims tell of all dots; ValueError with fewer than FEWEST_DOTS.
 
     `kept_share` of the events are left by scans (stroke_events.py), `off_over_on` is the ratio of the thresholds,
-    without which ON alone counts.
+    without which ON alone counts, `noise_hz` the noise of a pixel.
     Intervals: bootstrap over dots, and the scatter of the corrections over simulated sensors.
     """
     shown = np.isfinite(dots.radius_px)
@@ -57,9 +60,8 @@ def optics(dots: Dots, kept_share: float, off_over_on: float | None, rng: np.ran
         ratio = (rising + falling) / 2.0  # NaN where either is
     usual = np.nanmean(ratio)
     added_px = RADIUS_ADDED_PX + RADIUS_BY_EVENTS_PX / usual**2
-    blur_kept = BLUR_KEPT + BLUR_BY_EXCESS * (np.nanmean(dots.excess[shown]) - USUAL_EXCESS)
-    blur_kept *= 1.0 + BLUR_BY_EVENTS * (usual - USUAL_EVENTS)
-    columns = np.stack([radius_px - added_px, blur_kept * sigma_px, ratio])
+    of_seen = blur_over_seen(float(np.nanmean(dots.excess[shown])), float(usual), noise_hz)
+    columns = np.stack([radius_px - added_px, of_seen * sigma_px, ratio])
     value = np.nanmean(columns, axis=1)
     chosen = rng.integers(0, shown.sum(), (RESAMPLES, shown.sum()))
     means = np.nanmean(columns[:, chosen], axis=2).T
@@ -74,6 +76,12 @@ def optics(dots: Dots, kept_share: float, off_over_on: float | None, rng: np.ran
         spread(radius_px, RADIUS_CHANCE, RADIUS_CHANCE_SD),
         spread(rising[np.isfinite(rising)], CONTRAST_CHANCE, CONTRAST_CHANCE_SD),
     )
+
+
+def blur_over_seen(excess: float, events: float, noise_hz: float) -> float:
+    """The blur over that which rims show, by their excess (rim.py), the events from dot to gel, and a pixel's noise."""
+    sensor = BLUR_BY_EVENTS / events + BLUR_BY_SQUARED_EVENTS / events**2 + BLUR_BY_NOISE * noise_hz
+    return float(np.exp(BLUR + BLUR_BY_EXCESS * excess + sensor))
 
 
 def spread(values: Floats, chance: float, chance_sd: float) -> Estimate:
