@@ -43,8 +43,8 @@ RESAMPLES = 200
 RATIO_TOO_HIGH, RATIO_SD = 0.35, 0.007
 ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0002
 SPREAD_SD = 0.04
-# Variance of the logarithm times squared events that is due to unfinished thresholds and, for each event of noise that a
-# pixel had, to noise; how uncertain that is (share of it, sd), and how uncertain a variance is besides (sd).
+# Variance of the logarithm times squared events that is due to unfinished thresholds and, for each event of noise that
+# a pixel had, to noise; how uncertain that is (share of it, sd), and how uncertain a variance is besides (sd).
 UNFINISHED, OF_NOISE = 0.22, 1.2
 CHANCE_SD, VARIANCE_SD = 0.12, 0.0001
 
