@@ -3,11 +3,11 @@
     python scripts/blind_identification.py WORK --first 20000 --count 20 --jobs 2
 
 For each sensor randomized:N it simulates what docs/identify.md asks of an owner, shortened: a rest, strokes of a press
-with a pause after each, and a gripper that closes, holds, and lets an object slip; runs `evetac identify`; and compares
-the interval of each parameter in PARAMETERS with the truth. Then it simulates rest and press again: by the sensor
-itself with another seed, and by its twin, the identified sensor, with a third. A classifier (kernels/realism) tells the
-half seconds of the first recordings from those of the second, of either from the twin's, and of the first from the next
-sensor's.
+with a pause after each, and a gripper that closes, holds, and lets an object slip, at three places; runs `evetac
+identify`; and compares the interval of each parameter in PARAMETERS with the truth. Then it simulates rest and press
+again: by the sensor itself with another seed, and by its twin, the identified sensor, with a third. A classifier
+(kernels/realism) tells the half seconds of the first recordings from those of the second, of either from the twin's,
+and of the first from the next sensor's.
 
 What is compared and how was committed before the first run on sensors from 20,000 on. A sensor that WORK holds already
 is not made again, so that a run may be stopped and several may share the sensors; one that was cut off is made again.
@@ -42,10 +42,12 @@ from evetac_cli.stages.evaluate import told_apart
 from evetac_cli.store.read import open_recording
 
 ROOT = Path(__file__).resolve().parents[1]
-# The packaged scenes, with a longer rest, and with fewer and faster strokes after each of which the gel comes to rest.
+# The packaged scenes, with a longer rest, with fewer and faster strokes after each of which the gel comes to rest, and
+# with objects that are touched farther from the middle of the gel.
 REST = {"rest_s": 3.0}
 PRESS = {"lines": 5, "speed_mm_s": 40.0, "approach_s": 0.8, "node_pitch_mm": 1.0}
-SECOND_SEED, TWIN_SEED = 1000, 2000  # beyond the seed of a sensor's first recordings
+GRIP, GRIPS = {"touch_mm": 3.0}, 3
+SECOND_SEED, TWIN_SEED, GRIP_SEED = 1000, 2000, 3000  # beyond the seed of a sensor's first recordings, or grip before
 OBJECT, OBJECT_G, OBJECT_FRICTION = 18, 550, 0.9  # what the gripper holds, a bottle of glass
 OPEN_M = 0.060  # about which the fingers bend
 QUARTER, HELD = 0.25, 0.9  # an interval so wide, in prior ranges, that holds the truth in so many cases, is told
@@ -199,11 +201,13 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
     known: list[object] = []
     grips: list[Path] = []
     if not camera_only:
-        grips = [folder / "grip.recording.h5", folder / "grasp.recording.h5"]
-        by_sensor = ("--sensor", sensor, "--seed", number)
-        evetac("record", "--scene", "grip-steps", "--object", OBJECT, *by_sensor, "--force", "-o", grips[0])
+        for place in range(GRIPS):
+            grips.append(folder / f"grip-{place + 1}.recording.h5")
+            gripped = ("--scene", work / "grip-steps.toml", "--object", OBJECT, "--sensor", sensor)
+            evetac("record", *gripped, "--seed", number + place * GRIP_SEED, "--force", "-o", grips[-1])
+        grips.append(folder / "grasp.recording.h5")
         moves = ("--controller", "fixed:6", "--lift-s", 2, "--balance-s", 0)
-        evetac("grasp", *moves, *by_sensor, "--force", "-o", grips[1])
+        evetac("grasp", *moves, "--sensor", sensor, "--seed", number, "--force", "-o", grips[-1])
         known = ["--object-mass-g", OBJECT_G, "--pixel-mm", round(row["mm_per_px"], 4)]
     twin = folder / "twin.sensor.toml"
     answer = evetac("identify", *first, *grips, *known, "--name", f"twin-{number}", "--force", "-o", twin)
@@ -352,7 +356,7 @@ def main() -> None:
     parser.add_argument("--keep", action="store_true", help="keep the recordings, about 150 MB a sensor")
     asked = parser.parse_args()
     asked.work.mkdir(parents=True, exist_ok=True)
-    for name, values in (("rest", REST), ("press", PRESS)):
+    for name, values in (("rest", REST), ("press", PRESS), ("grip-steps", GRIP)):
         (asked.work / f"{name}.toml").write_text(changed(name, values), encoding="utf-8")
     try:
         all_kept(asked.work, camera_only=asked.camera_only)

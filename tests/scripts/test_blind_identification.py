@@ -28,7 +28,7 @@ def test_truths_lie_in_their_prior_ranges() -> None:
 
 def test_scenes_are_as_packaged_but_for_what_is_changed(tmp_path: Path) -> None:
     """Assert that the scenes are read, with what is changed, and that a key which is not there is an error."""
-    for name, values in (("rest", blind.REST), ("press", blind.PRESS)):
+    for name, values in (("rest", blind.REST), ("press", blind.PRESS), ("grip-steps", blind.GRIP)):
         (tmp_path / f"{name}.toml").write_text(blind.changed(name, values))
         packaged, made = scene.load(name), scene.load(str(tmp_path / f"{name}.toml"))
         assert made != packaged
