@@ -171,10 +171,8 @@ def _weight(
         at = np.minimum(slips_ms + last_ms - int(rows.time_us[0] // 1000), len(fitted.force_ma) - 1)
         force_ma = fitted.force_ma[at]
         per_ma = GRAVITY_M_S2 / PADS / force_ma if (force_ma > 0).all() else None
-    known_modulus, known_creep = (
-        None if name in misfits else one for name, one in (("modulus", modulus_pa), ("creep", creep))
-    )
-    return Weight(known_creep, known_modulus, per_ma), misfits
+    known_creep = None if "creep" in misfits else creep
+    return Weight(known_creep, None if "modulus" in misfits else modulus_pa, per_ma), misfits
 
 
 def _misfits(held: HeldFit, creep: Creep) -> dict[str, str]:

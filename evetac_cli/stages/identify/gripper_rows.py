@@ -33,12 +33,13 @@ BACKLASH_TICKS, BACKLASH_LOW_TICKS = 0.3, 0.05  # half width, and by how much th
 ENCODER_LOW_TICKS, ENCODER_HIGH_TICKS = 0.06, 0.02  # a rest that is none makes noise
 MODULUS_SHARE, MODULUS_HIGH_SHARE = 0.10, 0.03  # half width, and by how much the fit is too high
 SCALE_SHARE, SCALE_POWER = 0.12, 1.5  # of a pixel that was not measured, and how the modulus goes with it
-CREEP_SHARE, CREEP_LOW_SHARE = 0.024, 0.009  # half width of both arms' share, and by how much the fit is too low
+# Half widths of both arms' share: what grips are off by alike, and each by its own; and by how much the fit is too low.
+CREEP_SHARE, CREEP_GRIP_SHARE, CREEP_LOW_SHARE = 0.015, 0.019, 0.009
 # Friction varies over a gel, so each grip, elsewhere on it, is off by its own (sd of the logarithm), and all of them by
 # the same, too. Where the fingers are not parallel, one end of the contact slips, and is weaker then, before the other
 # does: the whole holds less than its static friction, by so many times the logarithm of the last over the first moment
 # of slip (with its sd).
-GRIP_SD, ALL_GRIPS_SD = 0.04, 0.02
+GRIP_SD, ALL_GRIPS_SD = 0.04, 0.03
 SLIP_PART, SLIP_PART_SD = 0.5, 0.3
 DELAY_MS, JITTER_MS = 3.5, 2.0  # an interval that is wider tells nothing
 TWO_TICKS_N = 0.13
@@ -170,14 +171,15 @@ def _gel(
     whys = [MAKE_GRIP] * 4
     if weights:
         whys = [misfits.get("modulus", NO_MASS), misfits.get("creep", NO_CREEP), NO_MASS, NO_MASS]
-    crept = next(((source, one.creep) for source, one in weights if one.creep is not None), None)
-    if crept is not None:
-        source, creep = crept
-        share = sum(creep.share) + CREEP_LOW_SHARE
-        total = Estimate(share, max(share - CREEP_SHARE, 0.0), share + CREEP_SHARE)
-        shares = np.array(creep.share) + CREEP_LOW_SHARE / 2
+    crept = [(source, one.creep) for source, one in weights if one.creep is not None]
+    if crept:
+        source = ", ".join(source for source, _ in crept)
+        shares = np.mean([creep.share for _, creep in crept], axis=0) + CREEP_LOW_SHARE / 2
+        time_s = np.exp(np.mean(np.log([creep.time_s for _, creep in crept]), axis=0))
+        share, half = float(shares.sum()), math.hypot(CREEP_SHARE, CREEP_GRIP_SHARE / math.sqrt(len(crept)))
+        total = Estimate(share, max(share - half, 0.0), share + half)
         about = f"both together {total.low:.3g} to {total.high:.3g}; {source}"
-        values["creep"] = Entry({"share": shares, "time_s": np.array(creep.time_s)}, None, about)
+        values["creep"] = Entry({"share": shares, "time_s": time_s}, None, about)
         whys[1] = source
     pulled = next(((source, one.modulus_pa) for source, one in weights if one.modulus_pa is not None), None)
     if pulled is not None and mass_kg is not None:

@@ -41,7 +41,7 @@ def test_what_is_written_simulates_the_same() -> None:
     assert drive.damping_n_s_m == pytest.approx(400 * 0.45) and drive.mass_kg == pytest.approx(5 * 0.45)
     assert values["shear_modulus_pa"].value == pytest.approx(150e3 / (1 + gripper_rows.MODULUS_HIGH_SHARE))
     assert values["static_friction_factor"].value == pytest.approx(MIDDLE / (0.45 * 0.9))
-    assert list(values["creep"].value["time_s"]) == [0.3, 4.0]
+    assert list(values["creep"].value["time_s"]) == pytest.approx([0.3, 4.0])
     by_name = {row.parameter: row for row in listed}
     assert by_name["static_friction_factor"].estimate is not None
     for row in listed:
@@ -105,7 +105,7 @@ def test_grips_at_several_places() -> None:
 
     one, three = friction((0.36, 0.36)), friction((0.36, 0.36), (0.33, 0.33), (0.36**2 / 0.33,) * 2)
     assert one.value == pytest.approx(0.36) and three.value == pytest.approx(0.36)
-    assert three.high - three.low < 0.75 * (one.high - one.low)
+    assert three.high - three.low < 0.8 * (one.high - one.low)
     slow = friction((0.30, 0.36))
     assert slow.value > 0.37 and slow.high - slow.low > 1.2 * (one.high - one.low)
 
