@@ -247,7 +247,7 @@ def test_truth_is_never_read(grip: Path, tmp_path: Path, monkeypatch: pytest.Mon
             return read(name, *range_)
 
         monkeypatch.setattr(recording, "read", without_truth)
-        monkeypatch.setattr(gripped, "_weight", lambda *_: None)
+        monkeypatch.setattr(gripped, "_weight", lambda *_: (None, {}))
         gripping = gripped.find(recording, 0.0329, np.random.default_rng(0))
         assert gripping is not None and gripping.drive is not None
 
