@@ -108,7 +108,7 @@ def find(
         places_px = np.full(seen.shape, np.nan)
         places_px[looked_for] = fitted.centre_xy_px
         ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
-        off_over_on = ratio.off_over_on.value if ratio else None
+        off_over_on = ratio.off_over_on.value if ratio else 1.0
         optics = dots.optics(fitted, events.kept_share, off_over_on, noise_hz, rng)
     except (InputError, ValueError):  # nothing was pressed, or too little
         return None

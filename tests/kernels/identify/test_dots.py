@@ -18,9 +18,8 @@ def seen(count: int, radius_spread: float, contrast_spread: float, seed: int, ra
     return Dots(
         rng.uniform(0, 400, (count, 2)),
         radius_px + dots.RADIUS_ADDED_PX + dots.RADIUS_BY_EVENTS_PX / ratio**2,
-        np.full(count, 1.2 / dots.blur_over_seen(EXCESS, ratio, NOISE_HZ)),
-        contrast - dots.RUN_LACKS_ON[0],
-        contrast / 1.2 - dots.RUN_LACKS_OFF[0],
+        np.full(count, 1.2 / dots.blur_over_seen(EXCESS, ratio / 1.2, NOISE_HZ)),
+        contrast - dots.RUN_LACKS,
         np.full(count, EXCESS),
     )
 
