@@ -250,14 +250,14 @@ def kept(work: Path, number: int) -> tuple[Row, dict[str, NDArray[np.float64]]] 
 def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, dict[str, NDArray[np.float64]]]]:
     """All sensors that WORK holds, by number; ValueError where some are with the gripper, and others without."""
     numbers = sorted(int(path.stem) for path in work.glob("*.json") if path.stem.isdigit())
-    found = {number: one for number in numbers if (one := kept(work, number)) is not None}
-    others = [str(number) for number, (result, _) in found.items() if result["camera_only"] != camera_only]
+    held = {number: one for number in numbers if (one := kept(work, number)) is not None}
+    others = [str(number) for number, (result, _) in held.items() if result["camera_only"] != camera_only]
     if others:
         how = "with" if camera_only else "without"
         raise ValueError(
             f"{work} holds sensors that were made {how} the gripper: {', '.join(others)}; take another folder"
         )
-    return found
+    return held
 
 
 def interval(result: Row, parameter: Parameter) -> tuple[float, bool] | None:
@@ -370,10 +370,10 @@ def main() -> None:
         ]
         for one in made:
             one.result()
-    found = all_kept(asked.work, camera_only=asked.camera_only)
-    results = [result for result, _ in found.values()]
+    held = all_kept(asked.work, camera_only=asked.camera_only)
+    results = [result for result, _ in held.values()]
     parameters = parameter_rows(results)
-    areas = area_rows({number: windows for number, (_, windows) in found.items()})
+    areas = area_rows({number: windows for number, (_, windows) in held.items()})
     of_all = summary(results, parameters, areas)
     print_table("blind identification", parameters, {}, simulated=True)
     print_table("windows told apart", areas, of_all, simulated=True)

@@ -154,9 +154,9 @@ def test_a_drive_that_does_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     for off in (0.9, 1.1):
         one = fitted._replace(residual_ticks=off * gripped.MOST_OFF_TICKS)
         monkeypatch.setattr(gripped.drive, "fit", lambda rows, one=one: one)
-        found = gripped.find(Recording(), 0.0329, np.random.default_rng(0))  # type: ignore[arg-type]
-        assert found is not None and (found.drive is None) == (known[-1] is None) == (off > 1)
-        assert list(found.misfits) == (["drive"] if off > 1 else [])
+        gripping = gripped.find(Recording(), 0.0329, np.random.default_rng(0))  # type: ignore[arg-type]
+        assert gripping is not None and (gripping.drive is None) == (known[-1] is None) == (off > 1)
+        assert list(gripping.misfits) == (["drive"] if off > 1 else [])
 
 
 def test_when_it_slips() -> None:
