@@ -38,8 +38,8 @@ CREEP_SHARE, CREEP_GRIP_SHARE, CREEP_LOW_SHARE = 0.015, 0.019, 0.009
 # Friction varies over a gel, so each grip, elsewhere on it, is off by its own (sd of the logarithm), and all of them by
 # the same, too. Where the fingers are not parallel, one end of the contact slips, and is weaker then, before the other
 # does: the whole holds less than its static friction, by so many times the logarithm of the last over the first moment
-# of slip (with its sd), and sometimes by more that nothing shows, so that the upper end is farther off than the lower.
-GRIP_SD, ALL_GRIPS_SD_LOW, ALL_GRIPS_SD_HIGH = 0.04, 0.02, 0.05
+# of slip (with its sd).
+GRIP_SD, ALL_GRIPS_SD = 0.04, 0.05
 SLIP_PART, SLIP_PART_SD = 0.5, 0.3
 DELAY_MS, JITTER_MS = 3.5, 2.0  # an interval that is wider tells nothing
 TWO_TICKS_N = 0.13
@@ -211,7 +211,6 @@ def _friction(per_ma: Sequence[Floats]) -> Estimate:
     first, last = np.log(np.array(per_ma)).T
     gap = last - first
     middle = float(np.mean(last + SLIP_PART * gap))
-    own_sd = math.hypot(GRIP_SD / math.sqrt(len(gap)), SLIP_PART_SD * float(gap.mean()))
-    z = float(stats.norm.ppf((1 + LEVEL) / 2))
-    low, high = (z * math.hypot(own_sd, of_all) for of_all in (ALL_GRIPS_SD_LOW, ALL_GRIPS_SD_HIGH))
-    return Estimate(math.exp(middle), math.exp(middle - low), math.exp(middle + high))
+    sd = math.hypot(GRIP_SD / math.sqrt(len(gap)), ALL_GRIPS_SD, SLIP_PART_SD * float(gap.mean()))
+    half = float(stats.norm.ppf((1 + LEVEL) / 2)) * sd
+    return Estimate(math.exp(middle), math.exp(middle - half), math.exp(middle + half))
