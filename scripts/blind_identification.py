@@ -3,14 +3,15 @@
     python scripts/blind_identification.py WORK --first 20000 --count 20 --jobs 2
 
 For each sensor randomized:N it simulates what docs/identify.md asks of an owner, shortened: a rest, strokes of a press
-with a pause after each, and a gripper that closes, holds, and lets an object slip; runs `evetac identify`; and compares
-the interval of each parameter in PARAMETERS with the truth. Then it simulates rest and press again: by the sensor
-itself with another seed, and by its twin, the identified sensor, with a third. A classifier (kernels/realism) tells the
-half seconds of the first recordings from those of the second, of either from the twin's, and of the first from the next
-sensor's.
+with a pause after each, and a gripper that closes, holds, and lets an object slip, at three places; runs `evetac
+identify`; and compares the interval of each parameter in PARAMETERS with the truth. Then it simulates rest and press
+again: by the sensor itself with another seed, and by its twin, the identified sensor, with a third. A classifier
+(kernels/realism) tells the half seconds of the first recordings from those of the second, of either from the twin's,
+and of the first from the next sensor's.
 
 What is compared and how was committed before the first run on sensors from 20,000 on. A sensor that WORK holds already
-is not made again, so that a run may be stopped and several may share the sensors; the table is of all that WORK holds.
+is not made again, so that a run may be stopped and several may share the sensors; one that was cut off is made again.
+The table is of all that WORK holds, with --camera-only or without, never both.
 All figures are simulated.
 """
 
@@ -21,6 +22,7 @@ import shutil
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -29,8 +31,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from reproduce import commit
 
 from evetac_cli.console import print_table
+from evetac_cli.resources import SCENES
 from evetac_cli.sim import gripper, scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
@@ -38,11 +42,12 @@ from evetac_cli.stages.evaluate import told_apart
 from evetac_cli.store.read import open_recording
 
 ROOT = Path(__file__).resolve().parents[1]
-SCENES = ROOT / "evetac_cli" / "data" / "scenes"
-# The packaged scenes, with a longer rest, and with fewer and faster strokes after each of which the gel comes to rest.
+# The packaged scenes, with a longer rest, with fewer and faster strokes after each of which the gel comes to rest, and
+# with objects that are touched farther from the middle of the gel.
 REST = {"rest_s": 3.0}
 PRESS = {"lines": 5, "speed_mm_s": 40.0, "approach_s": 0.8, "node_pitch_mm": 1.0}
-SECOND_SEED, TWIN_SEED = 1000, 2000  # beyond the seed of a sensor's first recordings
+GRIP, GRIPS = {"touch_mm": 3.0}, 3
+SECOND_SEED, TWIN_SEED, GRIP_SEED = 1000, 2000, 3000  # beyond the seed of a sensor's first recordings, or grip before
 OBJECT, OBJECT_G, OBJECT_FRICTION = 18, 550, 0.9  # what the gripper holds, a bottle of glass
 OPEN_M = 0.060  # about which the fingers bend
 QUARTER, HELD = 0.25, 0.9  # an interval so wide, in prior ranges, that holds the truth in so many cases, is told
@@ -186,8 +191,7 @@ def places(row: Mapping[str, Any], sensor_file: Path) -> NDArray[np.float64] | N
 
 def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> None:
     """All of one sensor, into WORK/NUMBER.json and WORK/NUMBER.npz."""
-    result = work / f"{number}.json"
-    if result.exists():
+    if kept(work, number) is not None:
         return
     started = time.perf_counter()
     sensor, folder = f"randomized:{number}", work / str(number)
@@ -197,11 +201,13 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
     known: list[object] = []
     grips: list[Path] = []
     if not camera_only:
-        grips = [folder / "grip.recording.h5", folder / "grasp.recording.h5"]
-        by_sensor = ("--sensor", sensor, "--seed", number)
-        evetac("record", "--scene", "grip-steps", "--object", OBJECT, *by_sensor, "--force", "-o", grips[0])
+        for place in range(GRIPS):
+            grips.append(folder / f"grip-{place + 1}.recording.h5")
+            gripped = ("--scene", work / "grip-steps.toml", "--object", OBJECT, "--sensor", sensor)
+            evetac("record", *gripped, "--seed", number + place * GRIP_SEED, "--force", "-o", grips[-1])
+        grips.append(folder / "grasp.recording.h5")
         moves = ("--controller", "fixed:6", "--lift-s", 2, "--balance-s", 0)
-        evetac("grasp", *moves, *by_sensor, "--force", "-o", grips[1])
+        evetac("grasp", *moves, "--sensor", sensor, "--seed", number, "--force", "-o", grips[-1])
         known = ["--object-mass-g", OBJECT_G, "--pixel-mm", round(row["mm_per_px"], 4)]
     twin = folder / "twin.sensor.toml"
     answer = evetac("identify", *first, *grips, *known, "--name", f"twin-{number}", "--force", "-o", twin)
@@ -211,7 +217,9 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
         "second": features(recordings(work, folder, sensor, number + SECOND_SEED, "second")),
         "twin": features(recordings(work, folder, str(twin), number + TWIN_SEED, "twin")),
     }
-    np.savez(work / f"{number}.npz", first=windows["first"], second=windows["second"], twin=windows["twin"])
+    unfinished = work / f"{number}.part.npz"
+    np.savez(unfinished, first=windows["first"], second=windows["second"], twin=windows["twin"])
+    unfinished.replace(work / f"{number}.npz")
     shutil.copy(twin, work / f"{number}.sensor.toml")
     if not keep:
         shutil.rmtree(folder)
@@ -223,8 +231,33 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
         "places_off_px": None if off_px is None else np.abs(off_px).ravel().tolist(),
         "seconds": time.perf_counter() - started,
     }
-    result.write_text(json.dumps(about, indent=1))
+    unfinished = work / f"{number}.json.part"
+    unfinished.write_text(json.dumps(about, indent=1))
+    unfinished.replace(work / f"{number}.json")
     print(f"randomized:{number}: {about['seconds']:.0f} s", file=sys.stderr)
+
+
+def kept(work: Path, number: int) -> tuple[Row, dict[str, NDArray[np.float64]]] | None:
+    """What WORK holds of a sensor: its result and its windows; None where either is missing or cut off."""
+    try:
+        result: Row = json.loads((work / f"{number}.json").read_text())
+        with (work / f"{number}.npz").open("rb") as file, np.load(file) as windows:
+            return result, {name: windows[name] for name in ("first", "second", "twin")}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, dict[str, NDArray[np.float64]]]]:
+    """All sensors that WORK holds, by number; ValueError where some are with the gripper, and others without."""
+    numbers = sorted(int(path.stem) for path in work.glob("*.json") if path.stem.isdigit())
+    held = {number: one for number in numbers if (one := kept(work, number)) is not None}
+    others = [str(number) for number, (result, _) in held.items() if result["camera_only"] != camera_only]
+    if others:
+        how = "with" if camera_only else "without"
+        raise ValueError(
+            f"{work} holds sensors that were made {how} the gripper: {', '.join(others)}; take another folder"
+        )
+    return held
 
 
 def interval(result: Row, parameter: Parameter) -> tuple[float, bool] | None:
@@ -269,12 +302,12 @@ def parameter_rows(results: list[Row]) -> list[Row]:
     return rows
 
 
-def area_rows(work: Path, numbers: list[int]) -> list[Row]:
+def area_rows(windows: Mapping[int, Mapping[str, NDArray[np.float64]]]) -> list[Row]:
     """A row for every sensor: how well its windows are told from its own again, its twin's, and the next one's."""
-    kept = {number: dict(np.load(work / f"{number}.npz")) for number in numbers}
+    numbers = list(windows)
     rows = []
     for place, number in enumerate(numbers):
-        own, other = kept[number], kept[numbers[(place + 1) % len(numbers)]]
+        own, other = windows[number], windows[numbers[(place + 1) % len(numbers)]]
         same = told_apart.area(own["first"], own["second"])
         of_twin = [told_apart.area(own[name], own["twin"]) for name in ("first", "second")]
         twin = None if None in of_twin else float(np.mean([one for one in of_twin if one is not None]))
@@ -291,15 +324,6 @@ def area_rows(work: Path, numbers: list[int]) -> list[Row]:
             }
         )
     return rows
-
-
-def commit() -> tuple[str, bool]:
-    """The commit, and whether the tree differs from it but for the results themselves."""
-    git = ["git", "-C", str(ROOT)]
-    head = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    status = [*git, "status", "--porcelain", "--", ":!docs/results"]
-    changes = subprocess.run(status, capture_output=True, text=True, check=False)
-    return head.stdout.strip() or "unknown", bool(changes.stdout.strip())
 
 
 def summary(results: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
@@ -332,8 +356,12 @@ def main() -> None:
     parser.add_argument("--keep", action="store_true", help="keep the recordings, about 150 MB a sensor")
     asked = parser.parse_args()
     asked.work.mkdir(parents=True, exist_ok=True)
-    for name, values in (("rest", REST), ("press", PRESS)):
+    for name, values in (("rest", REST), ("press", PRESS), ("grip-steps", GRIP)):
         (asked.work / f"{name}.toml").write_text(changed(name, values), encoding="utf-8")
+    try:
+        all_kept(asked.work, camera_only=asked.camera_only)
+    except ValueError as error:
+        raise SystemExit(f"error: {error}") from None
     numbers = range(asked.first, asked.first + asked.count)
     with ThreadPoolExecutor(asked.jobs) as pool:
         made = [
@@ -342,8 +370,10 @@ def main() -> None:
         ]
         for one in made:
             one.result()
-    results = [json.loads(path.read_text()) for path in sorted(asked.work.glob("*.json")) if path.stem.isdigit()]
-    parameters, areas = parameter_rows(results), area_rows(asked.work, [row["number"] for row in results])
+    held = all_kept(asked.work, camera_only=asked.camera_only)
+    results = [result for result, _ in held.values()]
+    parameters = parameter_rows(results)
+    areas = area_rows({number: windows for number, (_, windows) in held.items()})
     of_all = summary(results, parameters, areas)
     print_table("blind identification", parameters, {}, simulated=True)
     print_table("windows told apart", areas, of_all, simulated=True)

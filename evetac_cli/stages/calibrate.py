@@ -5,6 +5,7 @@ one. Neither places nor size nor number of the dots need to be known (kernels/ca
 Evetac's gel is only used to refuse a grid of which a part was never pressed.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -104,19 +105,23 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
 
 def rest_images(recording: Recording, progress: Progress = silent) -> tuple[RestImage, RestImage]:
     """The gel at rest as seen by every other pair of strokes, and by the other pairs; InputError without strokes."""
-    stroked = strokes(recording)
-    if not stroked:
+    if not strokes(recording):
         moved = dot_search.contrast(seen(recording, 0, len(recording))) > 0
         message = "the gel is not at rest before and after a stroke" if moved else "no dot was seen to move"
         raise InputError(message, where=str(recording.path), hint=PRESS)
     nothing = np.zeros(recording.frame_px[::-1], np.uint8)
     halves = [RestImage(nothing, nothing), RestImage(nothing, nothing)]
-    for stroke, (start, stop) in enumerate(stroked):
-        half = stroke // 2 % 2  # two strokes each: there and back
-        for backwards in (False, True):
-            halves[half] = halves[half].joined(seen(recording, start, stop, backwards=backwards))
+    for half, (_, stop), (before, after) in stroke_images(recording):
+        halves[half] = halves[half].joined(before).joined(after)
         progress(stop, len(recording))
     return halves[0], halves[1]
+
+
+def stroke_images(recording: Recording) -> Iterator[tuple[int, tuple[int, int], tuple[RestImage, RestImage]]]:
+    """Each stroke: which half of the strokes it is of, 0 or 1, its slices, and the gel at rest before and after it."""
+    for stroke, (start, stop) in enumerate(strokes(recording)):
+        half = stroke // 2 % 2  # two strokes each: there and back
+        yield half, (start, stop), (seen(recording, start, stop), seen(recording, start, stop, backwards=True))
 
 
 def strokes(recording: Recording) -> list[tuple[int, int]]:

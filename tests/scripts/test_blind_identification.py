@@ -1,5 +1,6 @@
 """scripts/blind_identification.py: truths lie in their prior ranges, and the table counts as it says."""
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ def test_truths_lie_in_their_prior_ranges() -> None:
 
 def test_scenes_are_as_packaged_but_for_what_is_changed(tmp_path: Path) -> None:
     """Assert that the scenes are read, with what is changed, and that a key which is not there is an error."""
-    for name, values in (("rest", blind.REST), ("press", blind.PRESS)):
+    for name, values in (("rest", blind.REST), ("press", blind.PRESS), ("grip-steps", blind.GRIP)):
         (tmp_path / f"{name}.toml").write_text(blind.changed(name, values))
         packaged, made = scene.load(name), scene.load(str(tmp_path / f"{name}.toml"))
         assert made != packaged
@@ -67,12 +68,43 @@ def test_places_are_one_parameter() -> None:
     assert blind.interval({**one, "places_off_px": None}, places) is None
 
 
-def test_twins_and_others(tmp_path: Path) -> None:
+def test_twins_and_others() -> None:
     """Assert that a twin with the sensor's windows is like it, and that another sensor is told apart."""
     rng = np.random.default_rng(0)
-    for number in (1, 2):
-        windows = {name: rng.standard_normal((40, 26)) + 3.0 * number for name in ("first", "second", "twin")}
-        np.savez(tmp_path / f"{number}.npz", **windows)
-    rows = blind.area_rows(tmp_path, [1, 2])
+    windows = {
+        number: {name: rng.standard_normal((40, 26)) + 3.0 * number for name in ("first", "second", "twin")}
+        for number in (1, 2)
+    }
+    rows = blind.area_rows(windows)
     assert all(row["auc_other"] > 0.95 and row["other_is_not"] for row in rows)
     assert all(0.2 < row["auc_twin"] < 0.8 for row in rows)
+
+
+def keep(folder: Path, number: int, *, camera_only: bool) -> None:
+    """What a whole run leaves of a sensor."""
+    (folder / f"{number}.json").write_text(json.dumps({"number": number, "camera_only": camera_only}))
+    np.savez(folder / f"{number}.npz", **{name: np.zeros((8, 26)) for name in ("first", "second", "twin")})
+
+
+def test_a_sensor_that_was_cut_off_is_not_kept(tmp_path: Path) -> None:
+    """Assert that a result of which a part is missing, or ends too early, counts as none, so that it is made again."""
+    for number in range(1, 6):
+        keep(tmp_path, number, camera_only=False)
+    (tmp_path / "2.npz").unlink()
+    for name in ("3.npz", "4.json"):
+        whole = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "5.npz").write_bytes(b"")
+    assert [blind.kept(tmp_path, number) is not None for number in range(1, 7)] == [True, *[False] * 5]
+    assert list(blind.all_kept(tmp_path, camera_only=False)) == [1]
+
+
+def test_runs_with_and_without_a_gripper_are_not_mixed(tmp_path: Path) -> None:
+    """Assert that a folder of whole runs is refused to --camera-only, and the other way round."""
+    keep(tmp_path, 7, camera_only=True)
+    assert list(blind.all_kept(tmp_path, camera_only=True)) == [7]
+    with pytest.raises(ValueError, match="without the gripper: 7"):
+        blind.all_kept(tmp_path, camera_only=False)
+    keep(tmp_path, 8, camera_only=False)
+    with pytest.raises(ValueError, match="with the gripper: 8"):
+        blind.all_kept(tmp_path, camera_only=True)

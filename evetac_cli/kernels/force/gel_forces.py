@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.special import expit
 
+from evetac_cli.kernels import logistic
 from evetac_cli.kernels.force.models import Layer
 
 Floats = NDArray[np.float64]
@@ -263,15 +264,9 @@ def contact_probability(signs: Floats, weights: Floats) -> Floats:
 
 
 def fit_contact(signs: Floats, contact: NDArray[np.bool_], ridge: float = 1e-2) -> Floats:
-    """Weights (3,) of the logistic regression from signs (n, 3) to contact (n,), by Newton's method."""
-    weights = np.zeros(signs.shape[1])
+    """Weights (3,) of the logistic regression from signs (n, 3) to contact (n,); both sides count as much."""
     balance = np.where(contact, 0.5 / max(contact.sum(), 1), 0.5 / max((~contact).sum(), 1)) * len(contact)
-    for _ in range(50):
-        probability = expit(signs @ weights)
-        slope = signs.T @ (balance * (probability - contact)) + ridge * weights
-        bend = (signs * (balance * probability * (1 - probability))[:, None]).T @ signs + ridge * np.eye(len(weights))
-        weights = weights - np.clip(np.linalg.solve(bend, slope), -3.0, 3.0)
-    return weights
+    return logistic.fit(signs, contact.astype(np.float64), np.full(signs.shape[1], ridge), balance)
 
 
 def fit_errors(found_mm2: Floats, true_mm2: Floats) -> tuple[float, float]:

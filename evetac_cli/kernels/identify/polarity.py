@@ -33,6 +33,7 @@ EVENTS = (
     400.0,
 )  # bounds between which pixels are looked at together
 FEWEST_TOGETHER = 300
+MOST_EVENTS = 90.0  # of pixels that tell the spread: those that are stroked most differ for other reasons, too
 HOT_TIMES = 2.0  # as many events as the pixels around
 TILE_PX = 40  # pieces of the picture that are resampled
 RESAMPLES = 200
@@ -40,10 +41,12 @@ RESAMPLES = 200
 # dot to gel, and how far single ones were off (sd); the variance of the logarithm that pixels of equal thresholds show,
 # with its sd; how far single spreads were off (sd).
 RATIO_TOO_HIGH, RATIO_SD = 0.35, 0.007
-ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0003
-SPREAD_SD = 0.045
-# Variance of the logarithm times squared events that is due to unfinished thresholds, and how uncertain that is (sd).
-CHANCE, CHANCE_SD = 1.0, 0.4
+ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0002
+SPREAD_SD = 0.04
+# Variance of the logarithm times squared events that is due to unfinished thresholds and, for each event of noise that
+# a pixel had, to noise; how uncertain that is (share of it, sd), and how uncertain a variance is besides (sd).
+UNFINISHED, OF_NOISE = 0.22, 1.2
+CHANCE_SD, VARIANCE_SD = 0.12, 0.0001
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]) / 8.0
 
@@ -97,7 +100,7 @@ def estimate(on: Floats, off: Floats, noise: float, rng: np.random.Generator) ->
     sums = np.stack([by_tile(values) for values in columns])
 
     def of(weights: Floats) -> tuple[float, float, float]:
-        """Log of the ratio, the variance that endless events would leave, and the least inverse of squared events."""
+        """Log of the ratio, the variance without that of chance, and that of chance."""
         rising, falling, squares, inverse, pixels = sums @ weights
         enough = pixels >= FEWEST_TOGETHER
         if not enough.any():
@@ -106,13 +109,13 @@ def estimate(on: Floats, off: Floats, noise: float, rng: np.random.Generator) ->
         many = enough & (np.cumsum(pixels[::-1])[::-1] <= pixels.sum() / 2)
         many[np.flatnonzero(enough)[-1]] = True
         ratio = np.log(rising[many].sum() / falling[many].sum())
-        variance = squares[enough] / pixels[enough] / (1.0 + 1.0 / 8.0)  # the eight neighbours differ, too
-        chance = inverse[enough] / pixels[enough]
-        if enough.sum() < 3:
-            return float(ratio), float(variance[-1] - CHANCE * chance[-1]), float(chance[-1])
-        slope, least = np.polyfit(chance, variance, 1, w=np.sqrt(pixels[enough]) / variance)
-        least = least if slope > 0 else np.average(variance, weights=pixels[enough])
-        return float(ratio), float(least), float(chance[-1])
+        few = enough & (np.array(EVENTS[1:]) <= MOST_EVENTS)
+        used = few if few.any() else enough
+        variance = squares[used] / pixels[used] / (1.0 + 1.0 / 8.0)  # the eight neighbours differ, too
+        chance = (UNFINISHED + OF_NOISE * 2.0 * noise) * inverse[used] / pixels[used]
+        weight = 1.0 / ((CHANCE_SD * chance) ** 2 + VARIANCE_SD**2)
+        least = np.average(variance - chance, weights=weight)
+        return float(ratio), float(least), float(np.average(chance, weights=weight))
 
     value = of(np.ones(tiles))
     drawn = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)

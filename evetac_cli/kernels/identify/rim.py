@@ -50,16 +50,15 @@ class Runs(NamedTuple):
 class Dots(NamedTuple):
     """What each dot shows, (dots, 2) and (dots,), NaN where it does not show.
 
-    Places, radii and blur are in px; `inside_on` and `outside_off` are events of the first runs from ink to gel and
-    from gel to ink, means over the pixels of a dot's inside and of the gel around it. `excess` is by how much of their
-    contrast pixels of the rim change more before strokes than after them.
+    Places, radii and blur are in px; `inside_on` are events of the first runs from ink to gel, mean over the pixels of
+    a dot's inside. `excess` is by how much of their contrast pixels of the rim change more before strokes than after
+    them.
     """
 
     centre_xy_px: Floats
     radius_px: Floats
     sigma_px: Floats
     inside_on: Floats
-    outside_off: Floats
     excess: Floats
 
 
@@ -112,7 +111,7 @@ def fit(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: float)
         profile = RimProfile(from_edge_px, sums[0] / sums[1])
     lost = np.isnan(fitted[:, 0])
     count[lost] = np.nan
-    return Dots(fitted[:, :2], fitted[:, 2], fitted[:, 3], count[:, 0], count[:, 2], fitted[:, 4]), profile
+    return Dots(fitted[:, :2], fitted[:, 2], fitted[:, 3], count[:, 0], fitted[:, 4]), profile
 
 
 def _excess(before: Floats, after: Floats, dot: Floats) -> float:

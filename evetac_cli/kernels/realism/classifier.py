@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from evetac_cli.kernels import logistic
+
 Floats = NDArray[np.float64]
 
 FOLDS = 4
 BLOCK = 2  # windows next to each other that are left out together
 FEWEST = 8  # windows of a set
-PENALTY = 1.0
-ROUNDS = 30
+PENALTY, PENALTY_OF_OFFSET = 1.0, 1e-6
 LARGEST_VALUE = 1e12  # of a feature: squares must stay finite
 LARGEST = 6.0  # standard deviations: a window that is farther off counts as being so far
 
@@ -39,6 +40,7 @@ def told_apart(first: Floats, second: Floats) -> float:
         raise ValueError(f"expected {FEWEST} windows or more of both, with the same features, found {windows}")
     first, second = (np.clip(part, -LARGEST_VALUE, LARGEST_VALUE) for part in (first, second))
     fold = np.arange(windows) // BLOCK % FOLDS
+    penalty = np.concatenate([[PENALTY_OF_OFFSET], np.full(first.shape[1], PENALTY)])
     scores: list[Floats] = [np.empty(windows), np.empty(windows)]
     for left_out in range(FOLDS):
         held = fold == left_out
@@ -54,25 +56,9 @@ def told_apart(first: Floats, second: Floats) -> float:
             return np.where(np.isfinite(values), values, 0.0)
 
         label = np.repeat([0.0, 1.0], (~held).sum())
-        weights = fit(standardised(train), label)
+        columns = np.column_stack([np.ones(len(train)), standardised(train)])
+        weights = logistic.fit(columns, label, penalty, np.ones(len(train)))
         for score, of in zip(scores, (first, second), strict=True):
             score[held] = standardised(of[:windows][held]) @ weights[1:] + weights[0]
     # Each fold has a regression of its own, whose scores are compared among themselves only.
     return float(np.mean([area(scores[0][fold == one], scores[1][fold == one]) for one in range(FOLDS)]))
-
-
-def fit(values: Floats, label: Floats) -> Floats:
-    """Weights (1 + features,) of a logistic regression with a penalty on all but the first, by Newton's method."""
-    design = np.column_stack([np.ones(len(values)), values])
-    penalty = np.full(design.shape[1], PENALTY)
-    penalty[0] = 1e-6
-    weights = np.zeros(design.shape[1])
-    for _ in range(ROUNDS):
-        probability = 1.0 / (1.0 + np.exp(-np.clip(design @ weights, -30.0, 30.0)))
-        slope = design.T @ (probability - label) + penalty * weights
-        curve = (design * (probability * (1.0 - probability))[:, None]).T @ design + np.diag(penalty)
-        change = np.linalg.solve(curve, slope)
-        weights = weights - change * min(1.0, 5.0 / max(np.abs(change).max(), 1e-12))
-        if np.abs(change).max() < 1e-8:
-            break
-    return weights

@@ -34,7 +34,7 @@ from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 SHORTEST_MOTION = 300  # slices
 MOST_EVENTS = 5_000_000  # of one phase
 NEAR = 0.10  # a distance that the summary counts as near
@@ -167,7 +167,8 @@ def _side(recording: Recording) -> Side:
     whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
     motion = _phase(recording, moving) if whole else None
     log_contrast = float(scene.sensor_row("evetac")["log_contrast"])
-    press = pressed.find(recording, log_contrast, None, 0.0, np.random.default_rng(0)) if motion else None
+    noise_hz = 0.0 if rest is None else _at_rest(rest, recording.frame_px)[0]["ordinary_hz"]
+    press = pressed.find(recording, log_contrast, None, noise_hz, np.random.default_rng(0)) if motion else None
     return Side(recording.path.name, rest, motion, press)
 
 

@@ -26,7 +26,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 
 OUTPUT = "sensor"
-METHOD = 2
+METHOD = 3
 
 
 def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
@@ -63,19 +63,26 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     log_contrast = float(like["log_contrast"])
     mm_per_px = float(like["mm_per_px"]) if params.pixel_mm is None else params.pixel_mm
     printed_xy = _printed(like)
-    rests, presses, grips = [], [], []
+    rests, grips, others = [], [], []
+    steps = 2 * len(job.inputs)
     for number, path in enumerate(job.inputs):
         noise_rng, press_rng, servo_rng = np.random.default_rng([params.seed, number]).spawn(3)
         with open_recording(path) as recording:
             if recording.has("gripper/t_us"):  # where it holds still, the gel creeps: that is no rest
                 grips.append(gripped.find(recording, mm_per_px, servo_rng))
             else:
-                resting = at_rest.longest(recording, noise_rng)
-                noise_hz = resting.noise.noise_hz.value if resting else 0.0
-                presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
-                rests.append(resting)
-        progress(number + 1, len(job.inputs))
-    rows, values = at_rest.rows(max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None))
+                rests.append(at_rest.longest(recording, noise_rng))
+                others.append((path, press_rng))
+        progress(number + 1, steps)
+    rest = max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None)
+    noise_hz = rest.noise.noise_hz.value if rest else 0.0
+    presses = []
+    for number, (path, press_rng) in enumerate(others):
+        with open_recording(path) as recording:
+            presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
+        progress(len(job.inputs) + number + 1, steps)
+    progress(steps, steps)
+    rows, values = at_rest.rows(rest)
     best = max((one for one in presses if one), key=lambda one: one.dots, default=None)
     more_rows, more = pressed.rows(best, log_contrast)
     rows, values = rows + more_rows, more | values

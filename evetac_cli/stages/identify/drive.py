@@ -36,7 +36,7 @@ LARGE_TICKS = 1.0  # residuals beyond count less
 
 @dataclass(frozen=True)
 class GripperRows:
-    """Time in s, commanded and measured current in mA, and place in ticks, a row a command."""
+    """Time in us, commanded and measured current in mA, and place in ticks, a row a command."""
 
     time_us: NDArray[np.int64]
     commanded_ma: Floats
@@ -140,10 +140,11 @@ def _start(rows: GripperRows, place: Floats) -> dict[str, float]:
 def _blocks(rows: GripperRows) -> NDArray[np.intp]:
     """Number of the block of each row, -1 for none: BLOCK_MS of rows each, for a while after each new current.
 
-    Why so: a mean over a block is less noisy than a reading, and rests of seconds would outweigh all else.
+    Why so: a mean over a block is less noisy than a reading, and rests of seconds would outweigh all else. A current is
+    new when it is commanded: what is measured is noisy, and changes in every row.
     """
     time_ms = rows.time_us * 1e-3
-    new = np.diff(rows.measured_ma, prepend=np.nan) != 0.0
+    new = np.diff(rows.commanded_ma, prepend=np.nan) != 0.0
     since_ms = time_ms - time_ms[np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))]
     moving = np.abs(rows.place_ticks - np.roll(rows.place_ticks, BLOCK_ROWS)) >= 3
     counted = (since_ms <= COUNTED_MS) | moving

@@ -5,9 +5,9 @@ and when the object slips. No force is known but the weight: what needs the norm
 too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -38,23 +38,30 @@ QUIET_MS, BUSY_EVENTS = 400, 5  # a pixel with more events before the weight com
 GONE = 0.8  # of its largest displacement: then the object has slipped
 SLIPS_AT = (0.98, 0.95)  # of the largest displacement, when it was last reached
 PADS = 2
+# What a fit may leave: two to three times the most that it left of simulated sensors (randomized:100 to 114).
+MOST_OFF_TICKS = 2.0  # of the drive, rms
+MOST_OFF_SHARE = 0.5  # of the dots' displacement, rms
+MOST_OFF_IN_TIME = 0.0075  # of the displacement under the weight over time, rms share of it
 
 
 class Weight(NamedTuple):
-    """How the gel took over a weight: the fit of the dots, creep, and the force per mA at which the object slipped.
+    """How the gel took over a weight: creep, shear modulus, and the force per mA at which the object slipped.
 
-    modulus_pa, weight_per_ma: for the weight of 1 kg; the latter at each of SLIPS_AT, None if the object did not slip.
+    creep, modulus_pa: None where the fit is bad. modulus_pa, weight_per_ma: for the weight of 1 kg; the latter at each
+    of SLIPS_AT, None if the object did not slip, or the drive is not known.
     """
 
-    held: HeldFit
-    creep: Creep
-    modulus_pa: float
+    creep: Creep | None
+    modulus_pa: float | None
     weight_per_ma: Floats | None
 
 
 @dataclass(frozen=True)
 class Gripped:
-    """What one recording tells; each part is None where it does not."""
+    """What one recording tells; each part is None where it does not.
+
+    misfits: why the drive, the modulus or creep cannot be told though it was fitted.
+    """
 
     source: str
     drive: DriveFit | None = None
@@ -63,6 +70,7 @@ class Gripped:
     jitter_ms: Estimate | None = None
     gain_ma_tick: Estimate | None = None
     weight: Weight | None = None
+    misfits: Mapping[str, str] = field(default_factory=dict)
 
 
 def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gripped | None:
@@ -90,9 +98,17 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
         fitted = drive.fit(rows)
     except ValueError:  # it does not close on something and open again
         return Gripped(source, delay_ms=delay, jitter_ms=jitter)
-    with suppress(ValueError):  # it never rests
-        noise = encoder.noise(fitted.rests)
-    return Gripped(source, fitted, noise, delay, jitter, None, _weight(recording, rows, fitted, mm_per_px))
+    known: DriveFit | None = fitted
+    misfits = {}
+    if fitted.residual_ticks > MOST_OFF_TICKS:
+        known = None
+        off = f"{fitted.residual_ticks:.1f} ticks off, where {MOST_OFF_TICKS:g} are allowed"
+        misfits["drive"] = f"cannot be told: no simulated drive moves as this gripper did ({off})"
+    else:
+        with suppress(ValueError):  # it never rests
+            noise = encoder.noise(fitted.rests)
+    weight, of_weight = _weight(recording, rows, known, mm_per_px)
+    return Gripped(source, known, noise, delay, jitter, None, weight, misfits | of_weight)
 
 
 def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
@@ -116,12 +132,14 @@ def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> 
         return None
 
 
-def _weight(recording: Recording, rows: GripperRows, fitted: DriveFit, mm_per_px: float) -> Weight | None:
-    """How the gel takes over the weight of what the gripper holds; None where no weight comes on."""
+def _weight(
+    recording: Recording, rows: GripperRows, fitted: DriveFit | None, mm_per_px: float
+) -> tuple[Weight | None, dict[str, str]]:
+    """How the gel takes over the weight of what the gripper holds, None where no weight comes on; and bad fits."""
     first_ms, last_ms = _longest_hold(rows)
     last_ms = min(last_ms, len(recording))
     if last_ms - first_ms < SHORTEST_HOLD_MS or recording.dot_xy_px is None:
-        return None
+        return None, {}
     try:
         moved_px = _tracked(recording)
         along, came_ms, loaded_ms = _loading(moved_px[first_ms:last_ms])
@@ -144,15 +162,32 @@ def _weight(recording: Recording, rows: GripperRows, fitted: DriveFit, mm_per_px
         both = displacement_m[came_ms:end_ms] / displacement_m[end_ms - 500 : end_ms].mean() + seen / seen[-500:].mean()
         creep = held_gel.creep(*_thinned(both[loaded_ms:] / 2), loaded_ms * 1e-3)
     except ValueError:  # nothing moves as a held object does
-        return None
+        return None, {}
+    misfits = _misfits(held, creep)
     modulus_pa = GRAVITY_M_S2 / PADS / (creep.final * held.displacement_m * held.stiffness_m)
     slips_ms = _slips(displacement_m[last_ms:])
     per_ma = None
-    if slips_ms is not None:
+    if slips_ms is not None and fitted is not None:
         at = np.minimum(slips_ms + last_ms - int(rows.time_us[0] // 1000), len(fitted.force_ma) - 1)
         force_ma = fitted.force_ma[at]
         per_ma = GRAVITY_M_S2 / PADS / force_ma if (force_ma > 0).all() else None
-    return Weight(held, creep, modulus_pa, per_ma)
+    known_creep = None if "creep" in misfits else creep
+    return Weight(known_creep, None if "modulus" in misfits else modulus_pa, per_ma), misfits
+
+
+def _misfits(held: HeldFit, creep: Creep) -> dict[str, str]:
+    """Why modulus and creep cannot be told where a fit is bad; without creep the modulus is not known either."""
+    misfits = {}
+    if creep.misfit > MOST_OFF_IN_TIME:
+        off = f"{creep.misfit:.1%} off, where {MOST_OFF_IN_TIME:.2%} are allowed"
+        why = f"cannot be told: no gel with two times of creep moves as this one did under the weight ({off})"
+        misfits = {"creep": why, "modulus": why}
+    if held.misfit > MOST_OFF_SHARE:
+        off = f"{held.misfit:.0%} off, where {MOST_OFF_SHARE:.0%} are allowed"
+        misfits["modulus"] = (
+            f"cannot be told: no strip of contact moves the dots as they moved under the weight ({off})"
+        )
+    return misfits
 
 
 def _longest_hold(rows: GripperRows) -> tuple[int, int]:

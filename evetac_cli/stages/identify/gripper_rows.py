@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import stats
 
-from evetac_cli.kernels.identify.estimates import Estimate
+from evetac_cli.kernels.identify.estimates import LEVEL, Estimate
 from evetac_cli.sim import gripper
 from evetac_cli.stages.identify.drive import DriveFit
-from evetac_cli.stages.identify.gripped import Gripped, Weight, merged
+from evetac_cli.stages.identify.gripped import Floats, Gripped, Weight, merged
 from evetac_cli.stages.identify.sensor_text import Entry, Row
 
 MAKE_GRIP = "cannot be told from these recordings: make one as of the scene grip-steps (docs/identify.md)"
@@ -32,11 +33,14 @@ BACKLASH_TICKS, BACKLASH_LOW_TICKS = 0.3, 0.05  # half width, and by how much th
 ENCODER_LOW_TICKS, ENCODER_HIGH_TICKS = 0.06, 0.02  # a rest that is none makes noise
 MODULUS_SHARE, MODULUS_HIGH_SHARE = 0.10, 0.03  # half width, and by how much the fit is too high
 SCALE_SHARE, SCALE_POWER = 0.12, 1.5  # of a pixel that was not measured, and how the modulus goes with it
-CREEP_SHARE, CREEP_LOW_SHARE = 0.024, 0.009  # half width of both arms' share, and by how much the fit is too low
-# Beyond what the first and the last moment of slip tell: friction varies over a gel, and where the fingers are not
-# parallel, one end of the contact slips, and is weaker then, before the other does: the whole holds less than its
-# static friction, by 14 % at most among 17 simulated sensors.
-SLIP_LOW_SHARE, SLIP_HIGH_SHARE = 0.09, 0.13
+# Half widths of both arms' share: what grips are off by alike, and each by its own; and by how much the fit is too low.
+CREEP_SHARE, CREEP_GRIP_SHARE, CREEP_LOW_SHARE = 0.015, 0.019, 0.009
+# Friction varies over a gel, so each grip, elsewhere on it, is off by its own (sd of the logarithm), and all of them by
+# the same, too. Where the fingers are not parallel, one end of the contact slips, and is weaker then, before the other
+# does: the whole holds less than its static friction, by so many times the logarithm of the last over the first moment
+# of slip (with its sd).
+GRIP_SD, ALL_GRIPS_SD = 0.04, 0.05
+SLIP_PART, SLIP_PART_SD = 0.5, 0.3
 DELAY_MS, JITTER_MS = 3.5, 2.0  # an interval that is wider tells nothing
 TWO_TICKS_N = 0.13
 
@@ -60,7 +64,9 @@ def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tup
     keys: dict[str, Any] = {}
     if known_parts.drive is not None:
         keys |= _drive_keys(known_parts.drive, known_parts.gain_ma_tick, usual, scale_n_ma, source["drive"])
-    listed += _drive_rows(known_parts.drive, source.get("drive", MAKE_GRIP))
+    misfits = {part: why for one in reversed(grips) for part, why in one.misfits.items()}
+    no_drive = misfits.get("drive", MAKE_GRIP)
+    listed += _drive_rows(known_parts.drive, source.get("drive", no_drive))
     for part, key, unit, widest in (
         ("encoder_ticks", "encoder_noise_ticks", "ticks", math.inf),
         ("delay_ms", "command_delay_ms", "ms", DELAY_MS),
@@ -74,13 +80,15 @@ def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tup
             estimate = None
         if estimate is not None:
             keys[key] = Entry(estimate.value, estimate, source[part])
-        listed.append(Row(f"gripper.{key}", unit, estimate, MAKE_GRIP if estimate is None else source[part]))
+        why = no_drive if part == "encoder_ticks" else MAKE_GRIP
+        listed.append(Row(f"gripper.{key}", unit, estimate, why if estimate is None else source[part]))
     gain = known_parts.gain_ma_tick
     listed.append(Row("gripper: servo gain", "mA/tick", gain, source.get("gain_ma_tick", MAKE_GRASP)))
     given = known.force_per_current_n_ma
     scale = None if given is None else Estimate(given, given, given)
     listed.append(Row("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given"))
-    gel_rows, values = _gel(known_parts.weight, source.get("weight", ""), known, scale_n_ma)
+    weights = [(one.source, one.weight) for one in grips if one.weight is not None]
+    gel_rows, values = _gel(weights, misfits, known, scale_n_ma)
     listed += gel_rows
     listed += [Row("normal_modulus_pa", "Pa", None, BENDS), Row("loss_tangent", "", None, QUIET)]
     if keys or given is not None:
@@ -153,31 +161,40 @@ def _drive_keys(
     }
 
 
-def _gel(weight: Weight | None, source: str, known: Known, scale_n_ma: float) -> tuple[list[Row], dict[str, Entry]]:
-    """Rows and keys of the gel's shear modulus, creep and friction."""
+def _gel(
+    weights: Sequence[tuple[str, Weight]], misfits: Mapping[str, str], known: Known, scale_n_ma: float
+) -> tuple[list[Row], dict[str, Entry]]:
+    """Rows and keys of the gel's shear modulus, creep and friction, from weights and the recordings that show them."""
     values: dict[str, Entry] = {}
     modulus = friction = factor = total = None
     mass_kg = None if known.object_mass_g is None else 1e-3 * known.object_mass_g
     whys = [MAKE_GRIP] * 4
-    if weight is not None:
-        whys = [NO_MASS, NO_CREEP, NO_MASS, NO_MASS]
-        share = sum(weight.creep.share) + CREEP_LOW_SHARE
-        total = Estimate(share, max(share - CREEP_SHARE, 0.0), share + CREEP_SHARE)
-        shares = np.array(weight.creep.share) + CREEP_LOW_SHARE / 2
-        creep = {"share": shares, "time_s": np.array(weight.creep.time_s)}
+    if weights:
+        whys = [misfits.get("modulus", NO_MASS), misfits.get("creep", NO_CREEP), NO_MASS, NO_MASS]
+    crept = [(source, one.creep) for source, one in weights if one.creep is not None]
+    if crept:
+        source = ", ".join(source for source, _ in crept)
+        shares = np.mean([creep.share for _, creep in crept], axis=0) + CREEP_LOW_SHARE / 2
+        time_s = np.exp(np.mean(np.log([creep.time_s for _, creep in crept]), axis=0))
+        share, half = float(shares.sum()), math.hypot(CREEP_SHARE, CREEP_GRIP_SHARE / math.sqrt(len(crept)))
+        total = Estimate(share, max(share - half, 0.0), share + half)
         about = f"both together {total.low:.3g} to {total.high:.3g}; {source}"
-        values["creep"] = Entry(creep, None, about)
+        values["creep"] = Entry({"share": shares, "time_s": time_s}, None, about)
         whys[1] = source
-    if weight is not None and mass_kg is not None:
+    pulled = next(((source, one.modulus_pa) for source, one in weights if one.modulus_pa is not None), None)
+    if pulled is not None and mass_kg is not None:
+        source, for_1_kg_pa = pulled
         scale_share = 0.0 if known.scale_given else SCALE_SHARE
-        modulus_pa = weight.modulus_pa * mass_kg / (1 + MODULUS_HIGH_SHARE)
+        modulus_pa = for_1_kg_pa * mass_kg / (1 + MODULUS_HIGH_SHARE)
         modulus = _within(modulus_pa, math.hypot(MODULUS_SHARE, SCALE_POWER * scale_share))
         values["shear_modulus_pa"] = Entry(modulus.value, modulus, source)
         whys[0] = source
+    if weights and mass_kg is not None:
         whys[2:] = [MAKE_SLIP] * 2
-        if weight.weight_per_ma is not None:
-            first, last = (weight.weight_per_ma * mass_kg).tolist()
-            friction = Estimate(last, first * (1 - SLIP_LOW_SHARE), last * (1 + SLIP_HIGH_SHARE))
+        slipped = [(source, one.weight_per_ma * mass_kg) for source, one in weights if one.weight_per_ma is not None]
+        if slipped:
+            friction = _friction([per_ma for _, per_ma in slipped])
+            source = ", ".join(source for source, _ in slipped)
             whys[2] = source
             as_factor = _scaled(friction, 1 / (scale_n_ma * known.object_friction))
             given = known.force_per_current_n_ma is not None
@@ -187,3 +204,13 @@ def _gel(weight: Weight | None, source: str, known: Known, scale_n_ma: float) ->
     named = [("shear_modulus_pa", "Pa", modulus), ("creep.share, both arms", "", total)]
     named += [("static friction x force per current", "N/mA", friction), ("static_friction_factor", "", factor)]
     return [Row(*one, why) for one, why in zip(named, whys, strict=True)], values
+
+
+def _friction(per_ma: Sequence[Floats]) -> Estimate:
+    """Static friction times force per current, from the weight per mA at the first and last moment of each slip."""
+    first, last = np.log(np.array(per_ma)).T
+    gap = last - first
+    middle = float(np.mean(last + SLIP_PART * gap))
+    sd = math.hypot(GRIP_SD / math.sqrt(len(gap)), ALL_GRIPS_SD, SLIP_PART_SD * float(gap.mean()))
+    half = float(stats.norm.ppf((1 + LEVEL) / 2)) * sd
+    return Estimate(math.exp(middle), math.exp(middle - half), math.exp(middle + half))

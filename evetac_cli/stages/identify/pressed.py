@@ -28,6 +28,7 @@ NOT_ALONE = "cannot be told from events: only contrast over threshold makes them
 OTHER_GRID = (
     "cannot be told from these recordings: the dots are not the grid of --like, of which a lens would curve rows"
 )
+UNEVEN = "cannot be told from these recordings: the dots were printed too unevenly for their rows to show a lens"
 ONLY_LATE = (
     "cannot be told from these recordings: slow pixels show a motion later and smoother, as a slow gel would; make one"
     " of a motion whose time is known otherwise, as of a shaker that tells its phase"
@@ -36,6 +37,7 @@ MAKE_LONG_REST = "cannot be told from these recordings: make one of ten minutes 
 WORST_JITTER_PX = calibrate.WORST_JITTER_PX
 MOST_MISSING = calibrate.MOST_MISSING
 APART = 0.01  # relative sd of the thresholds of ON against those of OFF: less is one threshold for both
+WIDEST_LENS = 0.0175  # interval of k1, a quarter of what `--sensor randomized` has: a wider one is not shown
 UNITS = {
     "dots": "",
     PLACE: "px",
@@ -73,6 +75,12 @@ class Press:
         """How many dots were found."""
         return int(np.isfinite(self.dot_xy_px[..., 0]).sum())
 
+    @property
+    def told_lens_k1(self) -> Estimate | None:
+        """The lens, if its interval is narrow enough to tell something."""
+        k1 = self.lens_k1
+        return k1 if k1 is not None and k1.high - k1.low <= WIDEST_LENS else None
+
 
 def find(
     recording: Recording,
@@ -100,8 +108,8 @@ def find(
         places_px = np.full(seen.shape, np.nan)
         places_px[looked_for] = fitted.centre_xy_px
         ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
-        off_over_on = ratio.off_over_on.value if ratio else None
-        optics = dots.optics(fitted, events.kept_share, off_over_on, rng)
+        off_over_on = ratio.off_over_on.value if ratio else 1.0
+        optics = dots.optics(fitted, events.kept_share, off_over_on, noise_hz, rng)
     except (InputError, ValueError):  # nothing was pressed, or too little
         return None
     whole = optics.contrast_over_threshold.value
@@ -122,21 +130,19 @@ def find(
 
 def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, float]:
     """First runs of every other pair of strokes and of the other pairs, all events, and how long the strokes took."""
-    strokes = calibrate.strokes(recording)
-    if not strokes:
-        raise ValueError("no strokes")
     nothing = np.zeros(recording.frame_px[::-1], np.uint8)
     halves = [[RestImage(nothing, nothing), RestImage(nothing, nothing)] for _ in range(2)]
     events = stroke_events.start(recording.frame_px)
-    for stroke, (start, stop) in enumerate(strokes):
-        half = stroke // 2 % 2  # two strokes each: there and back
-        for backwards in (False, True):
-            picture = calibrate.seen(recording, start, stop, backwards=backwards)
-            halves[half][backwards] = halves[half][backwards].joined(picture)
+    edges = []
+    for half, (start, stop), pictures in calibrate.stroke_images(recording):
+        halves[half] = [one.joined(picture) for one, picture in zip(halves[half], pictures, strict=True)]
+        edges += [start, stop]
         for first in range(start, stop, calibrate.BLOCK_SLICES):
             block = recording.between(first, min(stop, first + calibrate.BLOCK_SLICES))
             stroke_events.add(events, *block, half)
-    return (Runs(*halves[0]), Runs(*halves[1])), events, (strokes[-1][1] - strokes[0][0]) * 1e-3
+    if not edges:
+        raise ValueError("no strokes")
+    return (Runs(*halves[0]), Runs(*halves[1])), events, (edges[-1] - edges[0]) * 1e-3
 
 
 def _filled(seen: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -198,7 +204,7 @@ def rows(press: Press | None, log_contrast: float) -> tuple[list[Row], dict[str,
         (optics.dot_radius_spread, ""),
         (optics.dot_contrast_spread, ""),
         (optics.edge_sigma_px, ""),
-        (press.lens_k1, OTHER_GRID),
+        (press.told_lens_k1, OTHER_GRID if press.lens_k1 is None else UNEVEN),
         (optics.contrast_over_threshold, ""),
         (press.off_over_on, MAKE_LONGER),
         (press.mismatch, MAKE_LONGER),
@@ -233,7 +239,7 @@ def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[s
         values["threshold_off"] = Entry(off.value, off, f"{source}, for this threshold")
     if press.mismatch is not None:
         values["mismatch"] = Entry(press.mismatch.value, press.mismatch, source)
-    k1 = press.lens_k1
+    k1 = press.told_lens_k1
     is_curved = k1 is not None and not k1.low <= 0.0 <= k1.high
     if k1 is not None and is_curved:
         values["distortion"] = Entry(np.array([k1.value, 0.0]), k1, f"k1; {source}")

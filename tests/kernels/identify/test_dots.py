@@ -6,6 +6,8 @@ import pytest
 from evetac_cli.kernels.identify import dots
 from evetac_cli.kernels.identify.rim import Dots
 
+EXCESS, NOISE_HZ = 0.25, 0.05
+
 
 def seen(count: int, radius_spread: float, contrast_spread: float, seed: int, ratio: float = 8.0) -> Dots:
     """Fitted dots as a camera would show them that is as the corrections say."""
@@ -16,10 +18,9 @@ def seen(count: int, radius_spread: float, contrast_spread: float, seed: int, ra
     return Dots(
         rng.uniform(0, 400, (count, 2)),
         radius_px + dots.RADIUS_ADDED_PX + dots.RADIUS_BY_EVENTS_PX / ratio**2,
-        np.full(count, 1.2 / dots.BLUR_KEPT / (1.0 + dots.BLUR_BY_EVENTS * (ratio - dots.USUAL_EVENTS))),
-        contrast - dots.RUN_LACKS_ON[0],
-        contrast / 1.2 - dots.RUN_LACKS_OFF[0],
-        np.full(count, dots.USUAL_EXCESS),
+        np.full(count, 1.2 / dots.blur_over_seen(EXCESS, ratio / 1.2, NOISE_HZ)),
+        contrast - dots.RUN_LACKS,
+        np.full(count, EXCESS),
     )
 
 
@@ -29,7 +30,7 @@ def test_intervals_hold_the_truth() -> None:
     truth |= {"dot_radius_spread": 0.03, "dot_contrast_spread": 0.08}
     held = dict.fromkeys(truth, 0)
     for seed in range(40):
-        estimated = dots.optics(seen(63, 0.03, 0.08, seed), 1.0, 1.2, np.random.default_rng(seed))
+        estimated = dots.optics(seen(63, 0.03, 0.08, seed), 1.0, 1.2, NOISE_HZ, np.random.default_rng(seed))
         for name, value in truth.items():
             one = getattr(estimated, name)
             held[name] += one.low <= value <= one.high
@@ -38,7 +39,9 @@ def test_intervals_hold_the_truth() -> None:
 
 def test_equal_dots() -> None:
     """Assert that chance is not taken for a spread."""
-    estimated = [dots.optics(seen(63, 0.0, 0.0, seed), 1.0, 1.2, np.random.default_rng(0)) for seed in range(20)]
+    estimated = [
+        dots.optics(seen(63, 0.0, 0.0, seed), 1.0, 1.2, NOISE_HZ, np.random.default_rng(0)) for seed in range(20)
+    ]
     assert sum(one.dot_radius_spread.low == 0.0 and one.dot_contrast_spread.low == 0.0 for one in estimated) >= 19
 
 
@@ -47,4 +50,4 @@ def test_too_few() -> None:
     few = seen(10, 0.0, 0.0, 1)
     few.radius_px[3:] = np.nan
     with pytest.raises(ValueError, match="8 dots"):
-        dots.optics(few, 1.0, 1.0, np.random.default_rng(0))
+        dots.optics(few, 1.0, 1.0, NOISE_HZ, np.random.default_rng(0))

@@ -1,5 +1,7 @@
 """The drive of a gripper from its rows, against drives that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,15 @@ def test_a_known_drive(
     assert fit.values["finger_ticks_ma"] == pytest.approx(1.4, rel=0.06)
     assert fit.values["backlash_ticks"] == pytest.approx(backlash_ticks, abs=0.3)
     assert fit.residual_ticks < 0.8 and sum(map(len, fit.rests)) > 500
+
+
+def test_rows_count_by_what_is_commanded() -> None:
+    """Assert that a measured current which is never the same twice changes nothing in which rows are fitted."""
+    rows = simulated(3.9, 150.0, 2.0, 1.0)
+    noise_ma = np.random.default_rng(0).normal(0.0, 0.5, len(rows.measured_ma))
+    noisy = replace(rows, measured_ma=rows.measured_ma + noise_ma)
+    np.testing.assert_array_equal(drive._blocks(noisy), drive._blocks(rows))
+    assert 0.1 < np.mean(drive._blocks(rows) < 0) < 0.9
 
 
 def still(place: np.ndarray, current_ma: np.ndarray) -> GripperRows:

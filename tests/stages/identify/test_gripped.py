@@ -19,15 +19,15 @@ from evetac_cli.store.read import open_recording
 from evetac_cli.text_files import as_toml
 
 LIKE = scene.sensor_row("evetac")
+MIDDLE = 0.36 * (0.36 / 0.35) ** gripper_rows.SLIP_PART  # of the friction in `gripped_whole`, as half of 1 kg is held
 
 
 def gripped_whole() -> Gripped:
     """All parts, with values of a usual gripper and gel under 0.5 kg."""
     values = dict(zip(NAMES, (10.0, 400.0, 5.0, 1.4, 0.8, 1.0, 361.0, 61.0), strict=True))
     fit = DriveFit(values, dict.fromkeys(NAMES, 0.001), 0.3, [], np.zeros(10))
-    held = gripped.held_gel.HeldFit(0.3e-3, 0.06, np.ones(4), 0.01)
     creep = gripped.held_gel.Creep((0.02, 0.05), (0.3, 4.0), 1.0, 0.001)
-    weight = Weight(held, creep, 2 * 150e3, 2 * np.array([0.35, 0.36]))
+    weight = Weight(creep, 2 * 150e3, 2 * np.array([0.35, 0.36]))
     plain = (Estimate(0.3, 0.2, 0.4), Estimate(3.0, 2.5, 3.5), Estimate(1.0, 0.5, 1.5), Estimate(6.0, 5.9, 6.1))
     return Gripped("a.recording.h5", fit, *plain, weight)
 
@@ -41,8 +41,8 @@ def test_what_is_written_simulates_the_same() -> None:
     assert drive.friction_n == pytest.approx(10.0 * 0.45) and drive.gain_ma_tick == pytest.approx(6.0)
     assert drive.damping_n_s_m == pytest.approx(400 * 0.45) and drive.mass_kg == pytest.approx(5 * 0.45)
     assert values["shear_modulus_pa"].value == pytest.approx(150e3 / (1 + gripper_rows.MODULUS_HIGH_SHARE))
-    assert values["static_friction_factor"].value == pytest.approx(0.36 / (0.45 * 0.9))
-    assert list(values["creep"].value["time_s"]) == [0.3, 4.0]
+    assert values["static_friction_factor"].value == pytest.approx(MIDDLE / (0.45 * 0.9))
+    assert list(values["creep"].value["time_s"]) == pytest.approx([0.3, 4.0])
     by_name = {row.parameter: row for row in listed}
     assert by_name["static_friction_factor"].estimate is not None
     for row in listed:
@@ -65,7 +65,7 @@ def test_without_a_scale() -> None:
     wide = by_name["shear_modulus_pa"].estimate
     assert wide is not None and wide.high > 1.15 * wide.value  # the size of a pixel is not known
     assert by_name["static_friction_factor"].estimate is None
-    assert values["static_friction_factor"].value == pytest.approx(0.36 / (0.4 * 0.9))
+    assert values["static_friction_factor"].value == pytest.approx(MIDDLE / (0.4 * 0.9))
 
 
 def test_nothing_told() -> None:
@@ -89,6 +89,75 @@ def test_a_delay_that_could_be_anything_is_not_told() -> None:
     by_name = {row.parameter: row.estimate for row in listed}
     assert by_name["gripper.command_delay_ms"] is None and by_name["gripper.command_jitter_ms"] is None
     assert values == {}
+
+
+def test_grips_at_several_places() -> None:
+    """Assert that friction is the mean over grips, told the better the more there are, and worse by a slow slip."""
+    whole = gripped_whole()
+    assert whole.weight is not None
+
+    def friction(*slips: tuple[float, float]) -> Estimate:
+        held = [whole.weight._replace(weight_per_ma=2 * np.array(slip)) for slip in slips]  # type: ignore[union-attr]
+        grips = [Gripped(f"{number}.recording.h5", weight=one) for number, one in enumerate(held)]
+        listed, _ = gripper_rows.rows(grips, Known(500.0, 0.9, None, True), LIKE)
+        row = next(row for row in listed if row.parameter == "static friction x force per current")
+        assert row.estimate is not None and row.source == ", ".join(one.source for one in grips)
+        return row.estimate
+
+    one, three = friction((0.36, 0.36)), friction((0.36, 0.36), (0.33, 0.33), (0.36**2 / 0.33,) * 2)
+    assert one.value == pytest.approx(0.36) and three.value == pytest.approx(0.36)
+    assert three.high - three.low < 0.9 * (one.high - one.low)
+    slow = friction((0.30, 0.36))
+    assert slow.value > 0.37 and slow.high - slow.low > 1.1 * (one.high - one.low)
+
+
+def test_a_bad_fit_is_not_told() -> None:
+    """Assert the stated rule: where a fit leaves too much, its parameter is not told, and the row says so."""
+    held = gripped.held_gel.HeldFit(0.3e-3, 0.06, np.ones(4), 0.9 * gripped.MOST_OFF_SHARE)
+    creep = gripped.held_gel.Creep((0.02, 0.05), (0.3, 4.0), 1.0, 0.9 * gripped.MOST_OFF_IN_TIME)
+    assert gripped._misfits(held, creep) == {}
+    assert list(gripped._misfits(held._replace(misfit=2 * held.misfit), creep)) == ["modulus"]
+    misfits = gripped._misfits(held, creep._replace(misfit=2 * creep.misfit))
+    assert set(misfits) == {"modulus", "creep"}
+    whole = gripped_whole()
+    assert whole.weight is not None
+    known = Known(500.0, 0.9, None, True)
+    bad = Gripped("bad.recording.h5", weight=Weight(None, None, None), misfits=misfits | {"drive": "cannot be told: x"})
+    listed, values = gripper_rows.rows([bad], known, LIKE)
+    by_name = {row.parameter: row for row in listed}
+    assert by_name["shear_modulus_pa"].source == by_name["creep.share, both arms"].source == misfits["creep"]
+    assert by_name["gripper: damping"].source == by_name["gripper.encoder_noise_ticks"].source == "cannot be told: x"
+    assert values == {}
+    listed, values = gripper_rows.rows([bad, whole], known, LIKE)  # another recording tells it
+    assert all(row.estimate is not None for row in listed if row.parameter.startswith("gripper: "))
+    assert "shear_modulus_pa" in values and "creep" in values
+
+
+def test_a_drive_that_does_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a drive which leaves more than MOST_OFF_TICKS is not told, and nothing that hangs on its force."""
+    columns = {"t_us": np.arange(1, 2001) * 2000}
+    names = ("current_written_ma", "current_ma", "position_ticks", "current_target_ma")
+    columns |= {name: np.zeros(2000) for name in names}
+
+    class Recording:
+        path = Path("grip.recording.h5")
+
+        def has(self, name: str) -> bool:
+            return name.removeprefix("gripper/") in columns
+
+        def read(self, name: str) -> np.ndarray:
+            return columns[name.removeprefix("gripper/")]
+
+    fitted = gripped_whole().drive
+    assert fitted is not None
+    known: list[DriveFit | None] = []
+    monkeypatch.setattr(gripped, "_weight", lambda recording, rows, drive, scale: (known.append(drive), {}))
+    for off in (0.9, 1.1):
+        one = fitted._replace(residual_ticks=off * gripped.MOST_OFF_TICKS)
+        monkeypatch.setattr(gripped.drive, "fit", lambda rows, one=one: one)
+        gripping = gripped.find(Recording(), 0.0329, np.random.default_rng(0))  # type: ignore[arg-type]
+        assert gripping is not None and (gripping.drive is None) == (known[-1] is None) == (off > 1)
+        assert list(gripping.misfits) == (["drive"] if off > 1 else [])
 
 
 def test_when_it_slips() -> None:
@@ -179,7 +248,7 @@ def test_truth_is_never_read(grip: Path, tmp_path: Path, monkeypatch: pytest.Mon
             return read(name, *range_)
 
         monkeypatch.setattr(recording, "read", without_truth)
-        monkeypatch.setattr(gripped, "_weight", lambda *_: None)
+        monkeypatch.setattr(gripped, "_weight", lambda *_: (None, {}))
         gripping = gripped.find(recording, 0.0329, np.random.default_rng(0))
         assert gripping is not None and gripping.drive is not None
 

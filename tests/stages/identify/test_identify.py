@@ -207,6 +207,16 @@ def test_dots_and_optics_from_a_press(stroked: Path, resting: Path, tmp_path: Pa
     )
 
 
+def test_a_press_takes_the_noise_of_the_longest_rest(
+    resting: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that dots are looked for in all recordings with one noise, that of the table."""
+    taken = []
+    monkeypatch.setattr(identify.pressed, "find", lambda *given: taken.append(given[3]))
+    rows, _ = identified([recorded(tmp_path, seed=1, name="other"), resting], tmp_path)
+    assert taken == [rows["noise_hz"]["estimate"]] * 2
+
+
 def test_a_press_is_asked_for(resting: Path, tmp_path: Path) -> None:
     """Assert that without a press the rows of dots say how to make one."""
     rows, _ = identified([resting], tmp_path)

@@ -23,7 +23,7 @@ def press(**changed: object) -> pressed.Press:
         dot_xy_px=GRID,
         jitter_px=0.1,
         optics=optics,
-        lens_k1=Estimate(0.001, -0.01, 0.012),
+        lens_k1=Estimate(0.001, -0.006, 0.008),
         off_over_on=Estimate(1.0, 0.98, 1.02),
         mismatch=SURE,
         is_apart=False,
@@ -52,7 +52,7 @@ def test_what_is_there_is_written() -> None:
         press(
             optics=optics,
             dot_xy_px=lens.seen(GRID),
-            lens_k1=Estimate(-0.04, -0.05, -0.03),
+            lens_k1=Estimate(-0.04, -0.048, -0.032),
             off_over_on=Estimate(1.2, 1.18, 1.22),
             is_apart=True,
         ),
@@ -82,3 +82,11 @@ def test_what_a_press_cannot_tell() -> None:
     rows = {row.parameter: row for row in pressed.rows(press(lens_k1=None), 1.6)[0]}
     for name in ("bandwidth_hz", "leak_hz", "distortion", "log_contrast"):
         assert rows[name].estimate is None and rows[name].source.startswith("cannot be told"), name
+
+
+def test_a_lens_that_uneven_dots_hide() -> None:
+    """Assert the stated rule: a lens whose interval is wider than WIDEST_LENS is neither a row's estimate nor a key."""
+    vague = Estimate(-0.04, -0.04 - 0.6 * pressed.WIDEST_LENS, -0.04 + 0.6 * pressed.WIDEST_LENS)
+    listed, values = pressed.rows(press(lens_k1=vague), 1.6)
+    row = next(row for row in listed if row.parameter == "distortion")
+    assert row.estimate is None and "unevenly" in row.source and "distortion" not in values
