@@ -1,8 +1,8 @@
 """Training of the network that gives force over modulus from the displacement field of a contact (gel_forces).
 
-Two hidden layers of 192 with ReLU beside a linear part, AdamW at 0.003 falling to 0 with a cosine, batches of 256, and a
-loss that is square near 0 and linear beyond, of errors in units of the targets' deviations. Every contact is learned as
-it is and mirrored. Only `train-force` imports this module, as torch takes more than a second to import.
+Two hidden layers of 192 with ReLU beside a linear part, AdamW at 0.003 falling to 0 with a cosine, batches of 256, and
+a loss that is square near 0 and linear beyond, of errors in units of the targets' deviations. Every contact is learned
+as it is and mirrored. Only `train-force` imports this module, as torch takes more than a second to import.
 """
 
 from collections.abc import Callable

@@ -22,7 +22,6 @@ from evetac_cli.jobs import Outcome, Progress
 from evetac_cli.kernels.force.gel_forces import Floats, Forces
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.params import EvaluateForce, recipe_of
-from evetac_cli.sim import sensor_file
 from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report
 from evetac_cli.stages.force import adapt_gel, gel_model, readings
 from evetac_cli.stages.force.gel_model import Gel, GelModel
@@ -122,12 +121,12 @@ def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, Known]:
     for path in files:
         with StageFile(path, "tracks") as tracks:
             name = str(tracks.read("sensor/name"))
-        file = Path(folder) / f"{name.rpartition(':')[2]}{sensor_file.SUFFIX}"
+        file = Path(folder) / f"{name.rpartition(':')[2]}.sensor.toml"
         if file.exists():
             told = gel_model.known_of(str(file))
             known[name] = {key: told[key] for key in (*KNOWN_KEYS, "creep") if key in told}
     if not known:
-        expected = f"files such as 7{sensor_file.SUFFIX} for randomized:7"
+        expected = "files such as 7.sensor.toml for randomized:7"
         raise InputError("no file of a sensor that is evaluated", where=f"--identified {folder}", expected=expected)
     return known
 
