@@ -106,7 +106,12 @@ OBJECTS = Table(
 
 def run(words: list[str], data: Path) -> str:
     """What a command prints; Refusal where it fails."""
-    print("+", *(shlex.quote(word) for word in words if not word.endswith(".tracks.h5")), file=sys.stderr, flush=True)
+    print(
+        "+",
+        *(shlex.quote(word) for word in words if "*" in word or not word.endswith(".tracks.h5")),
+        file=sys.stderr,
+        flush=True,
+    )
     code, printed = run_command(words, data)
     if code:
         raise Refusal(f"{' '.join(words[:3])} ended with exit code {code}")
