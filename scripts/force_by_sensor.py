@@ -135,11 +135,11 @@ def train_on_evetac(data: Path) -> None:
 
 def evaluations_of(first: int, identified: Path | None) -> dict[str, tuple[str, list[str]]]:
     """The files of each evaluation, as a glob, and its flags."""
-    told = ["--identified", str(identified.resolve())] if identified is not None else []
+    sensor_files = ["--identified", str(identified.resolve())] if identified is not None else []
 
     def any_sensor(folder: str) -> list[str]:
         own = ["--adapt-on", f"{folder}*-adapt-*.tracks.h5"]
-        return ["--model", str(FORCE_MODEL), "--seed", str(first), *own, *told]
+        return ["--model", str(FORCE_MODEL), "--seed", str(first), *own, *sensor_files]
 
     asked = {
         "stable": ("*-shear-0.tracks.h5", any_sensor("")),

@@ -250,12 +250,12 @@ def _update(
         scaled = everything @ root
         weighted = (alone / (larger**2 * variance))[:, None] * scaled
         precision = scaled.T @ weighted + np.eye(len(before))
-        found = start + root @ np.linalg.solve(precision, weighted.T @ (reading_n - everything @ start))
-        off = (alone * (reading_n - everything @ found) ** 2 / (variance + (share * size_n) ** 2)).sum()
-        off += (found[size:] ** 2).sum() / max(share, 1e-9) ** 2
+        weights = start + root @ np.linalg.solve(precision, weighted.T @ (reading_n - everything @ start))
+        off = (alone * (reading_n - everything @ weights) ** 2 / (variance + (share * size_n) ** 2)).sum()
+        off += (weights[size:] ** 2).sum() / max(share, 1e-9) ** 2
         larger = max(1.0, float(np.sqrt(off / (alone.sum() + own.shape[1]))))
     after = np.asarray(root @ np.linalg.solve(precision, root.T), np.float64)
-    return found[:size], after[:size, :size], larger
+    return weights[:size], after[:size, :size], larger
 
 
 def _beside(contact: NDArray[np.int64], time_s: Floats) -> Floats:
