@@ -94,7 +94,14 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
         shear_modulus_kpa=float(1e3 * after.scale.shear[:, 0].mean()),
         normal_modulus_kpa_before=float(1e3 * gel.scale.normal[0]),
         normal_modulus_kpa=float(1e3 * after.scale.normal[0]),
+        shear_error_factor=_times(after.errors.shear_floor_mm2, model.errors.shear_floor_mm2),
+        normal_error_factor=_times(after.errors.normal_floor_mm2, model.errors.normal_floor_mm2),
     )
+
+
+def _times(after: float, before: float) -> float:
+    """How many times as large errors are taken to be; 1 where readings fit what the dots show."""
+    return after / before if before > 0 else 1.0
 
 
 def adapted(model: GelModel, gel: Gel, known: Known, noise_n: float) -> Gel:
