@@ -106,7 +106,12 @@ OBJECTS = Table(
 
 def run(words: list[str], data: Path) -> str:
     """What a command prints; Refusal where it fails."""
-    print("+", *(shlex.quote(word) for word in words if not word.endswith(".tracks.h5")), file=sys.stderr, flush=True)
+    print(
+        "+",
+        *(shlex.quote(word) for word in words if "*" in word or not word.endswith(".tracks.h5")),
+        file=sys.stderr,
+        flush=True,
+    )
     code, printed = run_command(words, data)
     if code:
         raise Refusal(f"{' '.join(words[:3])} ended with exit code {code}")
@@ -130,11 +135,11 @@ def train_on_evetac(data: Path) -> None:
 
 def evaluations_of(first: int, identified: Path | None) -> dict[str, tuple[str, list[str]]]:
     """The files of each evaluation, as a glob, and its flags."""
-    told = ["--identified", str(identified.resolve())] if identified is not None else []
+    sensor_files = ["--identified", str(identified.resolve())] if identified is not None else []
 
     def any_sensor(folder: str) -> list[str]:
         own = ["--adapt-on", f"{folder}*-adapt-*.tracks.h5"]
-        return ["--model", str(FORCE_MODEL), "--seed", str(first), *own, *told]
+        return ["--model", str(FORCE_MODEL), "--seed", str(first), *own, *sensor_files]
 
     asked = {
         "stable": ("*-shear-0.tracks.h5", any_sensor("")),

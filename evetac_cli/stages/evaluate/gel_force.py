@@ -124,8 +124,8 @@ def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, Known]:
             name = str(tracks.read("sensor/name"))
         file = Path(folder) / f"{name.rpartition(':')[2]}.sensor.toml"
         if file.exists():
-            told = gel_model.known_of(str(file))
-            known[name] = {key: told[key] for key in (*KNOWN_KEYS, "creep") if key in told}
+            named = gel_model.known_of(str(file))
+            known[name] = {key: named[key] for key in (*KNOWN_KEYS, "creep") if key in named}
     if not known:
         expected = "files such as 7.sensor.toml for randomized:7"
         raise InputError("no file of a sensor that is evaluated", where=f"--identified {folder}", expected=expected)

@@ -174,6 +174,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[0]["contacts"] == 3
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     assert outcome.rows[0]["normal_modulus_kpa"] == pytest.approx(1.6 * 1000, rel=0.15)
+    assert outcome.rows[0]["shear_error_factor"] == outcome.rows[0]["normal_error_factor"] == 1.0
     path = trial(tmp_path, 4, stiffer=1.6)
     estimated = predicted(path, PredictForce(model=model), tmp_path / "a.forces.h5")
     close(estimated, true_shear(path))
