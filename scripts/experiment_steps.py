@@ -302,13 +302,13 @@ def strip_steps(sizes: Sizes) -> Iterator[Command]:
     seed = sizes["seed"]
     for scene in ("slip", "data-rate", "shear", "press", "edge"):
         yield evetac("record", "--scene", scene, "--seed", seed, "--out", f"{scene}.recording.h5")
-    yield script("strips.py", "--short-vibration", "vibration.toml")
+    yield script("pictures/strips.py", "--short-vibration", "vibration.toml")
     yield evetac("record", "--scene", "vibration.toml", "--tone", 200, "--seed", seed,
                  "--out", "vibration.recording.h5")  # fmt: skip
     for scene in ("lift", "sideways", "drop-20g", "drop-100g"):
         yield evetac("grasp", "--scene", scene, "--object", 16, "--seed", seed, "--model", "../demo/slip.model.h5",
                      "--out", f"{scene}.recording.h5")  # fmt: skip
-    yield script("strips.py", "*.recording.h5", "--out", ".")
+    yield script("pictures/strips.py", "*.recording.h5", "--out", ".")
 
 
 def film_steps(sizes: Sizes) -> Iterator[Command]:
@@ -316,7 +316,7 @@ def film_steps(sizes: Sizes) -> Iterator[Command]:
     yield evetac("grasp", "--object", 17, "--seed", 0, "--lift-s", 7, "--balance-s", 5,
                  "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
     yield evetac("track", "catch.recording.h5")
-    yield script("film/film.py", "catch.recording.h5", "--out", "catch.gif")
+    yield script("pictures/film.py", "catch.recording.h5", "--out", "catch.gif")
 
 
 def ship_steps(sizes: Sizes) -> Iterator[Command]:

@@ -33,6 +33,7 @@ STAGES = {
     "featurize": "featurize",
     "train": "train",
     "train-force": "force.train_force",
+    "train-force --method gel": "force.train_gel",
     "grasp": "grasp",
     "evaluate labels": "evaluate.labels",
     "evaluate tracking": "evaluate.tracking",

@@ -149,6 +149,12 @@ class EvaluateForce:
         " more of each sensor.",
         recipe=False,
     )
+    identified: str = parameter(
+        "",
+        "Folder with files of the same sensors by `evetac identify`, 7.sensor.toml for randomized:7: one row more, of"
+        " method gel, of each sensor that has one.",
+        recipe=False,
+    )
     stiffness_error: float = parameter(
         0.1, "Of method gel: relative error of the moduli that are taken as known, sd.", low=0.0, high=2.0
     )

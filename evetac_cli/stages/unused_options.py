@@ -83,13 +83,13 @@ def refuse_unused_of_grasp(params: Grasp, camera: NamedCamera) -> None:
 def refuse_unused_of_train_force(params: TrainForce) -> None:
     """InputError for an option of train-force that is not at its default and has no effect in this training."""
     if params.adapt:
-        ways, found = {Training.ADAPTATION}, f"--adapt {params.adapt}"
+        trainings, flags = {Training.ADAPTATION}, f"--adapt {params.adapt}"
         if params.sensor is not None:
-            ways.add(Training.SENSOR)
+            trainings.add(Training.SENSOR)
     else:
-        ways = {Training.GEL if params.method == "gel" else Training.PAPER}
-        found = f"--method {params.method}, no --adapt"
-    _refuse(params, TRAIN_FORCE, ways, found)
+        trainings = {Training.GEL if params.method == "gel" else Training.PAPER}
+        flags = f"--method {params.method}, no --adapt"
+    _refuse(params, TRAIN_FORCE, trainings, flags)
 
 
 def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> set[Source]:
@@ -108,7 +108,7 @@ def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: Nam
 
 
 def _refuse(
-    params: Record | Grasp | TrainForce, table: Mapping[str, tuple[StrEnum, ...]], parts: Set[StrEnum], found: str
+    params: Record | Grasp | TrainForce, table: Mapping[str, tuple[StrEnum, ...]], parts: Set[StrEnum], flags: str
 ) -> None:
     for item in fields(params):
         belongs = table.get(item.name)
@@ -117,7 +117,7 @@ def _refuse(
         raise InputError(
             f"has no effect in this run: it belongs to {' or '.join(belongs)}",
             where=flag_of(item),
-            found=found,
+            found=flags,
             hint=f"leave out {flag_of(item)}",
         )
 

@@ -1,4 +1,4 @@
-"""scripts/film: the film of a catch tells what the arrays say. Source: the README's picture of a grasp."""
+"""scripts/pictures/film.py: the film of a catch tells what the arrays say. Source: the README's picture of a grasp."""
 
 import sys
 from pathlib import Path
@@ -11,7 +11,7 @@ from evetac_cli import events
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts" / "film"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts" / "pictures"))
 import film
 import film_picture
 import film_story

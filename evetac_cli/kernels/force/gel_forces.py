@@ -27,6 +27,7 @@ SLICE_S = 1e-3
 LEAST_MM = 2e-3  # added to the field's root mean square: a gel at rest moves by what the tracker errs
 OFFSET_N = 0.1  # sd of an offset of the shear force that is not yet known
 NORMAL_OFFSET_N = 0.3
+ROUNDS = 5  # in which errors are enlarged until they explain what readings are off by
 AGREES_S = 1.0  # errors this close in time are taken as one: so much less do many samples tell
 LOG_FLOOR_MM = 1e-3
 CREEP_ARMS = 2
@@ -156,8 +157,11 @@ def adapt(
     contact: NDArray[np.int64],
     time_s: Floats,
     reading_sd_n: float,
-) -> Scale:
-    """The weights after known forces: regression with the weights before as prior (ridge towards them).
+) -> tuple[Scale, Errors]:
+    """The weights after known forces, by regression with the weights before as prior (ridge towards them), and errors.
+
+    The errors are those given, or as much larger as readings are farther off than they allow: of dots that were tracked
+    badly, readings say little about the gel.
 
     shear (n, 2, 4), normal (n, 2): terms; shear_n (n, 2), normal_n (n,): readings of a force sensor, NaN where there is
     none; contact (n,): the number of the contact that a sample belongs to; time_s (n,): rising in each contact.
@@ -176,6 +180,7 @@ def adapt(
             shear_n[:, axis],
             contact,
             time_s,
+            scale.shear[axis, 0] * np.linalg.norm(shear[..., 0], axis=1),
             errors.shear_share,
             floor(errors.shear_floor_mm2, scale.shear[axis, 0]),
             offsets=True,
@@ -189,11 +194,20 @@ def adapt(
         normal_n,
         contact,
         time_s,
+        scale.normal[0] * normal[:, 0],
         errors.normal_share,
         floor(errors.normal_floor_mm2, scale.normal[0]),
         offsets=False,
     )
-    return Scale(np.stack([one[0] for one in shears]), np.stack([one[1] for one in shears]), *normals)
+    of_shear, of_normal = max(one[2] for one in shears), normals[2]
+    enlarged = Errors(
+        of_shear * errors.shear_floor_mm2,
+        of_shear * errors.shear_share,
+        of_normal * errors.normal_floor_mm2,
+        of_normal * errors.normal_share,
+    )
+    means, covariances = np.stack([one[0] for one in shears]), np.stack([one[1] for one in shears])
+    return Scale(means, covariances, normals[0], normals[1]), enlarged
 
 
 def _update(
@@ -203,39 +217,46 @@ def _update(
     reading_n: Floats,
     contact: NDArray[np.int64],
     time_s: Floats,
+    size_n: Floats,
     share: float,
     variance: float,
     offsets: bool,
-) -> tuple[Floats, Floats]:
-    """Mean and covariance of weights after readings; each contact has a factor of its own besides, of sd `share`.
+) -> tuple[Floats, Floats, float]:
+    """Mean and covariance of weights after readings, and how many times as large as expected errors are.
 
+    Each contact has a factor of its own besides, of sd `share`. size_n (n,): of the force, about.
     variance: of a reading that has no other within AGREES_S; so many as there are tell together what one does.
     offsets: and an offset of its own, of its typical force times `share`, as a force of both signs may have.
     """
     known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)
     if not known.any():
-        return mean, covariance
-    terms, reading_n = terms[known], reading_n[known]
+        return mean, covariance, 1.0
+    terms, reading_n, size_n = terms[known], reading_n[known], size_n[known]
     numbers, place = np.unique(contact[known], return_inverse=True)
     of_contact = np.equal(place.reshape(-1)[:, None], np.arange(len(numbers)))
-    alone = 1.0 / (variance * _beside(contact[known], time_s[known]))[:, None]
+    alone = 1.0 / _beside(contact[known], time_s[known])
     first = terms[:, :1] * mean[0]
     typical = np.sqrt((of_contact * first**2).sum(axis=0) / of_contact.sum(axis=0))
     own = np.column_stack([of_contact * first, *([of_contact * typical] if offsets else [])])
     everything = np.column_stack([terms, own])
-    size = len(mean)
-    before = np.zeros((size + own.shape[1],) * 2)
+    size, start = len(mean), np.concatenate([mean, np.zeros(own.shape[1])])
+    before = np.zeros((len(start),) * 2)
     before[:size, :size] = covariance
-    before[size:, size:] = np.eye(own.shape[1]) * share**2
-    # in units of the prior's deviations: terms of any size are solved equally well, and what is sure stays
-    values, vectors = np.linalg.eigh(before)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    scaled = everything @ root
-    precision = scaled.T @ (alone * scaled) + np.eye(len(before))
-    start = np.concatenate([mean, np.zeros(own.shape[1])])
-    moved = np.linalg.solve(precision, (alone * scaled).T @ (reading_n - everything @ start))
+    larger = 1.0
+    for _ in range(ROUNDS):
+        before[size:, size:] = np.eye(own.shape[1]) * (larger * share) ** 2
+        # in units of the prior's deviations: terms of any size are solved equally well, and what is sure stays
+        values, vectors = np.linalg.eigh(before)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        scaled = everything @ root
+        weighted = (alone / (larger**2 * variance))[:, None] * scaled
+        precision = scaled.T @ weighted + np.eye(len(before))
+        weights = start + root @ np.linalg.solve(precision, weighted.T @ (reading_n - everything @ start))
+        off = (alone * (reading_n - everything @ weights) ** 2 / (variance + (share * size_n) ** 2)).sum()
+        off += (weights[size:] ** 2).sum() / max(share, 1e-9) ** 2
+        larger = max(1.0, float(np.sqrt(off / (alone.sum() + own.shape[1]))))
     after = np.asarray(root @ np.linalg.solve(precision, root.T), np.float64)
-    return (start + root @ moved)[:size], after[:size, :size]
+    return weights[:size], after[:size, :size], larger
 
 
 def _beside(contact: NDArray[np.int64], time_s: Floats) -> Floats:

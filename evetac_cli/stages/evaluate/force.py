@@ -65,13 +65,14 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, prog
     files, model_paths = job.inputs[: -job.models], job.inputs[-job.models :]
     if is_for_any_sensor(model_paths):
         return gel_force.run(job, params, force=force, progress=progress)
-    if job.own:
-        raise InputError(
-            "a model of the paper's method cannot be adapted",
-            where="--adapt-on",
-            expected="a model of train-force --method gel",
-            found=str(model_paths[0]),
-        )
+    for is_given, flag in ((job.own, "--adapt-on"), (params.identified, "--identified")):
+        if is_given:
+            raise InputError(
+                "a model of the paper's method is for the sensor that it was trained on alone",
+                where=flag,
+                expected="a model of train-force --method gel",
+                found=str(model_paths[0]),
+            )
     models = _models(model_paths)
     headers = []
     for path in files:

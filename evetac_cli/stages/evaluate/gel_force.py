@@ -1,8 +1,9 @@
 """evaluate force with a model for any sensor: errors by what is known of the sensor's gel (simulated recordings).
 
 Each tracks file has a row for each of these: `unknown`, nothing but the dots; `known`, scale and moduli of the sensor,
-the moduli with an error as large as `--stiffness-error` (creep stays unknown); with `--adapt-on`, `adapted` on tracks
-of the same sensor from nothing known, and `known, adapted`. Truth is compared without the noise of a force sensor,
+the moduli with an error as large as `--stiffness-error` (creep stays unknown); with `--identified`, what `evetac
+identify` told of the sensor; with `--adapt-on`, `adapted` on tracks of the same sensor from nothing known, and the
+others adapted. Truth is compared without the noise of a force sensor,
 every 40 ms of the contact; readings that a model is adapted on have that noise. `shear_within_sd` and
 `normal_within_sd` are the shares of errors within one predicted standard deviation (68 % if that is right),
 `contact_right` that of slices.
@@ -33,6 +34,7 @@ from evetac_cli.store.provenance import Header
 
 METHOD = 2
 KNOWN_KEYS = ("mm_per_px", *gel_model.MODULI.values())
+Known = Mapping[str, Any]  # keys of a sensor's row
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,13 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
         expected = "the model that it was adapted from, with --adapt-on"
         raise InputError("the model is adapted to one sensor", where="--model", expected=expected)
     headers, own_headers, by_sensor = _headers(files, own, model_header)
+    identified = _identified(params.identified, files) if params.identified else {}
     trials: list[Trial] = []
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         gels: dict[str, dict[str, Gel]] = {}
         for number, path in enumerate(files):
-            trials.append(_predict(path, model, gels, by_sensor, params))
+            trials.append(_predict(path, model, gels, by_sensor, identified, params))
             progress(number + 1, len(files))
         range_n = max(float(one.normal_n.max()) for one in trials)
         if not range_n > 0:
@@ -77,7 +80,8 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
         return rows, _summary(trials, rows, range_n, params)
 
     parents = [*headers, *own_headers, model_header]
-    outcome = report(job, "evaluate force", METHOD, recipe_of(params), parents, measure, force=force)
+    recipe = recipe_of(params) | ({"identified": identified} if identified else {})
+    outcome = report(job, "evaluate force", METHOD, recipe, parents, measure, force=force)
     if not trials:
         return outcome
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, trials[0]), (13.0, 8.0))
@@ -112,7 +116,30 @@ def _headers(
     return headers, own_headers, by_sensor
 
 
-def _gels(name: str, row: Mapping[str, Any], model: GelModel, own: list[Path], params: EvaluateForce) -> dict[str, Gel]:
+def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, Known]:
+    """What a sensor's file in the folder tells of its gel, of each sensor that has one; InputError if none has."""
+    known: dict[str, Known] = {}
+    for path in files:
+        with StageFile(path, "tracks") as tracks:
+            name = str(tracks.read("sensor/name"))
+        file = Path(folder) / f"{name.rpartition(':')[2]}.sensor.toml"
+        if file.exists():
+            named = gel_model.known_of(str(file))
+            known[name] = {key: named[key] for key in (*KNOWN_KEYS, "creep") if key in named}
+    if not known:
+        expected = "files such as 7.sensor.toml for randomized:7"
+        raise InputError("no file of a sensor that is evaluated", where=f"--identified {folder}", expected=expected)
+    return known
+
+
+def _gels(
+    name: str,
+    row: Mapping[str, Any],
+    model: GelModel,
+    own: list[Path],
+    identified: Known | None,
+    params: EvaluateForce,
+) -> dict[str, Gel]:
     """What is taken as known of a sensor's gel -> the model's weights."""
     rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
     moduli, noise = rng.spawn(2)
@@ -123,8 +150,11 @@ def _gels(name: str, row: Mapping[str, Any], model: GelModel, own: list[Path], p
         "unknown": gel_model.gel_of(model, {}, params.stiffness_error),
         "known": gel_model.gel_of(model, known, params.stiffness_error),
     }
+    if identified is not None:
+        gels["identified"] = gel_model.gel_of(model, identified, params.stiffness_error)
     if own:
-        for before, after in (("unknown", "adapted"), ("known", "known, adapted")):
+        for before in list(gels):
+            after = "adapted" if before == "unknown" else f"{before}, adapted"
             estimated = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
             gels[after] = adapt_gel.adapted(model, gels[before], estimated, params.noise_n)
     return gels
@@ -135,12 +165,14 @@ def _predict(
     model: GelModel,
     gels: dict[str, dict[str, Gel]],
     by_sensor: Mapping[str, list[Path]],
+    identified: Mapping[str, Known],
     params: EvaluateForce,
 ) -> Trial:
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         name = str(tracks.read("sensor/name"))
         if name not in gels:
-            gels[name] = _gels(name, known_sensor(recording), model, by_sensor.get(name, []), params)
+            row, own = known_sensor(recording), by_sensor.get(name, [])
+            gels[name] = _gels(name, row, model, own, identified.get(name), params)
         predicted = {}
         for known, gel in gels[name].items():
             estimated = gel_model.predict(model, gel, tracks)
@@ -186,7 +218,7 @@ def _summary(trials: list[Trial], rows: Rows, range_n: float, params: EvaluateFo
         "true_shear_n_most": float(np.abs(shear).max()),
         "normal_range_n": range_n,
     }
-    for name in trials[0].predicted:
+    for name in dict.fromkeys(name for one in trials for name in one.predicted):
         chosen = [row for row in rows if row["stiffness"] == name]
         word = name.replace(", ", "_and_")
         for key in ("mae_n", "normal_mae_n", "normal_mae_of_range", "shear_within_sd", "normal_within_sd"):
@@ -194,6 +226,7 @@ def _summary(trials: list[Trial], rows: Rows, range_n: float, params: EvaluateFo
         by_sensor: dict[str, list[float]] = {}
         for row in chosen:
             by_sensor.setdefault(row["sensor_name"], []).append(row["mae_n"])
+        summary[f"{word}_sensors"] = len({row["sensor_name"] for row in chosen})
         summary[f"{word}_worst_sensor_mae_n"] = float(max(np.nanmean(values) for values in by_sensor.values()))
     summary["contact_right"] = float(np.mean([row["contact_right"] for row in rows if row["stiffness"] == "unknown"]))
     return summary

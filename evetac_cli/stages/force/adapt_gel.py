@@ -77,7 +77,11 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
     gel = gel_model.gel_of(model, known, params.stiffness_error)
     estimated = known_forces(model, gel, paths, params.noise_n, np.random.default_rng(params.seed))
     after = adapted(model, gel, estimated, params.noise_n)
-    arrays = {"sensor": "events", "sensor_name": names[0], **gel_model.arrays_of(model._replace(adapted=after))}
+    arrays = {
+        "sensor": "events",
+        "sensor_name": names[0],
+        **gel_model.arrays_of(model._replace(adapted=after, errors=after.errors)),
+    }
     write_stage(job.output, recipe, arrays)
     return outcome(
         job,
@@ -90,12 +94,20 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
         shear_modulus_kpa=float(1e3 * after.scale.shear[:, 0].mean()),
         normal_modulus_kpa_before=float(1e3 * gel.scale.normal[0]),
         normal_modulus_kpa=float(1e3 * after.scale.normal[0]),
+        shear_error_factor=_times(after.errors.shear_floor_mm2, model.errors.shear_floor_mm2),
+        normal_error_factor=_times(after.errors.normal_floor_mm2, model.errors.normal_floor_mm2),
     )
 
 
+def _times(after: float, before: float) -> float:
+    """How many times as large errors are taken to be; 1 where readings fit what the dots show."""
+    return after / before if before > 0 else 1.0
+
+
 def adapted(model: GelModel, gel: Gel, known: Known, noise_n: float) -> Gel:
-    """The weights after known forces."""
-    return gel._replace(scale=gel_forces.adapt(gel.scale, model.errors, *known, noise_n))
+    """The weights and errors after known forces."""
+    scale, errors = gel_forces.adapt(gel.scale, model.errors, *known, noise_n)
+    return gel._replace(scale=scale, errors=errors)
 
 
 def known_forces(model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: float, rng: np.random.Generator) -> Known:

@@ -43,11 +43,12 @@ class Prior(NamedTuple):
 
 
 class Gel(NamedTuple):
-    """A model's weights for one sensor."""
+    """A model's weights for one sensor, and how far it is off."""
 
     scale: Scale
     mm_per_px: float
     creep_time_s: Floats
+    errors: Errors
 
 
 class GelModel(NamedTuple):
@@ -121,7 +122,9 @@ def gel_of(model: GelModel, known: Mapping[str, Any], stiffness_error: float) ->
         *modulus("normal", expected.normal_mpa, expected.normal_log_sd, LENGTHS_IN_NORMAL),
         *slow,
     )
-    return Gel(gel_forces.scale_of(stiffness), float(known.get("mm_per_px", model.prior.mm_per_px)), slow[2])
+    return Gel(
+        gel_forces.scale_of(stiffness), float(known.get("mm_per_px", model.prior.mm_per_px)), slow[2], model.errors
+    )
 
 
 def known_of(sensor: str | None) -> dict[str, Any]:
@@ -159,7 +162,7 @@ def predict(model: GelModel, gel: Gel, tracks: StageFile) -> Predicted:
     found_mm2, signs = over_modulus(model, tracks, gel.mm_per_px)
     shear = gel_forces.shear_terms(found_mm2[:, :2], gel.creep_time_s)
     normal = gel_forces.normal_terms(found_mm2[:, 2])
-    forces = gel_forces.predict(gel.scale, model.errors, shear, normal)
+    forces = gel_forces.predict(gel.scale, gel.errors, shear, normal)
     contact = gel_forces.contact_probability(signs, model.contact)
     return Predicted(shear, normal, forces, contact)
 
@@ -229,9 +232,9 @@ def read_gel_model(file: StageFile) -> GelModel:
         file.read("gel/prior/creep_time_s"),
     )
     prior = Prior(stiffness, float(file.read("gel/prior/mm_per_px")), float(file.read("gel/prior/mm_log_sd")))
-    adapted = None
+    errors, adapted = Errors(*file.read("gel/errors").tolist()), None
     if file.has("adapted"):
         scale = Scale(*(file.read(f"adapted/{name}") for name in Scale._fields))
-        adapted = Gel(scale, float(file.read("adapted/mm_per_px")), file.read("adapted/creep_time_s"))
+        adapted = Gel(scale, float(file.read("adapted/mm_per_px")), file.read("adapted/creep_time_s"), errors)
     network = GelNetwork(layers, linear, file.read("gel/scale_mm2"))
-    return GelModel(network, Errors(*file.read("gel/errors").tolist()), file.read("gel/contact"), prior, adapted)
+    return GelModel(network, errors, file.read("gel/contact"), prior, adapted)

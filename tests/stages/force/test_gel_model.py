@@ -4,6 +4,7 @@ The recordings are made up: a face over the whole gel moves all dots alike, by f
 its pressure spreads them as sim/gel/dilation.py says.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +174,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[0]["contacts"] == 3
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     assert outcome.rows[0]["normal_modulus_kpa"] == pytest.approx(1.6 * 1000, rel=0.15)
+    assert outcome.rows[0]["shear_error_factor"] == outcome.rows[0]["normal_error_factor"] == 1.0
     path = trial(tmp_path, 4, stiffer=1.6)
     estimated = predicted(path, PredictForce(model=model), tmp_path / "a.forces.h5")
     close(estimated, true_shear(path))
@@ -186,20 +188,30 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     for one in own:
         one.with_name(one.name.replace("tracks.h5", "force.csv")).unlink()
-    chosen = EvaluateForce(model=str(resources.FORCE_MODEL), adapt_on=str(tmp_path / "trial[123].tracks.h5"))
+    identified = tmp_path / "identified"
+    identified.mkdir()
+    Path(own_sensor(tmp_path, 1.6)).rename(identified / "evetac.sensor.toml")
+    chosen = EvaluateForce(
+        model=str(resources.FORCE_MODEL),
+        adapt_on=str(tmp_path / "trial[123].tracks.h5"),
+        identified=str(identified),
+    )
     report, outcome = run(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
     errors = {row["stiffness"]: row["mae_n"] for row in outcome.rows}
-    assert list(errors) == ["unknown", "known", "adapted", "known, adapted"]
+    assert list(errors) == ["unknown", "known", "identified", "adapted", "known, adapted", "identified, adapted"]
+    assert errors["identified"] < 0.3
     assert errors["adapted"] < 0.2 * errors["unknown"]
     assert errors["adapted"] < 0.3
-    assert outcome.rows[2]["contact_right"] > 0.99
-    assert outcome.rows[2]["normal_mae_of_range"] < 0.1
+    assert outcome.rows[3]["contact_right"] > 0.99
+    assert outcome.rows[3]["normal_mae_of_range"] < 0.1
+    assert outcome.summary["identified_sensors"] == 1
     assert report.with_suffix(".png").stat().st_size > 10_000
     for stage, files, wrong, message in (
         (train_force, own, TrainForce(adapt=str(model)), "adapted already"),
         (predict_force, [path], PredictForce(model=model, sensor="evetac"), "stiffness of its sensor"),
         (evaluate_force, [path], EvaluateForce(model=str(model)), "adapted to one sensor"),
         (evaluate_force, [path], EvaluateForce(model=str(tmp_path)), "among several"),
+        (evaluate_force, [path], replace(chosen, identified=str(tmp_path / "none")), "no file of a sensor"),
     ):
         with pytest.raises(InputError, match=message):
             run(stage, files, wrong, tmp_path / "refused.h5")

@@ -1,6 +1,6 @@
 """Make a short film of one catch from a simulated grasp: docs/catch.gif, for the README.
 
-    python scripts/film/film.py catch.recording.h5 [--out docs/catch.gif]
+    python scripts/pictures/film.py catch.recording.h5 [--out docs/catch.gif]
 
 `make film` grasps, tracks and draws. The tracks lie beside the recording. What is shown: the hand lifts the object, the
 grip is loosened until the object slips, the detector notices, the gripper closes, the object is held. Time runs slowly

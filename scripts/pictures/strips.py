@@ -1,6 +1,6 @@
 """Draw a simulated recording as a strip: event images of 5 ms, then events, forces and slip over time, as a PNG.
 
-    python scripts/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]
+    python scripts/pictures/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]
 
 `make strips` draws every scene. The scene `vibration` is made short for it by --short-vibration.
 """

@@ -1,0 +1,79 @@
+"""The tables of forces: rows as the evaluations say, and the methods of the models."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import force_by_sensor
+import reproduce
+import results
+from experiment_tables import Evaluation
+
+HEADER: dict[str, Any] = {
+    "id": "a",
+    "kind": "report",
+    "method": 2,
+    "seed": None,
+    "parameters": {"command": "evaluate force"},
+    "parents": [],
+    "history": {"b": {"kind": "force-model", "method": 7, "seed": 0, "parameters": {"method": "gel"}, "parents": []}},
+}
+
+
+def of_states(*states: str) -> Evaluation:
+    """An evaluation of a model for any sensor, with these states of knowledge."""
+    summary: dict[str, Any] = {"sensors": 3, "stiffness_error": 0.1}
+    for number, state in enumerate(states):
+        summary |= {f"{state}_{key}": number + 0.125 for key in force_by_sensor.FIGURES}
+    return Evaluation([], summary | {"identified_sensors": 2}, True, HEADER)
+
+
+def of_paper(*errors: float) -> Evaluation:
+    """An evaluation of the paper's models, a trial for each sensor."""
+    rows = [
+        {"model": model, "sensor_name": f"randomized:{number}", "mae_n_x": error, "mae_n_y": error + 1.0}
+        for number, error in enumerate(errors)
+        for model in force_by_sensor.PAPER_MODELS
+    ]
+    return Evaluation(rows, {}, True, HEADER)
+
+
+def test_rows_of_the_table() -> None:
+    """Assert a row for every state that was evaluated, of the tracker it was, and means over sensors of the paper's."""
+    rows = force_by_sensor.sensor_rows(
+        {
+            "stable": of_states("unknown", "identified"),
+            "paper": of_states("unknown"),
+            "evetac-paper": of_paper(1.0, 3.0),
+        }
+    )
+    assert [(row["known"][:12], row["tracker"], row["sensors"]) for row in rows] == [
+        ("nothing", "stable", 3),
+        ("what `identi", "stable", 2),
+        ("nothing", "paper", 3),
+        ("the paper's ", "paper", 2),
+        ("the paper's ", "paper", 2),
+    ]
+    assert rows[1]["mae_n"] == 1.125
+    assert rows[3]["mae_n"] == pytest.approx(2.5)
+    assert rows[3]["worst_sensor_mae_n"] == pytest.approx(3.5)
+
+
+def test_a_table_is_kept_with_its_methods() -> None:
+    """Assert that a table says by which method the model for any sensor was made, and shows what it knows alone."""
+    evaluations = {"stable": of_states("unknown"), "evetac-paper": of_paper(1.0)}
+    made = reproduce.result(force_by_sensor.SENSORS, evaluations, ["evetac evaluate force"])
+    assert made["methods"] == {"train-force --method gel": 7, "evaluate force": 2}
+    lines = results.text(made).splitlines()
+    assert lines[4].startswith("| nothing | stable | 3 | 0.12 | 0.12 | 0.1 (12.5%)")
+    assert lines[5].endswith("| paper | 1 | 1.50 | 1.50 |  |  |")
+
+
+def test_every_evaluation_is_asked_for() -> None:
+    """Assert that the evaluations behind the tables are those that are run, without what identify told by default."""
+    asked = force_by_sensor.evaluations_of(20000, None)
+    assert set(asked) == {*force_by_sensor.SENSORS.evaluations, *force_by_sensor.OBJECTS.evaluations}
+    assert not any("--identified" in flags for _, flags in asked.values())
