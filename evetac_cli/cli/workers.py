@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # `evetac --help` loads none of it
     from multiprocessing.context import SpawnContext
 
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numerical libraries
 GRACE_S = 0.5  # in which workers that were told to stop may clean up; then they are killed
 _came = False
 
@@ -194,7 +195,7 @@ def run_parallel(
 
     # Each worker computes on one core: threads of numerical libraries would fight over the cores. Spawned, not forked:
     # HDF5 and a fork do not mix.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
     context = multiprocessing.get_context("spawn")
     waiting = deque(jobs)
