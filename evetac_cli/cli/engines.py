@@ -137,14 +137,6 @@ def _stopping(sign: Path) -> Progress:
     return report
 
 
-def remove_unfinished(folder: Path, outputs: list[Path]) -> None:
-    """Remove what dead processes of this computer left beside outputs."""
-    from evetac_cli.store import disk
-
-    for output in outputs:
-        disk.remove_unfinished(folder / output)
-
-
 # --- in the command ---------------------------------------------------------------------------------------------------
 
 
@@ -175,8 +167,7 @@ def run_on_dask(
             command = Command(module, chosen, force, __version__, Path.cwd(), sign)
             _Run(client, command, jobs, progress, results, engine).run()
     finally:
-        outputs = [job.output for job in jobs if job.output not in results]
-        remove_unfinished(Path.cwd(), outputs)
+        workers.remove_unfinished([job.output for job in jobs if not isinstance(results.get(job.output), Outcome)])
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
@@ -204,7 +195,9 @@ def _client(engine: Engine, at_once: int) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said in words, by us
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith("distributed"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters is said in words, by us
     if engine.address:
         try:
             client = Client(engine.address, timeout=CONNECT_S, set_as_default=False)
@@ -259,6 +252,7 @@ class _Run:
         self.name = f"evetac-{uuid.uuid4().hex}"
         self.workers: set[str] = set()  # all that there ever were
         self.fit: list[str] | None = None  # those that may be used; None: all, also those that join
+        self.said: set[str] = set()
 
     def run(self) -> None:
         """Hand out jobs and take results until all are there; KeyboardInterrupt if some were broken off."""
@@ -276,18 +270,25 @@ class _Run:
 
     def _hand_out(self) -> None:
         """As many jobs as there are workers, so that one that joins gets its share."""
-        there = set(self.client.nthreads())
-        self.workers |= there
-        usable = len(there if self.fit is None else there & set(self.fit))
-        if self.fit is not None and not usable:
+        joined = set(self.client.nthreads())
+        if self.fit is not None and joined - self.workers:  # who joined may be fit
             self._look_at_workers()
-            return
+        self.workers |= joined
+        usable = len(joined if self.fit is None else joined & set(self.fit))
         while self.waiting and len(self.running) < usable:
             job = self.waiting.popleft()
             seen = tuple(path for path in job.inputs if path.exists())
             key = f"{self.name}-{self.count - len(self.waiting)}"
+            # Others may take what was meant for a worker that is gone: they refuse it, and it is handed out again.
             future = self.client.submit(
-                run_task, self.command, job, seen, key=key, pure=False, workers=self.fit, allow_other_workers=False
+                run_task,
+                self.command,
+                job,
+                seen,
+                key=key,
+                pure=False,
+                workers=self.fit,
+                allow_other_workers=self.fit is not None,
             )
             self.running[future] = job
             future.add_done_callback(self.ended.put)
@@ -330,11 +331,10 @@ class _Run:
                 found=f"the last was {error.last_worker.address}",
                 hint="out of memory? use workers with more of it, or fewer on a computer",
             )
-        except (CancelledError, OSError) as error:
+        except (CancelledError, OSError):
             raise EvetacError(
                 "the connection to the Dask scheduler broke off",
                 where="--engine",
-                found=str(error),
                 hint="run the command again: finished files are kept",
             ) from None
         except ModuleNotFoundError as error:
@@ -344,7 +344,7 @@ class _Run:
         return result
 
     def _look_at_workers(self) -> None:
-        """Leave out workers that do not fit, and say so; InputError if none is left."""
+        """Leave out workers that do not fit, and say so; InputError if none ever did."""
         versions = self.client.run(pkgutil.resolve_name, "evetac_cli:__version__", on_error="return")
         reasons = {
             address: "has no evetac that can be loaded"
@@ -353,10 +353,10 @@ class _Run:
         }
         others = [address for address in versions if address not in reasons]
         if others:
-            found = self.client.run(check_worker, self.command, workers=others, on_error="return")
+            answers = self.client.run(check_worker, self.command, workers=others, on_error="return")
             reasons |= {
                 address: f"fails: {reason}" if isinstance(reason, BaseException) else reason
-                for address, reason in found.items()
+                for address, reason in answers.items()
                 if reason
             }
         if not versions:
@@ -365,18 +365,18 @@ class _Run:
             self.fit = None
             return
         words = [f"the worker {address} {reason}" for address, reason in reasons.items()]
-        if len(reasons) == len(versions):
+        if len(reasons) == len(versions) and not self.workers - set(reasons):
             raise InputError(
                 "no worker of the cluster can be used",
                 where="--engine",
                 found="; ".join(words),
                 hint="the same evetac on all computers, and files on storage that they share",
             )
-        fit = sorted(set(versions) - set(reasons))
-        if fit != self.fit:
-            for line in words:
+        for line in words:
+            if line not in self.said:
                 console.say(f"left out: {line}")
-        self.fit = fit
+        self.said |= set(words)
+        self.fit = sorted(set(versions) - set(reasons))
 
     def _stop(self) -> None:
         """Tell workers to stop, and take what they finish in time; those of our own cluster are killed then."""
@@ -396,4 +396,5 @@ class _Run:
         with suppress(Exception):  # a cluster that is gone cannot be asked
             if self.workers - set(self.client.nthreads()):
                 outputs = [job.output for job in self.running.values()] + list(self.results)
-                self.client.run(remove_unfinished, self.command.folder, outputs, on_error="ignore")
+                files = [self.command.folder / output for output in outputs]
+                self.client.run(workers.remove_unfinished, files, on_error="ignore")

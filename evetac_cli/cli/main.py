@@ -177,7 +177,8 @@ def _add(
         )
         signature.insert(len(signature) if flag.startswith("--") else 0, entry)
     for name, (kind, default, flags, help_) in running.items():
-        option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=default in (1, engines.LOCAL))
+        shown = default in (1, engines.LOCAL)
+        option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=shown)
         signature.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
     call.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
     call.__annotations__ = {entry.name: entry.annotation for entry in signature}
@@ -303,6 +304,9 @@ def _run(
     exclusive = any(job.exclusive for job in jobs)
     if exclusive and engine.name != engines.LOCAL:
         raise InputError("devices belong to this computer", where="--engine", expected="local", found=running["engine"])
+    if engine.address and running["number_of_jobs"] > 1:
+        hint = "leave it out: a cluster that runs has as many workers as it has"
+        raise InputError("has no effect", where="--jobs", found=f"--engine {running['engine']}", hint=hint)
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
     waiting = engines.largest_first([job for job in jobs if force or not job.output.exists()])
     at_once = 1 if exclusive else min(running["number_of_jobs"], len(waiting))

@@ -222,7 +222,7 @@ def run_parallel(
         broken_off = [worker.job.output for worker in workers if worker.job is not None]
         for worker in workers:
             worker.end()
-        _remove_unfinished(broken_off)
+        remove_unfinished(broken_off)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     if interrupted:
         raise KeyboardInterrupt
@@ -249,7 +249,7 @@ def _take(worker: _Worker, workers: list[_Worker], results: dict[Path, Outcome |
     if worker.process.exitcode is not None:
         workers.remove(worker)
         worker.end()
-        _remove_unfinished([output])
+        remove_unfinished([output])
     if isinstance(result, Exception) and not isinstance(result, EvetacError):
         raise result
     if result is not None:
@@ -267,8 +267,9 @@ def _stop(workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) ->
             _take(worker, workers, results)
 
 
-def _remove_unfinished(outputs: Sequence[Path]) -> None:
-    """Remove the temporary files that processes that were killed left beside these outputs."""
-    disk = importlib.import_module("evetac_cli.store.disk")
+def remove_unfinished(outputs: Sequence[Path]) -> None:
+    """Remove the temporary files that dead processes of this computer left beside these outputs."""
+    from evetac_cli.store import disk
+
     for output in outputs:
         disk.remove_unfinished(output)
