@@ -81,7 +81,7 @@ def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> 
 
 
 def with_engine(words: Command, jobs: int, engine: str) -> Command:
-    """A command that works on files, told where and on how many at a time; a cluster that runs has workers of its own."""
+    """A command that works on files, told where, and on how many at a time; a cluster that runs knows that itself."""
     if words[0] != "evetac" or words[1] not in IN_PARALLEL:
         return words
     at_once = [] if engine.startswith("dask:") else ["--jobs", str(jobs)]
