@@ -351,8 +351,39 @@ for _command in EVALUATE:
     _add(evaluate, _command, f"evaluate {_command.name}", "Subjects")
 app.add_typer(evaluate, name="evaluate", rich_help_panel="Pipeline")
 _add(app, PIPELINE[-1], PIPELINE[-1].name, "Pipeline")
-app.command("info", rich_help_panel="Inspect")(
-    _inspector("info", "What stage files hold: kind, duration, events, rates, history.")
+
+
+@app.command("info", rich_help_panel="Inspect")
+def _info(
+    files: Annotated[list[Path], typer.Argument(help="Stage files, or a folder of them.", show_default=False)],
+    where: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Of a folder: the files for which this holds, as in object=3, seed=10-19, kind=labels,features;"
+            " several conditions have to hold all."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
+    verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
+) -> None:
+    """What stage files hold: kind, duration, events, rates, history; of a folder, which files it has, by its index."""
+    if len(files) != 1 or not files[0].is_dir():
+        if where:
+            with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
+                raise InputError("finds files of a folder", where="--where", expected="one folder")
+        _inspector("info", "")(files, as_json, verbose)
+        return
+    with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
+        index = importlib.import_module("evetac_cli.inspect.index")
+        result: Outcome = index.answer(files[0], where or ())
+        rows = result.rows if as_json else _first(index.for_people(result.rows))
+        console.show("info", rows, result.summary, simulated=result.simulated, as_json=as_json)
+
+
+app.command("index", rich_help_panel="Inspect")(
+    _inspector(
+        "index", "Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it.", "Folders."
+    )
 )
 _add(app, VIEW, VIEW.name, "Inspect", _write_for_others, _VIEWING)
 _add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, _EXPORTING)
