@@ -253,6 +253,7 @@ class _Run:
         self.workers: set[str] = set()  # all that there ever were
         self.fit: list[str] | None = None  # those that may be used; None: all, also those that join
         self.said: set[str] = set()
+        self.stopping = False
 
     def run(self) -> None:
         """Hand out jobs and take results until all are there; KeyboardInterrupt if some were broken off."""
@@ -309,13 +310,12 @@ class _Run:
             return
         job = self.running.pop(future)
         result = self._result(future, job)
-        if isinstance(result, Refused):
-            self.waiting.appendleft(job)
-            self._look_at_workers()
-            return
-        if result is not None:
+        if isinstance(result, Outcome | EvetacError):
             self.results[job.output] = result
             self.progress(len(self.results), self.count)
+        elif not self.stopping:  # refused, or the file that says that the command runs was removed
+            self.waiting.appendleft(job)
+            self._look_at_workers()
 
     def _result(self, future: Any, job: Job) -> Outcome | EvetacError | Refused | None:
         from concurrent.futures import CancelledError
@@ -380,13 +380,12 @@ class _Run:
 
     def _stop(self) -> None:
         """Tell workers to stop, and take what they finish in time; those of our own cluster are killed then."""
+        self.stopping = True
         self.command.sign.unlink(missing_ok=True)
-        self.waiting.clear()
         end_s = time.monotonic() + (GRACE_S if self.engine.address else workers.GRACE_S)
         while self.running and (left_s := end_s - time.monotonic()) > 0:
             with suppress(queue.Empty):
                 self._take(self.ended.get(timeout=left_s))
-                self.waiting.clear()
         self.client.cancel(list(self.running), force=True)
 
     def _tidy(self) -> None:
