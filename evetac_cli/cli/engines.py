@@ -332,6 +332,8 @@ class _Run:
                 hint="out of memory? use workers with more of it, or fewer on a computer",
             )
         except (CancelledError, OSError):
+            if future.status == "error":  # raised by the job itself
+                raise
             raise EvetacError(
                 "the connection to the Dask scheduler broke off",
                 where="--engine",

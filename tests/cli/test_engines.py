@@ -31,6 +31,8 @@ from evetac_cli.jobs import Outcome
 
 def run(job, chosen, *, force, progress):
     name = job.output.stem
+    if name.startswith("full"):
+        raise OSError(28, "No space left on device", "a.h5")
     with open(f"{name}.pids", "a") as file:
         print(os.getpid(), file=file)
     if name.startswith("killed") or name.startswith("once") and len(open(f"{name}.pids").readlines()) == 1:
@@ -62,7 +64,7 @@ if __name__ == "__main__":
         engines.run_on_dask(engine, "standing", jobs, None, False, 2, silent, results)
     except KeyboardInterrupt:
         ended = "interrupted"
-    except EvetacError as error:
+    except (EvetacError, OSError) as error:
         ended = str(error)
     jobs = {path.stem: str(result) if isinstance(result, EvetacError) else "made" for path, result in results.items()}
     print(json.dumps({"ended": ended, "jobs": jobs}))
@@ -234,6 +236,11 @@ def test_a_job_whose_worker_dies_runs_again(tmp_path: Path, started: list[subpro
     assert "killed-1.h5" in reported["jobs"]["killed-1"] and "3 workers died" in reported["jobs"]["killed-1"]
     assert len((tmp_path / "once-1.pids").read_text().split()) >= 2
     assert [name for name in left(tmp_path) if "killed" in name or "runs" in name] == []
+
+
+def test_an_error_of_the_system_stays_what_it_is(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
+    """Assert that what a job raises is not taken for a broken connection."""
+    assert "No space left on device" in run(started, tmp_path, "dask", "full-1").ended()["ended"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
