@@ -23,6 +23,7 @@ EXTRAS = {
     "camera": ("dv_processing",),
     "convert": ("rosbags", "faery", "hdf5plugin"),
     "plot": ("matplotlib", "bokeh", "PIL"),
+    "cluster": ("dask", "distributed"),
 }
 MOST_CHARACTERS = 600  # of a part of an error: what a file or flag holds is quoted, not repeated
 

@@ -80,8 +80,12 @@ def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> 
     return sizes
 
 
-def with_jobs(words: Command, jobs: int) -> Command:
-    return [*words, "--jobs", str(jobs)] if words[0] == "evetac" and words[1] in IN_PARALLEL else words
+def with_engine(words: Command, jobs: int, engine: str) -> Command:
+    """A command that works on files, told where, and on how many at a time; a cluster that runs knows that itself."""
+    if words[0] != "evetac" or words[1] not in IN_PARALLEL:
+        return words
+    at_once = [] if engine.startswith("dask:") else ["--jobs", str(jobs)]
+    return [*words, *at_once, *(["--engine", engine] if engine != "local" else [])]
 
 
 def in_order(names: Iterable[str]) -> list[Experiment]:
@@ -294,6 +298,7 @@ def perform(
     *,
     jobs: int,
     replace: bool,
+    engine: str = "local",
     run: Run = run_command,
     header: Callable[[Path], Row] = report_header,
 ) -> None:
@@ -302,7 +307,7 @@ def perform(
     folder.mkdir(parents=True, exist_ok=True)
     for step in experiment.steps(sizes):
         print("+", *step, flush=True)
-        code, _ = run(with_jobs(expand(step, folder), jobs), folder)
+        code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)
         if code:
             raise Refusal(f"{' '.join(step)} ended with exit code {code}")
     commands = experiment.evaluations(sizes)
@@ -338,10 +343,10 @@ def print_list() -> None:
                                      for name, value in experiment.full.items()))  # fmt: skip
 
 
-def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int) -> None:
+def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, engine: str) -> None:
     print(f"mkdir -p {out / experiment.folder}; cd {out / experiment.folder}")
     for step in experiment.steps(sizes):
-        print(*with_jobs(step, jobs))
+        print(*with_engine(step, jobs, engine))
     for name, words in experiment.evaluations(sizes).items():
         print(*words, "--out", f"{name}.report.h5", "--json")
 
@@ -357,6 +362,9 @@ def main(arguments: list[str] | None = None) -> None:
         "--size", action="append", default=[], metavar="NAME=VALUE", help="another size; lists by commas"
     )
     parser.add_argument("--jobs", type=int, default=1, help="files worked on at the same time")
+    parser.add_argument(
+        "--engine", default="local", help="local, dask, or dask:tcp://ADDRESS: as of evetac (docs/cluster.md)"
+    )
     parser.add_argument("--out", type=Path, default=ROOT, help="where the experiments' folders are")
     parser.add_argument("--results", type=Path, default=None, help="where tables are kept")
     parser.add_argument("--replace", action="store_true", help="replace tables of larger runs too")
@@ -380,11 +388,12 @@ def main(arguments: list[str] | None = None) -> None:
         for experiment in experiments:
             sizes = sizes_for(experiment, small=chosen.small, given=given)
             if chosen.dry_run:
-                print_commands(experiment, sizes, out, chosen.jobs)
+                print_commands(experiment, sizes, out, chosen.jobs, chosen.engine)
             else:
                 usual = results if experiment.published else out / experiment.folder
                 table_folder = chosen.results or usual
-                perform(experiment, sizes, out, table_folder, jobs=chosen.jobs, replace=chosen.replace)
+                how = {"jobs": chosen.jobs, "replace": chosen.replace, "engine": chosen.engine}
+                perform(experiment, sizes, out, table_folder, **how)
     except Refusal as refusal:
         raise SystemExit(f"error: {refusal}") from None
 

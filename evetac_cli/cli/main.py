@@ -18,7 +18,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from evetac_cli import __version__, console, resources
-from evetac_cli.cli import config, exit_codes, workers
+from evetac_cli.cli import config, engines, exit_codes, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome, require_possible_name
@@ -129,13 +129,20 @@ _RUNNING: dict[str, tuple[Any, Any, str, str]] = {
     "out": (Path | None, None, "-o/--out", "Output file (ends in .h5) or folder; default: beside the input."),
     "force": (bool, False, "-f/--force", "Replace an output that was made by another recipe."),
     "number_of_jobs": (int, 1, "-j/--jobs", "Files worked on at the same time."),
+    "engine": (
+        str,
+        engines.LOCAL,
+        "--engine",
+        "Where files are worked on; local: processes of this computer; dask: a Dask cluster of --jobs processes;"
+        " dask:tcp://ADDRESS: one that runs, see docs/cluster.md.",
+    ),
     "config": (Path | None, None, "--config", "TOML file with parameters, one table a command."),
     "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
     "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
     "verbose": (bool, False, "-v/--verbose", "Print the traceback of an error."),
 }
 # view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
-_VIEWING = {name: entry for name, entry in _RUNNING.items() if name not in ("number_of_jobs", "config")} | {
+_VIEWING = {name: entry for name, entry in _RUNNING.items() if name not in ("number_of_jobs", "engine", "config")} | {
     "out": (Path | None, None, "-o/--out", "Page (ends in .html) or folder; default: beside the file."),
     "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
 }
@@ -188,7 +195,8 @@ def _add(
         )
         signature.insert(len(signature) if flag.startswith("--") else 0, entry)
     for name, (kind, default, flags, help_) in running.items():
-        option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=default == 1)
+        shown = default in (1, engines.LOCAL)
+        option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=shown)
         signature.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
     call.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
     call.__annotations__ = {entry.name: entry.annotation for entry in signature}
@@ -310,10 +318,20 @@ def _run(
 ) -> None:
     """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
     quiet, force = running["quiet"] or getattr(chosen, "live", False), running["force"]  # --live has its own lines
+    engine = engines.Engine.parse(running["engine"])
+    exclusive = any(job.exclusive for job in jobs)
+    if exclusive and engine.name != engines.LOCAL:
+        raise InputError("devices belong to this computer", where="--engine", expected="local", found=running["engine"])
+    if engine.address and running["number_of_jobs"] > 1:
+        hint = "leave it out: a cluster that runs has as many workers as it has"
+        raise InputError("has no effect", where="--jobs", found=f"--engine {running['engine']}", hint=hint)
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
-    waiting = [job for job in jobs if force or not job.output.exists()]
-    at_once = 1 if any(job.exclusive for job in jobs) else min(running["number_of_jobs"], len(waiting))
-    if at_once > 1:
+    waiting = engines.largest_first([job for job in jobs if force or not job.output.exists()])
+    at_once = 1 if exclusive else min(running["number_of_jobs"], len(waiting))
+    if engine.name == engines.DASK and waiting:
+        with console.progress_bar(command.name, "files", quiet=quiet) as progress:
+            engines.run_on_dask(engine, command.module, waiting, chosen, force, at_once, progress, results)
+    elif at_once > 1:
         with console.progress_bar(command.name, "files", quiet=quiet) as progress:
             workers.run_parallel(command.module, waiting, chosen, force, at_once, progress, results)
     for number, job in enumerate(jobs):
@@ -351,8 +369,39 @@ for _command in EVALUATE:
     _add(evaluate, _command, f"evaluate {_command.name}", "Subjects")
 app.add_typer(evaluate, name="evaluate", rich_help_panel="Pipeline")
 _add(app, PIPELINE[-1], PIPELINE[-1].name, "Pipeline")
-app.command("info", rich_help_panel="Inspect")(
-    _inspector("info", "What stage files hold: kind, duration, events, rates, history.")
+
+
+@app.command("info", rich_help_panel="Inspect")
+def _info(
+    files: Annotated[list[Path], typer.Argument(help="Stage files, or a folder of them.", show_default=False)],
+    where: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Of a folder: the files for which this holds, as in object=3, seed=10-19, kind=labels,features;"
+            " several conditions have to hold all."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
+    verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
+) -> None:
+    """What stage files hold: kind, duration, events, rates, history; of a folder, which files it has, by its index."""
+    if len(files) != 1 or not files[0].is_dir():
+        if where:
+            with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
+                raise InputError("finds files of a folder", where="--where", expected="one folder")
+        _inspector("info", "")(files, as_json, verbose)
+        return
+    with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
+        index = importlib.import_module("evetac_cli.inspect.index")
+        result: Outcome = index.answer(files[0], where or ())
+        rows = result.rows if as_json else _first(index.for_people(result.rows))
+        console.show("info", rows, result.summary, simulated=result.simulated, as_json=as_json)
+
+
+app.command("index", rich_help_panel="Inspect")(
+    _inspector(
+        "index", "Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it.", "Folders."
+    )
 )
 _add(app, VIEW, VIEW.name, "Inspect", _write_for_others, _VIEWING)
 _add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, _EXPORTING)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # `evetac --help` loads none of it
     from multiprocessing.context import SpawnContext
 
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numerical libraries
 GRACE_S = 0.5  # in which workers that were told to stop may clean up; then they are killed
 _came = False
 
@@ -194,7 +195,7 @@ def run_parallel(
 
     # Each worker computes on one core: threads of numerical libraries would fight over the cores. Spawned, not forked:
     # HDF5 and a fork do not mix.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
     context = multiprocessing.get_context("spawn")
     waiting = deque(jobs)
@@ -221,7 +222,7 @@ def run_parallel(
         broken_off = [worker.job.output for worker in workers if worker.job is not None]
         for worker in workers:
             worker.end()
-        _remove_unfinished(broken_off)
+        remove_unfinished(broken_off)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     if interrupted:
         raise KeyboardInterrupt
@@ -248,7 +249,7 @@ def _take(worker: _Worker, workers: list[_Worker], results: dict[Path, Outcome |
     if worker.process.exitcode is not None:
         workers.remove(worker)
         worker.end()
-        _remove_unfinished([output])
+        remove_unfinished([output])
     if isinstance(result, Exception) and not isinstance(result, EvetacError):
         raise result
     if result is not None:
@@ -266,8 +267,9 @@ def _stop(workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) ->
             _take(worker, workers, results)
 
 
-def _remove_unfinished(outputs: Sequence[Path]) -> None:
-    """Remove the temporary files that processes that were killed left beside these outputs."""
-    disk = importlib.import_module("evetac_cli.store.disk")
+def remove_unfinished(outputs: Sequence[Path]) -> None:
+    """Remove the temporary files that dead processes of this computer left beside these outputs."""
+    from evetac_cli.store import disk
+
     for output in outputs:
         disk.remove_unfinished(output)

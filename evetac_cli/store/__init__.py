@@ -12,4 +12,5 @@ segments    recordings that grow: closed segments, joined at the end
 recovery    what can be made of the segments of a recording that broke off
 read        the reading API for Python: recordings as slices, features as a data set
 calibration dot grids as JSON
+index       what each file of a data set is, in one SQLite file
 """

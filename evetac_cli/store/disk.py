@@ -92,7 +92,7 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
 
     ending: what the name has to end in, for libraries that go by it. InputError if the disk does not take the file.
     """
-    temporary = _temporary(path, ending)
+    temporary = temporary_name(path, ending)
     made = missing_folders(path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -112,7 +112,7 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
             temporary.unlink()
 
 
-def _temporary(path: Path, ending: str) -> Path:
+def temporary_name(path: Path, ending: str = "") -> Path:
     """The name beside `path` under which this process writes; those of processes that no longer live are removed."""
     remove_unfinished(path, ending)
     process = os.getpid()

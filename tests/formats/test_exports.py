@@ -343,7 +343,7 @@ def test_what_a_killed_export_left_goes_with_the_next(source: Path, tmp_path: Pa
         target = tmp_path / name
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(os, "getpid", lambda: 4_194_305)  # one more than Linux gives
-            unfinished = disk._temporary(target, target.suffix)
+            unfinished = disk.temporary_name(target, target.suffix)
         assert unfinished.suffix == target.suffix
         unfinished.write_bytes(b"half")
         export(source, format_, target)

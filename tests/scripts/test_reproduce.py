@@ -333,3 +333,19 @@ def test_trackers_stand_side_by_side() -> None:
         ["edge, cut", "5", "0.70", "1.3", "6.00, 9.0", "0.30, 9.0"],
         ["slip, closed", "5", "0.70", "1.3", "6.00, 9.0", "0.30, 9.0"],
     ]
+
+
+@pytest.mark.parametrize(
+    ("engine", "more"),
+    [
+        ("local", "--jobs 3"),
+        ("dask", "--jobs 3 --engine dask"),
+        ("dask:tcp://a:1", "--engine dask:tcp://a:1"),  # has as many workers as it has
+    ],
+)
+def test_commands_are_told_the_engine(engine: str, more: str) -> None:
+    """Assert that commands that work on files get engine and jobs, and others stay as they are."""
+    track = ["evetac", "track", "a.recording.h5"]
+    assert reproduce.with_engine(track, 3, engine) == [*track, *more.split()]
+    for other in (["evetac", "evaluate", "slip"], ["python", "scripts/film.py"]):
+        assert reproduce.with_engine(other, 3, engine) == other

@@ -699,7 +699,7 @@ def test_m9_leftovers_are_removed_though_another_process_has_the_number_now(tmp_
         assert started
         other = temporary.with_name(temporary.name.replace(f"-{started}", f"-{int(started) + 1}"))
         other.touch()
-        taken = disk._temporary(path, "")
+        taken = disk.temporary_name(path, "")
         assert taken == temporary
         assert temporary.exists()
         assert not other.exists()

@@ -1,0 +1,127 @@
+"""index: make the index of a data set, or bring it up to date; and what `info FOLDER` answers from it."""
+
+import re
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.console import print_table, progress_bar
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Outcome
+from evetac_cli.store.index import Index, Row, open_index
+
+NAMES = tuple(name for name in Row._fields if name != "mtime_ns")  # that --where knows, and a row shows
+SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
+COUNTED = ("object", "sensor", "scene", "outcome")  # of each kind of file, a table each
+MOST_UNREADABLE = 20  # of the files that are named with their reasons
+MISSING = "none"
+TRUTH: dict[str, Any] = {"yes": 1, "no": 0}  # as simulated is shown in a table
+
+
+def run(folders: list[Path]) -> Outcome:
+    """A row for every folder: how many files it has, and how many had to be read for that."""
+    rows = []
+    simulated = False
+    for folder in folders:
+        with progress_bar(f"index {folder}", "files", quiet=False) as progress, open_index(folder, progress) as index:
+            files, unreadable = _one(index, "SELECT COUNT(*), COUNT(error) FROM files")
+            simulated |= bool(_one(index, "SELECT MAX(simulated) FROM files")[0])
+            row = {"folder": str(folder), "files": files, "read": index.read, "removed": index.removed}
+            rows.append({**row, "unreadable": unreadable, "stored": index.stored})
+    return Outcome(rows, simulated, {"folders": len(rows)})
+
+
+def show(result: Outcome) -> None:
+    """Print the rows as a table."""
+    print_table("index", result.rows, result.summary, simulated=result.simulated)
+
+
+def answer(folder: Path, conditions: Sequence[str]) -> Outcome:
+    """What a data set holds: counts of its files, or with conditions (`object=3`) a row for every file that fits."""
+    where, values = _condition(conditions)
+    with progress_bar(f"index {folder}", "files", quiet=False) as progress, open_index(folder, progress) as index:
+        rows = _files(index, where, values) if conditions else list(_counts(index))
+        files, unreadable = _one(index, "SELECT COUNT(*), COUNT(error) FROM files")
+        simulated = _one(index, f"SELECT MAX(simulated) FROM files WHERE {where}", values)[0]
+    summary = {"folder": str(folder), "files": files, "unreadable": unreadable}
+    if conditions:
+        summary["fit"] = len(rows)
+    return Outcome(rows, bool(simulated), summary)
+
+
+def for_people(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of files with the columns that fit into a terminal: --json has all; other rows stay as they are."""
+    broken = any(row.get("error") for row in rows)
+    names = ("path", "error") if broken else SHOWN
+    return [{name: row[name] for name in names} if "path" in row else row for row in rows]
+
+
+def _files(index: Index, where: str, values: list[Any]) -> list[dict[str, Any]]:
+    selected = index.table.execute(f"SELECT {', '.join(NAMES)} FROM files WHERE {where} ORDER BY path", values)
+    rows = [dict(zip(NAMES, row, strict=True)) for row in selected]
+    for row in rows:
+        row["simulated"] = None if row["simulated"] is None else bool(row["simulated"])
+    return rows
+
+
+def _counts(index: Index) -> list[dict[str, Any]]:
+    """Counts of files by kind, and of each kind by object, sensor, scene and outcome; files that cannot be read."""
+    select = (
+        "SELECT kind, COUNT(*) AS files, SUM(simulated) AS simulated, SUM(slices) AS slices,"
+        " SUM(size_bytes) / 1e6 AS size_mb FROM files WHERE kind IS NOT NULL GROUP BY kind ORDER BY kind"
+    )
+    rows = _dicts(index, select)
+    kinds = [row["kind"] for row in rows]
+    for name in COUNTED:
+        groups = (
+            f"SELECT {name}, kind, COUNT(*) FROM files WHERE {name} IS NOT NULL GROUP BY {name}, kind ORDER BY {name}"
+        )
+        by_value: dict[Any, dict[str, Any]] = {}
+        for value, kind, files in index.table.execute(groups):
+            by_value.setdefault(value, {name: value, **dict.fromkeys(kinds, 0)})[kind] = files
+        rows += by_value.values()
+    unreadable = "SELECT path AS unreadable, error AS reason FROM files WHERE error IS NOT NULL ORDER BY path LIMIT ?"
+    return rows + _dicts(index, unreadable, [MOST_UNREADABLE])
+
+
+def _dicts(index: Index, select: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
+    cursor = index.table.execute(select, values)
+    names = [column[0] for column in cursor.description]
+    return [dict(zip(names, row, strict=True)) for row in cursor]
+
+
+def _one(index: Index, select: str, values: Sequence[Any] = ()) -> Any:
+    return index.table.execute(select, values).fetchone()
+
+
+def _condition(conditions: Sequence[str]) -> tuple[str, list[Any]]:
+    """SQL of `NAME=VALUE` conditions, all of which have to hold; InputError for a name that there is not.
+
+    A value is a text, a number, a range of whole numbers (`7-9`), `none`, or several of these with commas.
+    """
+    parts: list[str] = []
+    values: list[Any] = []
+    for condition in conditions:
+        name, equals, wanted = condition.partition("=")
+        if not equals or name not in NAMES:
+            near = get_close_matches(name, NAMES, n=1)
+            raise InputError(
+                "no such condition",
+                where="--where",
+                expected=f"NAME=VALUE, with a NAME of {', '.join(NAMES)}",
+                found=condition,
+                hint=f"did you mean {near[0]}=...?" if near else "",
+            )
+        ways = []
+        for value in wanted.split(","):
+            if value == MISSING:
+                ways.append(f"{name} IS NULL")
+            elif limits := re.fullmatch("([0-9]{1,18})-([0-9]{1,18})", value):
+                ways.append(f"(typeof({name}) = 'integer' AND {name} BETWEEN ? AND ?)")
+                values += [int(limits[1]), int(limits[2])]
+            else:
+                ways.append(f"{name} = ?" if name == "simulated" else f"CAST({name} AS TEXT) = ?")
+                values.append(TRUTH.get(value, value) if name == "simulated" else value)
+        parts.append(f"({' OR '.join(ways)})")
+    return " AND ".join(parts) or "1", values

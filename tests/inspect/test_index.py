@@ -1,0 +1,95 @@
+"""info of a folder: counts and the files that fit, from its index; index: how much had to be read."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import index
+from tests.conftest import Made
+
+
+@pytest.fixture
+def folder(made: Made, tmp_path: Path) -> Path:
+    """A data set of two trajectories, one in a folder below, and a broken file."""
+    (tmp_path / "below").mkdir()
+    for path, place in zip(made.recordings[:2], (tmp_path, tmp_path / "below"), strict=True):
+        for kind in ("recording", "labels"):
+            shutil.copy(made.beside(path, kind), place)
+    (tmp_path / "broken.h5").write_text("no")
+    return tmp_path
+
+
+def paths(folder: Path, *conditions: str) -> list[str]:
+    return [row["path"] for row in index.answer(folder, conditions).rows]
+
+
+def test_a_folder_is_counted(folder: Path) -> None:
+    """Assert that there is a row for every kind, object, sensor, scene and outcome, and one for the broken file."""
+    result = index.answer(folder, ())
+    assert result.simulated
+    assert result.summary == {"folder": str(folder), "files": 5, "unreadable": 1}
+    kinds = {row["kind"]: row["files"] for row in result.rows if "slices" in row}
+    assert kinds == {"labels": 2, "recording": 2}
+    for name, value in (("sensor", "evetac"), ("scene", "short"), ("outcome", "slips")):
+        assert {name: value, "labels": 2, "recording": 2} in result.rows
+    (unreadable,) = [row for row in result.rows if "unreadable" in row]
+    assert unreadable["unreadable"] == "broken.h5" and unreadable["reason"]
+
+
+def test_files_are_selected(folder: Path) -> None:
+    """Assert that conditions select as the rows say, by text, number, range, list, truth and absence."""
+    rows = index.answer(folder, ("kind=recording,labels",)).rows
+    assert len(rows) == 4
+    objects = {row["object"] for row in rows}
+    for wanted in objects:
+        assert paths(folder, f"object={wanted}") == [row["path"] for row in rows if row["object"] == wanted]
+    low, high = min(objects), max(objects)
+    assert len(paths(folder, f"object={low}-{high}")) == 4
+    assert paths(folder, f"object={high + 1}-{high + 9}") == []
+    assert len(paths(folder, "simulated=yes", "kind=labels")) == 2
+    assert paths(folder, "simulated=no") == []
+    assert paths(folder, "kind=none") == ["broken.h5"]
+    assert len(paths(folder, "kind=none,labels")) == 3
+    assert paths(folder, "sensor=evetac' OR '1'='1") == []
+
+
+@pytest.mark.parametrize("condition", ["", "object", "objekt=3", "=3", "mtime_ns=3", "path; DROP TABLE files=1"])
+def test_other_conditions_are_refused(folder: Path, condition: str) -> None:
+    """Assert that what names no column is refused with those that there are."""
+    with pytest.raises(InputError, match="object, sensor, seed"):
+        index.answer(folder, (condition,))
+
+
+def run(*words: Any) -> tuple[int, Any]:
+    done = CliRunner().invoke(app, [*map(str, words), "--json"])
+    return done.exit_code, json.loads(done.stdout)
+
+
+def test_the_commands(folder: Path, made: Made) -> None:
+    """Assert that index and info say what they found, and that --where without a folder is refused."""
+    code, result = run("index", folder)
+    assert code == 0
+    assert result["rows"] == [
+        {"folder": str(folder), "files": 5, "read": 5, "removed": 0, "unreadable": 1, "stored": True}
+    ]
+    code, result = run("info", folder, "--where", "kind=labels", "--where", "outcome=slips")
+    assert (code, result["summary"]["fit"], len(result["rows"])) == (0, 2, 2)
+    code, result = run("info", made.recordings[0], "--where", "kind=labels")
+    assert (code, result["error"]["where"]) == (2, "--where")
+    code, result = run("index", made.recordings[0])
+    assert (code, result["error"]["message"]) == (2, "no such folder")
+    assert run("info", made.recordings[0])[0] == 0
+
+
+def test_a_table_for_people(folder: Path) -> None:
+    """Assert that files are shown with the columns that fit, and with the reason where one is broken."""
+    rows = index.for_people(index.answer(folder, ("kind=labels",)).rows)
+    assert [tuple(row) for row in rows] == [index.SHOWN] * 2
+    assert [tuple(row) for row in index.for_people(index.answer(folder, ("kind=none",)).rows)] == [("path", "error")]
+    assert index.for_people([{"kind": "labels"}]) == [{"kind": "labels"}]
