@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     )
     from evetac_cli.errors import EvetacError, InputError
     from evetac_cli.events import Events, Slicer
+    from evetac_cli.kernels.sensitivity import Sensitivity
     from evetac_cli.store.read import Recording, SlipWindows, open_recording
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "Gel",
     "InputError",
     "Recording",
+    "Sensitivity",
     "Simulation",
     "Slicer",
     "SlipDetector",
@@ -67,6 +69,7 @@ __all__ = [
 
 _MODULES = {
     **dict.fromkeys(("Events", "Slicer"), "events"),
+    "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError"), "errors"),
     **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.read"),
 }

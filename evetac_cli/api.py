@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
+from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.tracking import tracker
@@ -118,8 +119,8 @@ class Gel(NamedTuple):
     """What is known of a gel before it is touched; a recording and a simulation have these attributes too.
 
     dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot. dot_radius_px: of the
-    printed dots. window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel. contrast_over_threshold:
-    events that a pixel gives as the rim of a dot passes it, as `evetac identify` tells it; None if unknown.
+    printed dots. window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel. sensitivity: what
+    `evetac identify` told of its contrast, threshold and stiffness, which slip detectors ask for.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     gel = evetac.Gel(recording.dot_xy_px, recording.dot_radius_px, recording.window_px)
@@ -130,7 +131,7 @@ class Gel(NamedTuple):
     dot_xy_px: NDArray[np.float64] | None
     dot_radius_px: float | None
     window_px: tuple[int, int, int, int] | None = None
-    contrast_over_threshold: float | None = None
+    sensitivity: Sensitivity = UNKNOWN
 
 
 class _HasGel(Protocol):
@@ -143,7 +144,7 @@ class _HasGel(Protocol):
     @property
     def window_px(self) -> tuple[int, int, int, int] | None: ...
     @property
-    def contrast_over_threshold(self) -> float | None: ...
+    def sensitivity(self) -> Sensitivity: ...
 
 
 class DotTracker:
@@ -194,8 +195,7 @@ class SlipDetector:
     def __init__(self, gel: _HasGel, model: str | Path | None = None, tracker_preset: str = "stable") -> None:
         dot_xy_px, constants = _dots(gel, tracker_preset)
         with StageFile(Path(model) if model is not None else resources.MODEL, "model") as file:
-            ratio = gel.contrast_over_threshold
-            self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, ratio)
+            self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, gel.sensitivity)
 
     @property
     def threshold(self) -> float:
@@ -229,7 +229,7 @@ class Simulation:
         width, height = sensor["sensor/frame_px"]
         self.frame_px = int(width), int(height)
         self.dot_radius_px = float(sensor["sensor/dot_radius_px"])
-        self.contrast_over_threshold = float(sensor["sensor/contrast_over_threshold"])
+        self.sensitivity = Sensitivity(*(float(sensor[f"sensor/{name}"]) for name in Sensitivity._fields))
         self.window_px: tuple[int, int, int, int] | None = None  # of a cut gel: x0, y0, x1, y1, ends excluded
         if "sensor/window_px" in sensor:
             x0, y0, x1, y1 = (int(edge) for edge in sensor["sensor/window_px"])

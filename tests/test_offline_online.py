@@ -77,8 +77,7 @@ def model_path(request: pytest.FixtureRequest, made: Made) -> Path:
 def open_online(model: StageFile, recording: Recording) -> OnlineSlipDetector:
     dots = recording.dot_xy_px
     assert dots is not None
-    ratio = recording.contrast_over_threshold
-    return OnlineSlipDetector.start(model, dots, recording.window_px, tracker.PRESETS["stable"], ratio)
+    return OnlineSlipDetector.start(model, dots, recording.window_px, tracker.PRESETS["stable"], recording.sensitivity)
 
 
 @settings(max_examples=5, deadline=None)

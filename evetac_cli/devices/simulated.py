@@ -10,7 +10,7 @@ import numpy as np
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.errors import SceneError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.scene import contrast_over_threshold
+from evetac_cli.sim.scene import sensitivity
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
@@ -35,7 +35,7 @@ class SimulatedCamera:
             "sensor/name": name,
             "sensor/dot_xy_px": simulation.gel_camera.calibrated_grid_xy_px,
             "sensor/dot_radius_px": np.float64(sensor_row["dot_radius_px"]),
-            "sensor/contrast_over_threshold": np.float64(contrast_over_threshold(sensor_row)),
+            **{f"sensor/{name}": np.float64(value) for name, value in sensitivity(sensor_row).known().items()},
         }
         if simulation.gel_camera.window_px is not None:
             self.sensor = {**self.sensor, "sensor/window_px": np.array(simulation.gel_camera.window_px, np.int32)}

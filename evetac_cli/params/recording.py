@@ -145,7 +145,7 @@ class Calibrate:
     source: Path | None = parameter(
         None,
         "Import this instead: the official software's pickle, which is not executed, JSON, or a sensor's TOML file as"
-        " identify writes it, with the contrast and threshold that slip detectors ask for.",
+        " identify writes it, with the contrast, threshold and stiffness that slip detectors ask for.",
         flag="--import",
         recipe=False,
     )

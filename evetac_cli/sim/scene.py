@@ -18,6 +18,7 @@ import jsonschema
 import numpy as np
 
 from evetac_cli.errors import InputError, SceneError
+from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim import sampling, sensor_file
 from evetac_cli.sim.solver import resolve
@@ -313,11 +314,12 @@ def sensor_row(name: str) -> dict[str, Any]:
     return dict(rows[name])
 
 
-def contrast_over_threshold(sensor_row: Mapping[str, Any]) -> float:
-    """Events that a pixel gives as the rim of a dot passes it, by log contrast and thresholds; ON and OFF averaged."""
+def sensitivity(sensor_row: Mapping[str, Any]) -> Sensitivity:
+    """What a sensor's row says of how strongly it answers contact; ON and OFF thresholds averaged."""
     on = float(sensor_row["threshold"])
     off = float(sensor_row.get("threshold_off", on))
-    return float(sensor_row["log_contrast"]) * (1.0 / on + 1.0 / off) / 2.0
+    ratio = float(sensor_row["log_contrast"]) * (1.0 / on + 1.0 / off) / 2.0
+    return Sensitivity(ratio, float(sensor_row["shear_modulus_pa"]))
 
 
 def for_trial(plan: dict[str, Any], seeds: Sequence[int]) -> dict[str, Any]:

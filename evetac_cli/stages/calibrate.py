@@ -175,7 +175,7 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
 
 
 def _of_sensor(source: Path, params: Calibrate) -> Calibration:
-    """The dots of a sensor's file as the camera sees them, and what identify told of its contrast and threshold."""
+    """The dots of a sensor's file as its camera sees them, and how strongly it answers contact."""
     _, row = scene.named_sensor(str(source))
     cut = params.gel != "closed"
     dots, lens = dot_grid(row, cut), Lens.of_sensor(row)
@@ -186,7 +186,7 @@ def _of_sensor(source: Path, params: Calibrate) -> Calibration:
         dots if lens is None else lens.seen(dots),
         row["dot_radius_px"],
         (x0, y0, x1, y1) if cut else None,
-        scene.contrast_over_threshold(row),
+        scene.sensitivity(row),
     )
 
 

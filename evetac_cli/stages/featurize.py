@@ -69,11 +69,8 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         parents.append(tracks.header)
         rest_xy_px = tracks.read("sensor/dot_xy_px")
         window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
-        ratio = recording.contrast_over_threshold
-        if tracks.has("sensor/contrast_over_threshold"):
-            ratio = float(tracks.read("sensor/contrast_over_threshold"))
-        if ratio is not None:
-            arrays["contrast_over_threshold"] = np.float64(ratio)
+        known = recording.sensitivity.known() | tracks.sensitivity.known()
+        arrays |= {f"sensor/{name}": np.float64(value) for name, value in known.items()}
         if recording.has(f"truth/{SLIP_SHARE}"):
             arrays[SLIP_SHARE] = recording.read(f"truth/{SLIP_SHARE}")
         for path in labels_path:

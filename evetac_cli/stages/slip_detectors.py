@@ -52,12 +52,11 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
                 hint="they were made by an older evetac; evetac featurize --force",
             )
         displacement_xy_px = file.read("displacement_xy_px", start, stop)
-    known = float(file.read("contrast_over_threshold")) if file.has("contrast_over_threshold") else None
     return features.series(
         file.read("displacement_px", start, stop),
         file.read("events_per_dot", start, stop),
         displacement_xy_px,
-        architecture.events_factor(known),
+        architecture.factors(file.sensitivity),
     )
 
 

@@ -1,6 +1,6 @@
 """Dot grids as JSON: the keys of the official base calibration (frame_px, radius_px, dot_xy_px), and optionally
-rows, columns, mask, window_px and contrast_over_threshold. The dots may come in any order; rows and columns follow from
-their centres. Dots in no grid are one row, [[[x, y], [x, y], ...]].
+rows, columns, mask, window_px, contrast_over_threshold and shear_modulus_pa. The dots may come in any order; rows and
+columns follow from their centres. Dots in no grid are one row, [[[x, y], [x, y], ...]].
 
 A dot is missing where its centre is null or the mask, one list a row, is false: so a damaged dot is taken out of use
 by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.grid); files
@@ -17,24 +17,26 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
+from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 MOST_PX = 65536  # events count columns and rows in uint16
-MOST_EVENTS = 1000  # of a pixel as a rim passes it; a real one gives about 10
+# Contrast over threshold is about 10, and gels of 10 kPa to 1 MPa are usual.
+MOST = Sensitivity(contrast_over_threshold=1e3, shear_modulus_pa=1e9)
 LEAST_RADIUS_PX = 0.01  # files are written to 0.001 px
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Where the dots of one gel are at rest, and how many events a pixel gives as a dot's rim passes, if known."""
+    """Where the dots of one gel are at rest, and what is known of how strongly the sensor answers contact."""
 
     frame_px: tuple[int, int]
     dot_xy_px: NDArray[np.float64]  # (rows, columns, 2)
     dot_radius_px: float
     window_px: tuple[int, int, int, int] | None
-    contrast_over_threshold: float | None = None
+    sensitivity: Sensitivity = UNKNOWN
 
     def arrays(self) -> dict[str, Any]:
         """As the datasets of a stage file's sensor group."""
@@ -44,9 +46,8 @@ class Calibration:
         }
         if self.window_px is not None:
             arrays["sensor/window_px"] = np.array(self.window_px, np.int32)
-        if self.contrast_over_threshold is not None:
-            arrays["sensor/contrast_over_threshold"] = np.float64(self.contrast_over_threshold)
-        return arrays
+        known = self.sensitivity.known()
+        return arrays | {f"sensor/{name}": np.float64(value) for name, value in known.items()}
 
     def digest(self) -> str:
         """What stands for this calibration in a recipe."""
@@ -68,7 +69,7 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
         window = None if table.get("window_px") is None else _whole(table, "window_px", 4)
         mask = table.get("mask")
         shape = [table[key] for key in ("rows", "columns") if key in table]
-        ratio = table.get("contrast_over_threshold")
+        sensor = Sensitivity(**{name: table.get(name) for name in Sensitivity._fields})
     except KeyError as error:
         raise InputError(
             f"the key {error} is missing", where=where, expected="frame_px, radius_px, dot_xy_px"
@@ -85,10 +86,10 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
             _is_number(radius) and LEAST_RADIUS_PX <= radius <= max(width, height),
             "a number above 0, in px",
         ),
-        (
-            "contrast_over_threshold",
-            ratio is None or (_is_number(ratio) and 0 < ratio < MOST_EVENTS),
-            f"a number above 0 and below {MOST_EVENTS}",
+        *(
+            (name, _is_number(value) and 0 < value < most, f"a number above 0 and below {most:g}")
+            for (name, value), most in zip(sensor._asdict().items(), MOST, strict=True)
+            if value is not None
         ),
         ("window_px", 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height, "x0, y0, x1, y1 inside the frame"),
     ):
@@ -125,7 +126,7 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
         arranged,
         float(radius),
         (x0, y0, x1, y1) if window else None,
-        None if ratio is None else float(ratio),
+        Sensitivity(**{name: float(value) for name, value in sensor.known().items()}),
     )
 
 
@@ -166,7 +167,7 @@ def write_calibration(
     neighbours: indices of dots, counted row by row, a list for each dot. quality: how well the dots were detected, as
     flat figures with units in their names. provenance: the recipe's identity, its id, when and where it was made.
     """
-    dots, ratio = calibration.dot_xy_px, calibration.contrast_over_threshold
+    dots = calibration.dot_xy_px
     present = np.isfinite(dots).all(axis=2)
     table = {
         "frame_px": list(calibration.frame_px),
@@ -174,7 +175,7 @@ def write_calibration(
         "rows": dots.shape[0],
         "columns": dots.shape[1],
         "window_px": None if calibration.window_px is None else list(calibration.window_px),
-        **({} if ratio is None else {"contrast_over_threshold": round(ratio, 4)}),
+        **{name: float(f"{value:.5g}") for name, value in calibration.sensitivity.known().items()},
         "dot_xy_px": [[_rounded(dot) for dot in row] for row in dots],
         "mask": present.tolist(),
         "neighbours": neighbours,

@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
@@ -79,6 +80,12 @@ class StageFile:
     def has(self, path: str) -> bool:
         """Whether the file holds a dataset, or datasets in a group, of this path."""
         return path in self._datasets or any(name.startswith(f"{path}/") for name in self._datasets)
+
+    @property
+    def sensitivity(self) -> Sensitivity:
+        """What is known of how strongly the sensor answers contact."""
+        named = {name: f"sensor/{name}" for name in Sensitivity._fields}
+        return Sensitivity(**{name: float(self.read(path)) for name, path in named.items() if self.has(path)})
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
         """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar.

@@ -65,12 +65,6 @@ class Recording(StageFile):
         """Radius of the printed dots, or None where no calibration is stored."""
         return float(self.read("sensor/dot_radius_px")) if self.has("sensor/dot_radius_px") else None
 
-    @property
-    def contrast_over_threshold(self) -> float | None:
-        """Events that a pixel gives as the rim of a dot passes it, or None where that is not known of the sensor."""
-        known = self.has("sensor/contrast_over_threshold")
-        return float(self.read("sensor/contrast_over_threshold")) if known else None
-
     def sensor_datasets(self) -> dict[str, Any]:
         """What belongs to the sensor, `sensor/...` by name: dot grid, window, frame size, to be copied along."""
         return {name: self.read(name) for name in self.contents() if name.startswith("sensor/")}

@@ -319,17 +319,18 @@ def test_official_files_give_one_grid(tmp_path: Path, truth: Grid) -> None:
 
 
 def test_the_file_of_a_sensor_is_imported(tmp_path: Path) -> None:
-    """Assert that identify's file gives dots as its camera sees them, and log contrast over both thresholds."""
+    """Assert that identify's file gives dots as its camera sees them, contrast over both thresholds and stiffness."""
     source = tmp_path / "mine.sensor.toml"
     source.write_text(
-        'like = "evetac"\nlog_contrast = 1.5\nthreshold = 0.25\nthreshold_off = 0.3\ndistortion = [-0.05, 0.0]\n'
+        'like = "evetac"\nshear_modulus_pa = 9e4\nlog_contrast = 1.5\nthreshold = 0.25\nthreshold_off = 0.3\n'
+        "distortion = [-0.05, 0.0]\n"
     )
     chosen = Calibrate(source=source)
     (job,) = calibrate.jobs([], chosen, tmp_path / "mine.json")
     outcome = calibrate.run(job, chosen)
     assert (outcome.rows[0]["dots"], outcome.rows[0]["gel"]) == (56, "cut")
     result = read_calibration(job.output)
-    assert result.contrast_over_threshold == pytest.approx((1.5 / 0.25 + 1.5 / 0.3) / 2)
+    assert result.sensitivity == pytest.approx(((1.5 / 0.25 + 1.5 / 0.3) / 2, 9e4))
     straight = gel_camera.dot_grid(sensor_row("evetac"), cut=True)
     moved_px = np.linalg.norm(result.dot_xy_px - straight, axis=2)
     assert moved_px.max() > 1.0  # in a corner; a straight lens would leave all in place

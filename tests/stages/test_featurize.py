@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.params.learning import Featurize, Track
 from evetac_cli.stages import featurize, track
@@ -29,16 +29,18 @@ def test_directions_are_the_displacement(made: Made) -> None:
     np.testing.assert_allclose(np.linalg.norm(result, axis=2), length, atol=1e-4)
 
 
-def test_contrast_over_threshold_is_of_the_recording_or_of_the_tracks(made: Made, tmp_path: Path) -> None:
+def test_sensitivity_is_of_the_recording_or_of_the_tracks(made: Made, tmp_path: Path) -> None:
     """Assert that features hold what a simulation knows, or what the calibration says that tracks were made with."""
     path = made.recordings[0]
     with StageFile(made.beside(path, "features")) as features, open_recording(path) as recording:
-        assert (
-            features.read("contrast_over_threshold") == recording.contrast_over_threshold == pytest.approx(8.06, 0.01)
-        )
+        assert features.sensitivity == recording.sensitivity == pytest.approx((8.06, 145e3), rel=0.01)
         dots, radius_px, window_px = recording.dot_xy_px, recording.dot_radius_px, recording.window_px
     table = {"frame_px": [640, 480], "radius_px": radius_px, "window_px": list(map(int, window_px or ()))}
-    table |= {"dot_xy_px": np.asarray(dots).tolist(), "contrast_over_threshold": 5.5}
+    table |= {
+        "dot_xy_px": np.asarray(dots).tolist(),
+        "contrast_over_threshold": 5.5,
+        "shear_modulus_pa": 2 * SHEAR_MODULUS_PA,
+    }
     grid = tmp_path / "grid.json"
     grid.write_text(json.dumps(table))
     (job,) = track.jobs([path], Track(calibration=grid), tmp_path)
@@ -48,10 +50,10 @@ def test_contrast_over_threshold_is_of_the_recording_or_of_the_tracks(made: Made
     featurize.run(job, chosen)
     ours, paper = ARCHITECTURES["disp-xy"], ARCHITECTURES["fast-slow"]
     with StageFile(job.output) as features:
-        assert features.read("contrast_over_threshold") == 5.5
-        seen, plain = (read_series(features, each)[..., 1] for each in (ours, paper))
-    np.testing.assert_allclose(seen, 8.0 / 5.5 * plain, rtol=1e-6)
-    assert plain.max() > 1.0
+        assert features.sensitivity == (5.5, 2 * SHEAR_MODULUS_PA)
+        seen, plain = (read_series(features, each)[..., :2] for each in (ours, paper))
+    np.testing.assert_allclose(seen, plain * (2.0, 2.0 * EVENTS_A_RIM / 5.5), rtol=1e-6)
+    assert (plain.max(axis=(0, 1)) > 1.0).all()
 
 
 def test_images_are_the_event_images_of_the_gel(made: Made, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError
+from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.store import schema
 from evetac_cli.store.calibration import (
     Calibration,
@@ -113,13 +114,13 @@ def test_written_is_read(tmp_path: Path) -> None:
     dots = GRID + np.random.default_rng(0).uniform(-3, 3, GRID.shape)
     dots[1, 1] = np.nan
     path = tmp_path / "new" / "grid.json"
-    for window, ratio in ((None, 7.25), ((540, 0, 640, 480), None)):
-        calibration = Calibration((640, 480), dots, 14.4321, window, ratio)
+    for window, sensor in ((None, Sensitivity(7.25, 1.5e5)), ((540, 0, 640, 480), UNKNOWN)):
+        calibration = Calibration((640, 480), dots, 14.4321, window, sensor)
         write_calibration(path, calibration, [[1], [0]], {"a_px": 1.0}, {"id": "x"}, "x")
         again = read_calibration(path)
         np.testing.assert_allclose(again.dot_xy_px, dots, atol=5.1e-4)
         assert again.window_px == window
-        assert again.contrast_over_threshold == ratio
+        assert again.sensitivity == sensor
         assert again.dot_radius_px == 14.432
         assert read_quality(path) == {"a_px": 1.0}
     assert [file.name for file in path.parent.iterdir()] == ["grid.json"]
@@ -205,6 +206,7 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "ratio zero": ({**GOOD, "contrast_over_threshold": 0}, "contrast_over_threshold is not valid"),
     "ratio too large": ({**GOOD, "contrast_over_threshold": 1e9}, "contrast_over_threshold is not valid"),
     "ratio of truth": ({**GOOD, "contrast_over_threshold": True}, "contrast_over_threshold is not valid"),
+    "modulus too small": ({**GOOD, "shear_modulus_pa": -1.0}, "shear_modulus_pa is not valid"),
     "rows of others": ({**GOOD, "rows": 4, "columns": 3}, "rows and columns do not fit"),
     "rows alone": ({**GOOD, "rows": 3}, "rows and columns do not fit"),
     "mask of one": ({**GOOD, "mask": True}, "expected a mask of 3 rows"),

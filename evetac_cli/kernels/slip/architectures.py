@@ -11,8 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.sensitivity import Sensitivity
+
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
-EVENTS_A_RIM = 8.0  # of a pixel as a dot's rim passes it: log contrast over threshold of the sensor `evetac`
+# Of the sensor `evetac`, to which others are scaled: events of a pixel as a dot's rim passes it, and of its gel.
+EVENTS_A_RIM = 8.0
+SHEAR_MODULUS_PA = 145e3
 GEL_PX = (540, 480)  # width and height of an event image: the frame without the window strip
 
 # Widths that are the same in all rows of the paper's table.
@@ -45,6 +49,13 @@ class View(NamedTuple):
         return max(self.recent, self.block * self.means)
 
 
+class Factors(NamedTuple):
+    """What the features of a dot are multiplied by: displacements (distance, x, y), and events."""
+
+    displacement: float = 1.0
+    events: float = 1.0
+
+
 @dataclass(frozen=True)
 class DotArchitecture:
     """A network that encodes each dot, then looks at their grid: a row of the paper's table, or one of our own."""
@@ -54,9 +65,10 @@ class DotArchitecture:
     fc1: int  # widths of the two layers that encode a dot
     fc2: int
     every: int = 1  # slices from one prediction to the next; held in between
-    # Whether events are counted as by a camera of EVENTS_A_RIM, where contrast and threshold of the sensor are known:
-    # a camera of half the threshold gives twice the events for the same motion. The paper's models count what there is.
-    like_one_camera: bool = False
+    # Whether displacements and events are scaled to those of one sensor, as far as the sensor's own figures are known:
+    # a gel of half the modulus moves twice as far under the same force, and a camera of half the threshold gives twice
+    # the events for the same motion. The paper's models take what there is.
+    like_one_sensor: bool = False
 
     def __post_init__(self) -> None:
         channels = [view.channel for view in self.views]
@@ -97,11 +109,13 @@ class DotArchitecture:
         """How much of a trajectory after its onset is trained on."""
         return _train_cut_ms(self.history)
 
-    def events_factor(self, contrast_over_threshold: float | None) -> float:
-        """What the events of each dot are multiplied by; contrast over threshold of the sensor, None if unknown."""
-        if not self.like_one_camera or contrast_over_threshold is None:
-            return 1.0
-        return EVENTS_A_RIM / contrast_over_threshold
+    def factors(self, sensor: Sensitivity) -> Factors:
+        """What the features of a sensor are multiplied by."""
+        if not self.like_one_sensor:
+            return Factors()
+        stiffer = 1.0 if sensor.shear_modulus_pa is None else sensor.shear_modulus_pa / SHEAR_MODULUS_PA
+        ratio = sensor.contrast_over_threshold
+        return Factors(stiffer, stiffer if ratio is None else stiffer * EVENTS_A_RIM / ratio)
 
 
 @dataclass(frozen=True)
@@ -236,7 +250,7 @@ ARCHITECTURES: dict[str, Architecture] = {
             ),
             fc1=24,
             fc2=8,
-            like_one_camera=True,
+            like_one_sensor=True,
         ),
     )
 }

@@ -6,6 +6,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip import features, inputs
 from evetac_cli.kernels.slip.architectures import GEL_PX, Architecture, DotArchitecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
@@ -73,21 +74,21 @@ class Live:
         detector: Detector,
         rest_xy_px: NDArray[np.floating],
         window_px: tuple[int, int, int, int] | NDArray[np.int32] | None,
-        contrast_over_threshold: float | None = None,
+        sensor: Sensitivity = UNKNOWN,
     ) -> None:
         """Start before the first slice; dots at rest (n, 2) in px, and the window (x0, y0, x1, y1) or None.
 
-        contrast_over_threshold: of the sensor, None if unknown.
+        sensor: what is known of it.
         """
         self.detector = detector
         self.slices = 0
         self._probability = float("nan")
         self._window_px = window_px
         architecture = detector.architecture
-        history, factor = architecture.history, 1.0
+        history, factors = architecture.history, features.UNSCALED
         if isinstance(architecture, DotArchitecture):
-            factor = architecture.events_factor(contrast_over_threshold)
-        self._dots = features.start(rest_xy_px, history, factor)
+            factors = architecture.factors(sensor)
+        self._dots = features.start(rest_xy_px, history, factors)
         self._newest = np.array([history - 1])
         if isinstance(architecture, DotArchitecture):
             self._views = inputs.view_table(architecture.views)

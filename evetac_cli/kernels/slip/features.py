@@ -26,16 +26,18 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.records import check_record
-from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX
+from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX, Factors
 
 DOT_CAPACITY = MOST_DOTS  # dots that a state has room for
 HISTORY_CAPACITY = 128  # slices
+UNSCALED = Factors()
 
 STATE = np.dtype(
     [
         ("dots", np.int64),  # n
         ("history", np.int64),  # slices that `latest` gives
         ("slices", np.int64),  # taken so far
+        ("displacement_factor", np.float32),
         ("events_factor", np.float64),
         ("rest_xy_px", np.float64, (DOT_CAPACITY, 2)),  # the first n rows are used
         # (2 * history, n, channels), flat: every slice is written twice, `history` rows apart, so that the last slices
@@ -79,11 +81,11 @@ class FeatureState:
         return self.slices >= self.history
 
 
-def start(rest_xy_px: NDArray[np.floating], history: int, events_factor: float = 1.0) -> FeatureState:
+def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNSCALED) -> FeatureState:
     """Begin collecting features of dots whose places at rest are rest_xy_px, (n, 2), NaN for a missing dot.
 
-    events_factor: what the events of each dot are multiplied by. ValueError if the places are infinite, of another
-    shape or more than DOT_CAPACITY, or if history is not from 1 to HISTORY_CAPACITY.
+    factors: what the features are multiplied by. ValueError if the places are infinite, of another shape or more than
+    DOT_CAPACITY, or if history is not from 1 to HISTORY_CAPACITY.
     """
     rest = _checked_rest(rest_xy_px)
     if len(rest) > DOT_CAPACITY:
@@ -91,7 +93,8 @@ def start(rest_xy_px: NDArray[np.floating], history: int, events_factor: float =
     if not 1 <= history <= HISTORY_CAPACITY:
         raise ValueError(f"history: expected 1 to {HISTORY_CAPACITY} slices, found {history}")
     record = np.zeros(1, STATE)
-    record["dots"], record["history"], record["events_factor"] = len(rest), history, events_factor
+    record["dots"], record["history"] = len(rest), history
+    record["displacement_factor"], record["events_factor"] = factors
     record["rest_xy_px"][0, : len(rest)] = rest
     # Compiles or loads the kernel now and not in the first slice; on a copy, which is no slice.
     _step(record.copy(), rest, np.zeros(len(rest), np.int32))
@@ -125,22 +128,22 @@ def series(
     displacement_px: NDArray[np.float32],
     events_per_dot: NDArray[np.integer],
     displacement_xy_px: NDArray[np.float32] | None = None,
-    events_factor: float = 1.0,
+    factors: Factors = UNSCALED,
 ) -> NDArray[np.float32]:
     """All channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
 
-    Without displacement_xy_px its two channels are 0; the events are multiplied by events_factor. ValueError where
-    the shapes differ.
+    Without displacement_xy_px its two channels are 0; all are multiplied by factors. ValueError where the
+    shapes differ.
     """
     if displacement_px.ndim != 2 or displacement_px.shape != events_per_dot.shape:
         raise ValueError(f"expected (slices, n) twice, found {displacement_px.shape} and {events_per_dot.shape}")
     result = np.zeros((*displacement_px.shape, len(CHANNELS)), np.float32)
-    result[..., 0] = displacement_px
-    result[..., 1] = events_factor * events_per_dot
+    result[..., 0] = factors.displacement * displacement_px
+    result[..., 1] = factors.events * events_per_dot
     if displacement_xy_px is not None:
         if displacement_xy_px.shape != (*displacement_px.shape, 2):
             raise ValueError(f"expected {(*displacement_px.shape, 2)}, found {displacement_xy_px.shape}")
-        result[..., 2:] = displacement_xy_px
+        result[..., 2:] = factors.displacement * displacement_xy_px
     return result
 
 
@@ -326,15 +329,16 @@ def _offsets(
 @njit(cache=True)
 def _step(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
     state = record[0]
-    dots, history, factor = state["dots"], state["history"], state["events_factor"]
+    dots, history = state["dots"], state["history"]
+    moved, counted = state["displacement_factor"], state["events_factor"]
     rest_xy_px, ring = state["rest_xy_px"][:dots], state["ring"][:]
     row = state["slices"] % history
     first, again = row * dots * len(CHANNELS), (row + history) * dots * len(CHANNELS)
     for i in range(dots):
         x_px, y_px, rest_x_px, rest_y_px = dot_xy_px[i, 0], dot_xy_px[i, 1], rest_xy_px[i, 0], rest_xy_px[i, 1]
-        distance = _distance(x_px, y_px, rest_x_px, rest_y_px)
-        events = np.float32(factor * events_per_dot[i])
-        right, down = _offset(x_px, rest_x_px), _offset(y_px, rest_y_px)
+        distance = moved * _distance(x_px, y_px, rest_x_px, rest_y_px)
+        events = np.float32(counted * events_per_dot[i])
+        right, down = moved * _offset(x_px, rest_x_px), moved * _offset(y_px, rest_y_px)
         for k in (first, again):
             ring[k], ring[k + 1], ring[k + 2], ring[k + 3] = distance, events, right, down
         first += len(CHANNELS)

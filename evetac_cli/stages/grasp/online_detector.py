@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip.control import SlipSignal
+from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.tracking import tracker
@@ -65,15 +66,15 @@ class OnlineSlipDetector:
         dot_xy_px: NDArray[np.float64],
         window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
         constants: tracker.TrackerConstants,
-        contrast_over_threshold: float | None = None,
+        sensor: Sensitivity = UNKNOWN,
     ) -> "OnlineSlipDetector":
         """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid.
 
-        contrast_over_threshold: of the sensor, None if unknown.
+        sensor: what is known of it.
         """
         known = dots_for(model, dot_xy_px)
         rest = dot_xy_px.reshape(-1, 2)
-        live = Live(load_detector(model), rest[known], window_px, contrast_over_threshold)
+        live = Live(load_detector(model), rest[known], window_px, sensor)
         missing = np.isnan(rest[:, 0])
         return cls(
             tracker.start(rest, constants),

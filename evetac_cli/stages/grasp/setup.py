@@ -9,6 +9,7 @@ from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control
+from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import scene
@@ -57,8 +58,8 @@ def open_detector(
     """The detector of a model, for a sensor with these datasets `sensor/...`, with a threshold other than its own."""
     constants = tracker.PRESETS[preset].for_dots(float(sensor["sensor/dot_radius_px"]))
     window_px = sensor.get("sensor/window_px")
-    ratio = sensor.get("sensor/contrast_over_threshold")
-    known = None if ratio is None else float(ratio)
+    named = {name: f"sensor/{name}" for name in Sensitivity._fields}
+    known = Sensitivity(**{name: float(sensor[path]) for name, path in named.items() if path in sensor})
     detector = OnlineSlipDetector.start(model, sensor["sensor/dot_xy_px"], window_px, constants, known)
     detector.threshold = slip_threshold
     return detector

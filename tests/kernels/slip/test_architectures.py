@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
+from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     EVENTS_A_RIM,
+    SHEAR_MODULUS_PA,
     Architecture,
     DotArchitecture,
     ImageArchitecture,
@@ -60,14 +62,16 @@ def test_train_cut_follows_history(row: Architecture) -> None:
     assert row.train_cut_ms == {1: 15, 10: 15, 20: 20, 50: 50}[row.history]
 
 
-def test_events_are_counted_as_by_one_camera() -> None:
-    """Assert that a camera of half the threshold counts half its events; unknown ones and the paper's models all."""
+def test_features_are_scaled_to_one_sensor() -> None:
+    """Assert that half the threshold counts half its events and that half the modulus moves half as far."""
     ours, paper = ARCHITECTURES["disp-xy"], ARCHITECTURES["fast-slow"]
     assert isinstance(ours, DotArchitecture)
     assert isinstance(paper, DotArchitecture)
-    assert ours.events_factor(EVENTS_A_RIM) == 1.0
-    assert ours.events_factor(2 * EVENTS_A_RIM) == 0.5
-    assert ours.events_factor(None) == paper.events_factor(2 * EVENTS_A_RIM) == 1.0
+    assert ours.factors(Sensitivity(EVENTS_A_RIM, SHEAR_MODULUS_PA)) == (1.0, 1.0)
+    assert ours.factors(Sensitivity(2 * EVENTS_A_RIM)) == (1.0, 0.5)
+    assert ours.factors(Sensitivity(None, SHEAR_MODULUS_PA / 2)) == (0.5, 0.5)
+    assert ours.factors(Sensitivity(2 * EVENTS_A_RIM, SHEAR_MODULUS_PA / 2)) == (0.5, 0.25)
+    assert ours.factors(UNKNOWN) == paper.factors(Sensitivity(2 * EVENTS_A_RIM, 2 * SHEAR_MODULUS_PA)) == (1.0, 1.0)
 
 
 def test_columns_of_a_channel() -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import features
+from evetac_cli.kernels.slip.architectures import Factors
 from evetac_cli.kernels.slip.features import DOT_CAPACITY, HISTORY_CAPACITY, STATE, FeatureState
 
 REST = np.array([[100.0, 50.0], [200.0, 50.0], [np.nan, np.nan]])
@@ -74,12 +75,14 @@ def test_live_equals_recording(seed: int, history: int, n: int) -> None:
     slices = 2 * history + 3
     rest, tracks, events = recording(seed, slices, n)
     stored = tracks.astype(np.float32)
-    factor = 8.0 / 7.3 if seed % 2 else 1.0
+    factors = Factors(1.2, 8.0 / 7.3) if seed % 2 else Factors()
     distance, across = features.displacement(stored, rest), features.displacement_xy(stored, rest)
-    expected = features.series(distance, events, across, factor)
+    expected = features.series(distance, events, across, factors)
     assert expected.shape == (slices, n, 4)
-    np.testing.assert_allclose(expected[..., 1], factor * events, rtol=1e-6)
-    state = features.start(rest, history, factor)
+    np.testing.assert_allclose(expected[..., 1], factors.events * events, rtol=1e-6)
+    np.testing.assert_allclose(expected[..., 0], factors.displacement * distance, rtol=1e-6)
+    np.testing.assert_allclose(expected[..., 2:], factors.displacement * across, rtol=1e-6)
+    state = features.start(rest, history, factors)
     for k in range(slices):
         features.step(state, tracks[k], events[k])
         assert state.full == (k >= history - 1)

@@ -1,0 +1,27 @@
+"""What makes two sensors answer the same contact differently, as far as it is known of them."""
+
+from typing import NamedTuple
+
+
+class Sensitivity(NamedTuple):
+    """Figures of one sensor, as `evetac identify` tells them; None where one is not known.
+
+    contrast_over_threshold: log contrast of a dot over the camera's threshold, so the events that a pixel gives as the
+    rim of a dot passes it. shear_modulus_pa: of the gel; under the same force a gel of twice the modulus moves half as
+    far. Stage files hold them as datasets of these names, calibration files as keys.
+
+    >>> import evetac_cli as evetac
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     evetac.Sensitivity(shear_modulus_pa=9e4).known(), sorted(recording.sensitivity.known())
+    ({'shear_modulus_pa': 90000.0}, ['contrast_over_threshold', 'shear_modulus_pa'])
+    """
+
+    contrast_over_threshold: float | None = None
+    shear_modulus_pa: float | None = None
+
+    def known(self) -> dict[str, float]:
+        """The figures that are known, by name."""
+        return {name: value for name, value in self._asdict().items() if value is not None}
+
+
+UNKNOWN = Sensitivity()
