@@ -22,11 +22,12 @@ from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, Row, sensor_text
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import open_recording
 
 OUTPUT = "sensor"
 METHOD = 3
+UNKNOWN = "unknown"  # the sensor of an imported recording
 
 
 def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
@@ -45,18 +46,7 @@ def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
 
 def run(job: Job, params: Identify, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Estimate what the recordings tell, print it as a table, and write the sensor's file."""
-    headers = []
-    for path in job.inputs:
-        with open_recording(path) as recording:
-            headers.append(recording.header)
-            if recording.frame_px != FRAME_PX:
-                raise InputError(
-                    "another frame than that of a sensor which can be simulated",
-                    where=str(path),
-                    expected="{} x {} px".format(*FRAME_PX),
-                    found="{} x {} px".format(*recording.frame_px),
-                )
-    recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(headers))
+    recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=_headers(job.inputs))
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
     like = scene.sensor_row(params.like)
@@ -96,9 +86,59 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     text = sensor_text(params.name, params.like, values, recipe, [path.name for path in job.inputs])
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
         temporary.write_text(text)
-        sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written
+        try:
+            sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written
+        except InputError as error:
+            raise InputError(
+                f"what is estimated is no sensor that can be simulated: {error.message}",
+                where=", ".join(map(str, job.inputs)),
+                expected=error.expected,
+                found=error.found,
+                hint=error.hint,
+            ) from None
     summary = {"sensor": str(job.output), "status": "made", "all_other_keys": f"as in {params.like}; {NOT_ESTIMATED}"}
+    if unused := _unused(job.inputs, rows):
+        summary["nothing_is_taken_from"] = ", ".join(unused)
     return Outcome(table(rows), recipe.simulated, summary)
+
+
+def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
+    """Headers of the recordings; InputError unless each comes once and all may be of one sensor that can be simulated.
+
+    A recording that was imported does not know its sensor.
+    """
+    headers: dict[str, tuple[Path, Header]] = {}
+    sensors: dict[tuple[str, bool], Path] = {}
+    for path in paths:
+        with open_recording(path) as recording:
+            header, frame_px, name = recording.header, recording.frame_px, str(recording.read("sensor/name"))
+        if frame_px != FRAME_PX:
+            raise InputError(
+                "another frame than that of a sensor which can be simulated",
+                where=str(path),
+                expected="{} x {} px".format(*FRAME_PX),
+                found="{} x {} px".format(*frame_px),
+            )
+        if header["id"] in headers:
+            other = f"the same events as {headers[header['id']][0]}"
+            raise InputError("a recording is given twice", where=str(path), expected="each once", found=other)
+        headers[header["id"]] = path, header
+        sensors.setdefault((name, header["simulated"]), path)
+    known = {name for name, _ in sensors} - {UNKNOWN}
+    if len(known) > 1 or len({simulated for _, simulated in sensors}) > 1:
+        found = "; ".join(
+            f"{name}{' (simulated)' if simulated else ''} in {path.name}" for (name, simulated), path in sensors.items()
+        )
+        raise InputError(
+            "recordings of different sensors", where=str(paths[0]), expected="recordings of one sensor", found=found
+        )
+    return tuple(header for _, header in headers.values())
+
+
+def _unused(paths: Sequence[Path], rows: Sequence[Row]) -> list[str]:
+    """Names of the recordings that no estimate comes from."""
+    sources = "".join(f", {row.source}, " for row in rows if row.estimate is not None)
+    return [path.name for path in paths if f", {path.name}, " not in sources]
 
 
 def _printed(sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:

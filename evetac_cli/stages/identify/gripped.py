@@ -60,7 +60,7 @@ class Weight(NamedTuple):
 class Gripped:
     """What one recording tells; each part is None where it does not.
 
-    misfits: why the drive, the modulus or creep cannot be told though it was fitted.
+    misfits: why the drive, the weight as a whole, or of it the modulus or creep cannot be told.
     """
 
     source: str
@@ -96,8 +96,8 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
         delay, jitter = latency.delay_and_jitter(between_ms)
     try:
         fitted = drive.fit(rows)
-    except ValueError:  # it does not close on something and open again
-        return Gripped(source, delay_ms=delay, jitter_ms=jitter)
+    except ValueError as error:  # it does not close on something and open again
+        return Gripped(source, delay_ms=delay, jitter_ms=jitter, misfits={"drive": _why(source, error)})
     known: DriveFit | None = fitted
     misfits = {}
     if fitted.residual_ticks > MOST_OFF_TICKS:
@@ -109,6 +109,11 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
             noise = encoder.noise(fitted.rests)
     weight, of_weight = _weight(recording, rows, known, mm_per_px)
     return Gripped(source, known, noise, delay, jitter, None, weight, misfits | of_weight)
+
+
+def _why(source: str, reason: object) -> str:
+    """Why a recording does not tell what one of a grip would."""
+    return f"cannot be told from {source}: {reason}; make one as of the scene grip-steps (docs/identify.md)"
 
 
 def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
@@ -135,11 +140,15 @@ def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> 
 def _weight(
     recording: Recording, rows: GripperRows, fitted: DriveFit | None, mm_per_px: float
 ) -> tuple[Weight | None, dict[str, str]]:
-    """How the gel takes over the weight of what the gripper holds, None where no weight comes on; and bad fits."""
+    """How the gel takes over the weight of what the gripper holds, None where no weight comes on; and why not."""
+    source = recording.path.name
     first_ms, last_ms = _longest_hold(rows)
     last_ms = min(last_ms, len(recording))
-    if last_ms - first_ms < SHORTEST_HOLD_MS or recording.dot_xy_px is None:
-        return None, {}
+    if recording.dot_xy_px is None or recording.dot_radius_px is None:
+        return None, {"weight": f"cannot be told from {source}: it has no dot grid; record with --calibration"}
+    if last_ms - first_ms < SHORTEST_HOLD_MS:
+        held = f"no current is commanded for {SHORTEST_HOLD_MS / 1000:g} s"
+        return None, {"weight": _why(source, held)}
     try:
         moved_px = _tracked(recording)
         along, came_ms, loaded_ms = _loading(moved_px[first_ms:last_ms])
@@ -161,8 +170,8 @@ def _weight(
         seen = _seen_motion(recording, moved_px, came_ms - AROUND_MS // 3, end_ms)[AROUND_MS // 3 :]
         both = displacement_m[came_ms:end_ms] / displacement_m[end_ms - 500 : end_ms].mean() + seen / seen[-500:].mean()
         creep = held_gel.creep(*_thinned(both[loaded_ms:] / 2), loaded_ms * 1e-3)
-    except ValueError:  # nothing moves as a held object does
-        return None, {}
+    except ValueError as error:  # nothing moves as a held object does
+        return None, {"weight": _why(source, error)}
     misfits = _misfits(held, creep)
     modulus_pa = GRAVITY_M_S2 / PADS / (creep.final * held.displacement_m * held.stiffness_m)
     slips_ms = _slips(displacement_m[last_ms:])

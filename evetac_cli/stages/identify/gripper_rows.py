@@ -168,7 +168,7 @@ def _gel(
     values: dict[str, Entry] = {}
     modulus = friction = factor = total = None
     mass_kg = None if known.object_mass_g is None else 1e-3 * known.object_mass_g
-    whys = [MAKE_GRIP] * 4
+    whys = [misfits.get("weight", misfits.get("drive", MAKE_GRIP))] * 4
     if weights:
         whys = [misfits.get("modulus", NO_MASS), misfits.get("creep", NO_CREEP), NO_MASS, NO_MASS]
     crept = [(source, one.creep) for source, one in weights if one.creep is not None]
@@ -190,7 +190,7 @@ def _gel(
         values["shear_modulus_pa"] = Entry(modulus.value, modulus, source)
         whys[0] = source
     if weights and mass_kg is not None:
-        whys[2:] = [MAKE_SLIP] * 2
+        whys[2:] = [misfits.get("drive", MAKE_SLIP)] * 2
         slipped = [(source, one.weight_per_ma * mass_kg) for source, one in weights if one.weight_per_ma is not None]
         if slipped:
             friction = _friction([per_ma for _, per_ma in slipped])

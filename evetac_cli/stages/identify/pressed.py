@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import dot_search, grid
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.kernels.identify import distortion, dots, mismatch, polarity, rim, stroke_events
@@ -110,7 +109,7 @@ def find(
         ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
         off_over_on = ratio.off_over_on.value if ratio else 1.0
         optics = dots.optics(fitted, events.kept_share, off_over_on, noise_hz, rng)
-    except (InputError, ValueError):  # nothing was pressed, or too little
+    except ValueError:  # nothing was pressed, or too little
         return None
     whole = optics.contrast_over_threshold.value
     is_apart = ratio is not None and (ratio.mismatch.low > APART or ratio.mismatch.value > 1.5 * APART)
