@@ -12,6 +12,7 @@ other second of the real one against the seconds between.
 
 import functools
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -168,7 +169,10 @@ def _side(recording: Recording) -> Side:
     motion = _phase(recording, moving) if whole else None
     log_contrast = float(scene.sensor_row("evetac")["log_contrast"])
     noise_hz = 0.0 if rest is None else _at_rest(rest, recording.frame_px)[0]["ordinary_hz"]
-    press = pressed.find(recording, log_contrast, None, noise_hz, np.random.default_rng(0)) if motion else None
+    press = None
+    if motion is not None:
+        with suppress(ValueError):  # no dots were stroked
+            press = pressed.find(recording, log_contrast, None, noise_hz, np.random.default_rng(0))
     return Side(recording.path.name, rest, motion, press)
 
 
@@ -192,9 +196,11 @@ def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
     return first, second
 
 
-def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase:
-    """Pieces of a recording one after the other, up to MOST_EVENTS."""
-    parts, counts, slices, held = [], [], 0, 0
+def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase | None:
+    """Pieces of a recording one after the other, up to MOST_EVENTS; None where the first slice has more."""
+    parts: list[Events] = []
+    counts: list[Counts] = []
+    slices, held = 0, 0
     for first, end in pieces:
         room = recording.starts[first] + MOST_EVENTS - held
         stop = min(end, int(np.searchsorted(recording.starts, room, side="right")) - 1)
@@ -205,7 +211,7 @@ def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase:
         counts.append(np.diff(recording.starts[first : stop + 1]))
         slices += stop - first
         held += events.size
-    return Phase(concatenate(parts), np.concatenate(counts).astype(np.int64))
+    return Phase(concatenate(parts), np.concatenate(counts).astype(np.int64)) if parts else None
 
 
 def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:

@@ -66,15 +66,19 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
         progress(number + 1, steps)
     rest = max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None)
     noise_hz = rest.noise.noise_hz.value if rest else 0.0
-    presses = []
+    presses, no_press = [], {}
     for number, (path, press_rng) in enumerate(others):
         with open_recording(path) as recording:
-            presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
+            try:
+                presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
+            except ValueError as error:
+                no_press[recording.event_count] = f"{path.name}: {error}"
         progress(len(job.inputs) + number + 1, steps)
     progress(steps, steps)
     rows, values = at_rest.rows(rest)
-    best = max((one for one in presses if one), key=lambda one: one.dots, default=None)
-    more_rows, more = pressed.rows(best, log_contrast)
+    best = max(presses, key=lambda one: one.dots, default=None)
+    why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events: a press has them
+    more_rows, more = pressed.rows(best, log_contrast, why_none)
     rows, values = rows + more_rows, more | values
     known = gripper_rows.Known(
         params.object_mass_g, params.object_friction, params.force_per_current, params.pixel_mm is not None

@@ -147,8 +147,7 @@ def _weight(
     if recording.dot_xy_px is None or recording.dot_radius_px is None:
         return None, {"weight": f"cannot be told from {source}: it has no dot grid; record with --calibration"}
     if last_ms - first_ms < SHORTEST_HOLD_MS:
-        held = f"no current is commanded for {SHORTEST_HOLD_MS / 1000:g} s"
-        return None, {"weight": _why(source, held)}
+        return None, {"weight": _why(source, f"no current is commanded for {SHORTEST_HOLD_MS / 1000:g} s")}
     try:
         moved_px = _tracked(recording)
         along, came_ms, loaded_ms = _loading(moved_px[first_ms:last_ms])

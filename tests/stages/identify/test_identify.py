@@ -280,7 +280,12 @@ def test_a_press_takes_the_noise_of_the_longest_rest(
 ) -> None:
     """Assert that dots are looked for in all recordings with one noise, that of the table."""
     taken = []
-    monkeypatch.setattr(identify.pressed, "find", lambda *given: taken.append(given[3]))
+
+    def found(*given: object) -> None:
+        taken.append(given[3])
+        raise ValueError("no dots")
+
+    monkeypatch.setattr(identify.pressed, "find", found)
     rows, _ = identified([recorded(tmp_path, seed=1, name="other"), resting], tmp_path)
     assert taken == [rows["noise_hz"]["estimate"]] * 2
 
@@ -289,3 +294,4 @@ def test_a_press_is_asked_for(resting: Path, tmp_path: Path) -> None:
     """Assert that without a press the rows of dots say how to make one."""
     rows, _ = identified([resting], tmp_path)
     assert "strokes the whole gel" in rows["dot_radius_px"]["from"] and rows["dot_radius_px"]["estimate"] is None
+    assert "cannot be told from rest.recording.h5: " in rows["dot_radius_px"]["from"]
