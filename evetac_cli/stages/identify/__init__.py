@@ -23,11 +23,10 @@ from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, Row, se
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 from evetac_cli.store.provenance import Header, Recipe
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.read import UNKNOWN_SENSOR, open_recording
 
 OUTPUT = "sensor"
 METHOD = 3
-UNKNOWN = "unknown"  # the sensor of an imported recording
 
 
 def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
@@ -128,7 +127,7 @@ def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
             raise InputError("a recording is given twice", where=str(path), expected="each once", found=other)
         headers[header["id"]] = path, header
         sensors.setdefault((name, header["simulated"]), path)
-    known = {name for name, _ in sensors} - {UNKNOWN}
+    known = {name for name, _ in sensors} - {UNKNOWN_SENSOR}
     if len(known) > 1 or len({simulated for _, simulated in sensors}) > 1:
         found = "; ".join(
             f"{name}{' (simulated)' if simulated else ''} in {path.name}" for (name, simulated), path in sensors.items()
