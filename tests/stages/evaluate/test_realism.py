@@ -142,9 +142,7 @@ def test_what_cannot_be_compared(same: tuple[Path, Path], tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.glob("*.report.h5")] == []
 
 
-def test_a_slice_with_too_many_events(
-    same: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slice_with_too_many_events(same: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a phase whose first slice has more events than are looked at is none."""
     monkeypatch.setattr(realism, "MOST_EVENTS", 10)
     with pytest.raises(InputError, match="no phase in common"):
