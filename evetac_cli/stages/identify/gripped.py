@@ -60,7 +60,7 @@ class Weight(NamedTuple):
 class Gripped:
     """What one recording tells; each part is None where it does not.
 
-    misfits: why the drive, the weight as a whole, or of it the modulus or creep cannot be told.
+    misfits: why the drive, the gain, the weight as a whole, or of it the modulus or creep cannot be told.
     """
 
     source: str
@@ -89,7 +89,11 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
     if not (len(rows.time_us) and np.isfinite(rows.measured_ma).all()):
         return None
     if not np.isfinite(recording.read("gripper/current_target_ma")).all():  # commanded by goals: a grasp
-        return Gripped(source, gain_ma_tick=_gain(recording, rows, rng))
+        try:
+            return Gripped(source, gain_ma_tick=_gain(recording, rows, rng))
+        except ValueError as error:
+            why = f"cannot be told from {source}: {error}; make one with evetac grasp --controller fixed:6"
+            return Gripped(source, misfits={"gain": why})
     delay = jitter = noise = None
     between_ms = latency.lateness(rows.time_us, rows.commanded_ma, rows.measured_ma, STEP_MS)
     with suppress(ValueError):  # too few commands
@@ -123,18 +127,15 @@ def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
     return tells, Gripped("", **{part: getattr(one, part) for part, one in tells.items()})
 
 
-def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> Estimate | None:
-    """The servo's gain where the goals are recorded, as in a grasp."""
+def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> Estimate:
+    """The servo's gain where the goals are recorded, as in a grasp; ValueError where they are not, or tell nothing."""
     if not recording.has("control/goal_ticks"):
-        return None
+        raise ValueError("it holds no goals of the gripper")
     count = len(rows.time_us)
     goals, times = recording.read("control/goal_ticks")[:count], recording.read("control/t_us")[:count]
     if not np.array_equal(times, rows.time_us):
-        return None
-    try:
-        return servo.gain(rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng)
-    except ValueError:
-        return None
+        raise ValueError("its goals are of other times than its rows of the gripper")
+    return servo.gain(rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng)
 
 
 def _weight(

@@ -83,7 +83,8 @@ def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tup
         why = no_drive if part == "encoder_ticks" else MAKE_GRIP
         listed.append(Row(f"gripper.{key}", unit, estimate, why if estimate is None else source[part]))
     gain = known_parts.gain_ma_tick
-    listed.append(Row("gripper: servo gain", "mA/tick", gain, source.get("gain_ma_tick", MAKE_GRASP)))
+    gain_from = source.get("gain_ma_tick", misfits.get("gain", MAKE_GRASP))
+    listed.append(Row("gripper: servo gain", "mA/tick", gain, gain_from))
     given = known.force_per_current_n_ma
     scale = None if given is None else Estimate(given, given, given)
     listed.append(Row("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given"))
