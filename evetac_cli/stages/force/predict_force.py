@@ -80,13 +80,15 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
         "contact": contact.astype(np.uint8),
     }
     write_stage(job.output, recipe, arrays)
-    stiffness = "adapted" if model.adapted is not None else "known" if "shear_modulus_pa" in given else "unknown"
     return outcome(
         job,
         made=True,
         simulated=recipe.simulated,
         slices=len(contact),
-        stiffness=stiffness,
+        **{
+            f"{which}_modulus": "adapted" if model.adapted is not None else "known" if key in given else "unknown"
+            for which, key in gel_model.MODULI.items()
+        },
         contact_s=float(contact.sum() / 1000),
         **_most("shear_n", np.linalg.norm(estimated.forces.shear_n, axis=1), estimated.forces.shear_sd_n.max(axis=1)),
         **_most("normal_n", estimated.forces.normal_n, estimated.forces.normal_sd_n),

@@ -2,7 +2,7 @@
 
 What comes from which recording: the noise of the camera from the longest rest among them, dots and optics from the one
 that shows most dots moved, gripper and gel from those with rows of a gripper. What no recording tells keeps the value
-of the sensor that is named as its like.
+of the sensor that `--like` names.
 """
 
 from collections.abc import Mapping, Sequence
@@ -129,11 +129,11 @@ def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
         sensors.setdefault((name, header["simulated"]), path)
     known = {name for name, _ in sensors} - {UNKNOWN_SENSOR}
     if len(known) > 1 or len({simulated for _, simulated in sensors}) > 1:
-        found = "; ".join(
+        each = "; ".join(
             f"{name}{' (simulated)' if simulated else ''} in {path.name}" for (name, simulated), path in sensors.items()
         )
         raise InputError(
-            "recordings of different sensors", where=str(paths[0]), expected="recordings of one sensor", found=found
+            "recordings of different sensors", where=str(paths[0]), expected="recordings of one sensor", found=each
         )
     return tuple(header for _, header in headers.values())
 

@@ -3,7 +3,7 @@
 Widths of the intervals: what the fit leaves, and at least by how much simulated sensors (randomized:100 to 149) were
 off. Forces need a scale. The object's weight is one for the gel's shear; for the normal force there is none but the
 force per current that somebody measured: without it, all that hangs on it is told in current, and the file takes the
-force per current of the sensor that is named as its like, so that it closes, slips and lets go at the same currents.
+force per current of the sensor that `--like` names, so that it closes, slips and lets go at the same currents.
 """
 
 import math
@@ -93,7 +93,7 @@ def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tup
     listed += gel_rows
     listed += [Row("normal_modulus_pa", "Pa", None, BENDS), Row("loss_tangent", "", None, QUIET)]
     if keys or given is not None:
-        scale_from = "as given" if given is not None else "not estimated: as of the sensor that is named as its like"
+        scale_from = "as given" if given is not None else "not estimated: that of the sensor which like names"
         keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
         values["gripper"] = Entry(keys, None, "forces stand for the force per current below")
     return listed, values

@@ -281,11 +281,11 @@ def test_a_press_takes_the_noise_of_the_longest_rest(
     """Assert that dots are looked for in all recordings with one noise, that of the table."""
     taken = []
 
-    def found(*given: object) -> None:
+    def without_dots(*given: object) -> None:
         taken.append(given[3])
         raise ValueError("no dots")
 
-    monkeypatch.setattr(identify.pressed, "find", found)
+    monkeypatch.setattr(identify.pressed, "find", without_dots)
     rows, _ = identified([recorded(tmp_path, seed=1, name="other"), resting], tmp_path)
     assert taken == [rows["noise_hz"]["estimate"]] * 2
 
