@@ -24,8 +24,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.calibration import rest_image
-from evetac_cli.kernels.identify import figures
 from evetac_cli.kernels.identify.rest import check_still, find_hot
+from evetac_cli.kernels.realism import figures
 from evetac_cli.params.evaluation import EvaluateRealism
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim import scene

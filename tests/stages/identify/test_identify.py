@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.kernels.identify import figures
+from evetac_cli.kernels.realism import figures
 from evetac_cli.params.recording import Identify, Record, Trim
 from evetac_cli.sim import scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
