@@ -159,7 +159,7 @@ class Calibrate:
 class Identify:
     """Estimate a sensor from recordings (at rest, pressed, gripping); write it as TOML for --sensor, with intervals."""
 
-    like: str = parameter("evetac", "The sensor that has all which the recordings do not tell.")
+    like: str = parameter("evetac", "The sensor from which all is taken that the recordings do not tell.")
     name: str = parameter("own-sensor", "What recordings made with it call the sensor.")
     seed: int = parameter(0, "Seed of the bootstrap intervals.", low=0, high=2**31 - 1)
     object_mass_g: float | None = parameter(

@@ -1,4 +1,4 @@
-"""Refuses options of `record`, `grasp` and `train-force` that would have no effect: none is ignored silently."""
+"""Refuses options of recordings, grasps and force models that would have no effect: none is ignored silently."""
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import fields
@@ -8,7 +8,7 @@ from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import TrainForce
+from evetac_cli.params.learning import PredictForce, TrainForce
 from evetac_cli.params.parameter import flag_of
 from evetac_cli.params.recording import Record
 from evetac_cli.params.trials import SOLVER_OPTIONS
@@ -69,6 +69,15 @@ TRAIN_FORCE: dict[str, tuple[Training, ...]] = {
 }
 
 
+class Prediction(StrEnum):
+    """What options of a prediction of forces belong to."""
+
+    SENSOR = "a sensor of which something is known (--sensor)"
+
+
+PREDICT_FORCE: dict[str, tuple[Prediction, ...]] = {"stiffness_error": (Prediction.SENSOR,)}
+
+
 def refuse_unused_of_record(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> None:
     """InputError for an option of record that is not at its default and belongs to nothing that this run has."""
     _refuse(params, RECORD, _record_sources(params, cameras, gripper), _source_flags(params))
@@ -92,6 +101,11 @@ def refuse_unused_of_train_force(params: TrainForce) -> None:
     _refuse(params, TRAIN_FORCE, trainings, flags)
 
 
+def refuse_unused_of_predict_force(params: PredictForce) -> None:
+    """InputError for an option of predict-force that is not at its default and has no effect."""
+    _refuse(params, PREDICT_FORCE, set() if params.sensor is None else {Prediction.SENSOR}, "no --sensor")
+
+
 def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> set[Source]:
     if params.source is not None:
         return {Source.IMPORT}
@@ -108,7 +122,10 @@ def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: Nam
 
 
 def _refuse(
-    params: Record | Grasp | TrainForce, table: Mapping[str, tuple[StrEnum, ...]], parts: Set[StrEnum], flags: str
+    params: Record | Grasp | TrainForce | PredictForce,
+    table: Mapping[str, tuple[StrEnum, ...]],
+    parts: Set[StrEnum],
+    flags: str,
 ) -> None:
     for item in fields(params):
         belongs = table.get(item.name)

@@ -12,6 +12,7 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.store.files import StageFile
 
 BLOCK_SLICES = 1000
+UNKNOWN_SENSOR = "unknown"  # the name of the sensor of an imported recording
 
 
 class Recording(StageFile):

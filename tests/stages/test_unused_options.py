@@ -1,4 +1,4 @@
-"""No option of `record`, `grasp` and `train-force` is ignored without a word."""
+"""No option of `record`, `grasp`, `train-force` and `predict-force` is ignored without a word."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -9,10 +9,10 @@ import pytest
 from evetac_cli.devices.cameras import parse
 from evetac_cli.errors import InputError
 from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import TrainForce
+from evetac_cli.params.learning import PredictForce, TrainForce
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, record
-from evetac_cli.stages.force import train_force
+from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.stages.unused_options import (
     GRASP,
     RECORD,
@@ -142,6 +142,14 @@ def test_options_of_another_training(run: dict[str, Any], option: dict[str, Any]
     with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to .*{belongs}"):
         train_force.jobs([Path("a.tracks.h5")], TrainForce(**run, **option), None)
     assert {item.name for item in fields(TrainForce)} - set(TRAIN_FORCE) == {"adapt", "seed"}
+
+
+def test_the_error_of_a_stiffness_that_is_not_known() -> None:
+    """Assert that --stiffness-error needs the sensor whose stiffness it is of."""
+    files = [Path("a.tracks.h5")]
+    assert predict_force.jobs(files, PredictForce(sensor="evetac", stiffness_error=0.2), None)
+    with pytest.raises(InputError, match=r"^--stiffness-error: has no effect .* \(--sensor\)"):
+        predict_force.jobs(files, PredictForce(stiffness_error=0.2), None)
 
 
 def test_options_of_this_training() -> None:

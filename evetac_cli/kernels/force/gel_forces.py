@@ -133,7 +133,7 @@ def scale_of(gel: Stiffness) -> Scale:
 
 
 def predict(scale: Scale, errors: Errors, shear: Floats, normal: Floats) -> Forces:
-    """Forces from their terms: shear (n, 2, 4), normal (n, 2). The offsets are not added where nothing is known."""
+    """Forces from their terms: shear (n, 2, 4), normal (n, 2); NaN where these are. The normal force is 0 or more."""
     shear_n = np.einsum("nak,ak->na", shear, scale.shear)
     shear_variance = np.einsum("nak,akl,nal->na", shear, scale.shear_covariance, shear)
     modulus = scale.shear[:, 0]

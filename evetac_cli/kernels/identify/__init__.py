@@ -1,1 +1,1 @@
-"""Identify: what a simulator needs to know of a camera and its gel, estimated from events, each with an interval."""
+"""Identify: what a simulator needs to know of a camera, its gel and its gripper, from recordings, with intervals."""

@@ -160,6 +160,6 @@ def _row(
     law = intervals.two_exponentials(between_us, dead_us, step_us)
     room_us = LONGEST_SHARE * mean_us - dead_us
     short_us = law.short_us
-    if law.short_share * short_us > room_us:
+    if law.short_share > 0.0 and law.short_share * short_us > room_us:
         short_us = max(0.0, room_us / law.short_share)
     return rate.value, low, high, float(on), float(change), law.short_share, short_us

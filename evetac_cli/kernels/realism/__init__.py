@@ -1,1 +1,1 @@
-"""Realism: how far a simulated recording may be told from another one."""
+"""Realism: by which figures two recordings differ, and how well they can be told apart."""

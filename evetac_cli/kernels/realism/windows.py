@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import Events
-from evetac_cli.kernels.identify.figures import PixelEvents, spectrum, times_between
+from evetac_cli.kernels.realism.figures import BANDS_HZ, PixelEvents, spectrum, times_between
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +21,6 @@ BUSY_HZ = 20.0  # of a pixel at rest
 FEWEST_OF_PIXEL = 8  # events by which it is compared with its neighbours
 FEWEST_PIXELS = 200
 LAGS_PX = (2, 5)
-BANDS_HZ = (3, 10, 30, 100, 500)
 QUANTILES = (10, 50, 90)
 FEATURES = (
     "rest, log events a slice",

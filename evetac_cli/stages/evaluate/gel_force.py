@@ -3,10 +3,10 @@
 Each tracks file has a row for each of these: `unknown`, nothing but the dots; `known`, scale and moduli of the sensor,
 the moduli with an error as large as `--stiffness-error` (creep stays unknown); with `--identified`, what `evetac
 identify` told of the sensor; with `--adapt-on`, `adapted` on tracks of the same sensor from nothing known, and the
-others adapted. Truth is compared without the noise of a force sensor,
-every 40 ms of the contact; readings that a model is adapted on have that noise. `shear_within_sd` and
-`normal_within_sd` are the shares of errors within one predicted standard deviation (68 % if that is right),
-`contact_right` that of slices.
+others adapted. Truth is compared without the noise of a force sensor, every 40 ms of the contact; readings that a model
+is adapted on have that noise. `shear_within_sd` and `normal_within_sd` are the shares of errors within one predicted
+standard deviation (68 % if that is right), `contact_right` that of slices in which contact is told rightly, `usable`
+that of slices in contact with enough tracked dots.
 """
 
 import zlib
@@ -93,11 +93,21 @@ def _headers(
     """Headers of the files and of those to adapt on, and the latter by sensor; InputError where they do not fit."""
     headers, own_headers, names = [], [], []
     by_sensor: dict[str, list[Path]] = {}
+    true: dict[str, tuple[Path, list[float]]] = {}
     for path in files:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
-            known_sensor(recording)
+            row = known_sensor(recording)
             headers.append(tracks.header)
             names.append(str(tracks.read("sensor/name")))
+            of_gel = [float(row[key]) for key in KNOWN_KEYS]
+            first, other = true.setdefault(names[-1], (path, of_gel))
+            if other != of_gel:
+                raise InputError(
+                    f"two sensors of the name {names[-1]}, with different gels",
+                    where=str(path),
+                    expected=f"{', '.join(KNOWN_KEYS)} of {other}, as in {first}",
+                    found=str(of_gel),
+                )
             check_disjoint([model], [tracks.header], "evaluated on", [path])
     for path in own:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
@@ -155,7 +165,7 @@ def _gels(
     if own:
         for before in list(gels):
             after = "adapted" if before == "unknown" else f"{before}, adapted"
-            estimated = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
+            estimated, _ = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
             gels[after] = adapt_gel.adapted(model, gels[before], estimated, params.noise_n)
     return gels
 

@@ -12,6 +12,7 @@ other second of the real one against the seconds between.
 
 import functools
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,14 +24,15 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.calibration import rest_image
-from evetac_cli.kernels.identify import figures
 from evetac_cli.kernels.identify.rest import check_still, find_hot
+from evetac_cli.kernels.realism import figures
 from evetac_cli.params.evaluation import EvaluateRealism
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim import scene
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job, told_apart
 from evetac_cli.stages.identify import pressed
 from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
+from evetac_cli.store.provenance import Header
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "report"
@@ -88,20 +90,7 @@ def jobs(files: list[Path], params: EvaluateRealism, out: Path | None) -> list[J
 
 def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """A row for every figure: real, simulated, their distance, and that of the real recording's halves."""
-    headers = []
-    frames = []
-    for path in job.inputs:
-        with open_recording(path) as recording:
-            headers.append(recording.header)
-            frames.append(recording.frame_px)
-    for path, frame_px in zip(job.inputs, frames, strict=True):
-        if frame_px != frames[0]:
-            raise InputError(
-                "the recordings have different frames",
-                where=str(path),
-                expected="{} x {} px".format(*frames[0]),
-                found="{} x {} px".format(*frame_px),
-            )
+    headers, frame_px = _headers(job.inputs)
 
     @functools.cache
     def sides() -> tuple[Side, Side]:
@@ -114,7 +103,7 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
         return _as_long(both[0], both[1])
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        rows = compare(*sides(), frames[0])
+        rows = compare(*sides(), frame_px)
         if not rows:
             raise InputError(
                 "the recordings have no phase in common",
@@ -130,11 +119,33 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
             "figures": len(known),
             f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in known),
             "figures_as_near_as_halves": len(as_halves),
-            **{name: row[key] for row in apart for name, key in of_auc.items()},
+            **{name: apart[0][key] if apart else None for name, key in of_auc.items()},
         }
 
     outcome = report(job, "evaluate realism", METHOD, recipe_of(params), headers, measure, force=force)
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, *sides(), frames[0]), (11.0, 7.5))
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, *sides(), frame_px), (11.0, 7.5))
+
+
+def _headers(paths: Sequence[Path]) -> tuple[list[Header], tuple[int, int]]:
+    """Headers of the recordings and their frame; InputError if frames differ, or a recording is given twice."""
+    headers: list[Header] = []
+    frames: list[tuple[int, int]] = []
+    for path in paths:
+        with open_recording(path) as recording:
+            header, frame_px = recording.header, recording.frame_px
+        if header["id"] in [other["id"] for other in headers]:
+            expected = "different recordings, also of --same"
+            raise InputError("a recording is compared with itself", where=str(path), expected=expected)
+        headers.append(header)
+        frames.append(frame_px)
+        if frame_px != frames[0]:
+            raise InputError(
+                "the recordings have different frames",
+                where=str(path),
+                expected="{} x {} px".format(*frames[0]),
+                found="{} x {} px".format(*frame_px),
+            )
+    return headers, frames[0]
 
 
 def _told_apart(paths: Sequence[Path], progress: Progress) -> Rows:
@@ -168,7 +179,10 @@ def _side(recording: Recording) -> Side:
     motion = _phase(recording, moving) if whole else None
     log_contrast = float(scene.sensor_row("evetac")["log_contrast"])
     noise_hz = 0.0 if rest is None else _at_rest(rest, recording.frame_px)[0]["ordinary_hz"]
-    press = pressed.find(recording, log_contrast, None, noise_hz, np.random.default_rng(0)) if motion else None
+    press = None
+    if motion is not None:
+        with suppress(ValueError):  # no dots were stroked
+            press = pressed.find(recording, log_contrast, None, noise_hz, np.random.default_rng(0))
     return Side(recording.path.name, rest, motion, press)
 
 
@@ -192,9 +206,11 @@ def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
     return first, second
 
 
-def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase:
-    """Pieces of a recording one after the other, up to MOST_EVENTS."""
-    parts, counts, slices, held = [], [], 0, 0
+def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase | None:
+    """Pieces of a recording one after the other, up to MOST_EVENTS; None where the first slice has more."""
+    parts: list[Events] = []
+    counts: list[Counts] = []
+    slices, held = 0, 0
     for first, end in pieces:
         room = recording.starts[first] + MOST_EVENTS - held
         stop = min(end, int(np.searchsorted(recording.starts, room, side="right")) - 1)
@@ -205,7 +221,7 @@ def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase:
         counts.append(np.diff(recording.starts[first : stop + 1]))
         slices += stop - first
         held += events.size
-    return Phase(concatenate(parts), np.concatenate(counts).astype(np.int64))
+    return Phase(concatenate(parts), np.concatenate(counts).astype(np.int64)) if parts else None
 
 
 def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:
@@ -294,11 +310,13 @@ def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -
                 _cumulative(panels[0], figures.times_between(hot, polarity)[0], linestyle=line, **named)
             pixel = side.rest.events.y.astype(np.int64) * frame_px[0] + side.rest.events.x
             busiest = np.sort(np.bincount(pixel))[::-1] / seconds
-            panels[1].loglog(1 + np.arange(len(busiest)), busiest, **style)
+            if busiest.any():
+                panels[1].loglog(1 + np.arange(len(busiest)), busiest, **style)
         phase = side.motion or side.rest
         if phase:
             frequency_hz, power = figures.spectrum(phase.counts)
-            panels[2].loglog(frequency_hz, power, **style)
+            if power.any():
+                panels[2].loglog(frequency_hz, power, **style)
         if side.press:
             rims = side.press.profile
             panels[3].plot(rims.distance_px, rims.share, **style)

@@ -21,6 +21,7 @@ from evetac_cli.stages.force.gel_model import Gel, GelModel
 from evetac_cli.stages.force.readings import Readings
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.read import UNKNOWN_SENSOR
 
 OUTPUT = "force-model"
 METHOD = 2
@@ -57,8 +58,12 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
             headers.append(tracks.header)
             names.append(str(tracks.read("sensor/name")))
         sources.append(readings.digest(path))
-    if len(set(names)) > 1:
-        raise InputError("recordings of different sensors", where=str(paths[0]), found=", ".join(sorted(set(names))))
+    sensors = sorted(set(names) - {UNKNOWN_SENSOR}) or [UNKNOWN_SENSOR]
+    if len(sensors) > 1:
+        expected = "recordings of one sensor"
+        raise InputError(
+            "recordings of different sensors", where=str(paths[0]), expected=expected, found=", ".join(sensors)
+        )
     with StageFile(model_path, OUTPUT) as file:
         model_header, model = file.header, gel_model.read_gel_model(file)
     if model.adapted is not None:
@@ -75,11 +80,11 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
     gel = gel_model.gel_of(model, known, params.stiffness_error)
-    estimated = known_forces(model, gel, paths, params.noise_n, np.random.default_rng(params.seed))
+    estimated, unused = known_forces(model, gel, paths, params.noise_n, np.random.default_rng(params.seed))
     after = adapted(model, gel, estimated, params.noise_n)
     arrays = {
         "sensor": "events",
-        "sensor_name": names[0],
+        "sensor_name": sensors[0],
         **gel_model.arrays_of(model._replace(adapted=after, errors=after.errors)),
     }
     write_stage(job.output, recipe, arrays)
@@ -87,9 +92,10 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
         job,
         made=True,
         simulated=recipe.simulated,
-        sensor_name=names[0],
+        sensor_name=sensors[0],
         contacts=len(np.unique(estimated.contact)),
         readings=len(estimated.contact),
+        without_readings=", ".join(path.name for path in unused) or None,
         shear_modulus_kpa_before=float(1e3 * gel.scale.shear[:, 0].mean()),
         shear_modulus_kpa=float(1e3 * after.scale.shear[:, 0].mean()),
         normal_modulus_kpa_before=float(1e3 * gel.scale.normal[0]),
@@ -110,9 +116,16 @@ def adapted(model: GelModel, gel: Gel, known: Known, noise_n: float) -> Gel:
     return gel._replace(scale=scale, errors=errors)
 
 
-def known_forces(model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: float, rng: np.random.Generator) -> Known:
-    """Terms and readings of all contacts in tracks files; InputError where there is none."""
-    parts, contacts = [], 0
+def known_forces(
+    model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: float, rng: np.random.Generator
+) -> tuple[Known, list[Path]]:
+    """Terms and readings of all contacts in tracks files, and the files without any; InputError where all are.
+
+    noise_n: sd in N that is added to the truth of simulated recordings.
+    """
+    parts: list[Known] = []
+    unused: list[Path] = []
+    contacts = 0
     for path in paths:
         with StageFile(path, "tracks") as tracks:
             read = readings.read(tracks, noise_n, rng)
@@ -120,6 +133,8 @@ def known_forces(model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: floa
         number = contact_numbers(_touches(predicted.contact >= gel_model.CONTACT, read))[read.slice_]
         used = number >= 0
         at = read.slice_[used]
+        if not used.any():
+            unused.append(path)
         parts.append(
             Known(
                 predicted.shear[at],
@@ -135,10 +150,10 @@ def known_forces(model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: floa
     if not len(whole.contact):
         raise InputError(
             "no reading is during a contact",
-            where=f"{paths[0]} and {len(paths) - 1} more",
+            where=f"{paths[0]} and {len(paths) - 1} more" if len(paths) > 1 else str(paths[0]),
             expected=f"contacts of {SHORTEST_CONTACT_MS} ms or more, with readings",
         )
-    return whole
+    return whole, unused
 
 
 def _touches(dots_say: NDArray[np.bool_], read: Readings) -> NDArray[np.bool_]:

@@ -14,8 +14,10 @@ from evetac_cli.resources import FORCE_MODEL
 from evetac_cli.stages import per_file
 from evetac_cli.stages.force import gel_model
 from evetac_cli.stages.force.train_force import check_grid, read_model, read_rest_px
+from evetac_cli.stages.unused_options import refuse_unused_of_predict_force
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.read import UNKNOWN_SENSOR
 
 OUTPUT = "forces"
 METHOD = 2
@@ -24,6 +26,7 @@ BLOCK_SLICES = 5000
 
 def jobs(files: list[Path], params: PredictForce, out: Path | None) -> list[Job]:
     """One forces file for every tracks file."""
+    refuse_unused_of_predict_force(params)
     return [Job((*job.inputs, params.model or FORCE_MODEL), job.output) for job in per_file(files, OUTPUT, out)]
 
 
@@ -49,6 +52,7 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
     known = gel_model.known_of(params.sensor)
     with StageFile(model_path, "force-model") as file:
         model_header, model = file.header, gel_model.read_gel_model(file)
+        adapted_to = str(file.read("sensor_name"))
     if model.adapted is not None and params.sensor is not None:
         raise InputError(
             "an adapted model has the stiffness of its sensor", where="--sensor", found=f"{params.sensor}, {model_path}"
@@ -56,6 +60,15 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
     given = {key: known[key] for key in (*gel_model.MODULI.values(), "mm_per_px", "creep") if key in known}
     chosen = {**recipe_of(params), "known": given} if known else {}
     with StageFile(path, "tracks") as tracks:
+        name = str(tracks.read("sensor/name"))
+        if model.adapted is not None and len({name, adapted_to} - {UNKNOWN_SENSOR}) > 1:
+            raise InputError(
+                "the tracks are of another sensor than the model was adapted to",
+                where=str(path),
+                expected=f"{adapted_to}, as in {model_path}",
+                found=name,
+                hint="adapt the model that it was made from to this sensor, or leave out --model",
+            )
         recipe = Recipe(OUTPUT, METHOD, chosen, parents=(tracks.header, model_header))
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
@@ -67,13 +80,15 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
         "contact": contact.astype(np.uint8),
     }
     write_stage(job.output, recipe, arrays)
-    stiffness = "adapted" if model.adapted is not None else "known" if "shear_modulus_pa" in given else "unknown"
     return outcome(
         job,
         made=True,
         simulated=recipe.simulated,
         slices=len(contact),
-        stiffness=stiffness,
+        **{
+            f"{which}_modulus": "adapted" if model.adapted is not None else "known" if key in given else "unknown"
+            for which, key in gel_model.MODULI.items()
+        },
         contact_s=float(contact.sum() / 1000),
         **_most("shear_n", np.linalg.norm(estimated.forces.shear_n, axis=1), estimated.forces.shear_sd_n.max(axis=1)),
         **_most("normal_n", estimated.forces.normal_n, estimated.forces.normal_sd_n),

@@ -69,6 +69,10 @@ def read(tracks: StageFile, noise_n: float, rng: np.random.Generator) -> Reading
 
 
 def _from_table(path: Path, slices: int) -> Readings:
+    """The first reading of each 40 ms that has one; lines without a force are left out. InputError for any other text.
+
+    slices: of the recording, in which all readings must lie.
+    """
     text = read_text(path, MOST_BYTES).removeprefix("\ufeff")  # as Excel writes
     if "\0" in text:
         raise InputError("not a table of forces: it holds bytes of value 0", where=str(path))
@@ -100,9 +104,10 @@ def _from_table(path: Path, slices: int) -> Readings:
                 "a reading beside the recording", where=f"{path}, line {number}", expected=expected, found=written
             )
         rows.append(row)
-    if not rows:
+    values = np.array(rows).reshape(-1, len(COLUMNS))
+    values = values[np.isfinite(values[:, 1:]).any(axis=1)]
+    if not len(values):
         raise InputError("a table of forces without a reading", where=str(path))
-    values = np.array(rows)
     slice_ = np.floor(values[:, 0] * 1000 + 1e-6).astype(np.int64)  # 1.001 s is slice 1001
     _, kept = np.unique(slice_ // EVERY, return_index=True)
     return Readings(slice_[kept], values[kept, 1:3], values[kept, 3])

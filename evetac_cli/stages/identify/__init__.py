@@ -2,7 +2,7 @@
 
 What comes from which recording: the noise of the camera from the longest rest among them, dots and optics from the one
 that shows most dots moved, gripper and gel from those with rows of a gripper. What no recording tells keeps the value
-of the sensor that is named as its like.
+of the sensor that `--like` names.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,8 +22,8 @@ from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, Row, sensor_text
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.read import UNKNOWN_SENSOR, open_recording
 
 OUTPUT = "sensor"
 METHOD = 3
@@ -45,18 +45,7 @@ def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
 
 def run(job: Job, params: Identify, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Estimate what the recordings tell, print it as a table, and write the sensor's file."""
-    headers = []
-    for path in job.inputs:
-        with open_recording(path) as recording:
-            headers.append(recording.header)
-            if recording.frame_px != FRAME_PX:
-                raise InputError(
-                    "another frame than that of a sensor which can be simulated",
-                    where=str(path),
-                    expected="{} x {} px".format(*FRAME_PX),
-                    found="{} x {} px".format(*recording.frame_px),
-                )
-    recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(headers))
+    recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=_headers(job.inputs))
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
     like = scene.sensor_row(params.like)
@@ -76,15 +65,19 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
         progress(number + 1, steps)
     rest = max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None)
     noise_hz = rest.noise.noise_hz.value if rest else 0.0
-    presses = []
+    presses, no_press = [], {}
     for number, (path, press_rng) in enumerate(others):
         with open_recording(path) as recording:
-            presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
+            try:
+                presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
+            except ValueError as error:
+                no_press[recording.event_count] = f"{path.name}: {error}"
         progress(len(job.inputs) + number + 1, steps)
     progress(steps, steps)
     rows, values = at_rest.rows(rest)
-    best = max((one for one in presses if one), key=lambda one: one.dots, default=None)
-    more_rows, more = pressed.rows(best, log_contrast)
+    best = max(presses, key=lambda one: one.dots, default=None)
+    why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events: a press has them
+    more_rows, more = pressed.rows(best, log_contrast, why_none)
     rows, values = rows + more_rows, more | values
     known = gripper_rows.Known(
         params.object_mass_g, params.object_friction, params.force_per_current, params.pixel_mm is not None
@@ -96,9 +89,59 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     text = sensor_text(params.name, params.like, values, recipe, [path.name for path in job.inputs])
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
         temporary.write_text(text)
-        sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written
+        try:
+            sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written
+        except InputError as error:
+            raise InputError(
+                f"what is estimated is no sensor that can be simulated: {error.message}",
+                where=", ".join(map(str, job.inputs)),
+                expected=error.expected,
+                found=error.found,
+                hint=error.hint,
+            ) from None
     summary = {"sensor": str(job.output), "status": "made", "all_other_keys": f"as in {params.like}; {NOT_ESTIMATED}"}
+    if unused := _unused(job.inputs, rows):
+        summary["nothing_is_taken_from"] = ", ".join(unused)
     return Outcome(table(rows), recipe.simulated, summary)
+
+
+def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
+    """Headers of the recordings; InputError unless each comes once and all may be of one sensor that can be simulated.
+
+    A recording that was imported does not know its sensor.
+    """
+    headers: dict[str, tuple[Path, Header]] = {}
+    sensors: dict[tuple[str, bool], Path] = {}
+    for path in paths:
+        with open_recording(path) as recording:
+            header, frame_px, name = recording.header, recording.frame_px, str(recording.read("sensor/name"))
+        if frame_px != FRAME_PX:
+            raise InputError(
+                "another frame than that of a sensor which can be simulated",
+                where=str(path),
+                expected="{} x {} px".format(*FRAME_PX),
+                found="{} x {} px".format(*frame_px),
+            )
+        if header["id"] in headers:
+            other = f"the same events as {headers[header['id']][0]}"
+            raise InputError("a recording is given twice", where=str(path), expected="each once", found=other)
+        headers[header["id"]] = path, header
+        sensors.setdefault((name, header["simulated"]), path)
+    known = {name for name, _ in sensors} - {UNKNOWN_SENSOR}
+    if len(known) > 1 or len({simulated for _, simulated in sensors}) > 1:
+        each = "; ".join(
+            f"{name}{' (simulated)' if simulated else ''} in {path.name}" for (name, simulated), path in sensors.items()
+        )
+        raise InputError(
+            "recordings of different sensors", where=str(paths[0]), expected="recordings of one sensor", found=each
+        )
+    return tuple(header for _, header in headers.values())
+
+
+def _unused(paths: Sequence[Path], rows: Sequence[Row]) -> list[str]:
+    """Names of the recordings that no estimate comes from."""
+    sources = "".join(f", {row.source}, " for row in rows if row.estimate is not None)
+    return [path.name for path in paths if f", {path.name}, " not in sources]
 
 
 def _printed(sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:

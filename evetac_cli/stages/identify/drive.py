@@ -154,7 +154,7 @@ def _blocks(rows: GripperRows) -> NDArray[np.intp]:
 
 
 def _simulated(values: dict[str, float], current_ma: Floats) -> tuple[Floats, Floats]:
-    """Place of the motor and normal force after each step."""
+    """Place of the motor in ticks and normal force in mA after each step of STEP_S, from values by NAMES."""
     closing = values["gel_ticks"] * CLOSING_MA ** (2 / 3) + values["finger_ticks_ma"] * CLOSING_MA
     ticks = np.arange(0.0, min(closing[-1], 300.0), CURVE_STEP_TICKS)
     force_ma = np.interp(ticks, closing, CLOSING_MA)

@@ -60,7 +60,7 @@ class Weight(NamedTuple):
 class Gripped:
     """What one recording tells; each part is None where it does not.
 
-    misfits: why the drive, the modulus or creep cannot be told though it was fitted.
+    misfits: why the drive, the gain, the weight as a whole, or of it the modulus or creep cannot be told.
     """
 
     source: str
@@ -89,15 +89,19 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
     if not (len(rows.time_us) and np.isfinite(rows.measured_ma).all()):
         return None
     if not np.isfinite(recording.read("gripper/current_target_ma")).all():  # commanded by goals: a grasp
-        return Gripped(source, gain_ma_tick=_gain(recording, rows, rng))
+        try:
+            return Gripped(source, gain_ma_tick=_gain(recording, rows, rng))
+        except ValueError as error:
+            why = f"cannot be told from {source}: {error}; make one with evetac grasp --controller fixed:6"
+            return Gripped(source, misfits={"gain": why})
     delay = jitter = noise = None
     between_ms = latency.lateness(rows.time_us, rows.commanded_ma, rows.measured_ma, STEP_MS)
     with suppress(ValueError):  # too few commands
         delay, jitter = latency.delay_and_jitter(between_ms)
     try:
         fitted = drive.fit(rows)
-    except ValueError:  # it does not close on something and open again
-        return Gripped(source, delay_ms=delay, jitter_ms=jitter)
+    except ValueError as error:  # it does not close on something and open again
+        return Gripped(source, delay_ms=delay, jitter_ms=jitter, misfits={"drive": _why(source, error)})
     known: DriveFit | None = fitted
     misfits = {}
     if fitted.residual_ticks > MOST_OFF_TICKS:
@@ -111,6 +115,11 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
     return Gripped(source, known, noise, delay, jitter, None, weight, misfits | of_weight)
 
 
+def _why(source: str, reason: object) -> str:
+    """Why a recording does not tell what one of a grip would."""
+    return f"cannot be told from {source}: {reason}; make one as of the scene grip-steps (docs/identify.md)"
+
+
 def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
     """Of each part the first recording that tells it, and all parts together."""
     parts = ("drive", "encoder_ticks", "delay_ms", "jitter_ms", "gain_ma_tick", "weight")
@@ -118,28 +127,28 @@ def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
     return tells, Gripped("", **{part: getattr(one, part) for part, one in tells.items()})
 
 
-def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> Estimate | None:
-    """The servo's gain where the goals are recorded, as in a grasp."""
+def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> Estimate:
+    """The servo's gain where the goals are recorded, as in a grasp; ValueError where they are not, or tell nothing."""
     if not recording.has("control/goal_ticks"):
-        return None
+        raise ValueError("it holds no goals of the gripper")
     count = len(rows.time_us)
     goals, times = recording.read("control/goal_ticks")[:count], recording.read("control/t_us")[:count]
     if not np.array_equal(times, rows.time_us):
-        return None
-    try:
-        return servo.gain(rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng)
-    except ValueError:
-        return None
+        raise ValueError("its goals are of other times than its rows of the gripper")
+    return servo.gain(rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng)
 
 
 def _weight(
     recording: Recording, rows: GripperRows, fitted: DriveFit | None, mm_per_px: float
 ) -> tuple[Weight | None, dict[str, str]]:
-    """How the gel takes over the weight of what the gripper holds, None where no weight comes on; and bad fits."""
+    """How the gel takes over the weight of what the gripper holds, None where no weight comes on; and why not."""
+    source = recording.path.name
     first_ms, last_ms = _longest_hold(rows)
     last_ms = min(last_ms, len(recording))
-    if last_ms - first_ms < SHORTEST_HOLD_MS or recording.dot_xy_px is None:
-        return None, {}
+    if recording.dot_xy_px is None or recording.dot_radius_px is None:
+        return None, {"weight": f"cannot be told from {source}: it has no dot grid; record with --calibration"}
+    if last_ms - first_ms < SHORTEST_HOLD_MS:
+        return None, {"weight": _why(source, f"no current is commanded for {SHORTEST_HOLD_MS / 1000:g} s")}
     try:
         moved_px = _tracked(recording)
         along, came_ms, loaded_ms = _loading(moved_px[first_ms:last_ms])
@@ -161,8 +170,8 @@ def _weight(
         seen = _seen_motion(recording, moved_px, came_ms - AROUND_MS // 3, end_ms)[AROUND_MS // 3 :]
         both = displacement_m[came_ms:end_ms] / displacement_m[end_ms - 500 : end_ms].mean() + seen / seen[-500:].mean()
         creep = held_gel.creep(*_thinned(both[loaded_ms:] / 2), loaded_ms * 1e-3)
-    except ValueError:  # nothing moves as a held object does
-        return None, {}
+    except ValueError as error:  # nothing moves as a held object does
+        return None, {"weight": _why(source, error)}
     misfits = _misfits(held, creep)
     modulus_pa = GRAVITY_M_S2 / PADS / (creep.final * held.displacement_m * held.stiffness_m)
     slips_ms = _slips(displacement_m[last_ms:])

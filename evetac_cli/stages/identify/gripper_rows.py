@@ -3,7 +3,7 @@
 Widths of the intervals: what the fit leaves, and at least by how much simulated sensors (randomized:100 to 149) were
 off. Forces need a scale. The object's weight is one for the gel's shear; for the normal force there is none but the
 force per current that somebody measured: without it, all that hangs on it is told in current, and the file takes the
-force per current of the sensor that is named as its like, so that it closes, slips and lets go at the same currents.
+force per current of the sensor that `--like` names, so that it closes, slips and lets go at the same currents.
 """
 
 import math
@@ -83,7 +83,8 @@ def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tup
         why = no_drive if part == "encoder_ticks" else MAKE_GRIP
         listed.append(Row(f"gripper.{key}", unit, estimate, why if estimate is None else source[part]))
     gain = known_parts.gain_ma_tick
-    listed.append(Row("gripper: servo gain", "mA/tick", gain, source.get("gain_ma_tick", MAKE_GRASP)))
+    gain_from = source.get("gain_ma_tick", misfits.get("gain", MAKE_GRASP))
+    listed.append(Row("gripper: servo gain", "mA/tick", gain, gain_from))
     given = known.force_per_current_n_ma
     scale = None if given is None else Estimate(given, given, given)
     listed.append(Row("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given"))
@@ -92,7 +93,7 @@ def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tup
     listed += gel_rows
     listed += [Row("normal_modulus_pa", "Pa", None, BENDS), Row("loss_tangent", "", None, QUIET)]
     if keys or given is not None:
-        scale_from = "as given" if given is not None else "not estimated: as of the sensor that is named as its like"
+        scale_from = "as given" if given is not None else "not estimated: that of the sensor which like names"
         keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
         values["gripper"] = Entry(keys, None, "forces stand for the force per current below")
     return listed, values
@@ -168,7 +169,7 @@ def _gel(
     values: dict[str, Entry] = {}
     modulus = friction = factor = total = None
     mass_kg = None if known.object_mass_g is None else 1e-3 * known.object_mass_g
-    whys = [MAKE_GRIP] * 4
+    whys = [misfits.get("weight", misfits.get("drive", MAKE_GRIP))] * 4
     if weights:
         whys = [misfits.get("modulus", NO_MASS), misfits.get("creep", NO_CREEP), NO_MASS, NO_MASS]
     crept = [(source, one.creep) for source, one in weights if one.creep is not None]
@@ -190,7 +191,7 @@ def _gel(
         values["shear_modulus_pa"] = Entry(modulus.value, modulus, source)
         whys[0] = source
     if weights and mass_kg is not None:
-        whys[2:] = [MAKE_SLIP] * 2
+        whys[2:] = [misfits.get("drive", MAKE_SLIP)] * 2
         slipped = [(source, one.weight_per_ma * mass_kg) for source, one in weights if one.weight_per_ma is not None]
         if slipped:
             friction = _friction([per_ma for _, per_ma in slipped])

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import dot_search, grid
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.kernels.identify import distortion, dots, mismatch, polarity, rim, stroke_events
@@ -18,9 +17,7 @@ from evetac_cli.stages import calibrate
 from evetac_cli.stages.identify.sensor_text import Entry, Row
 from evetac_cli.store.read import Recording
 
-MAKE_PRESS = (
-    "cannot be told from these recordings: make one in which a blunt tip strokes the whole gel, as for evetac calibrate"
-)
+MAKE_PRESS = "make one in which a blunt tip strokes the whole gel, as for evetac calibrate"
 MAKE_WHOLE = "cannot be told from these recordings: some dots were not seen; press over the whole gel"
 PLACE = "error of a dot's place, 95 %"
 MAKE_LONGER = "cannot be told from these recordings: make one with more strokes over the whole gel"
@@ -88,30 +85,33 @@ def find(
     printed_xy: NDArray[np.float64] | None,
     noise_hz: float,
     rng: np.random.Generator,
-) -> Press | None:
-    """What the dots tell that a recording shows moved from rest; None where it shows no grid of them.
+) -> Press:
+    """What the dots tell that a recording shows moved from rest; ValueError, which says why, where that is too little.
 
-    `printed_xy` (rows, columns, 2) is the grid as printed, against which the lens is seen; `noise_hz` that of a pixel.
+    `printed_xy` (rows, columns, 2) is the grid as printed, against which the lens is seen, None where it is not known;
+    `noise_hz` is that of a pixel.
     """
-    try:
-        halves, events, seconds = _stroked(recording)
-        runs = Runs(*(first.joined(second) for first, second in zip(*halves, strict=True)))
-        places = dot_search.find(runs.joined)
-        seen = grid.lattice(places.centre_xy_px)
-        radius_px = float(np.median(places.radius_px))
-        jitter_px = calibrate.jitter_px((halves[0].joined, halves[1].joined), seen, radius_px)
-        if not jitter_px <= WORST_JITTER_PX:
-            return None
-        expected = _filled(seen)
-        looked_for = np.isfinite(expected[..., 0])
-        fitted, profile = rim.fit(runs, expected[looked_for], radius_px, log_contrast)
-        places_px = np.full(seen.shape, np.nan)
-        places_px[looked_for] = fitted.centre_xy_px
-        ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
-        off_over_on = ratio.off_over_on.value if ratio else 1.0
-        optics = dots.optics(fitted, events.kept_share, off_over_on, noise_hz, rng)
-    except (InputError, ValueError):  # nothing was pressed, or too little
-        return None
+    halves, events, seconds = _stroked(recording)
+    runs = Runs(*(first.joined(second) for first, second in zip(*halves, strict=True)))
+    places = dot_search.find(runs.joined)
+    seen = grid.lattice(places.centre_xy_px)
+    radius_px = float(np.median(places.radius_px))
+    jitter_px = calibrate.jitter_px((halves[0].joined, halves[1].joined), seen, radius_px)
+    if not np.isfinite(jitter_px):
+        raise ValueError("too few strokes to see where dots come to rest")
+    if jitter_px > WORST_JITTER_PX:
+        raise ValueError(
+            f"dots come to rest at different places after each stroke, {jitter_px:.2f} px rms apart,"
+            f" where {WORST_JITTER_PX:g} are allowed"
+        )
+    expected = _filled(seen)
+    looked_for = np.isfinite(expected[..., 0])
+    fitted, profile = rim.fit(runs, expected[looked_for], radius_px, log_contrast)
+    places_px = np.full(seen.shape, np.nan)
+    places_px[looked_for] = fitted.centre_xy_px
+    ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
+    off_over_on = ratio.off_over_on.value if ratio else 1.0
+    optics = dots.optics(fitted, events.kept_share, off_over_on, noise_hz, rng)
     whole = optics.contrast_over_threshold.value
     is_apart = ratio is not None and (ratio.mismatch.low > APART or ratio.mismatch.value > 1.5 * APART)
     return Press(
@@ -141,7 +141,7 @@ def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, flo
             block = recording.between(first, min(stop, first + calibrate.BLOCK_SLICES))
             stroke_events.add(events, *block, half)
     if not edges:
-        raise ValueError("no strokes")
+        raise ValueError("nothing strokes the gel from rest")
     return (Runs(*halves[0]), Runs(*halves[1])), events, (edges[-1] - edges[0]) * 1e-3
 
 
@@ -185,15 +185,19 @@ def _lens(
         return None
 
 
-def rows(press: Press | None, log_contrast: float) -> tuple[list[Row], dict[str, Entry]]:
-    """Rows and keys of dots, optics, lens and thresholds; `log_contrast` is what the rims were read with."""
+def rows(press: Press | None, log_contrast: float, why_none: str = "") -> tuple[list[Row], dict[str, Entry]]:
+    """Rows and keys of dots, optics, lens and thresholds; `log_contrast` is what the rims were read with.
+
+    why_none: where there is no press, which recording shows none, and why.
+    """
     never = [
         Row("log_contrast", "log units", None, NOT_ALONE),
         Row("bandwidth_hz", "Hz", None, ONLY_LATE),
         Row("leak_hz", "Hz a pixel", None, MAKE_LONG_REST),
     ]
     if press is None:
-        return [*(Row(name, unit, None, MAKE_PRESS) for name, unit in UNITS.items()), *never], {}
+        why = f"cannot be told from {why_none or 'these recordings'}; {MAKE_PRESS}"
+        return [*(Row(name, unit, None, why) for name, unit in UNITS.items()), *never], {}
     half_px = 1.96 * press.jitter_px / np.sqrt(2.0)
     whole = press.dot_xy_px[..., 0].size - press.dots <= MOST_MISSING * press.dot_xy_px[..., 0].size
     optics, source = press.optics, press.source

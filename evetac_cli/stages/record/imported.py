@@ -16,6 +16,7 @@ from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.disk import existing_folder
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import ContentDigest, Recipe
+from evetac_cli.store.read import UNKNOWN_SENSOR
 
 if TYPE_CHECKING:  # with the libraries of its format
     from evetac_cli.formats.imports import Imported
@@ -52,7 +53,7 @@ def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
         "ms_to_idx": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         "t_offset": np.int64(imported.t_offset_us),
         "sensor/frame_px": np.array(imported.frame_px, np.int32),
-        "sensor/name": "unknown",
+        "sensor/name": UNKNOWN_SENSOR,
     }
     if params.calibration is not None:
         arrays |= read_calibration(params.calibration, imported.frame_px).arrays()

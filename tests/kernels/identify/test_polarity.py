@@ -54,5 +54,5 @@ def test_too_few_events() -> None:
     with pytest.raises(ValueError, match="10 events"):
         polarity.estimate(few, few, 0.0, np.random.default_rng(0))
     spots = np.where(np.random.default_rng(0).random(SHAPE) < 0.1, 500.0, 0.0)
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="as busy as their neighbours"):
         polarity.estimate(spots, spots, 0.0, np.random.default_rng(0))

@@ -114,3 +114,20 @@ def test_what_moves_is_refused() -> None:
         rest.analyse(*edge, np.ones(1000, np.uint8), FRAME, 10**6, rng)
     with pytest.raises(ValueError, match="lasts"):
         rest.analyse(*(column[:0] for column in columns), np.ones(0, np.uint8), FRAME, 0, rng)
+
+
+def test_a_pixel_that_fires_at_every_scan() -> None:
+    """Assert that a pixel as busy as its dead time allows is listed with its rate, and has no short intervals."""
+    rng = np.random.default_rng(0)
+    duration_us, scan_us = 3_000_000, 200
+    times = [np.arange(scan_us, duration_us, scan_us)]
+    times += [np.unique(rng.integers(2, duration_us // scan_us, 300)) * scan_us for _ in range(30)]
+    pixel = np.repeat(np.arange(31) * 4, [len(one) for one in times])
+    t_us = np.concatenate(times)
+    order = np.argsort(t_us, kind="stable")
+    x, y = pixel[order].astype(np.uint16), np.full(len(t_us), 7, np.uint16)
+    p = (np.arange(len(t_us)) % 2).astype(np.uint8)
+    noise = rest.analyse(t_us[order], x, y, p, FRAME, duration_us, rng)
+    assert noise.dead_time_us is not None and noise.dead_time_us.value == scan_us
+    assert noise.table.rate_hz[0] == pytest.approx(5000, rel=1e-3)
+    assert noise.table.short_interval_share[0] == noise.table.short_interval_us[0] == 0.0

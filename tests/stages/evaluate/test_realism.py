@@ -139,7 +139,26 @@ def test_what_cannot_be_compared(same: tuple[Path, Path], tmp_path: Path) -> Non
     short = imported(tmp_path / "short.recording.h5", nothing, 100)
     with pytest.raises(InputError, match="no phase in common"):
         compared(same[0], short, tmp_path)
+    with pytest.raises(InputError, match="compared with itself"):
+        compared(same[0], same[0], tmp_path)
     assert [path.name for path in tmp_path.glob("*.report.h5")] == []
+
+
+def test_recordings_without_events(tmp_path: Path) -> None:
+    """Assert that rests without an event are compared as far as that goes, drawn, and too short to be told apart."""
+    nothing = Events(np.empty(0, np.int64), *(np.empty(0, np.uint16),) * 2, np.empty(0, np.uint8))
+    paths = [tmp_path / f"{name}.recording.h5" for name in "ab"]
+    rows, outcome = compared(*(imported(path, nothing, 1000) for path in paths), tmp_path)
+    assert rows["rest", "events_a_slice"]["real"] == rows["rest", "events_a_slice"]["simulated"] == 0
+    assert rows["rest", "on_share"]["distance"] is None
+    assert outcome.summary["auc"] is outcome.summary["auc_of_halves"] is outcome.summary["windows"] is None
+
+
+def test_a_slice_with_too_many_events(same: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a phase whose first slice has more events than are looked at is none."""
+    monkeypatch.setattr(realism, "MOST_EVENTS", 10)
+    with pytest.raises(InputError, match="no phase in common"):
+        compared(*same, tmp_path)
 
 
 def test_on_the_command_line(same: tuple[Path, Path], tmp_path: Path) -> None:

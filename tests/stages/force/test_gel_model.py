@@ -206,7 +206,15 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[3]["normal_mae_of_range"] < 0.1
     assert outcome.summary["identified_sensors"] == 1
     assert report.with_suffix(".png").stat().st_size > 10_000
+    resting = trial(tmp_path, 5, stiffer=1.6, normal_n=0.0)
+    _, outcome = run(train_force, [*own, resting], ADAPT, tmp_path / "resting.force-model.h5")
+    assert outcome.rows[0]["contacts"] == 3 and outcome.rows[0]["without_readings"] == "trial5.tracks.h5"
+    second = trial(tmp_path, 6, name="second")
+    softer = trial(tmp_path, 7)
+    predicted(trial(tmp_path, 8, name="unknown"), PredictForce(model=model), tmp_path / "unknown.forces.h5")
     for stage, files, wrong, message in (
+        (predict_force, [second], PredictForce(model=model), "another sensor than the model was adapted to"),
+        (evaluate_force, [path, softer], EvaluateForce(model=str(resources.FORCE_MODEL)), "two sensors of the name"),
         (train_force, own, TrainForce(adapt=str(model)), "adapted already"),
         (predict_force, [path], PredictForce(model=model, sensor="evetac"), "stiffness of its sensor"),
         (evaluate_force, [path], EvaluateForce(model=str(model)), "adapted to one sensor"),
@@ -227,7 +235,8 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
         ("t_s,shear_x_n,shear_y_n,normal_n\n0.4,1,inf,3", "not a reading"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n,1,2,3", "not a reading"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n9.4,1,2,3", "beside the recording"),
-        ("t_s,shear_x_n,shear_y_n,normal_n\n0.1,,,\n", "no reading is during a contact"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.4,,,\n", "without a reading"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.1,1,,\n", "no reading is during a contact"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n0.4,1,2,\0", "bytes of value 0"),
         pytest.param("t_s,shear_x_n,shear_y_n,normal_n\n0.4,1,2," + "1" * 200_000, "field larger", id="large field"),
     ],

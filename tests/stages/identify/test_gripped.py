@@ -160,6 +160,36 @@ def test_a_drive_that_does_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
         assert list(gripping.misfits) == (["drive"] if off > 1 else [])
 
 
+def test_why_a_grip_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the rows name the recording and the reason, for the drive and for the weight."""
+    known = Known(500.0, 0.9, None, True)
+    rows = GripperRows(np.arange(1, 3001) * 2000, *(np.full(3000, 60.0) for _ in range(2)), np.full(3000, 61))
+
+    class Recording:
+        path = Path("grip.recording.h5")
+        dot_xy_px: np.ndarray | None = None
+        dot_radius_px: float | None = None
+
+        def __len__(self) -> int:
+            return 6000
+
+    recording = Recording()
+    weight, why = gripped._weight(recording, rows, None, 0.0329)  # type: ignore[arg-type]
+    assert weight is None and "no dot grid" in why["weight"]
+    recording.dot_xy_px, recording.dot_radius_px = np.zeros((7, 9, 2)), 15.0
+    monkeypatch.setattr(gripped, "_tracked", lambda _: np.zeros((6000, 63, 2), np.float32))
+    weight, why = gripped._weight(recording, rows, None, 0.0329)  # type: ignore[arg-type]
+    assert weight is None and "grip.recording.h5: no weight comes on" in why["weight"]
+    why["drive"] = "cannot be told from grip.recording.h5: the gripper never closes"
+    by_name = {row.parameter: row for row in gripper_rows.rows([Gripped("", misfits=why)], known, LIKE)[0]}
+    assert by_name["gripper: damping"].source == why["drive"]
+    assert by_name["shear_modulus_pa"].source == by_name["static_friction_factor"].source == why["weight"]
+    unknown_force = Weight(None, None, None)
+    grip = Gripped("", weight=unknown_force, misfits={"drive": why["drive"]})
+    by_name = {row.parameter: row for row in gripper_rows.rows([grip], known, LIKE)[0]}
+    assert by_name["static friction x force per current"].source == why["drive"]
+
+
 def test_when_it_slips() -> None:
     """Assert the slice in which the gel goes back, and that gel which does not has not slipped."""
     held = np.linspace(1.0, 1.1, 3000)

@@ -1,19 +1,23 @@
 """identify: a sensor's file from recordings, and that it makes recordings like those that it comes from."""
 
+import contextlib
+import shutil
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
-from evetac_cli.errors import InputError
-from evetac_cli.kernels.identify import figures
+from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.kernels.realism import figures
 from evetac_cli.params.recording import Identify, Record, Trim
 from evetac_cli.sim import scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.stages import identify, record, trim
+from evetac_cli.stages.identify.sensor_text import Entry
 from evetac_cli.store.read import open_recording
 from evetac_cli.text_files import as_toml
 from tests.conftest import DATA
@@ -124,6 +128,70 @@ def test_on_the_command_line(resting: Path, tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["identify", str(wrong), *out]).exit_code == 2
 
 
+def test_recordings_that_do_not_belong_together(resting: Path, tmp_path: Path) -> None:
+    """Assert that a recording given twice, and recordings of different sensors, are refused by name."""
+    copy = tmp_path / "copy.recording.h5"
+    shutil.copy(resting, copy)
+    with pytest.raises(InputError, match="given twice") as twice:
+        identified([resting, copy], tmp_path)
+    assert str(copy) in str(twice.value) and str(resting) in str(twice.value)
+    other = recorded(tmp_path, "second", name="second")
+    with pytest.raises(InputError, match="different sensors") as differ:
+        identified([resting, other], tmp_path)
+    assert "evetac (simulated) in rest.recording.h5; second (simulated) in second.recording.h5" in str(differ.value)
+    assert not list(tmp_path.glob("*.toml"))
+
+
+def test_an_imported_recording_may_be_of_any_sensor(
+    resting: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that one whose sensor is unknown goes with others, but a real one never with a simulated one."""
+    headers = {"a": ({"id": "a", "simulated": False}, "unknown"), "b": ({"id": "b", "simulated": False}, "dvxplorer:1")}
+
+    def opened(path: Path) -> contextlib.AbstractContextManager[SimpleNamespace]:
+        header, name = headers[path.name]
+        return contextlib.nullcontext(SimpleNamespace(header=header, frame_px=(640, 480), read=lambda _: name))
+
+    monkeypatch.setattr(identify, "open_recording", opened)
+    assert [header["id"] for header in identify._headers([Path("a"), Path("b")])] == ["a", "b"]
+    headers["a"][0]["simulated"] = True
+    with pytest.raises(InputError, match="different sensors"):
+        identify._headers([Path("a"), Path("b")])
+
+
+def test_what_no_recording_told(resting: Path, tmp_path: Path) -> None:
+    """Assert that recordings from which nothing is taken are named, as the shorter of two rests."""
+    short = tmp_path / "short.recording.h5"
+    asked = Trim(to_ms=1000)
+    (job,) = trim.jobs([resting], asked, short)
+    trim.run(job, asked)
+    (made,) = identify.jobs([short, resting], Identify(), tmp_path / "both.sensor.toml")
+    assert identify.run(made, Identify()).summary["nothing_is_taken_from"] == "short.recording.h5"
+    (made,) = identify.jobs([resting], Identify(), tmp_path / "one.sensor.toml")
+    assert "nothing_is_taken_from" not in identify.run(made, Identify()).summary
+
+
+def test_a_sensor_that_cannot_be(resting: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that an estimate out of range is refused with the recordings' names, and no file is left."""
+    monkeypatch.setattr(identify.gripper_rows, "rows", lambda *_: ([], {"noise_hz": Entry(1e6, None, "x")}))
+    with pytest.raises(InputError, match="no sensor that can be simulated: noise_hz: out of range") as refused:
+        identified([resting], tmp_path)
+    assert refused.value.where == str(resting) and not list(tmp_path.iterdir())
+
+
+def test_a_damaged_press(resting: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a file which does not hold what it should is refused, and not taken for one without dots."""
+    with open_recording(resting) as recording:
+
+        def damaged(start: int, stop: int) -> None:
+            raise SchemaError("ms_to_idx does not fit events/t", where=str(resting))
+
+        monkeypatch.setattr(recording, "between", damaged)
+        monkeypatch.setattr(identify.pressed.calibrate, "strokes", lambda _: [(0, 100)])
+        with pytest.raises(SchemaError, match="does not fit"):
+            identify.pressed.find(recording, 1.61, None, 0.0, np.random.default_rng(0))
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not NOISE.exists(), reason="the recording of a real camera is not here")
 def test_a_real_camera_at_rest(tmp_path: Path) -> None:
@@ -212,7 +280,12 @@ def test_a_press_takes_the_noise_of_the_longest_rest(
 ) -> None:
     """Assert that dots are looked for in all recordings with one noise, that of the table."""
     taken = []
-    monkeypatch.setattr(identify.pressed, "find", lambda *given: taken.append(given[3]))
+
+    def without_dots(*given: object) -> None:
+        taken.append(given[3])
+        raise ValueError("no dots")
+
+    monkeypatch.setattr(identify.pressed, "find", without_dots)
     rows, _ = identified([recorded(tmp_path, seed=1, name="other"), resting], tmp_path)
     assert taken == [rows["noise_hz"]["estimate"]] * 2
 
@@ -221,3 +294,4 @@ def test_a_press_is_asked_for(resting: Path, tmp_path: Path) -> None:
     """Assert that without a press the rows of dots say how to make one."""
     rows, _ = identified([resting], tmp_path)
     assert "strokes the whole gel" in rows["dot_radius_px"]["from"] and rows["dot_radius_px"]["estimate"] is None
+    assert "cannot be told from rest.recording.h5: " in rows["dot_radius_px"]["from"]

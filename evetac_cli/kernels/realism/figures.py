@@ -1,4 +1,4 @@
-"""Figures by which two recordings are compared: rates, polarities, hot pixels, times between events, spectra, edges.
+"""Figures by which two recordings are compared: rates, polarities, hot pixels, times between events, spectra.
 
 Hot here are pixels above 20 Hz, the usual limit, however a sensor lists them.
 """

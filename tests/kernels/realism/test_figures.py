@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.identify import figures
+from evetac_cli.kernels.realism import figures
 
 FRAME = (8, 4)
 
