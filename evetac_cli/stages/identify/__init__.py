@@ -77,7 +77,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     rows, values = at_rest.rows(rest)
     best = max(presses, key=lambda one: one.dots, default=None)
     why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events: a press has them
-    more_rows, more = pressed.rows(best, log_contrast, why_none)
+    more_rows, more = pressed.rows(best, like, why_none)
     rows, values = rows + more_rows, more | values
     known = gripper_rows.Known(
         params.object_mass_g, params.object_friction, params.force_per_current, params.pixel_mm is not None

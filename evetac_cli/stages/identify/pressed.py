@@ -1,6 +1,8 @@
 """What a press tells of a sensor: places, size, blur and contrast of its dots, its lens, and its thresholds."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,10 +187,10 @@ def _lens(
         return None
 
 
-def rows(press: Press | None, log_contrast: float, why_none: str = "") -> tuple[list[Row], dict[str, Entry]]:
-    """Rows and keys of dots, optics, lens and thresholds; `log_contrast` is what the rims were read with.
+def rows(press: Press | None, like: Mapping[str, Any], why_none: str = "") -> tuple[list[Row], dict[str, Entry]]:
+    """Rows and keys of dots, optics, lens and thresholds; `like` is the row of the sensor that has what is not told.
 
-    why_none: where there is no press, which recording shows none, and why.
+    The rims were read with its log_contrast. why_none: where there is no press, which recording shows none, and why.
     """
     never = [
         Row("log_contrast", "log units", None, NOT_ALONE),
@@ -217,7 +219,18 @@ def rows(press: Press | None, log_contrast: float, why_none: str = "") -> tuple[
         Row(name, unit, one, otherwise if one is None else source)
         for (name, unit), (one, otherwise) in zip(UNITS.items(), estimates, strict=True)
     ]
-    return [*listed, *never], _entries(press, log_contrast, half_px if whole else None)
+    entries = _entries(press, float(like["log_contrast"]), half_px if whole else None)
+    return [*listed, *never], entries | _without(like, entries)
+
+
+def _without(like: Mapping[str, Any], told: Mapping[str, Entry]) -> dict[str, Entry]:
+    """Keys that `like` names and the press does not show to be there: as on a sensor without them."""
+    none: dict[str, Any] = {"threshold_off": told["threshold"].value}
+    none |= {"dot_radius_spread": 0.0, "dot_contrast_spread": 0.0}
+    if "dot_xy_px" in told:  # as seen: a lens would move them once more
+        none["distortion"] = np.zeros(2)
+    names = [name for name in none if name in like and name not in told]
+    return {name: Entry(none[name], None, "not surely there in the press") for name in names}
 
 
 def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[str, Entry]:
