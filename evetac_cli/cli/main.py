@@ -386,9 +386,13 @@ def _info(
 ) -> None:
     """What stage files hold: kind, duration, events, rates, history; of a folder, which files it has, by its index."""
     if len(files) != 1 or not files[0].is_dir():
-        if where:
-            with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
-                raise InputError("finds files of a folder", where="--where", expected="one folder")
+        with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
+            folders = [path for path in files if path.is_dir()]
+            if where:
+                found = ", ".join(map(str, files))
+                raise InputError("finds files of a folder", where="--where", expected="one folder", found=found)
+            if folders:
+                raise InputError("a folder is looked at by itself", where=str(folders[0]), found=f"{len(files)} names")
         _inspector("info", "")(files, as_json, verbose)
         return
     with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
