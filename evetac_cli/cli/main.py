@@ -317,8 +317,8 @@ def _info(
         with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
             folders = [path for path in files if path.is_dir()]
             if where:
-                found = ", ".join(map(str, files))
-                raise InputError("finds files of a folder", where="--where", expected="one folder", found=found)
+                named = ", ".join(map(str, files))
+                raise InputError("finds files of a folder", where="--where", expected="one folder", found=named)
             if folders:
                 raise InputError("a folder is looked at by itself", where=str(folders[0]), found=f"{len(files)} names")
         _inspector("info", "")(files, as_json, verbose)

@@ -199,8 +199,8 @@ def _check_current(scene: dict[str, Any], where: str) -> None:
     square = current.get("square")
     if square is not None and not square["from_s"] < square["to_s"] <= at_s[-1]:
         expected = f"from_s < to_s, and to_s up to the last of at_s, {at_s[-1]:g} s"
-        found = f"{square['from_s']:g} to {square['to_s']:g} s"
-        raise SceneError("gripper.current.square: no such time", where=where, expected=expected, found=found)
+        times = f"{square['from_s']:g} to {square['to_s']:g} s"
+        raise SceneError("gripper.current.square: no such time", where=where, expected=expected, found=times)
 
 
 def _check_vibration(scene: dict[str, Any], where: str) -> None:

@@ -97,13 +97,13 @@ def check_row(row: Mapping[str, Any], where: str) -> None:
     unused = [key for key in ("gain_ma_tick", "friction_n") if key in row.get("gripper", {})]
     if unused and "servo_n_tick" in row["gripper"]:
         expected = "servo_n_tick and two_ticks_n, or gain_ma_tick and friction_n"
-        found = f"servo_n_tick and {unused[0]}"
-        raise InputError("gripper: the same is named twice", where=where, expected=expected, found=found)
+        both = f"servo_n_tick and {unused[0]}"
+        raise InputError("gripper: the same is named twice", where=where, expected=expected, found=both)
     arms = [len(values) for values in row.get("creep", {}).values()]
     if len(set(arms)) > 1:
         expected = "a share and a time of each arm"
-        found = f"{len(row['creep']['share'])} in share, {len(row['creep']['time_s'])} in time_s"
-        raise InputError("creep: lists of different lengths", where=where, expected=expected, found=found)
+        lengths = f"{len(row['creep']['share'])} in share, {len(row['creep']['time_s'])} in time_s"
+        raise InputError("creep: lists of different lengths", where=where, expected=expected, found=lengths)
     _check_dots(row, where)
     if "hot_pixel_table" in row:
         _check_hot_pixels(row["hot_pixel_table"], where)

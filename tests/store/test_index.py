@@ -91,8 +91,8 @@ def test_whose_object_a_file_has() -> None:
     }
 
     def behind(*parents: str) -> str | None:
-        found = index._recording_of(made("features", "new", *parents), history)
-        return None if found is None else found["id"]
+        recording = index._recording_of(made("features", "new", *parents), history)
+        return None if recording is None else recording["id"]
 
     assert index._recording_of(history["a"], history) is history["a"]
     assert behind("a", "tracks of a") == behind("tracks of a", "a") == behind("a", "trained on b") == "a"

@@ -66,9 +66,9 @@ def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
         lost_in_arms += share * turn / (1 + turn**2)
     viscous_time_s = (float(sensor_row["loss_tangent"]) * stored - lost_in_arms) / omega
     if viscous_time_s < 0.0:
-        least, found = lost_in_arms / stored, sensor_row["loss_tangent"]
+        least, tangent = lost_in_arms / stored, sensor_row["loss_tangent"]
         raise ValueError(
-            f"loss_tangent of the sensor must be at least {least:.3g}, as the arms of its gel lose, found {found}"
+            f"loss_tangent of the sensor must be at least {least:.3g}, as the arms of its gel lose, found {tangent}"
         )
     return replace(usual, viscous_time_s=viscous_time_s)
 
