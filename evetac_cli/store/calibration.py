@@ -22,7 +22,7 @@ from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 MOST_PX = 65536  # events count columns and rows in uint16
-MOST_EVENTS = 1000  # of a pixel as a rim passes it; a real one gives about 10
+LEAST_EVENTS, MOST_EVENTS = 0.001, 1000  # of a pixel as a rim passes it, as in stage files; a real one gives about 10
 LEAST_RADIUS_PX = 0.01  # files are written to 0.001 px
 
 
@@ -87,8 +87,8 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
         ),
         (
             "contrast_over_threshold",
-            ratio is None or (_is_number(ratio) and 0 < ratio < MOST_EVENTS),
-            f"a number above 0 and below {MOST_EVENTS}",
+            ratio is None or (_is_number(ratio) and LEAST_EVENTS <= ratio <= MOST_EVENTS),
+            f"a number from {LEAST_EVENTS} to {MOST_EVENTS}",
         ),
         ("window_px", 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height, "x0, y0, x1, y1 inside the frame"),
     ):
