@@ -1,7 +1,4 @@
-"""What a time step does with one pad: the equation of its nodes is set up, its bounds refreshed, its motion applied.
-
-The bound of a node's friction is its coefficient at the time of the balance, at the slip speed that the balance has.
-"""
+"""What a time step (see time_step) does with one pad: sets up its nodes' equation, refreshes bounds, applies motion."""
 
 import math
 from typing import NamedTuple
