@@ -118,7 +118,9 @@ def _toml_value(value: Any) -> str:
         return "{" + ", ".join(f"{key} = {_toml_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_toml_value, value)) + "]"
-    return json.dumps(value) if isinstance(value, str | bool) else str(value)  # nan and inf are numbers of TOML
+    if isinstance(value, str):  # as of JSON, but for pairs of escapes beyond U+FFFF, and DEL
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return json.dumps(value) if isinstance(value, bool) else str(value)  # nan and inf are numbers of TOML
 
 
 def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int = WHOLE_BITS) -> Any:

@@ -7,8 +7,8 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
+from evetac_cli.cli.commands import EVALUATE, PIPELINE
 from evetac_cli.cli.config import COMMANDS, resolve
-from evetac_cli.cli.main import EVALUATE, PIPELINE
 from evetac_cli.errors import InputError
 from evetac_cli.params.evaluation import EvaluateLabels, EvaluateSlip
 from evetac_cli.params.learning import Label, Track, Train

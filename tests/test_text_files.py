@@ -251,7 +251,7 @@ def test_what_is_no_json_is_refused(text: str) -> None:
 def test_toml_that_is_written_is_read() -> None:
     """Assert that texts, numbers, truth values, lists and tables in tables come back as they were."""
     table = {
-        "text": 'a "quoted" \\ line\nand \u00b5',
+        "text": 'a "quoted" \\ line\nand \u00b5 \U0001f590 \x7f\t',
         "inner": {"flag": True, "deeper": {"list": [[1, 2.5], []], "deepest": {"x": -1e-7}}},
         "flags": [False, True],
         "wide": [math.inf, -math.inf],

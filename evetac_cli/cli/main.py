@@ -11,7 +11,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -19,85 +19,13 @@ import typer
 
 from evetac_cli import __version__, console, resources
 from evetac_cli.cli import config, engines, exit_codes, workers
+from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome, require_possible_name
-from evetac_cli.params import evaluation, grasp, inspection, learning, recording
 from evetac_cli.params.parameter import flag_of
 
 MOST_ROWS = 100  # of one table on a terminal
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command that makes files: its parameters, its module, its input files, and what its progress counts."""
-
-    name: str
-    params: type
-    module: str
-    files: str  # what the file arguments are; empty if the command takes none
-    unit: str = "slices"
-    files_needed: bool = True
-
-
-PIPELINE = (
-    Command("record", recording.Record, "stages.record", ""),
-    Command("trim", recording.Trim, "stages.trim", "Recordings."),
-    Command(
-        "calibrate",
-        recording.Calibrate,
-        "stages.calibrate",
-        "Press recordings; none with --import.",
-        files_needed=False,
-    ),
-    Command("identify", recording.Identify, "stages.identify", "Recordings of one sensor.", "files"),
-    Command("label", learning.Label, "stages.label", "Recordings."),
-    Command("track", learning.Track, "stages.track", "Recordings."),
-    Command("featurize", learning.Featurize, "stages.featurize", "Recordings (tracks and labels lie beside them)."),
-    Command("train", learning.Train, "stages.train", "Labelled features, one file a trajectory.", "steps"),
-    Command("track-rgb", learning.TrackRgb, "stages.track_rgb", "Simulated recordings.", "frames"),
-    Command(
-        "train-force",
-        learning.TrainForce,
-        "stages.force.train_force",
-        "Tracks of shear recordings; the last file is held out.",
-        "steps",
-    ),
-    Command("predict-force", learning.PredictForce, "stages.force.predict_force", "Tracks."),
-    Command("grasp", grasp.Grasp, "stages.grasp", ""),
-)
-EVALUATE = (
-    Command(
-        "slip", evaluation.EvaluateSlip, "stages.evaluate.slip", "Labelled features that the model never saw.", "files"
-    ),
-    Command("vibration", evaluation.EvaluateVibration, "stages.evaluate.vibration", "Recordings.", "ms"),
-    Command("data-rate", evaluation.EvaluateDataRate, "stages.evaluate.data_rate", "Recordings.", "files"),
-    Command("labels", evaluation.EvaluateLabels, "stages.evaluate.labels", "Labels of simulated recordings.", "files"),
-    Command(
-        "tracking", evaluation.EvaluateTracking, "stages.evaluate.tracking", "Tracks by one preset or more.", "files"
-    ),
-    Command("grasp", evaluation.EvaluateGrasp, "stages.evaluate.grasp", "Recordings made by grasp.", "files"),
-    Command(
-        "force", evaluation.EvaluateForce, "stages.evaluate.force", "Tracks of simulated shear recordings.", "files"
-    ),
-    Command(
-        "realism",
-        evaluation.EvaluateRealism,
-        "stages.evaluate.realism",
-        "A real recording, then a simulated one.",
-        "files",
-    ),
-    Command(
-        "cost", evaluation.EvaluateCost, "numerics.cost", "Part model: features, models.", "rows", files_needed=False
-    ),
-    Command("stability", evaluation.EvaluateStability, "numerics.stability", "", "rows"),
-)
-# Of inspect/: a page for people, made again whenever asked for.
-VIEW = Command(
-    "view", inspection.View, "inspect.view", "Stage files of one trial; others of its name are found.", "images"
-)
-EXPORT = Command("export", inspection.Export, "inspect.export", "Recordings.", "events")
-DOCTOR = Command("doctor", inspection.Doctor, "inspect.doctor", "")
 
 app = typer.Typer(
     cls=Commands,
@@ -386,9 +314,13 @@ def _info(
 ) -> None:
     """What stage files hold: kind, duration, events, rates, history; of a folder, which files it has, by its index."""
     if len(files) != 1 or not files[0].is_dir():
-        if where:
-            with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
-                raise InputError("finds files of a folder", where="--where", expected="one folder")
+        with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
+            folders = [path for path in files if path.is_dir()]
+            if where:
+                named = ", ".join(map(str, files))
+                raise InputError("finds files of a folder", where="--where", expected="one folder", found=named)
+            if folders:
+                raise InputError("a folder is looked at by itself", where=str(folders[0]), found=f"{len(files)} names")
         _inspector("info", "")(files, as_json, verbose)
         return
     with CommandExit("info", {"as_json": as_json, "verbose": verbose}):

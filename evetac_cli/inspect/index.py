@@ -103,8 +103,8 @@ def _condition(conditions: Sequence[str]) -> tuple[str, list[Any]]:
     parts: list[str] = []
     values: list[Any] = []
     for condition in conditions:
-        name, equals, wanted = condition.partition("=")
-        if not equals or name not in NAMES:
+        name, _, wanted = condition.partition("=")
+        if not wanted or name not in NAMES:
             near = get_close_matches(name, NAMES, n=1)
             raise InputError(
                 "no such condition",

@@ -137,7 +137,8 @@ class Train:
     networks: int | None = parameter(
         None,
         "Train so many networks apart, from other first weights, and let the mean of their logits decide: steadier on"
-        " objects and sensors unlike those learned from, at so many times the cost; default: 1, or as --adapt has.",
+        " objects and sensors unlike those learned from, at so many times the cost; default: 1, or as many as the model"
+        " of --adapt.",
         low=1,
         high=32,
     )

@@ -38,7 +38,6 @@ LINK_OFFSET_M = 0.0061
 START_RAD = math.radians(60.0)
 TICK_RAD = math.radians(0.088)
 
-
 NOT_OF_DRIVE = ("finger_stiffness_n_m", *GRIPPER_FAULTS)  # what a row says of the gripper beside its drive
 
 
@@ -215,6 +214,7 @@ FingerLaw = tuple[float, float, float, float, float, float, float, float, float]
 
 
 def _law(drive: Drive, curve: ForceCurve, touch_ticks: float) -> FingerLaw:
+    """What `_move` is handed of a drive, of the gap's geometry and of where the object is touched."""
     return (
         curve.metres_per_tick / 2,  # each finger moves half the gap
         drive.friction_n,
@@ -282,9 +282,10 @@ def places(
     current_ma: NDArray[np.float64],
     dt_s: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places of motor and finger in ticks of the gripper after each of many steps of dt_s in current mode.
+    """Places of motor and finger, (steps,) each, in ticks of the gripper after each step of dt_s in current mode.
 
-    It starts as from `start`; currents need not be whole. The same law as `step`, in one call.
+    current_ma: (steps,), of each step; they need not be whole. Both start at rest, closing_ticks past touch_ticks. The
+    same law as `step`, in one call.
     """
     law = _law(drive, curve, touch_ticks)
     motor_n = drive.force_per_current_n_ma * np.clip(current_ma, -drive.current_limit_ma, drive.current_limit_ma)
@@ -301,7 +302,7 @@ def _move_on(
     step_ticks: float,
     law: FingerLaw,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Closing of motor and finger after each step."""
+    """Closing of motor and finger in ticks, (steps,) each, after each step under a force of the motor in N."""
     motors, fingers = np.empty(len(motor_n)), np.empty(len(motor_n))
     motor, finger = place
     speed = 0.0

@@ -85,12 +85,19 @@ def _mechanics(plan: Plan) -> list[Part]:
             _without_creep if _creep(plan["sensor_row"]) else None,
         ),
         Part("what touches", touching, ""),
-        Part("gripper", MODES.get(kind, ""), "a hand drives the face"),
+        Part("gripper", _gripper(resolved), "a hand drives the face"),
         Part("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
         Part("table and hand", "lift" if kind == "lift" else "", "nothing is lifted"),
         Part("pushes", pushes, "none named", _without("push") if pushes else None),
         Part("falling weight", weight, "none named", _without("drop") if weight else None),
     ]
+
+
+def _gripper(resolved: Plan) -> str:
+    """How the gripper of a scene is commanded; "" where there is none."""
+    if "current" in resolved.get("gripper", {}):
+        return "current mode, as the scene names it"
+    return MODES.get(resolved["kind"], "")
 
 
 def _camera(plan: Plan) -> list[Part]:

@@ -62,6 +62,8 @@ ONLY_IN = {
     "object": GRIPPED,
     "friction_change": (*GRIPPED, "press", "rub"),
 }
+# What gripper.current stands in place of.
+NOT_WITH_CURRENT = ("close_s", "grip_s", "ramp_s", "start_factor", "start_more_n")
 
 
 def load(name_or_path: str) -> dict[str, Any]:
@@ -161,7 +163,7 @@ def _check_ranges(scene: dict[str, Any], where: str) -> None:
                 raise SceneError(f"{group}.{key}: the lower end comes first", where=where, found=str(value))
     current = scene.get("gripper", {}).get("current")
     if current is not None:
-        _check_current(current, where)
+        _check_current(scene, where)
     push = scene.get("push")
     if push is not None and len(push["at_s"]) != len(push["force_n"]):
         expected = f"one force for each of the {len(push['at_s'])} in at_s"
@@ -170,9 +172,20 @@ def _check_ranges(scene: dict[str, Any], where: str) -> None:
     _check_tone(scene.get("tone", {}), where)
 
 
-def _check_current(current: dict[str, Any], where: str) -> None:
-    """The gripper's current has one value at each of its times, which rise."""
-    at_s = current["at_s"]
+def _check_current(scene: dict[str, Any], where: str) -> None:
+    """The gripper's current has one value at each of its times, which rise until the scene ends, and nothing beside it.
+
+    Its square wave lies within these times.
+    """
+    gripper = scene["gripper"]
+    current, at_s = gripper["current"], gripper["current"]["at_s"]
+    beside = [key for key in NOT_WITH_CURRENT if key in gripper]
+    if beside:
+        raise SceneError(
+            f"gripper.{beside[0]} has no effect with gripper.current",
+            where=where,
+            expected="one of the two: the gripper follows the current from the first ms to the last",
+        )
     if any(after <= before for before, after in zip(at_s, at_s[1:], strict=False)):
         raise SceneError("gripper.current.at_s: expected rising times", where=where, found=str(at_s))
     if len(current["ma"]) != len(at_s):
@@ -180,6 +193,15 @@ def _check_current(current: dict[str, Any], where: str) -> None:
         raise SceneError(
             "gripper.current.ma: of another length", where=where, expected=expected, found=str(current["ma"])
         )
+    longest_s = scene["time"]["longest_s"]
+    if at_s[-1] > longest_s:
+        expected = f"times up to time.longest_s, {longest_s:g} s"
+        raise SceneError("gripper.current.at_s: after the scene ends", where=where, expected=expected, found=str(at_s))
+    square = current.get("square")
+    if square is not None and not square["from_s"] < square["to_s"] <= at_s[-1]:
+        expected = f"from_s < to_s, and to_s up to the last of at_s, {at_s[-1]:g} s"
+        times = f"{square['from_s']:g} to {square['to_s']:g} s"
+        raise SceneError("gripper.current.square: no such time", where=where, expected=expected, found=times)
 
 
 def _check_vibration(scene: dict[str, Any], where: str) -> None:
@@ -307,9 +329,9 @@ def sensor_row(name: str) -> dict[str, Any]:
         raise InputError(
             "no such sensor",
             where="--sensor",
-            expected=", ".join(rows) + ", randomized:NUMBER, or a TOML file",
+            expected=", ".join(rows) + ", randomized:NUMBER (0 to 999,999,999), or a TOML file",
             found=name,
-            hint=f"did you mean {near[0]}?" if near else "",
+            hint=f"did you mean {near[0]}?" if near and ":" not in name else "",
         )
     return dict(rows[name])
 

@@ -34,6 +34,7 @@ TYPES = {
 }
 GRID = ("dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg")  # what dot_xy_px takes the place of
 RISING = ("dot_columns_px", "dot_rows_px", "hot_pixel_hz")
+TOGETHER = (("gripper", "servo_n_tick", "two_ticks_n"), ("friction", "patch_spread", "patch_mm"))
 LEAST_DOTS = 4  # fewer say nothing of how a gel turns and stretches
 
 
@@ -90,8 +91,19 @@ def check_row(row: Mapping[str, Any], where: str) -> None:
     if not (x0 < x1 and y0 < y1 <= row["frame_px"][1]):
         expected = "x0 < x1 and y0 < y1 within the frame"
         raise InputError("window_px: not a window", where=where, expected=expected, found=str(row["window_px"]))
-    if ("servo_n_tick" in row.get("gripper", {})) != ("two_ticks_n" in row.get("gripper", {})):
-        raise InputError("gripper: servo_n_tick and two_ticks_n need each other", where=where)
+    for group, one, other in TOGETHER:
+        if (one in row.get(group, {})) != (other in row.get(group, {})):
+            raise InputError(f"{group}: {one} and {other} need each other", where=where)
+    unused = [key for key in ("gain_ma_tick", "friction_n") if key in row.get("gripper", {})]
+    if unused and "servo_n_tick" in row["gripper"]:
+        expected = "servo_n_tick and two_ticks_n, or gain_ma_tick and friction_n"
+        both = f"servo_n_tick and {unused[0]}"
+        raise InputError("gripper: the same is named twice", where=where, expected=expected, found=both)
+    arms = [len(values) for values in row.get("creep", {}).values()]
+    if len(set(arms)) > 1:
+        expected = "a share and a time of each arm"
+        lengths = f"{len(row['creep']['share'])} in share, {len(row['creep']['time_s'])} in time_s"
+        raise InputError("creep: lists of different lengths", where=where, expected=expected, found=lengths)
     _check_dots(row, where)
     if "hot_pixel_table" in row:
         _check_hot_pixels(row["hot_pixel_table"], where)

@@ -23,8 +23,8 @@ from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 MOST_PX = 65536  # events count columns and rows in uint16
-# Contrast over threshold is about 10, and gels of 10 kPa to 1 MPa are usual.
-MOST = Sensitivity(contrast_over_threshold=1e3, shear_modulus_pa=1e9)
+# As in stage files; contrast over threshold is about 10, and gels of 10 kPa to 1 MPa are usual.
+LEAST, MOST = Sensitivity(0.001, 1.0), Sensitivity(1e3, 1e9)
 LEAST_RADIUS_PX = 0.01  # files are written to 0.001 px
 
 
@@ -87,8 +87,8 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
             "a number above 0, in px",
         ),
         *(
-            (name, _is_number(value) and 0 < value < most, f"a number above 0 and below {most:g}")
-            for (name, value), most in zip(sensor._asdict().items(), MOST, strict=True)
+            (name, _is_number(value) and least <= value <= most, f"a number from {least:g} to {most:g}")
+            for (name, value), least, most in zip(sensor._asdict().items(), LEAST, MOST, strict=True)
             if value is not None
         ),
         ("window_px", 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height, "x0, y0, x1, y1 inside the frame"),

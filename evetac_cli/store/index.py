@@ -2,7 +2,8 @@
 
 It is the table `files` of FOLDER/.evetac-index.sqlite, a row for every `*.h5` in the folder and those below it, broken
 ones with their reason. A row is made again when size or time of change of its file differ: one look at the folder, in
-which no file is opened, says whether the index is up to date.
+which no file is opened, says whether the index is up to date. Only what could not be read is tried each time: the
+reason may lie in permissions, the storage, or an older evetac.
 
 Why it is written anew as a whole: a new file takes the place of the old one at once, also on storage that several
 computers share, where SQLite cannot lock. Whoever reads the old one goes on with it, of two commands at once the later
@@ -43,6 +44,7 @@ class Row(NamedTuple):
     error: str | None = None  # why it cannot be read
 
 
+ERROR = Row._fields.index("error")
 Seen = dict[str, tuple[int, int]]  # size and time of change of files, by their paths
 _CREATE = f"CREATE TABLE files ({', '.join(Row._fields)}, PRIMARY KEY (path)) WITHOUT ROWID"
 _INSERT = f"INSERT INTO files VALUES ({', '.join('?' * len(Row._fields))})"
@@ -52,7 +54,7 @@ class Index(NamedTuple):
     """An index that is up to date: its table, and what was to be done for that."""
 
     table: sqlite3.Connection
-    read: int  # files that were added or changed
+    read: int  # files that were added or changed, or could not be read before
     removed: int
     stored: bool  # False where the folder cannot be written to: the table is in memory
 
@@ -69,20 +71,20 @@ def open_index(folder: Path, progress: Callable[[int, int], None] = lambda done,
     known = _read(path)
     stored = known is not None
     known = known or {}
-    stale = [name for name, stat in seen.items() if known.get(name, ())[1:3] != stat]
+    stale = [name for name, stat in seen.items() if known.get(name, ())[1:3] != stat or known[name][ERROR] is not None]
     removed = len(known.keys() - seen.keys())
-    if not stored or stale or removed:
-        rows = [known[name] for name in seen.keys() - set(stale)]
-        try:
-            for number, name in enumerate(stale):
-                progress(number, len(stale))
-                rows.append(tuple(describe(folder, name, *seen[name])))
-        except KeyboardInterrupt:
-            _store(path, rows)  # the next goes on from here
-            raise
-        stored = _store(path, rows)
+    rows = {name: known[name] for name in seen.keys() - set(stale)}
+    try:
+        for number, name in enumerate(stale):
+            progress(number, len(stale))
+            rows[name] = tuple(describe(folder, name, *seen[name]))
+    except KeyboardInterrupt:
+        _store(path, rows.values())  # the next goes on from here
+        raise
+    if not stored or rows != known:
+        stored = _store(path, rows.values())
         if not stored:
-            table = _filled(sqlite3.connect(":memory:"), rows)
+            table = _filled(sqlite3.connect(":memory:"), rows.values())
     if stored:
         table = _open(path)
     try:
@@ -173,7 +175,7 @@ def describe(folder: Path, name: str, size_bytes: int, mtime_ns: int) -> Row:
 
 def _figures(file: Any) -> dict[str, Any]:
     header = file.header
-    recording = _recording_of(header, header["history"], set()) or {}
+    recording = _recording_of(header, header["history"]) or {}
     parameters = recording.get("parameters", {})
     scene = parameters.get("scene")
     seed = recording.get("seed") if recording else header["seed"]
@@ -191,20 +193,23 @@ def _figures(file: Any) -> dict[str, Any]:
     }
 
 
-def _recording_of(header: dict[str, Any], history: dict[str, Any], passed: set[str]) -> dict[str, Any] | None:
-    """The header of the one recording that a file was made from, itself if it is one; None where there are several."""
-    if header["kind"] == "recording":
-        return header
-    of_parents: dict[str, dict[str, Any]] = {}
-    for parent in header["parents"]:
-        ancestor = history.get(parent)
-        if ancestor is None or parent in passed or ancestor["kind"].endswith("model"):
+def _recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:
+    """The header of the one recording that a file was made from, itself if it is one; None where there are several.
+
+    What a model was trained on does not count.
+    """
+    recordings: dict[str, dict[str, Any]] = {}
+    waiting, passed = [header], set()
+    while waiting:
+        one = waiting.pop()
+        if one["kind"] == "recording":
+            recordings[one["id"]] = one
             continue
-        passed.add(parent)
-        recording = _recording_of(ancestor, history, passed)
-        if recording is not None:
-            of_parents[recording["id"]] = recording
-    return next(iter(of_parents.values())) if len(of_parents) == 1 else None
+        for parent in one["parents"]:
+            if parent in history and parent not in passed and not history[parent]["kind"].endswith("model"):
+                passed.add(parent)
+                waiting.append(history[parent])
+    return next(iter(recordings.values())) if len(recordings) == 1 else None
 
 
 def _plain(value: Any) -> Any:

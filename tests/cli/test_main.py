@@ -18,7 +18,8 @@ from typer.testing import CliRunner, Result
 
 from evetac_cli import __version__
 from evetac_cli.cli import main
-from evetac_cli.cli.main import EVALUATE, PIPELINE, app
+from evetac_cli.cli.commands import EVALUATE, PIPELINE, Command
+from evetac_cli.cli.main import app
 from evetac_cli.errors import (
     DeviceError,
     DeviceTimeout,
@@ -129,7 +130,7 @@ def test_wrong_usage(arguments: list[str]) -> None:
 
 
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=[" ".join(path) for path, _ in COMMANDS])
-def test_help_says_everything(path: list[str], command: main.Command) -> None:
+def test_help_says_everything(path: list[str], command: Command) -> None:
     """Assert that the help of a command has each flag with help, choices, unit and default, also where that is 0."""
     result = evetac(*path, "--help")
     text = plain_text(result.output)

@@ -85,6 +85,13 @@ def test_parts_that_only_some_scenes_name() -> None:
     assert "changing light" not in switched(planned("slip"))
 
 
+def test_how_the_gripper_is_commanded() -> None:
+    """Assert that a gripper that follows a current from the start is not said to be in position mode."""
+    built = {row["part"]: row["built"] for row in parts(planned("grip-steps"))}
+    assert built["gripper"] == "current mode, as the scene names it"
+    assert {row["part"]: row["built"] for row in parts(planned("handling"))}["gripper"].startswith("position")
+
+
 @pytest.mark.parametrize(
     ("part", "built", "named"),
     [

@@ -306,6 +306,29 @@ def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: s
         scene.load(str(path))
 
 
+@pytest.mark.parametrize(
+    ("group", "keys", "says"),
+    [
+        ("gripper", {"close_s": 0.1}, "gripper.close_s has no effect with gripper.current"),
+        ("gripper", {"start_factor": [2.0, 3.0]}, "gripper.start_factor has no effect"),
+        ("gripper", {"current": {"at_s": [0.0, 0.0], "ma": [1.0, 2.0]}}, "rising times"),
+        ("gripper", {"current": {"at_s": [0.0, 1.0], "ma": [1.0]}}, "of another length"),
+        ("time", {"longest_s": 35.0}, "after the scene ends"),
+        ("square", {"from_s": 12.0}, "square: no such time"),
+        ("square", {"to_s": 36.0}, "square: no such time"),
+    ],
+)
+def test_a_gripper_current_that_is_wrong(group: str, keys: dict[str, Any], says: str, tmp_path: Path) -> None:
+    """Assert that a current is refused that does not fit the scene, or beside which a key would have no effect."""
+    odd = named("grip-steps")
+    changed = odd["gripper"]["current"]["square"] if group == "square" else odd[group]
+    changed |= keys
+    path = tmp_path / "odd.toml"
+    path.write_text(as_toml(odd))
+    with pytest.raises(SceneError, match=says):
+        scene.load(str(path))
+
+
 def test_whether_the_window_shows_a_texture() -> None:
     """Assert that --texture overrides what the scene says, and that saying what it says anyway is the same recipe."""
     (shown,), (default,) = (scene.plan("slip", "8", "evetac", ("ramp",), texture=given) for given in ("on", None))

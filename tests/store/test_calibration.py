@@ -204,6 +204,7 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "window beyond int32": ({**GOOD, "window_px": [0, 0, 640, 2**40]}, "window_px is not valid"),
     "ratio as text": ({**GOOD, "contrast_over_threshold": "8"}, "contrast_over_threshold is not valid"),
     "ratio zero": ({**GOOD, "contrast_over_threshold": 0}, "contrast_over_threshold is not valid"),
+    "ratio that makes events infinite": ({**GOOD, "contrast_over_threshold": 1e-300}, "from 0.001 to 1000"),
     "ratio too large": ({**GOOD, "contrast_over_threshold": 1e9}, "contrast_over_threshold is not valid"),
     "ratio of truth": ({**GOOD, "contrast_over_threshold": True}, "contrast_over_threshold is not valid"),
     "modulus too small": ({**GOOD, "shear_modulus_pa": -1.0}, "shear_modulus_pa is not valid"),

@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -70,6 +71,34 @@ def test_a_grasp_has_an_outcome(made: Made, tmp_path: Path) -> None:
     assert (row.object, row.scene) == (own["object"], own["scene"]["name"])
 
 
+def test_whose_object_a_file_has() -> None:
+    """Assert that it is that of the one recording behind a file, by whatever ways, and nobody's where there are two."""
+
+    def made(kind: str, id_: str, *parents: str) -> dict[str, Any]:
+        return {"kind": kind, "id": id_, "parents": list(parents)}
+
+    history = {
+        one["id"]: one
+        for one in (
+            made("recording", "a"),
+            made("recording", "b"),
+            made("recording", "c"),
+            made("tracks", "tracks of a", "a"),
+            made("report", "of a and b", "a", "b"),
+            made("features", "of c", "c"),
+            made("model", "trained on b", "b"),
+        )
+    }
+
+    def behind(*parents: str) -> str | None:
+        recording = index._recording_of(made("features", "new", *parents), history)
+        return None if recording is None else recording["id"]
+
+    assert index._recording_of(history["a"], history) is history["a"]
+    assert behind("a", "tracks of a") == behind("tracks of a", "a") == behind("a", "trained on b") == "a"
+    assert behind("of a and b", "of c") is behind("of c", "of a and b") is behind("a", "b") is behind() is None
+
+
 def test_it_follows_the_files(folder: Path) -> None:
     """Assert that rows are right after files were added, changed, broken and removed, and that only these are read."""
     assert read(folder) == (9, 0)
@@ -104,6 +133,25 @@ def test_nothing_is_opened_where_nothing_changed(folder: Path, monkeypatch: pyte
     monkeypatch.setattr(index, "describe", lambda *_: pytest.fail("opened"))
     assert table(folder) == before
     assert (folder / index.NAME).stat().st_mtime_ns == written
+
+
+def test_what_could_not_be_read_is_tried_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a reason that passed leaves the index though the file did not change; no other file is read."""
+    name, reads = next(folder.glob("*.tracks.h5")).name, index.describe
+
+    def refuse(folder: Path, name: str, size_bytes: int, mtime_ns: int) -> index.Row:
+        return index.Row(name, size_bytes, mtime_ns, error="cannot be opened: Permission denied")
+
+    right = table(folder)
+    (folder / name).touch()
+    monkeypatch.setattr(index, "describe", refuse)
+    assert table(folder)[name].error is not None
+    written = (folder / index.NAME).stat().st_mtime_ns
+    assert read(folder) == (1, 0) and (folder / index.NAME).stat().st_mtime_ns == written
+    monkeypatch.setattr(index, "describe", reads)
+    assert read(folder) == (1, 0)
+    assert table(folder)[name].recipe_id == right[name].recipe_id
+    assert read(folder) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -167,7 +215,7 @@ def test_several_at_once(folder: Path) -> None:
     run = [sys.executable, "-c", program, str(folder)]
     started = [subprocess.Popen(run, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(3)]
     assert [one.communicate()[0].strip() for one in started] == ["(10, 1)"] * 3
-    assert read(folder) == (0, 0)
+    assert read(folder) == (1, 0)
     assert [path.name for path in folder.iterdir() if path.name.startswith(".evetac")] == [index.NAME]
 
 
@@ -181,7 +229,7 @@ def test_names_and_links_that_lead_nowhere(tmp_path: Path) -> None:
     rows = table(tmp_path)
     assert set(rows) == {"link.h5", "\\udcff.h5"}
     assert all(row.error for row in rows.values())
-    assert read(tmp_path) == (0, 0)
+    assert read(tmp_path) == (2, 0)
 
 
 def test_a_file_is_no_data_set(made: Made) -> None:

@@ -159,7 +159,7 @@ def joined(networks: Sequence[Mapping[str, Weights]]) -> dict[str, Weights]:
 
 def prefixes(names: Iterable[str]) -> list[str]:
     """What the names of each network's weights begin with: nothing where there is only one network."""
-    numbers = {int(first) for first, _, rest in (name.partition(".") for name in names) if first.isdigit() and rest}
+    numbers = {first for first, _, rest in (name.partition(".") for name in names) if first.isdigit() and rest}
     return [f"{number}." for number in range(len(numbers))] if numbers else [""]
 
 

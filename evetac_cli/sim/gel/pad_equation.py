@@ -1,7 +1,4 @@
-"""What a time step does with one pad: the equation of its nodes is set up, its bounds refreshed, its motion applied.
-
-The bound of a node's friction is its coefficient at the time of the balance, at the slip speed that the balance has.
-"""
+"""What a time step (see time_step) does with one pad: sets up its nodes' equation, refreshes bounds, applies motion."""
 
 import math
 from typing import NamedTuple
@@ -18,7 +15,11 @@ Flags = NDArray[np.bool_]
 
 
 class Layer(NamedTuple):
-    """Constants of a pad: a node's mass and spring, its links to neighbours along x and y, its cell, its losses."""
+    """Constants of a pad, in SI units: a node's mass, its spring, its links to neighbours along x and y, its losses.
+
+    pitch_x, pitch_y: distance of the nodes. viscous_time: of the dashpot. maxwell_share, maxwell_time: of the quick
+    arm. pads: how many pads like this one hold the object.
+    """
 
     node_mass: float
     shear: float
@@ -121,13 +122,13 @@ def let_go(
     h: float,
     layer: Layer,
 ) -> tuple[float, float, float, float]:
-    """How friction has fallen in a step, of a pad.
+    """How the friction of a pad has fallen in a step: the largest change of a coefficient, and what follows from it.
 
-    nodes: coefficient of each, and whether it stuck before and sticks now. Returns the largest change of a coefficient;
-    what the gel where it is pressed hardest would be displaced by, were friction that of the start of the step; and how
-    steeply friction falls of the hardest pressed node that lets go, and of the hardest pressed of all, to be compared
-    with what `time_step.Allowed` allows. Why so: those at the rim, which bear little, are the first to let go, and what
-    is next follows from when they do.
+    nodes: coefficient of each, and whether it stuck before and sticks now. Returned are that change; by how much, in m,
+    the gel is displaced otherwise for it where it is pressed hardest; and how steeply friction falls with slip speed,
+    times the memory length, in N s, at the hardest pressed node that lets go and at the hardest pressed of all. The two
+    are compared with what `time_step.Allowed` allows. Why so: nodes at the rim, which bear little, are the first to let
+    go, and what is next follows from when they do.
     """
     coefficient, stuck_before, stuck = nodes
     static, kinetic, _, _ = friction

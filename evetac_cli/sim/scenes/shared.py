@@ -47,7 +47,8 @@ def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
     """The gel of a sensor: `GelMaterial` but for its shear modulus, and creep and loss_tangent if the row names them.
 
     The loss tangent of spring, dashpot tau and Maxwell arms (shares g, times t) at w is
-    (w tau + sum g wt / (1 + wt^2)) / (1 + sum g wt^2 / (1 + wt^2)); it is met by the choice of tau.
+    (w tau + sum g wt / (1 + wt^2)) / (1 + sum g wt^2 / (1 + wt^2)); it is met by the choice of tau. ValueError where
+    the arms alone lose more.
     """
     creep = sensor_row.get("creep", {})
     usual = gel.GelMaterial(
@@ -64,6 +65,11 @@ def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
         stored += share * turn**2 / (1 + turn**2)
         lost_in_arms += share * turn / (1 + turn**2)
     viscous_time_s = (float(sensor_row["loss_tangent"]) * stored - lost_in_arms) / omega
+    if viscous_time_s < 0.0:
+        least, tangent = lost_in_arms / stored, sensor_row["loss_tangent"]
+        raise ValueError(
+            f"loss_tangent of the sensor must be at least {least:.3g}, as the arms of its gel lose, found {tangent}"
+        )
     return replace(usual, viscous_time_s=viscous_time_s)
 
 

@@ -7,6 +7,7 @@ ReplayTrial (replay.py).
 """
 
 from collections.abc import Sequence
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.parameter import flag_of
 from evetac_cli.stages import part_costs
 from evetac_cli.stages.grasp import simulated
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
@@ -28,6 +30,7 @@ from evetac_cli.stages.unused_options import refuse_unused_of_grasp
 from evetac_cli.store.files import up_to_date
 
 METHOD = simulated.METHOD
+OF_DETECTOR = ("model", "slip_threshold", "tracker")
 TIMERS = (("slip detector", OnlineSlipDetector, "step"),)  # what a dry run times beside the scene
 
 
@@ -36,10 +39,11 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
     camera = named_cameras.parse(params.camera)
     refuse_unused_of_grasp(params, camera)
     law = make_law(params)
-    if not grip_control.uses_detector(law) and params.model is not None:
-        raise InputError(
-            f"no detector is used with --controller {params.controller}", where="--model", found=str(params.model)
-        )
+    for item in fields(params) if not grip_control.uses_detector(law) else ():
+        value = getattr(params, item.name)
+        if item.name in OF_DETECTOR and value != item.default:
+            without = f"no detector is used with --controller {params.controller}"
+            raise InputError(without, where=flag_of(item), found=str(value))
     gripper = _gripper(params, camera)
     if not camera.is_stepped:
         from evetac_cli.stages.grasp import real_time  # with all that belongs to devices

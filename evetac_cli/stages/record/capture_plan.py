@@ -17,7 +17,7 @@ from evetac_cli.store.calibration import read_calibration
 
 HOLDING_MA = 50.0  # where no current is asked for
 SECONDS = 60.0  # room on the disk for so long, where nothing says how long it will take
-INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # what --current-of stands in place of
+INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # what a current to follow stands in place of
 TAKEN = "--resume goes on with a series, --force replaces it, -o NAME writes elsewhere"
 
 
@@ -33,7 +33,7 @@ def check(trial: DeviceTrial, params: Record, *, force: bool) -> None:
         return
     session.refuse_taken(trial, again="a recording from a device", hint=TAKEN, force=force, resume=params.resume)
     hint = "--expected-event-rate and --seconds say what is needed"
-    session.check_room(trial, params.expected_event_rate, _seconds(params), hint)
+    session.check_room(trial, params.expected_event_rate, _seconds(trial, params), hint)
 
 
 def is_done(trial: DeviceTrial, params: Record, *, force: bool) -> bool:
@@ -64,21 +64,27 @@ def make_hold(trial: DeviceTrial, params: Record, sampled_ma: float) -> Hold:
 
 
 def asked_course(trial: DeviceTrial, params: Record) -> CurrentCourse | None:
-    """The current that the gripper follows, where a scene names one; InputError if the one asked for does not."""
-    if params.current_of is None:
-        return None if trial.plan is None else CurrentCourse.read(trial.plan["scene"])
-    for item in fields(params):
+    """The current that the gripper follows: that of --current-of, else of the scene, if it names one.
+
+    InputError if the scene of --current-of names none, or for an option that then has no effect.
+    """
+    if params.current_of is not None:
+        named = f"--current-of {params.current_of}"
+        course = CurrentCourse.read(scene.load(params.current_of))
+        if course is None:
+            raise InputError(
+                "this scene names no current for the gripper",
+                where="--current-of",
+                expected="a scene with gripper.current, as grip-steps",
+                found=params.current_of,
+            )
+    else:
+        named = f"--scene {params.scene}"
+        course = None if trial.plan is None else CurrentCourse.read(trial.plan["scene"])
+    for item in fields(params) if course is not None else ():
         if item.name in INSTEAD and getattr(params, item.name) != item.default:
             expected = "one of the two: the gripper follows the scene's current from the first command to the last"
-            raise InputError("has no effect with --current-of", where=flag_of(item), expected=expected)
-    course = CurrentCourse.read(scene.load(params.current_of))
-    if course is None:
-        raise InputError(
-            "this scene names no current for the gripper",
-            where="--current-of",
-            expected="a scene with gripper.current, as grip-steps",
-            found=params.current_of,
-        )
+            raise InputError(f"has no effect with {named}", where=flag_of(item), expected=expected)
     return course
 
 
@@ -89,8 +95,9 @@ def dry_run(trials: Sequence[DeviceTrial], params: Record, *, force: bool = Fals
             check(trial, params, force=force)
     first = trials[0]
     given = ", ".join(f"{name} {value}" for name, value in asdict(settings(params)).items() if value is not None)
-    room_mb = session.needed_bytes(params.expected_event_rate, _seconds(params)) / 1e6
-    rate = f"{params.expected_event_rate:,.0f} events/s for {_seconds(params):g} s"
+    seconds = _seconds(first, params)
+    room_mb = session.needed_bytes(params.expected_event_rate, seconds) / 1e6
+    rate = f"{params.expected_event_rate:,.0f} events/s for {seconds:g} s"
     parts = [
         *(("camera", str(camera), given or "the driver's settings") for camera in first.cameras),
         ("gripper", str(first.gripper), _ramp_words(first, params) if first.gripper.is_moved else "not moved"),
@@ -99,16 +106,26 @@ def dry_run(trials: Sequence[DeviceTrial], params: Record, *, force: bool = Fals
     return session.plan_shown(trials, parts, simulated=any(camera.shows_simulation() for camera in first.cameras))
 
 
-def _seconds(params: Record) -> float:
+def _seconds(trial: DeviceTrial, params: Record) -> float:
     """How long a recording is taken to be where room on the disk is asked for."""
-    return params.seconds if params.seconds is not None else SECONDS
+    if params.seconds is not None:
+        return params.seconds
+    course = _followed(trial, params)
+    return SECONDS if course is None else course.ends_s
+
+
+def _followed(trial: DeviceTrial, params: Record) -> CurrentCourse | None:
+    """The current that the gripper follows, if it is moved at all."""
+    return asked_course(trial, params) if trial.gripper.is_moved else None
 
 
 def _end(trial: DeviceTrial, params: Record) -> str:
     """What ends a recording, in words."""
     if params.seconds is not None:
         return f"after {params.seconds:g} s"
-    ends = ["it lets go"] * trial.gripper.is_moved + ["the recording is over"] * trial.cameras[0].is_replay
+    course = _followed(trial, params)
+    lets_go = "it lets go" if course is None else f"the gripper has followed its current, {course.ends_s:g} s"
+    ends = [lets_go] * trial.gripper.is_moved + ["the recording is over"] * trial.cameras[0].is_replay
     return "until " + ", or ".join([*ends, "Ctrl-C"])
 
 

@@ -1,5 +1,7 @@
 """What a gripper does in a recording from devices: it closes until contact, holds, and lets the current fall.
 
+Or it follows the current that a scene names (current_course.py).
+
 The law is a pure start/step state machine; the loop runs it at 500 Hz in a thread of its own, so that a gripper that
 answers late does not hold up the camera. Whoever fetches its rows records, and shows by that that it is alive: where it
 is not for FRESH of the watchdog's time (or RECORDER_MS), or the loop itself was stopped for longer than that time, the

@@ -144,6 +144,12 @@ def test_loss_tangent(tangent: float, creep: dict[str, list[float]]) -> None:
     assert stiffness.imag / stiffness.real == pytest.approx(tangent, rel=1e-12)
 
 
+def test_a_loss_tangent_that_cannot_be() -> None:
+    """Assert that a gel cannot lose less than its arms do, and that this is said in the sensor's own words."""
+    with pytest.raises(ValueError, match="loss_tangent of the sensor must be at least"):
+        material({**scene.sensor_row("evetac"), "loss_tangent": 1e-4})
+
+
 def test_gripper_of_a_sensor() -> None:
     """Assert that a drawn gripper pushes with its servo's stiffness, at two ticks as hard as named."""
     assert gripper.make_drive(scene.sensor_row("evetac")) == gripper.Drive()

@@ -48,10 +48,12 @@ def test_the_package_has_a_detector() -> None:
 
 @pytest.mark.parametrize("controller", ["none", "fixed:6"])
 def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
-    """Assert that a model is refused where none is used, and that none is taken then."""
+    """Assert that what belongs to a detector is refused where none is used, and that no model is taken then."""
     assert setup.model_path_for(Grasp(controller=controller)) is None
-    with pytest.raises(InputError, match="no detector is used"):
-        grasp.jobs([], Grasp(controller=controller, model=tmp_path / "slip.model.h5"), tmp_path)
+    for name, value in (("model", tmp_path / "slip.model.h5"), ("slip_threshold", 0.5), ("tracker", "paper")):
+        asked = Grasp(controller=controller, **{name: value})
+        with pytest.raises(InputError, match=f"--{name.replace('_', '-')}: no detector is used"):
+            grasp.jobs([], asked, tmp_path)
 
 
 @pytest.mark.parametrize(

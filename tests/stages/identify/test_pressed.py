@@ -46,7 +46,7 @@ def test_what_may_not_be_there_is_not_written() -> None:
 
 
 def test_what_the_named_sensor_has_and_the_press_does_not_show_is_taken_away() -> None:
-    """Assert that dots as seen are not moved by the lens of `--like` too, nor OFF told apart from ON by its threshold."""
+    """Assert that dots as seen are not moved by the lens of `--like` too, nor thresholds told apart by its own."""
     like = {**LIKE, "distortion": (-0.03, 0.0), "threshold_off": 0.3, "dot_radius_spread": 0.04}
     _, values = pressed.rows(press(), like)
     assert values["distortion"].value.tolist() == [0.0, 0.0]

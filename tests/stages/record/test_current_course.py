@@ -1,10 +1,15 @@
 """The current that a gripper follows: as scenes name it, and as devices are commanded."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from evetac_cli.devices import GripperReading
+from evetac_cli.errors import InputError
+from evetac_cli.params.recording import Record
 from evetac_cli.sim import scene
+from evetac_cli.stages import record
 from evetac_cli.stages.record.current_course import CurrentCourse, Square
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, Hold, start, step
 
@@ -41,3 +46,14 @@ def test_a_device_follows_it() -> None:
     while not state.ended:
         given.append(step(state, hold, GripperReading(0.0, 100), rng))
     assert given == pytest.approx(np.linspace(0, 50, 51)) and len(given) * COMMAND_MS == 102
+
+
+def test_a_virtual_world_follows_the_current_of_its_scene(tmp_path: Path) -> None:
+    """Assert that a dry run says so and how long it takes, and that options for another grip are refused."""
+    asked = Record(camera="virtual", scene="grip-steps", dry_run=True)
+    shown = str(record.dry_run(record.jobs([], asked, tmp_path), asked).rows)
+    assert "-25 to 60 mA for 35.5 s" in shown and "until the gripper has followed its current, 35.5 s" in shown
+    assert "events/s for 35.5 s" in shown
+    held = Record(camera="virtual", scene="grip-steps", holding_ma=30.0, dry_run=True)
+    with pytest.raises(InputError, match="--holding-ma: has no effect with --scene grip-steps"):
+        record.dry_run(record.jobs([], held, tmp_path), held)
