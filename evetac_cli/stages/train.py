@@ -50,7 +50,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Training, TrainingState
 
 OUTPUT = "model"
-METHOD = 4
+METHOD = 5
 VALIDATE_EVERY = 8
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
@@ -290,7 +290,8 @@ def _train(
     result = training.train(
         samples,
         training.ADAPT if start is not None else training.PRESETS[settings.preset],
-        np.random.default_rng(seed if number == networks - 1 else (seed, number)),
+        # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
+        np.random.default_rng(seed if number == networks - 1 else (seed, number + 1)),
         epochs=params.epochs,
         max_steps=settings.max_steps,
         on_progress=lambda step, steps, loss: progress(number * steps + step, networks * steps),

@@ -223,13 +223,13 @@ def rows(press: Press | None, like: Mapping[str, Any], why_none: str = "") -> tu
     return [*listed, *never], entries | _without(like, entries)
 
 
-def _without(like: Mapping[str, Any], told: Mapping[str, Entry]) -> dict[str, Entry]:
+def _without(like: Mapping[str, Any], estimated: Mapping[str, Entry]) -> dict[str, Entry]:
     """Keys that `like` names and the press does not show to be there: as on a sensor without them."""
-    none: dict[str, Any] = {"threshold_off": told["threshold"].value}
+    none: dict[str, Any] = {"threshold_off": estimated["threshold"].value}
     none |= {"dot_radius_spread": 0.0, "dot_contrast_spread": 0.0}
-    if "dot_xy_px" in told:  # as seen: a lens would move them once more
+    if "dot_xy_px" in estimated:  # as seen: a lens would move them once more
         none["distortion"] = np.zeros(2)
-    names = [name for name in none if name in like and name not in told]
+    names = [name for name in none if name in like and name not in estimated]
     return {name: Entry(none[name], None, "not surely there in the press") for name in names}
 
 
