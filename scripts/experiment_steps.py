@@ -61,10 +61,12 @@ SLIP: Sizes = {
     "presets": ("adamw", "paper"),
     "folds": 3,
     "steps": 40_000,
+    "networks": 4,  # of the detector that travels
     "travel": True,  # all trials of the detector that travels, else one of each known object
 }
 SMALL_SLIP: Sizes = {
     "travel": False,
+    "networks": 2,
     "known": "3,8",
     "unseen": "11",
     "train": 1,
@@ -323,7 +325,7 @@ def ship_steps(sizes: Sizes) -> Iterator[Command]:
     """Train the detector that travels, judge it on unseen objects, and put it into the package."""
     yield evetac("train", "travel/learn/*.features.h5", "--model", "disp-xy", "--horizon-ms", 10, "--preset", "adamw",
                  "--max-steps", min(sizes["steps"], 10_000), "--validate", "travel/choose", "--seed", sizes["seed"],
-                 "--seeds", sizes["seeds"], "--out", "models/travel")  # fmt: skip
-    yield evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "models/travel/*.model.h5",
+                 "--networks", sizes["networks"], "--out", "travel.model.h5")  # fmt: skip
+    yield evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "travel.model.h5",
                  "--out", "ship.report.h5")  # fmt: skip
-    yield script("ship/ship_model.py", "models/travel/disp-xy-10ms*.model.h5", "ship.report.h5")
+    yield script("ship/ship_model.py", "travel.model.h5", "ship.report.h5")
