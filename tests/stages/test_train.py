@@ -21,7 +21,7 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 
 SLICES, ONSET = 170, 130
-NETWORKS = 1  # of the model of the package
+NETWORKS = 4  # of the model of the package
 
 
 def features_file(
