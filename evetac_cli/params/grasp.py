@@ -17,7 +17,7 @@ class Grasp(Trials):
         None, "Model file of the slip detector; default: the package's, disp-xy 10 ms ahead.", recipe=False
     )
     slip_threshold: float = parameter(
-        0.8,
+        0.3,
         "Probability from which on the controller is told of slip. Lower than the package's detector's own, which is"
         " chosen for timing: a grip is best tightened while the contact begins to slip.",
         low=0.0,
