@@ -33,6 +33,7 @@ def _sensor() -> dict[str, Any]:
         "sensor/dot_xy_px": GRID_PX.copy(),
         "sensor/dot_radius_px": np.float64(15.0),
         "sensor/contrast_over_threshold": np.float64(8.0),
+        "sensor/shear_modulus_pa": np.float64(145e3),
         "sensor/window_px": np.array([540, 0, 640, 480], np.int32),
     }
 
@@ -138,7 +139,8 @@ def features(path: Path, of: tuple[Header, ...]) -> Header:
         "events_per_dot": np.ones((SLICES, DOTS), np.int32),
         "events_total": np.full(SLICES, EVENTS_A_SLICE, np.int32),
         "events_outside": np.full(SLICES, EVENTS_A_SLICE, np.int32),
-        "contrast_over_threshold": np.float64(8.0),
+        "sensor/contrast_over_threshold": np.float64(8.0),
+        "sensor/shear_modulus_pa": np.float64(145e3),
         "visible_slip_share": np.zeros(SLICES, np.float32),
         "label": _label(),
         "onset_slice": np.int64(ONSET),
