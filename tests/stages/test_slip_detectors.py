@@ -86,13 +86,13 @@ def constant_of_32_gb(graph: Any) -> None:
 
 
 def another_weight(graph: Any) -> None:
-    (bias,) = (one for one in graph.graph.initializer if one.name == "fc1.bias")
+    (bias,) = (one for one in graph.graph.initializer if one.name == "0.fc1.bias")
     changed = numpy_helper.to_array(bias) + 1
     bias.CopyFrom(numpy_helper.from_array(changed.astype(np.float32), "fc1.bias"))
 
 
 def weight_in_another_file(graph: Any) -> None:
-    (bias,) = (one for one in graph.graph.initializer if one.name == "fc1.bias")
+    (bias,) = (one for one in graph.graph.initializer if one.name == "0.fc1.bias")
     bias.ClearField("raw_data")
     bias.data_location = TensorProto.EXTERNAL
     bias.external_data.add(key="location", value="/etc/passwd")

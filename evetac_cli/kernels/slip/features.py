@@ -37,7 +37,7 @@ STATE = np.dtype(
         ("dots", np.int64),  # n
         ("history", np.int64),  # slices that `latest` gives
         ("slices", np.int64),  # taken so far
-        ("displacement_factor", np.float32),
+        ("displacement_factor", np.float64),
         ("events_factor", np.float64),
         ("rest_xy_px", np.float64, (DOT_CAPACITY, 2)),  # the first n rows are used
         # (2 * history, n, channels), flat: every slice is written twice, `history` rows apart, so that the last slices
@@ -330,7 +330,7 @@ def _offsets(
 def _step(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
     state = record[0]
     dots, history = state["dots"], state["history"]
-    moved, counted = state["displacement_factor"], state["events_factor"]
+    moved, counted = np.float32(state["displacement_factor"]), state["events_factor"]  # as numpy multiplies in series
     rest_xy_px, ring = state["rest_xy_px"][:dots], state["ring"][:]
     row = state["slices"] % history
     first, again = row * dots * len(CHANNELS), (row + history) * dots * len(CHANNELS)

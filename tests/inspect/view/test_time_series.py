@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from evetac_cli.inspect.view import collect_view, time_series
 from evetac_cli.inspect.view.trial_files import open_trial
+from evetac_cli.kernels.sensitivity import UNKNOWN
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.params.inspection import View
 from tests.inspect.view.trials import SLICES
@@ -77,6 +78,7 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         length=lambda path: SLICES,
         read=lambda path, start=0, stop=None: displacement[start:stop],
         has=lambda path: False,
+        sensitivity=UNKNOWN,
     )
     model = SimpleNamespace(read=lambda path: 0.5)
     with open_trial([trial]) as real:
