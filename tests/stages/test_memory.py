@@ -98,7 +98,9 @@ def _validate(*files: Path) -> None:
     assert [row["faults"] for row in validate.run([*files]).rows] == [None] * len(files)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command", [pytest.param(name, marks=pytest.mark.slow if name == "grasp again" else ()) for name in COMMANDS]
+)
 def test_m11_memory_does_not_grow_with_length(
     command: str, folders: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

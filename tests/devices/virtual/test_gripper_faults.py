@@ -25,9 +25,10 @@ COUNTED = ("answers_stray", "answers_lost", "answers_damaged")
 QUICK = RhP12RnSettings(answer_ms=250, watchdog_ms=1000)  # where answers are lost on purpose
 
 
-# How a driver sees each fault: as an error in these words, or as a loss that it counts.
+# How a driver sees each fault: as an error in these words, or as a loss that it counts. A late answer that comes while
+# the driver sets up anew is thrown away with all that is on the line: then the loss alone is counted.
 SEEN_AS = {
-    "late-answer": "answers_stray",
+    "late-answer": "answers_stray|answers_lost",
     "lost-answer": "answers_lost",
     "bad-crc": "answers_damaged",
     "watchdog": "bus watchdog has tripped",
@@ -43,11 +44,12 @@ def test_m10_a_fault_strikes_when_it_is_asked_for(fault: str, moment: str) -> No
     seen = SEEN_AS[fault]
     with VirtualGripper(faults=[fault + moment]) as gripper:
         until_s = time.monotonic() + 30.0
-        if seen in COUNTED:
+        counts = seen.split("|")
+        if set(counts) <= set(COUNTED):
             with RhP12Rn(gripper.port, settings=QUICK) as driver:
-                while driver.counted[seen] == 0 and time.monotonic() < until_s:
+                while not any(driver.counted[name] for name in counts) and time.monotonic() < until_s:
                     cycles(driver, 1)
-            assert driver.counted[seen] >= 1
+            assert any(driver.counted[name] for name in counts)
             assert gripper.faults_struck() == {fault: 1}
             return
         with pytest.raises(DeviceError, match=seen):
