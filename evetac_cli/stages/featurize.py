@@ -108,25 +108,21 @@ def _blocks(
     blank = np.zeros(GEL_PX[::-1], np.int8)
     pixels = 0
     for first, stop in row_blocks(slices):
+        progress(first, slices)
         dot_xy_px = tracks.read("dot_xy_px", first, stop)
-        outside = np.empty(stop - first, np.int32)
-        drawn = []
-        for index in range(first, stop):
-            events = recording[index]
-            if images:
-                drawn.append(features.gel_image(events.x, events.y, events.p, window, blank))
-            outside[index - first] = (
-                features.events_outside(events.x, events.y, window) if window is not None else events.size
-            )
-            if index % 100 == 0:
-                progress(index, slices)
+        starts = recording.starts[first : stop + 1]
+        x, y = (recording.read(f"events/{name}", int(starts[0]), int(starts[-1])) for name in "xy")
+        starts = starts - starts[0]
         block = {
             "displacement_px": features.displacement(dot_xy_px, rest_xy_px),
             "displacement_xy_px": features.displacement_xy(dot_xy_px, rest_xy_px),
             "events_per_dot": tracks.read("events_per_dot", first, stop),
-            "events_outside": outside,
+            "events_outside": features.events_outside(x, y, starts, window),
         }
         if images:
+            p = recording.read("events/p", *recording.starts[[first, stop]].tolist())
+            slices_of = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
+            drawn = [features.gel_image(x[i:j], y[i:j], p[i:j], window, blank) for i, j in slices_of]
             ends = pixels + np.cumsum([len(pixel) for pixel, _ in drawn], dtype=np.int64)
             block |= {
                 "image/start": np.concatenate([np.zeros(int(not first), np.int64), ends]),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.learning import Track
 from evetac_cli.stages import per_file, row_blocks
@@ -75,10 +76,10 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
 
         def tracked() -> Iterator[dict[str, NDArray[Any]]]:
             nonlocal farthest_px
-            for block in _tracked(recording, state, dots, progress):
-                moved = np.linalg.norm(block["dot_xy_px"] - state.rest_xy_px.astype(np.float32), axis=2)
-                farthest_px = np.fmax(farthest_px, np.fmax.reduce(moved, axis=None, initial=np.nan))
-                yield block
+            for block in _tracked(recording, state, progress):
+                moved = features.displacement(block.dot_xy_px, state.rest_xy_px)
+                farthest_px = max(farthest_px, moved.max(initial=0.0))
+                yield block._asdict()
 
         write_stage(job.output, recipe, arrays, tracked(), dict.fromkeys(COLUMNS, slices))
     return outcome(
@@ -92,22 +93,18 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
     )
 
 
-def _tracked(recording: Recording, state: Any, dots: int, progress: Progress) -> Iterator[dict[str, NDArray[Any]]]:
-    """Where the dots are in every slice, in blocks of slices; the state of the tracker goes along."""
+def _tracked(recording: Recording, state: tracker.TrackerState, progress: Progress) -> Iterator[tracker.Tracks]:
+    """Where the dots are in every slice, in blocks of slices; the state of the tracker goes along.
+
+    Times are not read: the tracker takes the events of a slice in any order.
+    """
     slices = len(recording)
+    columns = "xyp" if state.constants.fit else "xy"
     for first, stop in row_blocks(slices):
-        dot_xy_px = np.empty((stop - first, dots, 2), np.float32)
-        events_per_dot = np.empty((stop - first, dots), np.int32)
-        lost = np.empty((stop - first, dots), np.uint8)
-        for index in range(first, stop):
-            events = recording[index]
-            tracker.step(state, events.x, events.y, events.p)
-            dot_xy_px[index - first] = state.dot_xy_px
-            events_per_dot[index - first] = state.events_per_dot
-            lost[index - first] = state.lost
-            if index % 100 == 0:
-                progress(index, slices)
-        yield dict(zip(COLUMNS, (dot_xy_px, events_per_dot, lost), strict=True))
+        progress(first, slices)
+        starts = recording.starts[first : stop + 1]
+        x, y, *p = (recording.read(f"events/{name}", int(starts[0]), int(starts[-1])) for name in columns)
+        yield tracker.fold(state, x, y, p[0] if p else None, starts - starts[0])
 
 
 def _calibration(recording: Recording, given: Path | None) -> Calibration:

@@ -16,20 +16,16 @@ from types import NoneType
 from typing import Any, Self
 
 import h5py
-import numpy as np
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, CheckedHdf5, damage_in_words
+from evetac_cli.store.chunks import RowReader, RowWriter, put
 from evetac_cli.store.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
 from evetac_cli.store.new_contents import NewContents
 from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, folded, identity_fault, unfolded
 from evetac_cli.text_files import SEED_BITS, parse_json
-
-CHUNK_ROWS = 65536
-CHUNK_BYTES = 1 << 20
-FEW = 64  # numbers that are not worth a chunk
 
 
 class StageFile:
@@ -46,6 +42,7 @@ class StageFile:
             if fault:
                 raise SchemaError(fault, where=str(self.path))
             self._datasets = self._file.datasets()
+            self._readers: dict[str, RowReader] = {}
             with damage_in_words(self.path, "its contents"):
                 stored = self.contents()
                 lines = schema.problems(schema.load(self.kind), stored)
@@ -105,8 +102,8 @@ class StageFile:
             return self._file.text(path, dataset)
         if dataset.shape == ():
             return dataset[()]
-        rows = len(range(*slice(start, stop).indices(len(dataset))))
-        size = rows * math.prod(dataset.shape[1:]) * dataset.dtype.itemsize
+        start, stop, _ = slice(start, stop).indices(len(dataset))
+        size = max(0, stop - start) * math.prod(dataset.shape[1:]) * dataset.dtype.itemsize
         if size > MOST_READ_BYTES:
             raise InputError(
                 f"{path} is too long to be read at once",
@@ -115,7 +112,9 @@ class StageFile:
                 found=f"{size / 1e9:.1f} GB",
                 hint="cut the recording with `evetac trim`",
             )
-        array = dataset[start:stop]
+        if path not in self._readers:
+            self._readers[path] = RowReader(dataset)
+        array = self._readers[path].read(start, stop)
         return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
     def length(self, path: str) -> int:
@@ -295,33 +294,20 @@ def _put_blocks(
     check: Callable[[str, Any, int], None],
 ) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Check and write datasets block by block; returns the dtype and shape of each. Ctrl-C is heard between blocks."""
-    filled: dict[str, int] = {}
+    writers: dict[str, RowWriter] = {}
     for block in blocks:
         leave_if_interrupted()
         for name, rows in block.items():
-            first = filled.get(name, 0)
-            filled[name] = first + len(rows)
-            check(name, rows, first)
-            if name not in h5:
-                _create_for(h5, name, rows, lengths.get(name))
-            if name not in lengths:
-                h5[name].resize(filled[name], axis=0)
-            h5[name][first : filled[name]] = rows
-    short = [name for name, length in lengths.items() if filled.get(name) != length]
+            if name not in writers:
+                writers[name] = RowWriter(h5, name, rows.dtype, rows.shape[1:], lengths.get(name))
+            check(name, rows, writers[name].rows)
+            writers[name].append(rows)
+    for writer in writers.values():
+        writer.close()
+    short = [name for name, length in lengths.items() if name not in writers or writers[name].rows != length]
     if short:
         raise ValueError(f"blocks: expected all rows of {', '.join(short)}, found others")
-    return {name: (schema.describe_stored(h5[name]), h5[name].shape) for name in filled}
-
-
-def _create_for(h5: h5py.File, name: str, rows: Any, length: int | None) -> None:
-    """The dataset of which these are the first rows: as `put` makes it, if its length is known."""
-    row_shape = rows.shape[1:]
-    if length is None:
-        create(h5, name, rows.dtype, row_shape, rows=0, grows=True)
-    elif length * int(np.prod(row_shape)) < FEW:
-        h5.create_dataset(name, shape=(length, *row_shape), dtype=rows.dtype, track_times=False)
-    else:
-        create(h5, name, rows.dtype, row_shape, rows=length)
+    return {name: (schema.describe_stored(h5[name]), h5[name].shape) for name in writers}
 
 
 def put_header(h5: h5py.File, header: Header) -> None:
@@ -331,32 +317,3 @@ def put_header(h5: h5py.File, header: Header) -> None:
     """
     h5.attrs["header"] = json.dumps(folded(header), sort_keys=True, allow_nan=False)
     netcdf.describe_file(h5, header)
-
-
-def put(h5: h5py.File, name: str, value: Any) -> None:
-    """Write one dataset: text and scalars plainly, arrays in chunks with gzip-1 and shuffle, which every tool reads."""
-    if isinstance(value, str):
-        h5.create_dataset(name, data=value, dtype=h5py.string_dtype(), track_times=False)
-        return
-    array = np.asarray(value)
-    if array.size < FEW:
-        h5.create_dataset(name, data=array, track_times=False)
-        return
-    create(h5, name, array.dtype, array.shape[1:], rows=len(array))[...] = array
-
-
-def create(h5: h5py.File, name: str, dtype: Any, row_shape: tuple[int, ...], rows: int, *, grows: bool = False) -> Any:
-    """An empty chunked, compressed dataset of `rows` rows."""
-    row_bytes = max(1, int(np.prod(row_shape, dtype=np.int64)) * np.dtype(dtype).itemsize)
-    chunk = max(1, min(CHUNK_ROWS, CHUNK_BYTES // row_bytes, CHUNK_ROWS if grows else rows))
-    return h5.create_dataset(
-        name,
-        shape=(rows, *row_shape),
-        maxshape=(None, *row_shape) if grows else None,
-        dtype=dtype,
-        chunks=(chunk, *row_shape),
-        compression="gzip",
-        compression_opts=1,
-        shuffle=True,
-        track_times=False,
-    )

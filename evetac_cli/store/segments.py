@@ -24,8 +24,9 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.store import schema
 from evetac_cli.store.checked_hdf5 import CheckedHdf5, row_blocks
+from evetac_cli.store.chunks import RowWriter, put
 from evetac_cli.store.disk import missing_folders, new_file, open_lock, remove_empty
-from evetac_cli.store.files import create, put, put_header, replacing
+from evetac_cli.store.files import put_header, replacing
 from evetac_cli.store.netcdf import describe_dataset
 from evetac_cli.store.new_contents import NewContents
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
@@ -254,18 +255,18 @@ def join(
             put(h5, name, value)
             digest.update(name, value)
 
+        writers: dict[str, RowWriter] = {}
+
         def put_more(name: str, rows: Any) -> None:
             """Append rows to a dataset, which is made by the first."""
-            if name not in h5:
-                create(h5, name, rows.dtype, rows.shape[1:], rows=0, grows=True)
-            dataset = h5[name]
-            first = len(dataset)
+            if name not in writers:
+                writers[name] = RowWriter(h5, name, rows.dtype, rows.shape[1:])
+            writer = writers[name]
             if not from_device:
-                new.check_block(name, rows, first)
-            dataset.resize(first + len(rows), axis=0)
-            dataset[first:] = rows
+                new.check_block(name, rows, writer.rows)
+            writer.append(rows)
             digest.update(name, rows)
-            new.shapes[name] = (rows.dtype.name, dataset.shape)
+            new.shapes[name] = (rows.dtype.name, writer.dataset.shape)
 
         put_more(STARTS, np.zeros(1, np.int64))
         for part in parts:
@@ -288,8 +289,10 @@ def join(
         for column in Events._fields:  # a recording without a single slice still has its columns
             name = f"events/{column}"
             described = table.find(name)
-            if name not in h5 and described is not None:
+            if name not in writers and described is not None:
                 put_more(name, np.empty(0, described.dtype))
+        for writer in writers.values():
+            writer.close()
         schema.refuse("recording", schema.problems(table, new.shapes), str(folder))
         if not from_device:
             new.check_rest(h5)

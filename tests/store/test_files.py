@@ -18,8 +18,9 @@ import pytest
 
 from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import disk, files
-from evetac_cli.store.files import StageFile, output_path, put, put_header, replacing, stem, up_to_date, write_stage
+from evetac_cli.store import chunks, disk, files
+from evetac_cli.store.chunks import RowWriter, put
+from evetac_cli.store.files import StageFile, output_path, put_header, replacing, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.schema import KINDS
 
@@ -644,8 +645,8 @@ def test_files_need_no_plugin(made: Path) -> None:
         assert (h5["label"].compression, h5["label"].shuffle, h5["label"].compression_opts) == ("gzip", True, 1)
         assert h5["onset_slice"].chunks is None
     with h5py.File("none", "w", driver="core", backing_store=False) as h5:
-        wide = files.create(h5, "wide", np.float32, (300, 2), rows=10_000)
-        assert wide.chunks[0] * 300 * 2 * 4 <= files.CHUNK_BYTES
+        wide = RowWriter(h5, "wide", np.float32, (300, 2), 10_000).dataset
+        assert wide.chunks[0] * 300 * 2 * 4 <= chunks.CHUNK_BYTES
         assert wide.chunks[1:] == (300, 2)
 
 

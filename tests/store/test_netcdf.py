@@ -17,7 +17,8 @@ from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import Events
 from evetac_cli.resources import MODEL
 from evetac_cli.store import netcdf, provenance, schema
-from evetac_cli.store.files import StageFile, put, put_header, replacing, write_stage
+from evetac_cli.store.chunks import put
+from evetac_cli.store.files import StageFile, put_header, replacing, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.schema import KINDS
 from evetac_cli.store.segments import RecordingWriter

@@ -14,8 +14,8 @@ from evetac_cli.formats.note import NAME
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
 from evetac_cli.store import schema
+from evetac_cli.store.chunks import RowWriter, put
 from evetac_cli.store.disk import new_file
-from evetac_cli.store.files import create, put
 from evetac_cli.store.netcdf import describe_dataset
 from evetac_cli.store.read import Recording
 
@@ -29,17 +29,12 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
     with new_file(path) as h5:
         h5.attrs[NAME] = note_for(recording, 0).text()
         count = recording.event_count
-        columns = {}
-        for name, type_ in types.items():
-            if count:
-                columns[name] = create(h5, f"events/{name}", type_, (), rows=count)
-            else:  # HDF5 knows no chunks of nothing
-                put(h5, f"events/{name}", np.empty(0, type_))
-        first = 0
+        columns = {name: RowWriter(h5, f"events/{name}", type_, (), count) for name, type_ in types.items()}
         for events in pieces(recording, progress):
             for name, column in columns.items():
-                column[first : first + events.size] = getattr(events, name)
-            first += events.size
+                column.append(getattr(events, name))
+        for column in columns.values():
+            column.close()
         put(h5, "ms_to_idx", recording.starts.astype(np.uint64))
         put(h5, "t_offset", np.int64(t_offset_us(recording)))
         table = schema.load("recording")  # which lays its events out as DSEC does

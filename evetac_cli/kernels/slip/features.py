@@ -190,18 +190,27 @@ def rotate(windows: NDArray[np.float32], quarter_turns: int) -> NDArray[np.float
 
 
 def events_outside(
-    x: NDArray[np.uint16], y: NDArray[np.uint16], window_px: tuple[int, int, int, int] | NDArray[np.int32] | None
-) -> int:
-    """Count the events outside the window (x0, y0, x1, y1), ends excluded; None (closed gel) counts all events."""
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    starts: NDArray[np.int64],
+    window_px: tuple[int, int, int, int] | NDArray[np.int32] | None,
+) -> NDArray[np.int32]:
+    """Count the events of each slice outside the window (x0, y0, x1, y1), ends excluded; None (closed gel) counts all.
+
+    Slice k has the events [starts[k], starts[k + 1]). ValueError if the columns differ in length.
+    """
     if x.ndim != 1 or x.shape != y.shape:
         raise ValueError(f"expected two columns of equal length, found {x.shape} and {y.shape}")
+    if starts[0] < 0 or starts[-1] > len(x) or (np.diff(starts) < 0).any():
+        raise ValueError(f"starts: expected indices of {len(x)} events that do not decrease, found {starts}")
     if window_px is None:
-        return len(x)
+        return np.diff(starts).astype(np.int32)
     if len(window_px) != 4:
         raise ValueError(f"window_px: expected x0, y0, x1, y1, found {window_px}")
-    x0, y0, x1, y1 = window_px
-    inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
-    return len(x) - int(np.count_nonzero(inside))
+    x0, y0, x1, y1 = (int(edge) for edge in window_px)
+    outside = np.empty(len(starts) - 1, np.int32)
+    _count_outside(x, y, starts, (x0, y0, x1, y1), outside)
+    return outside
 
 
 def event_image(
@@ -344,6 +353,22 @@ def _step(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events_per_
         first += len(CHANNELS)
         again += len(CHANNELS)
     state["slices"] += 1
+
+
+@njit(cache=True)
+def _count_outside(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    starts: NDArray[np.int64],
+    window_px: tuple[int, int, int, int],
+    outside: NDArray[np.int32],
+) -> None:
+    x0, y0, x1, y1 = window_px
+    for k in range(outside.shape[0]):
+        inside = 0
+        for i in range(starts[k], starts[k + 1]):
+            inside += (x0 <= x[i]) & (x[i] < x1) & (y0 <= y[i]) & (y[i] < y1)
+        outside[k] = starts[k + 1] - starts[k] - inside
 
 
 @njit(cache=True)

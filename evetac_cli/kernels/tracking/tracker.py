@@ -17,7 +17,7 @@ Why so:
 
 from dataclasses import dataclass, fields, replace
 from math import inf
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -252,17 +252,59 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
     or strided columns do, but the first of them costs a compilation. ValueError if x, y (uint16) and p (uint8) are no
     columns of equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
     """
-    if x.dtype != _PIXEL or y.dtype != _PIXEL or x.ndim != 1 or x.shape != y.shape:
-        raise ValueError(
-            f"expected two uint16 columns of equal length, found {x.dtype} {x.shape} and {y.dtype} {y.shape}"
-        )
-    if p is None:
-        if state.record["fit"][0]:
-            raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found none")
-        p = _NO_POLARITY
-    elif p.dtype != _POLARITY or p.shape != x.shape:
-        raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {p.dtype} {p.shape}")
-    _step(state.record, x, y, p)
+    _step(state.record, *_checked_columns(state, x, y, p))
+
+
+class Tracks(NamedTuple):
+    """What a tracker says after each of some slices, (slices, n, ...)."""
+
+    dot_xy_px: NDArray[np.float32]
+    events_per_dot: NDArray[np.int32]
+    lost: NDArray[np.uint8]
+
+
+def fold(
+    state: TrackerState,
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8] | None,
+    starts: NDArray[np.int64],
+) -> Tracks:
+    """As `step` for one slice after the other, for recordings: slice k has the events [starts[k], starts[k + 1]).
+
+    Takes and refuses what `step` does, and ValueError for starts that decrease or reach beyond the events.
+    """
+    x, y, p = _checked_columns(state, x, y, p)
+    if starts.ndim != 1 or len(starts) < 1 or starts[0] < 0 or starts[-1] > len(x) or (np.diff(starts) < 0).any():
+        raise ValueError(f"starts: expected indices of {len(x)} events that do not decrease, found {starts}")
+    slices, dots = len(starts) - 1, len(state.rest_xy_px)
+    tracks = Tracks(
+        np.empty((slices, dots, 2), np.float32), np.empty((slices, dots), np.int32), np.empty((slices, dots), np.uint8)
+    )
+    _fold(state.record, x, y, p, starts, *tracks)
+    return tracks
+
+
+@njit(cache=True)
+def _fold(
+    record: NDArray[np.void],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    starts: NDArray[np.int64],
+    dot_xy_px: NDArray[np.float32],
+    events_per_dot: NDArray[np.int32],
+    lost: NDArray[np.uint8],
+) -> None:
+    state = record[0]
+    for k in range(dot_xy_px.shape[0]):
+        first, last = starts[k], starts[k + 1]
+        _step(record, x[first:last], y[first:last], p[first:last])
+        for i in range(dot_xy_px.shape[1]):
+            dot_xy_px[k, i, 0] = state["centre_xy_px"][i, 0]
+            dot_xy_px[k, i, 1] = state["centre_xy_px"][i, 1]
+            events_per_dot[k, i] = state["events"][i]
+            lost[k, i] = state["lost"][i]
 
 
 @njit(cache=True)
@@ -298,6 +340,22 @@ def _step(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.uint16]
                 centre_xy_px[i, 1] = min(max(centre_xy_px[i, 1] + shift_px[i, 1], 0.0), FRAME_PX[1] - 1.0)
     lost_dots.update(state, moved, ring_events)
     state["slices"] += 1
+
+
+def _checked_columns(
+    state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8] | None
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
+    if x.dtype != _PIXEL or y.dtype != _PIXEL or x.ndim != 1 or x.shape != y.shape:
+        raise ValueError(
+            f"expected two uint16 columns of equal length, found {x.dtype} {x.shape} and {y.dtype} {y.shape}"
+        )
+    if p is None:
+        if state.record["fit"][0]:
+            raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found none")
+        p = _NO_POLARITY
+    elif p.dtype != _POLARITY or p.shape != x.shape:
+        raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {p.dtype} {p.shape}")
+    return x, y, p
 
 
 def _checked_dots(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:

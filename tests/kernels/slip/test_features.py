@@ -185,8 +185,9 @@ def test_wrong_shapes_are_refused() -> None:
         lambda: features.gel_image(*columns, None, np.zeros((4, 5), np.int8)),
         lambda: features.gel_image(*columns[:2], np.zeros(3, np.uint8), None, np.zeros((480, 540), np.int8)),
         lambda: features.rotate(np.zeros((7, 8, 2), np.float32), 1),
-        lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(3, np.uint16), None),
-        lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.int32)),
+        lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(3, np.uint16), np.array([0, 2]), None),
+        lambda: features.events_outside(*columns[:2], np.array([0, 2]), np.zeros(3, np.int32)),
+        lambda: features.events_outside(*columns[:2], np.array([0, 3]), None),
         lambda: features.event_image(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.uint8)),
     ):
         with pytest.raises(ValueError, match="expected .* found"):
@@ -268,12 +269,16 @@ def test_events_outside_the_window() -> None:
     """Assert that the window's first column and row are inside, its ends outside, and that a gel may have no window."""
     x = np.array([539, 540, 639, 540, 540, 10], np.uint16)
     y = np.array([0, 0, 479, 100, 480, 50], np.uint16)
-    assert features.events_outside(x, y, (540, 0, 640, 480)) == 3
-    assert features.events_outside(x, y, np.array([540, 100, 640, 480], np.int32)) == 4
-    assert features.events_outside(x, y, (500, 0, 540, 480)) == 5
-    assert features.events_outside(x, y, (540, 0, 640, 100)) == 5
-    assert features.events_outside(x, y, None) == 6
-    assert features.events_outside(x[:0], y[:0], (540, 0, 640, 480)) == 0
+    whole = np.array([0, 6])
+    assert features.events_outside(x, y, whole, (540, 0, 640, 480)) == [3]
+    assert features.events_outside(x, y, whole, np.array([540, 100, 640, 480], np.int32)) == [4]
+    assert features.events_outside(x, y, whole, (500, 0, 540, 480)) == [5]
+    assert features.events_outside(x, y, whole, (540, 0, 640, 100)) == [5]
+    assert features.events_outside(x, y, whole, None) == [6]
+    slices = np.array([0, 0, 2, 5, 6, 6])
+    assert features.events_outside(x, y, slices, (540, 0, 640, 480)).tolist() == [0, 1, 1, 1, 0]
+    assert features.events_outside(x, y, slices, None).tolist() == [0, 2, 3, 1, 0]
+    assert features.events_outside(x[:0], y[:0], np.zeros(2, np.int64), (540, 0, 640, 480)) == [0]
 
 
 def test_event_image_shows_the_last_event() -> None:

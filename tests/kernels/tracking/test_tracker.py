@@ -4,6 +4,7 @@ What only the preset `stable` does is in test_fit.py.
 """
 
 import copy
+import itertools
 import json
 import math
 import mmap
@@ -455,6 +456,26 @@ def test_any_events_keep_the_state_finite(
         assert np.isfinite(state.dot_xy_px).all()
         assert ((state.dot_xy_px >= 0) & (state.dot_xy_px <= (639, 479))).all()
         assert (state.events_per_dot >= 0).all()
+
+
+@pytest.mark.parametrize("preset", tracker.PRESETS)
+def test_fold_is_step_after_step(preset: str) -> None:
+    """Assert that many slices at once, also empty ones, leave the same state and tracks as one after the other."""
+    rng = np.random.default_rng(3)
+    starts = np.concatenate([[0], np.cumsum(rng.choice([0, 3, 900], 40))])
+    x, y = random_events(rng, grid(), int(starts[-1]))
+    p = rng.integers(0, 2, len(x)).astype(np.uint8)
+    one, other = (tracker.start(grid(), tracker.PRESETS[preset]) for _ in range(2))
+    tracks = tracker.fold(one, x, y, p, starts)
+    for k, (first, last) in enumerate(itertools.pairwise(starts)):
+        tracker.step(other, x[first:last], y[first:last], p[first:last])
+        np.testing.assert_array_equal(tracks.dot_xy_px[k], other.dot_xy_px.astype(np.float32))
+        np.testing.assert_array_equal(tracks.events_per_dot[k], other.events_per_dot)
+        np.testing.assert_array_equal(tracks.lost[k], other.lost)
+    assert one.record.tobytes() == other.record.tobytes()
+    for wrong in ([0, len(x) + 1], [-1, 3], [5, 3]):
+        with pytest.raises(ValueError, match="starts"):
+            tracker.fold(one, x, y, p, np.array(wrong))
 
 
 def test_events_outside_the_frame_are_ignored() -> None:
