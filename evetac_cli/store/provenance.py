@@ -219,11 +219,11 @@ class ContentDigest:
     def update(self, path: str, value: Any) -> None:
         """Add the next piece of one array (or the whole of a scalar or a str)."""
         if isinstance(value, str):
-            what, content = "utf8", value.encode()
+            what, content = "utf8", np.frombuffer(value.encode(), np.uint8)
         else:
             array = np.asarray(value)
             row = array.shape[1:] if array.ndim else "scalar"  # the number of rows follows from the bytes
-            what, content = f"{array.dtype.str} {row}", array.tobytes()
+            what, content = f"{array.dtype.str} {row}", np.ascontiguousarray(array).view(np.uint8)
         if path not in self._hashes:
             self._hashes[path] = hashlib.sha256(what.encode())
         self._hashes[path].update(content)

@@ -166,27 +166,33 @@ def _checked(batches: Iterable[Columns], frame_px: tuple[int, int], seen: _Seen,
     for given in batches:
         check_lengths([len(column) for column in given[:4]], where)
         seen.total += len(given.t)
-        rows = _finite_rows(given)
-        seen.dropped["not_a_number"] += len(given.t) - len(rows)
-        batch = _at(given, rows) if len(rows) < len(given.t) else given
+        finite = _finite(given)
+        numbers = int(np.count_nonzero(finite))
+        seen.dropped["not_a_number"] += len(given.t) - numbers
+        batch = _at(given, np.flatnonzero(finite)) if numbers < len(given.t) else given
         _check_values(batch, where)
         t, x, y, p, place = batch
-        seen.negative = seen.negative or bool(np.any(p == -1))
+        seen.negative = seen.negative or (p.dtype.kind != "b" and bool(np.any(p == -1)))
         seen.zero = seen.zero or bool(np.any(p == 0))
 
         inside = (x >= 0) & (x < frame_px[0]) & (y >= 0) & (y < frame_px[1])
-        seen.dropped["out_of_frame"] += len(t) - int(np.count_nonzero(inside))
+        outside = len(t) - int(np.count_nonzero(inside))
+        if outside:
+            seen.dropped["out_of_frame"] += outside
+            t, x, y, p = (column[inside] for column in (t, x, y, p))
         part = Events(
-            (np.rint(t) if t.dtype.kind == "f" else t)[inside].astype(np.int64),
-            x[inside].astype(np.uint16),
-            y[inside].astype(np.uint16),
-            (p[inside] > 0).astype(np.uint8),
+            (np.rint(t) if t.dtype.kind == "f" else t).astype(np.int64),
+            x.astype(np.uint16),
+            y.astype(np.uint16),
+            (p > 0).view(np.uint8),
         )
-        if part.size:
+        if part.size and part.t[0] >= seen.latest_us and (part.t[1:] >= part.t[:-1]).all():
+            seen.latest_us = int(part.t[-1])
+        elif part.size:
             latest_so_far = np.maximum(np.maximum.accumulate(part.t), seen.latest_us)
             seen.latest_us = int(latest_so_far[-1])
             is_late = part.t < latest_so_far
-            if not seen.late and is_late.any():
+            if not seen.late:
                 seen.first_late = place(int(np.flatnonzero(inside)[is_late][0]))
             seen.late += int(np.count_nonzero(is_late))
         yield part
@@ -204,12 +210,13 @@ def check_lengths(lengths: Sequence[int], where: str) -> None:
         raise InputError("columns differ in length", where=where, expected="t, x, y, p of one length", found=each)
 
 
-def _finite_rows(batch: Columns) -> NDArray[np.intp]:
-    """Rows that hold four numbers; NaN and infinity have no place in time or frame."""
+def _finite(batch: Columns) -> NDArray[np.bool_]:
+    """Which rows hold four numbers; NaN and infinity have no place in time or frame."""
     finite = np.ones(len(batch.t), bool)
     for column in batch[:4]:
-        finite &= np.isfinite(column)
-    return np.flatnonzero(finite)
+        if column.dtype.kind not in "iub":
+            finite &= np.isfinite(column)
+    return finite
 
 
 def _at(batch: Columns, rows: NDArray[np.intp]) -> Columns:
@@ -229,7 +236,8 @@ def _check_values(batch: Columns, where: str) -> None:
             )
 
     t, x, y, p, _ = batch
-    refuse((p != 0) & (p != 1) & (p != -1), p, "unknown polarity", "0 and 1, or -1 and 1", "is the order t x y p?")
+    known = np.ones(len(p), bool) if p.dtype.kind == "b" else (p == 0) | (p == 1) | (p == -1)
+    refuse(~known, p, "unknown polarity", "0 and 1, or -1 and 1", "is the order t x y p?")
     for name, column in (("x", x), ("y", y)):
         if column.dtype.kind == "f":
             refuse(

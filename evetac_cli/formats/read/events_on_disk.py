@@ -4,6 +4,7 @@ They are in a file without a name, which is gone with the process, whatever ends
 are given out in the order of their time, those of one time as they came.
 """
 
+import mmap
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -76,7 +77,9 @@ class EventsOnDisk:
         self._write()
         if not self._blocks:
             yield empty()
-        elif self.sorted:
+            return
+        self._mapped = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
+        if self.sorted:
             yield from (self._shifted(self._read(block)) for block in self._blocks)
         else:
             yield from map(self._shifted, self._by_time())
@@ -103,12 +106,11 @@ class EventsOnDisk:
         return events._replace(t=events.t - self.shift_us)
 
     def _read(self, block: _Block) -> Events:
-        self._file.seek(block.at)
-        data = self._file.read(block.size * EVENT_BYTES)
-        starts = [0, *np.cumsum([block.size * np.dtype(type_).itemsize for type_ in TYPES]).tolist()]
-        columns: list[Any] = [
-            np.frombuffer(data, type_, block.size, at) for type_, at in zip(TYPES, starts[:-1], strict=True)
-        ]
+        columns: list[Any] = []
+        at = block.at
+        for type_ in TYPES:
+            columns.append(np.frombuffer(self._mapped, type_, block.size, at))
+            at += columns[-1].nbytes
         return Events(*columns)
 
     def _write(self) -> None:
@@ -118,7 +120,8 @@ class EventsOnDisk:
         events = concatenate(self._waiting)
         self._waiting, self._waiting_events = [], 0
         try:
-            at = self._file.seek(0, 2)
+            end = self._file.seek(0, 2)
+            at = end + self._file.write(bytes(-end % 8))  # numbers that lie across words are slow to read
             for column in events:
                 self._file.write(np.ascontiguousarray(column).data)
             self._file.flush()
@@ -127,7 +130,8 @@ class EventsOnDisk:
                 f"the events cannot be kept while they are imported: {error.strerror or error}",
                 hint=f"an import needs {EVENT_BYTES} bytes an event beside its output until it ends",
             ) from error
-        times = np.sort(events.t)
+        # Most files are in order, and looking costs a twentieth of sorting.
+        times = events.t if (events.t[1:] >= events.t[:-1]).all() else np.sort(events.t)
         self._blocks.append(_Block(at, events.size, int(times[0]), int(times[-1])))
         self._samples.append(times[::SAMPLED].copy())
 

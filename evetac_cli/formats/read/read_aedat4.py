@@ -4,12 +4,13 @@
     packets, each: int32 stream, int32 size, payload (a compressed flatbuffer)
     packet table, only in files that were closed
 
-Why the frame of the file is read here, and faery gets one packet at a time, in a file of its own:
+Why the frame of the file is read here, and faery gets a few packets at a time, in a file of their own:
 
 - faery reads as far as the packet table, so of a file that lost its table (a recorder that was killed, a copy that was
   cut) it gives nothing, and it ends at the first damaged packet;
 - it refuses a whole packet where one event lies outside the frame, so it is given the largest frame;
-- where time goes backwards it repeats the latest time without a word: so only inside a packet.
+- where time goes backwards in a stream it repeats the latest time without a word: so each packet is a stream of its
+  own, and this happens only inside a packet.
 
 Where the headers of packets are damaged, the packet table leads past them.
 
@@ -42,6 +43,7 @@ HEADER_LIMIT_BYTES = 1 << 24
 TABLE_LIMIT_BYTES = 1 << 28  # 40 bytes a packet before compression, some 100 packets a second
 LARGEST_FRAME_PX = (32767, 32767)  # what faery takes
 COMPRESSIONS = {0: None, 1: ("lz4", 1), 2: ("lz4", 1), 3: ("zstd", 3), 4: ("zstd", 3)}  # 2, 4: slower to write
+PACKETS_AT_ONCE = 32
 EMPTY_PACKET = "empty events packet"  # what faery says of a packet without events, which is not damage
 KINDS = {"EVTS": "events", "FRME": "frames", "IMUS": "IMU samples", "TRIG": "triggers"}
 
@@ -234,15 +236,14 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
         start = _start(copy, header.compression)
         led_past = listed is not None and len(listed) > len(packets.spans)
         spans = listed if listed is not None and led_past else packets.spans
-        for span in spans:
-            handle.seek(span.start)
-            events = _decode(start, handle.read(span.stop - span.start), copy, file)
+        for events in _decoded(handle, spans, start, copy, file):
             if isinstance(events, str):
                 trouble = trouble or events
                 continue
             intact += 1
+            t, x, y, on = (np.ascontiguousarray(events[name]) for name in ("t", "x", "y", "on"))
             # faery counts time in uint64; the file in int64
-            yield Columns(events["t"].view(np.int64), events["x"], events["y"], events["on"], partial(at_index, total))
+            yield Columns(t.view(np.int64), x, y, on, partial(at_index, total))
             total += len(events)
     if not intact:
         lost = f"{size - packets.end} bytes after byte {packets.end}" if not packets.whole else trouble or "no packet"
@@ -285,22 +286,53 @@ def _replace(file: IO[bytes], content: bytes) -> None:
     file.flush()
 
 
-def _decode(start: bytes, payload: bytes, copy: Path, file: IO[bytes]) -> NDArray[Any] | str:
-    """The events of a packet, or why it cannot be decoded; `copy` is the `file` that faery reads it from."""
-    _replace(file, start + struct.pack("<ii", 0, len(payload)) + payload)
+def _decoded(
+    handle: BinaryIO, spans: list[Span], start: bytes, copy: Path, file: IO[bytes]
+) -> Iterator[NDArray[Any] | str]:
+    """The events of each packet, or why it cannot be decoded; `copy` is the `file` that faery reads them from.
+
+    Some packets together, because a file for each takes longer than decoding it; each alone where one is damaged.
+    """
+    for begin in range(0, len(spans), PACKETS_AT_ONCE):
+        payloads = []
+        for span in spans[begin : begin + PACKETS_AT_ONCE]:
+            handle.seek(span.start)
+            payloads.append(handle.read(span.stop - span.start))
+        try:
+            together = _decode(start, payloads, copy, file)
+        except BaseException as error:
+            refusal_text(error)
+            together = []
+        if len(together) == len(payloads):
+            yield from together
+        else:
+            yield from (_decode_alone(start, payload, copy, file) for payload in payloads)
+
+
+def _decode(start: bytes, payloads: list[bytes], copy: Path, file: IO[bytes]) -> list[NDArray[Any]]:
+    """The events of at most PACKETS_AT_ONCE packets, each in a stream of its own; or whatever faery raises."""
+    packets = (struct.pack("<ii", stream, len(payload)) + payload for stream, payload in enumerate(payloads))
+    _replace(file, start + b"".join(packets))
+    with _aedat().Decoder(copy) as decoder:
+        return [np.asarray(events) for _, events in decoder]
+
+
+def _decode_alone(start: bytes, payload: bytes, copy: Path, file: IO[bytes]) -> NDArray[Any] | str:
+    """The events of a packet, or why it cannot be decoded."""
     try:
-        with _aedat().Decoder(copy) as decoder:
-            for _, events in decoder:
-                return np.asarray(events)
-        return "the decoder stopped"
+        decoded = _decode(start, [payload], copy, file)
+        return decoded[0] if decoded else "the decoder stopped"
     except BaseException as error:
         trouble = refusal_text(error)
     return np.empty(0, EVENT) if trouble == EMPTY_PACKET else trouble
 
 
 def _start(path: Path, compression: int) -> bytes:
-    """The bytes before the packets of a file with one event stream and no packet table; faery writes them to `path`."""
-    with _aedat().Encoder(path, description(LARGEST_FRAME_PX), COMPRESSIONS[compression]):
+    """The bytes before the packets of a file of PACKETS_AT_ONCE event streams without a packet table.
+
+    faery writes them to `path`.
+    """
+    with _aedat().Encoder(path, description(LARGEST_FRAME_PX, streams=PACKETS_AT_ONCE), COMPRESSIONS[compression]):
         pass
     with path.open("rb") as handle:
         header = _header(handle, str(path))
@@ -308,8 +340,8 @@ def _start(path: Path, compression: int) -> bytes:
         return handle.read(header.size).replace(struct.pack("<q", header.table), NO_TABLE, 1)
 
 
-def description(frame_px: tuple[int, int], note: str = "") -> list[Any]:
-    """What the header of a file with one event stream says, as faery takes it (which writes texts as they are)."""
+def description(frame_px: tuple[int, int], note: str = "", streams: int = 1) -> list[Any]:
+    """What the header of a file with event streams says, as faery takes it (which writes texts as they are)."""
     aedat = _aedat()
 
     def node(path: str, attributes: dict[str, int | str], *nodes: Any) -> Any:
@@ -323,7 +355,9 @@ def description(frame_px: tuple[int, int], note: str = "") -> list[Any]:
     top = "/mainloop/Recorder/outInfo/"
     info: dict[str, int | str] = {"sizeX": frame_px[0], "sizeY": frame_px[1], "source": "evetac"}
     stream: dict[str, int | str] = {"originalOutputName": "events", "typeIdentifier": "EVTS"}
-    return [node(top, {}, node(f"{top}0/", stream, node(f"{top}0/info/", info | ({NAME: note} if note else {}))))]
+    noted = info | ({NAME: note} if note else {})
+    nodes = [node(f"{top}{number}/", stream, node(f"{top}{number}/info/", noted)) for number in range(streams)]
+    return [node(top, {}, *nodes)]
 
 
 def _aedat() -> Any:

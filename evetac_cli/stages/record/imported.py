@@ -45,10 +45,11 @@ def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
     for block in _blocks(imported):
         for name, rows in block.items():
             digest.update(name, rows)
-        in_slice = block["events/t"] // SLICE_US
-        if len(in_slice):
-            some = np.bincount(in_slice - in_slice[0])
-            counts[in_slice[0] : in_slice[0] + len(some)] += some
+        t = block["events/t"]
+        if len(t):
+            first, last = int(t[0]) // SLICE_US, int(t[-1]) // SLICE_US
+            ends = np.searchsorted(t, np.arange(first + 1, last + 2) * SLICE_US)
+            counts[first : last + 1] += np.diff(ends, prepend=0)
     arrays: dict[str, Any] = {
         "ms_to_idx": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         "t_offset": np.int64(imported.t_offset_us),
