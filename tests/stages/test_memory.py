@@ -88,6 +88,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "export dsec": lambda folder, out: _export(folder, "dsec", out),
     "export aedat4": lambda folder, out: _export(folder, "aedat4", out),
 }
+LONG = ("grasp again", "label by flow", "trim")  # commands that take seconds
 
 
 def _export(folder: Path, format_: str, out: Path) -> None:
@@ -99,7 +100,7 @@ def _validate(*files: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [pytest.param(name, marks=pytest.mark.slow if name == "grasp again" else ()) for name in COMMANDS]
+    "command", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in COMMANDS]
 )
 def test_m11_memory_does_not_grow_with_length(
     command: str, folders: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -42,6 +42,7 @@ def test_errors_fall_with_the_step() -> None:
     assert fine[2] < coarse[2] / 3
 
 
+@pytest.mark.slow
 def test_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert as many rows as announced, of one shape, each with its flags, which JSON can hold."""
     for name, amount in {

@@ -128,6 +128,7 @@ def test_a_trial_is_that_of_the_command(short_scene: Path, tmp_path: Path, setti
     assert chained.dot_xy_px.shape == chained.true_dot_xy_px.shape == (chained.slices, 56, 2)
 
 
+@pytest.mark.slow
 def test_a_report(short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert the report of two trials with the defaults alone: the same errors as the reference, and no difference."""
     monkeypatch.setattr(pipeline, "CHOICES", Extent((), ()))

@@ -166,6 +166,7 @@ def test_no_contact(tmp_path: Path) -> None:
         run(train_force, [path], ADAPT, tmp_path)
 
 
+@pytest.mark.slow
 def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     """Assert that known forces make an unknown gel known, from truth as from a table, and evaluate says so."""
     own = [trial(tmp_path, number, stiffer=1.6) for number in (1, 2, 3)]
