@@ -3,7 +3,7 @@
 Networks over dots run compiled (dot_network.py), those on images behind onnxruntime.
 
 Why so: online, a slice of events becomes a probability in one compiled call. Each call into compiled code costs about
-1 us, and each step in Python between two of them as much, where the whole takes 15.
+1 us, and what Python does between two of them as much, where the whole takes 20.
 """
 
 from collections import deque

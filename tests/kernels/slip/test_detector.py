@@ -82,6 +82,37 @@ def test_live_is_over(name: str) -> None:
     assert np.ptp(offline[history:]) > 1e-5
 
 
+def test_a_column_more_is_tracked_and_not_seen() -> None:
+    """Assert that with a column of dots more, bits are those of the network on the tracks of the others."""
+    result = trained("fast-slow")
+    known = np.arange(63) % 9 != 8
+    rest = np.empty((63, 2))
+    rest[known], rest[~known] = REST, REST[7::8] + (62.3, 0)
+    live = Live(result, tracker.start(rest, tracker.PRESETS["stable"]), None, known=known)
+    state = tracker.start(rest, tracker.PRESETS["stable"])
+    stored, counts = np.empty((70, 56, 2), np.float32), np.empty((70, 56), np.int32)
+    online = []
+    for k, events in enumerate(trial(70)):
+        tracker.step(state, *events)
+        stored[k], counts[k] = state.dot_xy_px[known], state.events_per_dot[known]
+        online.append(live.step(*events))
+        assert live.tracking.record.tobytes() == state.record.tobytes()
+    series = features.series(features.displacement(stored, REST), counts, features.displacement_xy(stored, REST))
+    np.testing.assert_array_equal(np.array(online, np.float32), result.over(series))
+
+
+@pytest.mark.parametrize("name", ["hist10", "hist10-img-6x6"])
+def test_wrong_columns_are_refused(name: str) -> None:
+    """Assert that events of another type, or without polarities, are refused in words and leave the tracks alone."""
+    live = Live(trained(name), started(), WINDOW)
+    before = live.tracking.record.tobytes()
+    x, p = np.array([100, 200], np.uint16), np.ones(2, np.uint8)
+    for wrong in ((x.astype(np.int64), x, p), (x, x[:1], p), (x, x, p[:1]), (x, x, p.astype(np.bool_))):
+        with pytest.raises(ValueError, match="expected"):
+            live.step(*wrong)
+    assert live.tracking.record.tobytes() == before
+
+
 def test_down5_predicts_every_fifth_slice_and_holds() -> None:
     """Assert that down5 says something new at slices 49, 54, ... alone, which is what hist would say there."""
     result = trained("down5")
