@@ -61,9 +61,9 @@ def test_weights_are_read_back() -> None:
     assert isinstance(HIST10, DotArchitecture)
     weights = joined([weights_of("hist10", 3, 5, seed) for seed in (0, 1)])
     graph = onnx_graphs.build(HIST10, weights, 3, 5)
-    found, *grid = onnx_graphs.read(graph, HIST10)
+    inside, *grid = onnx_graphs.read(graph, HIST10)
     assert grid == [3, 5]
-    assert {name: array.tobytes() for name, array in found.items()} == {
+    assert {name: array.tobytes() for name, array in inside.items()} == {
         name: array.tobytes() for name, array in weights.items()
     }
     model = onnx.load_model_from_string(graph)
