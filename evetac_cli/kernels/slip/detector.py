@@ -82,7 +82,7 @@ class Detector:
 
 def _session(graph: bytes) -> Any:
     """A graph behind onnxruntime, on one thread; ValueError if onnxruntime refuses it."""
-    import onnxruntime  # 0.1 s, for images alone
+    import onnxruntime  # here, as networks over dots do without
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -109,16 +109,19 @@ class Live:
     ) -> None:
         """Start before the first slice; tracking: of the dots at rest; the window (x0, y0, x1, y1) or None.
 
-        sensor: what is known of it; known: mask of the dots that the network sees, None: all.
+        sensor: what is known of it; known: mask of the dots that the network sees, None: all. ValueError unless these
+        are as many as the network was trained for.
         """
         self.detector = detector
         self.tracking = tracking
-        self.slices = 0
         self._window_px = window_px
         self._probability = float("nan")
         architecture, networks = detector.architecture, detector.networks
         if isinstance(architecture, DotArchitecture) and networks is not None:
             seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
+            rows, columns = networks.sizes[:2].tolist()
+            if len(seen) != rows * columns:
+                raise ValueError(f"expected {rows} x {columns} dots for the network, found {len(seen)}")
             dots = features.start(tracking.rest_xy_px[seen], architecture.history, architecture.factors(sensor))
             batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
             # Everything that the compiled call needs and changes, in its order, made once.
@@ -129,6 +132,7 @@ class Live:
             copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
             none = np.empty(0, np.uint16)  # compiles or loads it now and not in the first slice
             _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
+        self._slices = 0  # of images so far
         self._newest = np.array([architecture.history - 1])
         self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=architecture.history)
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
@@ -145,8 +149,8 @@ class Live:
         architecture = self.detector.architecture
         tracker.step(self.tracking, x, y, p)
         self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
-        self.slices += 1
-        since_full = self.slices - architecture.history
+        self._slices += 1
+        since_full = self._slices - architecture.history
         if since_full >= 0 and since_full % architecture.every == 0:
             batch = inputs.at(architecture, self._stack(), self._newest)
             self._probability = float(self.detector.probability(batch)[0])

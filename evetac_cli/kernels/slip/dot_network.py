@@ -3,8 +3,9 @@
 The same layers, on the same weights, as the torch network (networks.py) and the ONNX graph (onnx_graphs.py) of a model.
 
 Why so:
-- Such a network is 100,000 multiplications, and onnxruntime spends most of its time between them: it takes 2.7 times
-  as long. Here every layer is one product of matrices, which scipy's BLAS does for numba.
+- Such a network is 100,000 multiplications. For one input, onnxruntime spends most of its time between them and takes
+  2.7 times as long (in batches of 1000 as long). Here every layer is one product of matrices, which scipy's BLAS does
+  for numba.
 - Inputs are taken one at a time, also where there are thousands. So a slice has the same bits alone and among others,
   which nothing in a library for batches promises.
 - The matrices of a layer lie as BLAS takes them best: a row for every input, a column for every output. A convolution

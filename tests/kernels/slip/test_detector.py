@@ -193,6 +193,12 @@ def test_needs_no_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_dots_of_another_number_are_refused() -> None:
+    """Assert that a tracker of fewer dots than the network was trained for is refused at the start."""
+    with pytest.raises(ValueError, match="expected 7 x 8 dots for the network, found 48"):
+        Live(trained("hist10"), tracker.start(REST[:48], tracker.PRESETS["stable"]), WINDOW)
+
+
 def test_m4_inputs_of_another_grid_are_a_value_error() -> None:
     """Assert that inputs of another shape or type are a ValueError in words, not a wrong number."""
     for wrong in (np.zeros((1, 12, 20), np.float32), np.zeros((56, 20), np.float32), np.zeros((1, 56, 20))):
