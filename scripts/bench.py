@@ -13,14 +13,19 @@ import numpy as np
 from evetac_cli.console import print_table
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import rig
+from evetac_cli.events import Events
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.resources import MODEL
 from evetac_cli.sim import scene
 from evetac_cli.sim.scenes.gripped import GraspSimulation
+from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
+from evetac_cli.store.files import StageFile
 
 SLICE_US = 1000.0
 TOUCH_MS, LIFT_MS = 1500, 10_000
@@ -161,7 +166,7 @@ def labels() -> list[dict[str, object]]:
 
 
 def network() -> list[dict[str, object]]:
-    """One prediction of hist10 with onnxruntime."""
+    """One prediction of hist10."""
     from evetac_cli.kernels.slip.detector import Detector
     from evetac_cli.kernels.slip.networks import SlipNet, onnx_graph
 
@@ -171,10 +176,34 @@ def network() -> list[dict[str, object]]:
     return [row("predict hist10", timed(lambda: detector.probability(window), 3000))]
 
 
+def online_step(count: int = 500) -> list[dict[str, object]]:
+    """From the events of a slice to a slip probability and the signal to the controller, with the package's model."""
+    with StageFile(MODEL, "model") as model:
+        name, constants = model.read("architecture"), tracker.PRESETS[Grasp().tracker]
+        detector = OnlineSlipDetector.start(model, DOTS_PX.reshape(7, 9, 2)[:, :8], (540, 0, 640, 480), constants)
+    rng = np.random.default_rng(0)
+    turn = itertools.cycle([events_near(rng, count) for _ in range(200)])
+
+    def step() -> object:
+        detector.step(next(turn))
+        return detector.signal
+
+    for _ in range(100):  # fills the history of the network
+        step()
+    return [row(f"online step, {count} events, {name}", timed(step, 5000))]
+
+
+def events_near(rng: np.random.Generator, count: int) -> Events:
+    """A slice of events at the rims of the dots that a cut gel has."""
+    x, y, p = rim_events(rng, 2 * count)
+    left = np.flatnonzero(x < 517)[:count]
+    return Events(np.sort(rng.integers(0, 1000, len(left))), x[left], y[left], p[left])
+
+
 def main() -> None:
     simulated = [entry for name in ("slip", "lift") for number in OBJECTS for entry in simulation(name, number)]
     simulated += [*edges(), *stillness()]
-    print_table("bench, one core", [*simulated, *touch(), *labels(), *network()], {}, simulated=True)
+    print_table("bench, one core", [*simulated, *touch(), *labels(), *network(), *online_step()], {}, simulated=True)
 
 
 if __name__ == "__main__":

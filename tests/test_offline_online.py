@@ -1,7 +1,7 @@
 """Offline is online: what track, featurize and a model compute over a file is what the online detector computes.
 
-The same bits and the same decisions. That onnxruntime gives a sample the same bits alone and in a batch is asserted for
-every architecture in kernels/slip/test_detector.py.
+The same bits and the same decisions. That a sample has the same bits alone and in a batch is asserted for every
+architecture in kernels/slip/test_detector.py.
 """
 
 from pathlib import Path

@@ -5,7 +5,7 @@ seeds. Detectors of slip now, 10 ms and 20 ms ahead have different tasks: each t
 Without, every architecture of the table is built, untrained, and only timed. Networks that differ in their weights
 alone are timed once, so that no setting wins by the noise of a clock.
 
-- time_us_*: onnxruntime on one thread, one input at a time: what the paper's inference times are.
+- time_us_*: the network on one thread, one input at a time, as `grasp` runs it: what the paper's inference times are.
 - step_us_*: what `grasp` does with a slice of about 500 events, from events to a probability: tracker (its default),
   features, network. A network that predicts every 5th slice costs its time in one step of five: the 99th percentile
   shows it, the median does not.
@@ -189,17 +189,14 @@ def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], 
         )
     rest = whole[:rows, :columns].reshape(-1, 2)
     window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
-    state = tracker.start(rest, TRACKER)
-    live = Live(candidate.detector, rest, window)
+    live = Live(candidate.detector, tracker.start(rest, TRACKER), window)
     slices = [_rims(rng, float(rest[:, 0].max()) + 20.0) for _ in range(DISTINCT)]
     taken = 0
 
     def step() -> None:
         nonlocal taken
-        x, y, p = slices[taken % DISTINCT]
+        live.step(*slices[taken % DISTINCT])
         taken += 1
-        tracker.step(state, x, y, p)
-        live.step(state.dot_xy_px, state.events_per_dot, x, y, p)
 
     for _ in range(candidate.detector.architecture.history):
         step()

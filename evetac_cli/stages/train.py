@@ -50,7 +50,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Training, TrainingState
 
 OUTPUT = "model"
-METHOD = 5
+METHOD = 6
 VALIDATE_EVERY = 8
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 

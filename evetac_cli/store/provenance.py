@@ -155,7 +155,7 @@ def identity_fault(header: Header) -> str:
 def made() -> dict[str, str]:
     """Time, host and versions: recorded, not part of the id."""
     libraries = {}
-    for name in ("numpy", "numba", "h5py", "torch", "opencv-contrib-python-headless", "onnxruntime"):
+    for name in ("numpy", "numba", "h5py", "scipy", "torch", "opencv-contrib-python-headless", "onnxruntime"):
         try:
             libraries[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

@@ -13,7 +13,7 @@ from evetac_cli.cli import main
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
-from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.numerics import cost, models
 from evetac_cli.params.evaluation import EvaluateCost, EvaluateSlip
 from evetac_cli.stages.evaluate import slip
@@ -106,27 +106,26 @@ def test_every_architecture_is_a_candidate(untrained: list[models.Candidate]) ->
 
 @pytest.mark.parametrize("name", ["fast-slow", "down5", "disp-xy", "hist10-img-6x6"])
 def test_a_step_is_a_whole_one(untrained: list[models.Candidate], monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """Assert that a timed step runs the tracker on 500 events, and the network as often as it predicts."""
+    """Assert that a timed step tracks 500 events, and predicts as often as the network does."""
     (candidate,) = (one for one in untrained if one.setting == name)
     seen: list[int] = []
-    inferred: list[Any] = []
-    inner, outer = Detector.probability, models.tracker.step
+    said: list[float] = []
+    tracked: list[int] = []
+    inner = Live.step
 
-    def infer(self: Detector, batch: Any) -> Any:
-        inferred.append(batch)
-        return inner(self, batch)
-
-    def track(state: Any, x: Any, *rest: Any) -> None:
+    def step_live(self: Live, x: Any, y: Any, p: Any) -> float:
         seen.append(len(x))
-        outer(state, x, *rest)
+        said.append(inner(self, x, y, p))
+        tracked.append(int(self.tracking.record["slices"][0]))
+        return said[-1]
 
     step: Callable[[], Any] = models._grasp_step(candidate, np.random.default_rng(0))
-    monkeypatch.setattr(Detector, "probability", infer)
-    monkeypatch.setattr(models.tracker, "step", track)
-    for _ in range(10):
+    monkeypatch.setattr(Live, "step", step_live)
+    for _ in range(11):
         step()
-    assert seen == [500] * 10
-    assert len(inferred) == 10 / candidate.detector.architecture.every
+    assert seen == [500] * 11
+    assert np.diff(tracked).tolist() == [1] * 10
+    assert np.count_nonzero(np.diff(said)) == 10 / candidate.detector.architecture.every
 
 
 def test_figures_are_those_of_evaluate_slip(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:

@@ -21,5 +21,7 @@ def is_slip(probability: NDArray[np.floating], threshold: float) -> NDArray[np.b
 
 def is_slip(probability: float | NDArray[np.floating], threshold: float) -> bool | NDArray[np.bool_]:
     """Whether a probability, or each of an array, is slip: probability >= threshold in float32; NaN is not slip."""
-    detected = np.asarray(probability, np.float32) >= np.float32(threshold)
-    return detected if isinstance(probability, np.ndarray) else bool(detected)
+    if isinstance(probability, np.ndarray):
+        detected: NDArray[np.bool_] = probability.astype(np.float32) >= np.float32(threshold)
+        return detected
+    return bool(np.float32(probability) >= np.float32(threshold))

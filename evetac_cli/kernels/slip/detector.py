@@ -1,39 +1,53 @@
-"""Run a trained slip detector from its ONNX graph: slice by slice while grasping, or over a whole trajectory."""
+"""Run a trained slip detector: slice by slice while grasping, or over a whole trajectory.
+
+Networks over dots run compiled (dot_network.py), those on images behind onnxruntime.
+
+Why so: online, a slice of events becomes a probability in one compiled call. Each call into compiled code costs about
+1 us, and what Python does between two of them as much, where the whole takes 20.
+"""
 
 from collections import deque
+from typing import Any
 
 import numpy as np
-import onnxruntime
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
-from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip import dot_network, features, inputs, onnx_graphs
 from evetac_cli.kernels.slip.architectures import GEL_PX, Architecture, DotArchitecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
+from evetac_cli.kernels.tracking import tracker
 
 BATCH_VALUES = 1 << 22  # inputs at a time, 16 MiB
 
 
 class Detector:
-    """A network behind onnxruntime, on one thread (faster than two for networks this small)."""
+    """A trained detector, from the ONNX graph of its model file."""
 
     def __init__(self, graph: bytes, architecture: Architecture) -> None:
-        """Load the graph of a model file; ValueError if onnxruntime refuses it."""
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.inter_op_num_threads = 1
-        try:
-            self._session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime raises classes of its own without a common, importable base
-            raise ValueError(f"expected an ONNX graph, found bytes that onnxruntime refuses: {error}") from error
+        """Load the graph; ValueError for bytes that are no graph, and for dots unless `onnx_graphs.build` wrote it."""
         self.architecture = architecture
+        self.networks: dot_network.DotNetworks | None = None  # over dots
+        if isinstance(architecture, DotArchitecture):
+            self.networks = dot_network.pack(architecture, *onnx_graphs.read(graph, architecture))
+        else:
+            self._session = _session(graph)
 
     def probability(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
         """Slip probability (k,) of inputs (k, ...) as made by `inputs.at`; ValueError for inputs of another shape."""
+        if self.networks is not None:
+            rows, columns, wide = self.networks.sizes[:3].tolist()
+            if batch.shape[1:] != (rows * columns, wide) or batch.dtype != np.float32:
+                wanted = f"float32 (k, {rows * columns}, {wide})"
+                raise ValueError(f"expected inputs {wanted}, found {batch.dtype} {batch.shape}")
+            result = np.empty(len(batch), np.float32)
+            dot_network.predict(np.ascontiguousarray(batch), *self.networks, result)
+            return result
         probability: NDArray[np.float32]
         try:
             (probability,) = self._session.run(None, {"features": batch})
-        except Exception as error:  # as above
+        except Exception as error:  # as in _session
             wanted = self._session.get_inputs()[0].shape
             raise ValueError(f"expected inputs {wanted}, found {batch.shape}: {error}") from error
         # onnxruntime's sigmoid is an approximation: a few logits about 18 give 1.0000001
@@ -66,61 +80,79 @@ class Detector:
         return 1 if isinstance(series, EventImages) else int(series.shape[1]) * self.architecture.inputs_per_dot
 
 
+def _session(graph: bytes) -> Any:
+    """A graph behind onnxruntime, on one thread; ValueError if onnxruntime refuses it."""
+    import onnxruntime  # here, as networks over dots do without
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    try:
+        return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises classes of its own without a common, importable base
+        raise ValueError(f"expected an ONNX graph, found bytes that onnxruntime refuses: {error}") from error
+
+
 class Live:
-    """A detector that takes one slice after the other; its probabilities are those of `Detector.over`, bit for bit."""
+    """A tracker and a detector that take one slice after the other.
+
+    The probabilities are those of `Detector.over` on the tracks, bit for bit.
+    """
 
     def __init__(
         self,
         detector: Detector,
-        rest_xy_px: NDArray[np.floating],
+        tracking: tracker.TrackerState,
         window_px: tuple[int, int, int, int] | NDArray[np.int32] | None,
         sensor: Sensitivity = UNKNOWN,
+        known: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Start before the first slice; dots at rest (n, 2) in px, and the window (x0, y0, x1, y1) or None.
+        """Start before the first slice; tracking: of the dots at rest; the window (x0, y0, x1, y1) or None.
 
-        sensor: what is known of it.
+        sensor: what is known of it; known: mask of the dots that the network sees, None: all. ValueError unless these
+        are as many as the network was trained for.
         """
         self.detector = detector
-        self.slices = 0
-        self._probability = float("nan")
+        self.tracking = tracking
         self._window_px = window_px
-        architecture = detector.architecture
-        history, factors = architecture.history, features.UNSCALED
-        if isinstance(architecture, DotArchitecture):
-            factors = architecture.factors(sensor)
-        self._dots = features.start(rest_xy_px, history, factors)
-        self._newest = np.array([history - 1])
-        if isinstance(architecture, DotArchitecture):
-            self._views = inputs.view_table(architecture.views)
-            shape = (1, len(self._dots.rest_xy_px), architecture.inputs_per_dot)
-            self._batch = np.zeros(shape, np.float32)
-            inputs.fill(self._dots.ring[:history], self._newest, self._views, self._batch)  # compiles or loads it now
-        self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=history)
+        self._probability = float("nan")
+        architecture, networks = detector.architecture, detector.networks
+        if isinstance(architecture, DotArchitecture) and networks is not None:
+            seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
+            rows, columns = networks.sizes[:2].tolist()
+            if len(seen) != rows * columns:
+                raise ValueError(f"expected {rows} x {columns} dots for the network, found {len(seen)}")
+            dots = features.start(tracking.rest_xy_px[seen], architecture.history, architecture.factors(sensor))
+            batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
+            # Everything that the compiled call needs and changes, in its order, made once.
+            self._dots = (
+                *(dots.record, seen, architecture.every, inputs.view_table(architecture.views)),
+                *(batch, *networks, np.full(1, np.nan, np.float32)),
+            )
+            copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
+            none = np.empty(0, np.uint16)  # compiles or loads it now and not in the first slice
+            _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
+        self._slices = 0  # of images so far
+        self._newest = np.array([architecture.history - 1])
+        self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=architecture.history)
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
 
-    def step(
-        self,
-        dot_xy_px: NDArray[np.floating],
-        events_per_dot: NDArray[np.integer],
-        x: NDArray[np.uint16],
-        y: NDArray[np.uint16],
-        p: NDArray[np.uint8],
-    ) -> float:
-        """Slip probability after one more slice, its dots and its events; NaN until the history is full."""
+    def step(self, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]) -> float:
+        """Slip probability after the events of one more slice; NaN until the history is full.
+
+        Takes and refuses columns as `tracker.step` does.
+        """
+        if self.detector.networks is not None:
+            p = tracker.checked_polarities(self.tracking, x, y, p)
+            self._probability = _predict_slice(self.tracking.record, x, y, p, *self._dots)
+            return self._probability
         architecture = self.detector.architecture
-        images = isinstance(architecture, ImageArchitecture)
-        if images:
-            self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
-        else:
-            features.step(self._dots, dot_xy_px, events_per_dot)
-        self.slices += 1
-        since_full = self.slices - architecture.history
+        tracker.step(self.tracking, x, y, p)
+        self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
+        self._slices += 1
+        since_full = self._slices - architecture.history
         if since_full >= 0 and since_full % architecture.every == 0:
-            if images:
-                batch = inputs.at(architecture, self._stack(), self._newest)
-            else:
-                inputs.fill(features.latest(self._dots), self._newest, self._views, self._batch)
-                batch = self._batch
+            batch = inputs.at(architecture, self._stack(), self._newest)
             self._probability = float(self.detector.probability(batch)[0])
         return self._probability
 
@@ -128,3 +160,38 @@ class Live:
         pixels, signs = zip(*self._images, strict=True)
         start = np.cumsum([0, *(len(pixel) for pixel in pixels)])
         return EventImages(start, np.concatenate(pixels), np.concatenate(signs))
+
+
+@njit(cache=True)
+def _predict_slice(
+    tracking: NDArray[np.void],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    dots: NDArray[np.void],
+    seen: NDArray[np.int64],
+    every: int,
+    views: NDArray[np.int64],
+    batch: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    sizes: NDArray[np.int64],
+    probability: NDArray[np.float32],
+) -> float:
+    """Track the dots, take in the features of those seen, and predict when it is due: `probability` holds it till then.
+
+    tracking, dots: records of a `tracker.TrackerState` and a `features.FeatureState`; batch: work space (1, dots,
+    inputs); the rest as `inputs.fill` and `dot_network.predict` take it.
+    """
+    tracker.take_slice(tracking, x, y, p)
+    all_xy_px, all_events = tracking[0]["centre_xy_px"][:], tracking[0]["events"][:]
+    dot_xy_px, events = np.empty((seen.shape[0], 2)), np.empty(seen.shape[0], np.int32)
+    for i in range(seen.shape[0]):
+        dot_xy_px[i, 0], dot_xy_px[i, 1] = all_xy_px[seen[i], 0], all_xy_px[seen[i], 1]
+        events[i] = all_events[seen[i]]
+    features.take_slice(dots, dot_xy_px, events)
+    since_full = dots[0]["slices"] - dots[0]["history"]
+    if since_full >= 0 and since_full % every == 0:
+        ends = np.array([dots[0]["history"] - 1])
+        inputs.fill(features.latest_slices(dots), ends, views, batch)
+        dot_network.predict(batch, weights, sizes, probability)
+    return float(probability[0])

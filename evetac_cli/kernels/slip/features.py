@@ -97,7 +97,7 @@ def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNS
     record["displacement_factor"], record["events_factor"] = factors
     record["rest_xy_px"][0, : len(rest)] = rest
     # Compiles or loads the kernel now and not in the first slice; on a copy, which is no slice.
-    _step(record.copy(), rest, np.zeros(len(rest), np.int32))
+    take_slice(record.copy(), rest, np.zeros(len(rest), np.int32))
     return FeatureState(record)
 
 
@@ -109,7 +109,7 @@ def step(state: FeatureState, dot_xy_px: NDArray[np.floating], events_per_dot: N
             f"expected places {rest.shape} and events {rest.shape[:1]}, "
             f"found {dot_xy_px.shape} and {events_per_dot.shape}"
         )
-    _step(state.record, dot_xy_px, events_per_dot)
+    take_slice(state.record, dot_xy_px, events_per_dot)
 
 
 def latest(state: FeatureState) -> NDArray[np.float32]:
@@ -336,7 +336,8 @@ def _offsets(
 
 
 @njit(cache=True)
-def _step(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
+def take_slice(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
+    """What `step` does, unchecked, for compiled code; record: of a `FeatureState`."""
     state = record[0]
     dots, history = state["dots"], state["history"]
     moved, counted = np.float32(state["displacement_factor"]), state["events_factor"]  # as numpy multiplies in series
@@ -369,6 +370,16 @@ def _count_outside(
         for i in range(starts[k], starts[k + 1]):
             inside += (x0 <= x[i]) & (x[i] < x1) & (y0 <= y[i]) & (y[i] < y1)
         outside[k] = starts[k + 1] - starts[k] - inside
+
+
+@njit(cache=True)
+def latest_slices(record: NDArray[np.void]) -> NDArray[np.float32]:
+    """What `latest` gives, unchecked, for compiled code; record: of a `FeatureState`."""
+    state = record[0]
+    dots, history = state["dots"], state["history"]
+    first, row = state["slices"] % history, dots * len(CHANNELS)
+    latest: NDArray[np.float32] = state["ring"][first * row : (first + history) * row]
+    return latest.reshape(history, dots, len(CHANNELS))
 
 
 @njit(cache=True)

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from evetac_cli.kernels.slip.architectures import (
+    LEAST_COLUMNS,
+    LEAST_ROWS,
     Architecture,
     DotArchitecture,
     ImageArchitecture,
@@ -31,6 +33,7 @@ from evetac_cli.kernels.slip.architectures import (
 # why so: the onnx package would stamp its newest versions, which the oldest onnxruntime we allow does not read
 OPSET = 17
 IR = 8
+PER_GRID = "per_grid"  # shape of the dots' codes: all inputs, rows, columns, channels
 STAMPS = ("ir_version", "producer_name", "producer_version", "doc_string")  # who wrote a file, not what it computes
 
 
@@ -52,10 +55,7 @@ def check(
     weights: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> None:
     """Raise ValueError unless a graph is what `build` writes for this architecture and these weights, or any."""
-    try:
-        model = onnx.ModelProto.FromString(graph)
-    except DecodeError:
-        raise ValueError("expected an ONNX graph, found other bytes") from None
+    model = _parsed(graph)
     if model.functions or model.training_info or model.metadata_props:
         raise ValueError("expected one graph, found functions, training or metadata beside it")
     inside = _weights_inside(model, architecture, rows, columns)
@@ -69,6 +69,26 @@ def check(
         ours.ClearField(field)
     if model != ours:
         raise ValueError(f"expected the graph of {architecture.name}, found {_difference(model, ours)}")
+
+
+def read(graph: bytes, architecture: DotArchitecture) -> tuple[dict[str, NDArray[np.float32]], int, int]:
+    """The weights that a graph holds, and rows and columns of its dots; ValueError unless `build` wrote it."""
+    stored = {tensor.name: tensor for tensor in _parsed(graph).graph.initializer}
+    per_grid = stored.get(PER_GRID)
+    if per_grid is None or len(per_grid.raw_data) != 4 * 8:
+        raise ValueError(f"expected the graph of {architecture.name}, found none over a grid of dots")
+    _, rows, columns, _ = np.frombuffer(per_grid.raw_data, "<i8").tolist()
+    if rows < LEAST_ROWS or columns < LEAST_COLUMNS:
+        raise ValueError(f"expected at least {LEAST_ROWS} x {LEAST_COLUMNS} dots, found {rows} x {columns}")
+    check(graph, architecture, rows, columns)
+    return _weights_inside(_parsed(graph), architecture, rows, columns), rows, columns
+
+
+def _parsed(graph: bytes) -> Any:
+    try:
+        return onnx.ModelProto.FromString(graph)
+    except DecodeError:
+        raise ValueError("expected an ONNX graph, found other bytes") from None
 
 
 def _weights_inside(model: Any, architecture: Architecture, rows: int, columns: int) -> dict[str, NDArray[np.float32]]:
@@ -126,7 +146,7 @@ def _dot_layers(graph: "_Graph", architecture: DotArchitecture, rows: int, colum
     value = graph.add("Reshape", value, graph.constant("per_dot", [-1, architecture.inputs_per_dot]))
     value = graph.add("Relu", graph.layer("Gemm", value, "fc1", transB=1))
     value = graph.add("Relu", graph.layer("Gemm", value, "fc2", transB=1))
-    value = graph.add("Reshape", value, graph.constant("per_grid", [-1, rows, columns, architecture.fc2]))
+    value = graph.add("Reshape", value, graph.constant(PER_GRID, [-1, rows, columns, architecture.fc2]))
     value = graph.add("Transpose", value, perm=[0, 3, 1, 2])
     value = graph.add("Relu", graph.layer("Conv", value, "conv1", pads=[1, 0, 1, 0]))
     value = graph.add("MaxPool", value, kernel_shape=[2, 2], strides=[2, 2])

@@ -252,7 +252,24 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
     or strided columns do, but the first of them costs a compilation. ValueError if x, y (uint16) and p (uint8) are no
     columns of equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
     """
-    _step(state.record, *_checked_columns(state, x, y, p))
+    take_slice(state.record, x, y, checked_polarities(state, x, y, p))
+
+
+def checked_polarities(
+    state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8] | None
+) -> NDArray[np.uint8]:
+    """The polarities for `take_slice`; ValueError for columns that `step` refuses."""
+    if x.dtype != _PIXEL or y.dtype != _PIXEL or x.ndim != 1 or x.shape != y.shape:
+        raise ValueError(
+            f"expected two uint16 columns of equal length, found {x.dtype} {x.shape} and {y.dtype} {y.shape}"
+        )
+    if p is None:
+        if state.record["fit"][0]:
+            raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found none")
+        return _NO_POLARITY
+    if p.dtype != _POLARITY or p.shape != x.shape:
+        raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {p.dtype} {p.shape}")
+    return p
 
 
 class Tracks(NamedTuple):
@@ -274,7 +291,7 @@ def fold(
 
     Takes and refuses what `step` does, and ValueError for starts that decrease or reach beyond the events.
     """
-    x, y, p = _checked_columns(state, x, y, p)
+    p = checked_polarities(state, x, y, p)
     if starts.ndim != 1 or len(starts) < 1 or starts[0] < 0 or starts[-1] > len(x) or (np.diff(starts) < 0).any():
         raise ValueError(f"starts: expected indices of {len(x)} events that do not decrease, found {starts}")
     slices, dots = len(starts) - 1, len(state.rest_xy_px)
@@ -299,7 +316,7 @@ def _fold(
     state = record[0]
     for k in range(dot_xy_px.shape[0]):
         first, last = starts[k], starts[k + 1]
-        _step(record, x[first:last], y[first:last], p[first:last])
+        take_slice(record, x[first:last], y[first:last], p[first:last])
         for i in range(dot_xy_px.shape[1]):
             dot_xy_px[k, i, 0] = state["centre_xy_px"][i, 0]
             dot_xy_px[k, i, 1] = state["centre_xy_px"][i, 1]
@@ -308,8 +325,11 @@ def _fold(
 
 
 @njit(cache=True)
-def _step(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]) -> None:
-    """Count hot pixels, refill the buckets, sum over the events, move the dots, look for lost dots."""
+def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]) -> None:
+    """What `step` does, unchecked, for compiled code; record: of a `TrackerState`.
+
+    Count hot pixels, refill the buckets, sum over the events, move the dots, look for lost dots.
+    """
     state = record[0]
     dots = state["dots"]
     centre_xy_px, listed_xy_px = state["centre_xy_px"][: dots + 1], state["listed_xy_px"][:dots]
@@ -342,20 +362,19 @@ def _step(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.uint16]
     state["slices"] += 1
 
 
-def _checked_columns(
-    state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8] | None
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
-    if x.dtype != _PIXEL or y.dtype != _PIXEL or x.ndim != 1 or x.shape != y.shape:
-        raise ValueError(
-            f"expected two uint16 columns of equal length, found {x.dtype} {x.shape} and {y.dtype} {y.shape}"
-        )
-    if p is None:
-        if state.record["fit"][0]:
-            raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found none")
-        p = _NO_POLARITY
-    elif p.dtype != _POLARITY or p.shape != x.shape:
-        raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {p.dtype} {p.shape}")
-    return x, y, p
+@njit(cache=True)
+def mean_displacement_px(record: NDArray[np.void]) -> tuple[float, float]:
+    """Mean displacement of all dots but the missing ones to the right and down; record: of a `TrackerState`."""
+    state = record[0]
+    centre_xy_px, rest_xy_px = state["centre_xy_px"][:], state["rest_xy_px"][: state["dots"]]
+    x_px = y_px = 0.0
+    present = 0
+    for i in range(rest_xy_px.shape[0]):
+        if not np.isnan(rest_xy_px[i, 0]):
+            x_px += centre_xy_px[i, 0] - rest_xy_px[i, 0]
+            y_px += centre_xy_px[i, 1] - rest_xy_px[i, 1]
+            present += 1
+    return x_px / present, y_px / present
 
 
 def _checked_dots(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ from evetac_cli.stages.related_files import named_files
 from evetac_cli.store.files import StageFile
 
 OUTPUT = "report"
-METHOD = 4
+METHOD = 5
 
 SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
 PANELS = 4  # distributions side by side

@@ -53,8 +53,8 @@ class Model:
     def detector(self) -> Detector:
         """The network, ready to run.
 
-        Why so: made when it is needed, because onnxruntime keeps the memory of its largest batch for each network:
-        a gigabyte for event images.
+        Why so: made when it is needed, because onnxruntime, which runs those on images, keeps the memory of its
+        largest batch for each network: a gigabyte.
         """
         with StageFile(self.path, "model") as file:
             return load_detector(file)

@@ -51,11 +51,8 @@ def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.boo
 class OnlineSlipDetector:
     """The state of the detector after the slices so far."""
 
-    tracking: tracker.TrackerState
     live: Live
     threshold: float
-    known: NDArray[np.bool_] | None  # dots that the network sees; None: all
-    missing: NDArray[np.bool_] | None  # dots that the gel lacks; None: none
     count: int = 0  # slices with slip so far: what the controller reads
     probability: float = float("nan")
 
@@ -73,31 +70,24 @@ class OnlineSlipDetector:
         sensor: what is known of it.
         """
         known = dots_for(model, dot_xy_px)
-        rest = dot_xy_px.reshape(-1, 2)
-        live = Live(load_detector(model), rest[known], window_px, sensor)
-        missing = np.isnan(rest[:, 0])
-        return cls(
-            tracker.start(rest, constants),
-            live,
-            float(model.read("threshold")),
-            None if known.all() else known,
-            missing if missing.any() else None,
-        )
+        tracking = tracker.start(dot_xy_px.reshape(-1, 2), constants)
+        live = Live(load_detector(model), tracking, window_px, sensor, known)
+        tracker.mean_displacement_px(tracking.record)  # compiles or loads it now and not in the first slice
+        return cls(live, float(model.read("threshold")))
+
+    @property
+    def tracking(self) -> tracker.TrackerState:
+        """The dots after the slices so far."""
+        return self.live.tracking
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice; NaN until the history is full."""
-        tracking = self.tracking
-        tracker.step(tracking, events.x, events.y, events.p)
-        dots, counts = tracking.dot_xy_px, tracking.events_per_dot
-        if self.known is not None:
-            dots, counts = dots[self.known], counts[self.known]
-        self.probability = self.live.step(dots, counts, events.x, events.y, events.p)
+        self.probability = self.live.step(events.x, events.y, events.p)
         self.count += is_slip(self.probability, self.threshold)
         return self.probability
 
     @property
     def signal(self) -> SlipSignal:
         """The signal to the controller after the last slice, with the mean displacement of all dots in px."""
-        displacement = self.tracking.dot_xy_px - self.tracking.rest_xy_px
-        x_px, y_px = (displacement if self.missing is None else displacement[~self.missing]).mean(axis=0).tolist()
+        x_px, y_px = tracker.mean_displacement_px(self.live.tracking.record)
         return SlipSignal(self.count, self.probability, x_px, y_px)

@@ -43,7 +43,7 @@ from evetac_cli.store.segments import RecordingWriter
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
-METHOD = 1  # of grasps in real time
+METHOD = 2  # of grasps in real time
 EVENTS_S = 500_000  # that the disk must have room for
 SLOWEST_HZ = 100.0  # below, the watchdog would be blind
 SERVO_PRIORITY = 40  # hardware does not wait for a scheduler

@@ -27,7 +27,7 @@ from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 
-METHOD = 1
+METHOD = 2
 
 
 class RecordedGripper:

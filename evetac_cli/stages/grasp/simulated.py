@@ -28,7 +28,7 @@ from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 
-METHOD = 7
+METHOD = 8
 
 
 def make_recipe(trial: SimulatedTrial, params: Grasp) -> Recipe:

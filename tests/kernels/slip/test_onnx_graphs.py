@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from onnx import numpy_helper
 
 from evetac_cli.kernels.slip import networks, onnx_graphs
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, joined, parted
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, joined, parted
 
 HIST10 = ARCHITECTURES["hist10"]
 
@@ -54,6 +54,25 @@ def test_several_networks_are_one_graph(name: str) -> None:
     mean.op_type = "Max"
     with pytest.raises(ValueError, match="the operators Max"):
         onnx_graphs.check(model.SerializeToString(), ARCHITECTURES[name], 7, 8)
+
+
+def test_weights_are_read_back() -> None:
+    """Assert that weights and grid come out of a graph as they went in, and that no foreign graph is read."""
+    assert isinstance(HIST10, DotArchitecture)
+    weights = joined([weights_of("hist10", 3, 5, seed) for seed in (0, 1)])
+    graph = onnx_graphs.build(HIST10, weights, 3, 5)
+    inside, *grid = onnx_graphs.read(graph, HIST10)
+    assert grid == [3, 5]
+    assert {name: array.tobytes() for name, array in inside.items()} == {
+        name: array.tobytes() for name, array in weights.items()
+    }
+    model = onnx.load_model_from_string(graph)
+    next(node for node in model.graph.node if node.op_type == "Relu").op_type = "Abs"
+    with pytest.raises(ValueError, match="the operators Abs"):
+        onnx_graphs.read(model.SerializeToString(), HIST10)
+    images = onnx_graphs.build(ARCHITECTURES["hist10-img-6x6"], weights_of("hist10-img-6x6"))
+    with pytest.raises(ValueError, match="none over a grid of dots"):
+        onnx_graphs.read(images, HIST10)
 
 
 def test_who_wrote_it_does_not_matter() -> None:

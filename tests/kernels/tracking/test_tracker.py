@@ -671,6 +671,18 @@ def test_start_copies_and_step_works_in_place() -> None:
     assert (events == 11).all()
 
 
+def test_mean_displacement_is_that_of_the_dots_present() -> None:
+    """Assert so to the last bit, with a missing dot and without."""
+    rng = np.random.default_rng(5)
+    for dots in (grid(), np.where(np.arange(63)[:, None] == 20, np.nan, grid())):
+        state = tracker.start(dots, PRESETS["stable"])
+        for _ in range(20):
+            step(state, *random_events(rng, grid(), 400))
+        displacement_px = (state.dot_xy_px - state.rest_xy_px)[~np.isnan(dots[:, 0])]
+        assert tracker.mean_displacement_px(state.record) == tuple(displacement_px.mean(axis=0).tolist())
+        assert np.abs(displacement_px).max() > 0.01
+
+
 def test_a_hot_pixel_does_not_pull() -> None:
     """Assert that a pixel firing 2000 times a second in a ring moves its dot by 0.5 px at most, unfiltered by 2."""
     moved = {}
