@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.camera import dot_rings, optics
-from evetac_cli.sim.camera.scanning.pixels import CandidatePixels
+from evetac_cli.sim.camera.scanning.pixels import TRUE, CandidatePixels
 
 # A dot that has moved by no more, on either axis, since it was last compared rests: no level has changed by more than
 # 0.0008, and tremor below it makes no event. It saves the comparison where the gel only creeps.
@@ -70,7 +70,7 @@ def make_list(
         return
     wider = np.empty((1, 4))
     wider[0] = list_reach(box)
-    count = ring_pixels(wider[0], inner, outer, True, candidates)
+    count = ring_pixels(wider[0], inner, outer, TRUE, candidates)
     count = select_active(
         candidates.active[:count],
         wider,
