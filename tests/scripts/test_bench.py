@@ -6,17 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evetac_cli.events import Events
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import bench
 import bench_baselines
 from bench_baselines import DenseFrames, NumpyTracker, fastest, gel_camera, seen
-
-from evetac_cli.events import Events
 
 
 def test_dense_frames_make_the_same_events() -> None:
