@@ -26,6 +26,7 @@ setup: $(READY)  ## make a virtual environment of its own in .venv
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,plot,dev]'
+	$(BIN)/evetac doctor --compile
 	@touch $@
 
 experiments: $(READY)  ## list the experiments with their sizes

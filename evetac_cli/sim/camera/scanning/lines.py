@@ -65,7 +65,6 @@ def scan_lines(
     height, width = reference.shape
     rows, columns = outline.picture.shape
     cut_rows = len(seen_cut_x)
-    moved_from = seen_corner.copy()
     line = np.empty(width, np.float32)
     outlined = height if rows else 0
     runs = np.zeros((outlined, 4), np.int64)
@@ -129,9 +128,7 @@ def scan_lines(
         first_row, end_row = outline_rows(rows, height, y, seen_corner[1])
         if not (rows and outline_moved(outline.slope, outline.height, seen_corner, x, y, strength)):
             end_row = first_row
-        moved_from[:] = seen_corner
-        faded = strength != seen_corner[2]
-        moved = (x, y, moved_from[0], moved_from[1], faded)
+        moved = (x, y, seen_corner[0], seen_corner[1], strength != seen_corner[2])
         for row in range(first_row, end_row):
             left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *moved)
             runs[row] = (left, left_end, right, right_end)
@@ -196,7 +193,8 @@ def scan_lines(
         dots = 0
         for dot in range(len(near)):
             if near[dot]:
-                near_xy[dots] = at_xy[dot, scan]
+                near_xy[dots, 0] = at_xy[dot, scan, 0]
+                near_xy[dots, 1] = at_xy[dot, scan, 1]
                 dots += 1
         if few:
             dot_ink = (inner, outer, steps_per_px, profile)

@@ -52,8 +52,9 @@ def scan_window(
         place = optics.texture_place(texture, first_x, first_y, x, y, contrast)
         if first_look:
             for row in range(rows):
-                optics.sample_texture_run(texture, *place, row, 0, columns, line)
-                reference[row] += line
+                optics.sample_texture_run(texture, *place, row, ZERO, columns, line)
+                for column in range(columns):
+                    reference[row, column] += line[column]
             continue
         if faded:
             candidate_runs.due_at[:] = -np.inf
