@@ -147,7 +147,11 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             )
         if getattr(chosen, "dry_run", False):
             # A scene is run to measure what it costs: some seconds, up to a minute where it has to be compiled first.
-            with console.progress_bar(f"{title} --dry-run", "runs", quiet=running["quiet"]) as progress:
+            quiet = running["quiet"]
+            with (
+                console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
+                compiling.announced(quiet=quiet),
+            ):
                 shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"], progress=progress)
             as_json, simulated = running["as_json"], shown.simulated
             console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
