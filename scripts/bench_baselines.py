@@ -33,8 +33,9 @@ from evetac_cli.store.segments import RecordingWriter
 
 OURS = "ours"
 REPEATS = 5
-PERIOD = 50  # slices of the motion that camera and tracker see: 3 px at 20 Hz
-SWING_PX = 3.0
+# Camera and tracker see dots on circles, at a speed that makes some 400 events a slice: as in a slip of the paper's.
+PERIOD, RADIUS_PX = 1000, 3.0
+SLICES = 50  # of it in one call
 FRAME_MS = 10  # events that are summed into one picture for Lucas-Kanade and Farneback
 BLOCK = 1000  # slices that are read at once
 
@@ -70,22 +71,22 @@ def compared(task: str, calls: Mapping[str, Callable[[], int]]) -> list[Row]:
     ]
 
 
-def swing(slice_: float) -> Floats:
+def circle(slice_: float) -> Floats:
     """Where the dots (dots, 2) are at a time in slices."""
     angle = 2.0 * math.pi * slice_ / PERIOD
-    return DOTS_PX + SWING_PX * np.array([math.sin(angle), 1.0 - math.cos(angle)])
+    return DOTS_PX + RADIUS_PX * np.array([math.sin(angle), 1.0 - math.cos(angle)])
 
 
 def gel_camera(scans_per_ms: int = 5) -> camera.CameraState:
     """A camera without noise before the dots, from which the naive one takes references and thresholds."""
     model = camera.CameraModel(scans_per_ms=scans_per_ms, noise_rate_hz=0.0, hot_pixels=0)
-    return camera.start(model, swing(0), None, None, None, np.random.default_rng(0))
+    return camera.start(model, circle(0), None, None, None, np.random.default_rng(0))
 
 
 def seen(state: camera.CameraState, slice_: int) -> Events:
-    """Our camera's events of one slice of the swing; the dots move on a straight line."""
+    """Our camera's events of one slice of the motion; the dots move on a straight line."""
     still = np.zeros(2)
-    ends = swing(slice_ % PERIOD), swing(slice_ % PERIOD + 1)
+    ends = circle(slice_ % PERIOD), circle(slice_ % PERIOD + 1)
     return camera.step(state, *ends, still, still, 0.0, 1000 * slice_, np.random.default_rng(0))
 
 
@@ -97,8 +98,8 @@ class DenseFrames:
         self._reference, self._threshold = state.reference.copy(), state.threshold
 
     def slice(self, slice_: int) -> Events:
-        """The events of one slice of the swing, sorted by time."""
-        start, end = swing(slice_ % PERIOD), swing(slice_ % PERIOD + 1)
+        """The events of one slice of the motion, sorted by time."""
+        start, end = circle(slice_ % PERIOD), circle(slice_ % PERIOD + 1)
         parts = []
         for scan, readout_us in enumerate(self._readout_us):
             dots = start + scan / len(self._readout_us) * (end - start)
@@ -141,15 +142,15 @@ class NumpyTracker:
 
 
 def cameras() -> list[Row]:
-    """The gel camera on swinging dots, against full frames."""
+    """The gel camera on moving dots, against full frames."""
 
     def ours() -> Callable[[], int]:
         state, turn = gel_camera(), iter(range(10**9))
-        return lambda: sum(seen(state, next(turn)) is not None for _ in range(PERIOD))
+        return lambda: sum(seen(state, next(turn)) is not None for _ in range(SLICES))
 
     def dense(scans_per_ms: int) -> Callable[[], int]:
         frames, turn = DenseFrames(gel_camera(scans_per_ms)), iter(range(10**9))
-        return lambda: sum(frames.slice(next(turn)) is not None for _ in range(PERIOD))
+        return lambda: sum(frames.slice(next(turn)) is not None for _ in range(SLICES))
 
     calls = {OURS: ours(), "dense frames, 5 kHz: the same events": dense(5)}
     calls |= {"dense frames, 1 kHz": dense(1), "dense frames, 10 kHz": dense(10)}
@@ -157,10 +158,10 @@ def cameras() -> list[Row]:
 
 
 def trackers() -> list[Row]:
-    """Trackers on the events of swinging dots."""
+    """Trackers on the events of moving dots."""
     state = gel_camera()
-    slices = [seen(state, slice_) for slice_ in range(PERIOD)]
-    pictures = [concatenate(slices[max(0, k - FRAME_MS + 1) : k + 1]) for k in range(PERIOD)]
+    slices = [seen(state, slice_) for slice_ in range(SLICES)]
+    pictures = [concatenate(slices[max(0, k - FRAME_MS + 1) : k + 1]) for k in range(SLICES)]
 
     def ours(preset: str) -> Callable[[], int]:
         tracked = tracker.start(DOTS_PX, tracker.PRESETS[preset])
@@ -168,7 +169,7 @@ def trackers() -> list[Row]:
         def call() -> int:
             for events in slices:
                 tracker.step(tracked, events.x, events.y, events.p)
-            return PERIOD
+            return SLICES
 
         return call
 
@@ -176,7 +177,7 @@ def trackers() -> list[Row]:
         tracked = NumpyTracker(DOTS_PX)
         for events in slices:
             tracked.step(events)
-        return PERIOD
+        return SLICES
 
     def lucas_kanade() -> int:
         points = DOTS_PX.astype(np.float32)[:, None]
@@ -185,9 +186,9 @@ def trackers() -> list[Row]:
             now = flow.event_picture(events, (0, 0, *FRAME_PX))
             points, _, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, winSize=(31, 31), maxLevel=2)
             before = now
-        return PERIOD - 1
+        return SLICES - 1
 
-    events_a_slice = sum(events.size for events in slices) / PERIOD
+    events_a_slice = sum(events.size for events in slices) / SLICES
     calls = {OURS: ours("stable"), "ours, preset paper": ours("paper"), "numpy, the paper's step": in_numpy}
     calls |= {f"OpenCV Lucas-Kanade on pictures of {FRAME_MS} ms": lucas_kanade}
     return compared(f"track, 63 dots, {events_a_slice:.0f} events", calls)
@@ -228,15 +229,15 @@ def networks() -> list[Row]:
     window = np.random.default_rng(0).normal(0, 1, (1, 56, 20)).astype(np.float32)
 
     def ours() -> int:
-        for _ in range(PERIOD):
+        for _ in range(SLICES):
             detector.probability(window)
-        return PERIOD
+        return SLICES
 
     def eager() -> int:
         with torch.inference_mode():
-            for _ in range(PERIOD):
+            for _ in range(SLICES):
                 torch.sigmoid(net(torch.from_numpy(window))).numpy()
-        return PERIOD
+        return SLICES
 
     return compared("predict, hist10", {OURS: ours, "torch eager": eager})
 

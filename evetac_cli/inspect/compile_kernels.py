@@ -1,6 +1,6 @@
 """doctor --compile: have numba compile what the commands need, so that none of them waits for it later.
 
-Why so: the commands themselves are run, on one short trial in a folder that is thrown away. A list of functions and
+Why so: the commands themselves are run, on three short trials in a folder that is thrown away. A list of functions and
 their types would have to be kept by hand, and be wrong with the next change of a kernel.
 """
 
@@ -18,15 +18,15 @@ from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Outcome, Progress, silent
 
 # What one step makes, the next ones read; the commands of a step need different functions, and run side by side.
+# Three trials: to learn from, to choose a threshold on, to be judged on.
+TRIALS = [f"slip-obj03-s0-{number:03d}" for number in range(3)]
+RECORDINGS = " ".join(f"{name}.recording.h5" for name in TRIALS)
 STEPS: tuple[tuple[str, ...], ...] = (
-    ("record --scene slip --object 3 --out a.recording.h5",),
-    ("track a.recording.h5", "label a.recording.h5"),
-    ("featurize a.recording.h5",),
-    (
-        "train a.features.h5 --validate a.features.h5 --epochs 1 --max-steps 1 --out a.model.h5",
-        "grasp --object 11 --lift-s 1 --balance-s 0.1 --out b.recording.h5",
-    ),
-    ("evaluate slip a.features.h5 --model a.model.h5 --out a.report.h5",),
+    ("record --scene slip --object 3 --count 3 --out .",),
+    (f"track {RECORDINGS}", f"label {RECORDINGS}"),
+    (f"featurize {RECORDINGS}", "grasp --object 11 --lift-s 1 --balance-s 0.1 --out b.recording.h5"),
+    (f"train {TRIALS[0]}.features.h5 --validate {TRIALS[1]}.features.h5 --epochs 1 --max-steps 1 --out a.model.h5",),
+    (f"evaluate slip {TRIALS[2]}.features.h5 --model a.model.h5 --out a.report.h5",),
 )
 
 

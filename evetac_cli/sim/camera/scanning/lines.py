@@ -131,7 +131,10 @@ def scan_lines(
         moved = (x, y, seen_corner[0], seen_corner[1], strength != seen_corner[2])
         for row in range(first_row, end_row):
             left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *moved)
-            runs[row] = (left, left_end, right, right_end)
+            runs[row, 0] = left
+            runs[row, 1] = left_end
+            runs[row, 2] = right
+            runs[row, 3] = right_end
         touching = (first_row, end_row)
         if few:
             place = (x, y, strength)
