@@ -33,7 +33,7 @@ from evetac_cli.store.segments import RecordingWriter
 
 OURS = "ours"
 REPEATS = 5
-# Camera and tracker see dots on circles, at a speed that makes some 400 events a slice: as in a slip of the paper's.
+# Camera and tracker see dots on circles, at a speed that makes some 350 events a slice.
 PERIOD, RADIUS_PX = 1000, 3.0
 SLICES = 50  # of it in one call
 FRAME_MS = 10  # events that are summed into one picture for Lucas-Kanade and Farneback
