@@ -6,6 +6,8 @@ PYTHON ?= python3
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 SMALL ?=
 SIZES ?=
+# Of bench: a revision, or the folder of another checkout, to compare with.
+BASE ?=
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
@@ -24,6 +26,7 @@ setup: $(READY)  ## make a virtual environment of its own in .venv
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,plot,dev]'
+	$(BIN)/evetac doctor --compile
 	@touch $@
 
 experiments: $(READY)  ## list the experiments with their sizes
@@ -95,8 +98,8 @@ check: $(READY)  ## ruff and mypy --strict
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(READY)  ## run times of the kernels, as ratios to real time and to each other in one run
-	$(BIN)/python scripts/bench.py
+bench: $(READY)  ## run times of the kernels, as ratios in one run: to real time, to other ways, to a commit (BASE)
+	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))
 
 clean:  ## remove what demo, tests and builds left; the environment stays
 	rm -rf demo strips film small dist .pytest_cache .ruff_cache .mypy_cache .hypothesis

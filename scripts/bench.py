@@ -1,16 +1,29 @@
-"""Run times of the kernels on one core, as ratios in one run: times faster than real time, and against each other.
+"""Run times of the kernels on one core, as ratios in one run: to real time, to other ways, to another commit.
+
+    python scripts/bench.py                                  # all rows, those of bench_baselines.py last
+    python scripts/bench.py --only touch baselines
+    python scripts/bench.py --against HEAD~20                # or the folder of another checkout: `make bench BASE=...`
 
 Times depend on the machine and on what else it does; the ratios of one run are what to compare. Simulated input.
+With --against, this script runs in processes of its own with either package, in turn; a group of rows that fails with
+one of them is left out.
 """
 
+import argparse
 import itertools
 import json
+import os
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 
-from evetac_cli.console import print_table
+from evetac_cli.console import show
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import rig
 from evetac_cli.events import Events
@@ -27,6 +40,7 @@ from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.store.files import StageFile
 
+ROOT = Path(__file__).resolve().parents[1]
 SLICE_US = 1000.0
 TOUCH_MS, LIFT_MS = 1500, 10_000
 OBJECTS = (8, 11, 17, 18)
@@ -200,10 +214,86 @@ def events_near(rng: np.random.Generator, count: int) -> Events:
     return Events(np.sort(rng.integers(0, 1000, len(left))), x[left], y[left], p[left])
 
 
+def all_simulations(name: str) -> list[dict[str, object]]:
+    return [entry for number in OBJECTS for entry in simulation(name, number)]
+
+
+def baselines() -> list[dict[str, object]]:
+    import bench_baselines
+
+    return bench_baselines.rows()
+
+
+GROUPS: dict[str, Callable[[], list[dict[str, object]]]] = {
+    "slip": lambda: all_simulations("slip"),
+    "lift": lambda: all_simulations("lift"),
+    "edge": edges,
+    "still": stillness,
+    "touch": touch,
+    "labels": labels,
+    "network": network,
+    "online": online_step,
+    "baselines": baselines,
+}
+
+
+@contextmanager
+def checkout(base: str) -> Iterator[Path]:
+    """The folder of another checkout: `base` itself, or a work tree of that revision while this lasts."""
+    if Path(base).is_dir():
+        yield Path(base).resolve()
+        return
+    with tempfile.TemporaryDirectory(prefix="evetac-bench-") as folder:
+        git = ["git", "-C", str(ROOT), "worktree"]
+        subprocess.run([*git, "add", "--quiet", "--detach", f"{folder}/base", base], check=True)
+        try:
+            yield Path(folder) / "base"
+        finally:
+            subprocess.run([*git, "remove", "--force", f"{folder}/base"], check=True)
+
+
+def times_us(code: Path, group: str) -> dict[str, float]:
+    """Median times of a group's rows, run by a process of its own with the package in a folder; none if it fails."""
+    run = [sys.executable, __file__, "--only", group, "--json"]
+    environment = os.environ | {"PYTHONPATH": str(code)}
+    done = subprocess.run(run, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        why = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
+        print(f"{group}: not with {code}: {why}", file=sys.stderr)
+        return {}
+    return {row["what"]: row["time_us_median"] for row in json.loads(done.stdout)["rows"]}
+
+
+def against(base: Path, groups: Iterable[str], rounds: int) -> list[dict[str, object]]:
+    """Rows that both checkouts have, each the fastest of its rounds; the checkouts take turns."""
+    rows: list[dict[str, object]] = []
+    for group in groups:
+        fastest: dict[Path, dict[str, float]] = {ROOT: {}, base: {}}
+        for _ in range(rounds):
+            for code, known in fastest.items():
+                known |= {what: min(us, known.get(what, us)) for what, us in times_us(code, group).items()}
+        rows += [
+            {"what": what, "time_us": us, "time_us_base": fastest[base][what], "ratio": us / fastest[base][what]}
+            for what, us in fastest[ROOT].items()
+            if what in fastest[base]
+        ]
+    return rows
+
+
 def main() -> None:
-    simulated = [entry for name in ("slip", "lift") for number in OBJECTS for entry in simulation(name, number)]
-    simulated += [*edges(), *stillness()]
-    print_table("bench, one core", [*simulated, *touch(), *labels(), *network(), *online_step()], {}, simulated=True)
+    """Run the rows here, or here and in another checkout, and print them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="groups of rows")
+    parser.add_argument("--against", metavar="BASE", help="a revision, or the folder of another checkout")
+    parser.add_argument("--rounds", type=int, default=3, help="of --against, of which the fastest counts")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    chosen = parser.parse_args()
+    if chosen.against is None:
+        rows = [entry for group in chosen.only for entry in GROUPS[group]()]
+    else:
+        with checkout(chosen.against) as base:
+            rows = against(base, [group for group in chosen.only if group != "baselines"], chosen.rounds)
+    show("bench, one core", rows, {}, simulated=True, as_json=chosen.json)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from evetac_cli import __version__, console, resources
-from evetac_cli.cli import config, engines, exit_codes, workers
+from evetac_cli.cli import compiling, config, engines, exit_codes, workers
 from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
@@ -147,7 +147,11 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             )
         if getattr(chosen, "dry_run", False):
             # A scene is run to measure what it costs: some seconds, up to a minute where it has to be compiled first.
-            with console.progress_bar(f"{title} --dry-run", "runs", quiet=running["quiet"]) as progress:
+            quiet = running["quiet"]
+            with (
+                console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
+                compiling.announced(quiet=quiet),
+            ):
                 shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"], progress=progress)
             as_json, simulated = running["as_json"], shown.simulated
             console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
@@ -202,6 +206,13 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
                 print(module.udev_rules())
             return
         result: Outcome
+        if chosen.compile:
+            module = importlib.import_module("evetac_cli.inspect.compile_kernels")
+            console.say("compiling, once after installing: a minute or so")
+            with console.progress_bar("compiling", "commands", quiet=False) as progress:
+                result = module.run(progress)
+            console.show(title, result.rows, result.summary, simulated=False, as_json=running["as_json"])
+            return
         if chosen.hardware:
             module = importlib.import_module("evetac_cli.inspect.hardware_check")
             result = module.run(chosen, running["out"])
@@ -261,11 +272,11 @@ def _run(
             engines.run_on_dask(engine, command.module, waiting, chosen, force, at_once, progress, results)
     elif at_once > 1:
         with console.progress_bar(command.name, "files", quiet=quiet) as progress:
-            workers.run_parallel(command.module, waiting, chosen, force, at_once, progress, results)
+            workers.run_parallel(command.module, waiting, chosen, force, at_once, progress, results, quiet=quiet)
     for number, job in enumerate(jobs):
         if job.output not in results:
             name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")
-            with console.progress_bar(name, command.unit, quiet=quiet) as progress:
+            with console.progress_bar(name, command.unit, quiet=quiet) as progress, compiling.announced(quiet=quiet):
                 results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from evetac_cli.cli import compiling
 from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 
@@ -104,9 +105,14 @@ def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | Eve
         signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
 
 
-def _work(pipe: "Connection", module: str, chosen: Any, force: bool) -> None:
+def _work(pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool) -> None:
     """What a worker process does: job after job from the pipe, until it closes; at once ended if the parent dies."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    with compiling.announced(quiet=quiet):
+        _work_off(pipe, module, chosen, force)
+
+
+def _work_off(pipe: "Connection", module: str, chosen: Any, force: bool) -> None:
     while True:
         try:
             job: Job = pipe.recv()
@@ -136,9 +142,9 @@ def _end_with_parent() -> None:
 class _Worker:
     """A worker process, its pipe, and the job that it is at."""
 
-    def __init__(self, context: "SpawnContext", module: str, chosen: Any, force: bool) -> None:
+    def __init__(self, context: "SpawnContext", module: str, chosen: Any, force: bool, quiet: bool) -> None:
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_work, args=(theirs, module, chosen, force))
+        self.process = context.Process(target=_work, args=(theirs, module, chosen, force, quiet))
         self.process.start()
         theirs.close()
         self.job: Job | None = None
@@ -185,10 +191,13 @@ def run_parallel(
     at_once: int,
     progress: Progress,
     results: dict[Path, Outcome | EvetacError],
+    *,
+    quiet: bool = True,
 ) -> None:
     """Run jobs in `at_once` processes; what came of each goes into `results`, by its output, also on Ctrl-C.
 
-    After Ctrl-C workers have GRACE_S to stop, and are killed then. A worker that dies costs its own job only.
+    After Ctrl-C workers have GRACE_S to stop, and are killed then. A worker that dies costs its own job only. Unless
+    `quiet`, the first of them says when it has to compile.
     """
     import multiprocessing
     from multiprocessing import resource_tracker
@@ -208,7 +217,8 @@ def run_parallel(
         progress(0, len(jobs))
         while waiting or any(worker.job for worker in workers):
             missing = min(at_once - len(workers), len(waiting))
-            workers.extend(_Worker(context, module, chosen, force) for _ in range(missing))
+            for _ in range(missing):  # one of them speaks for all
+                workers.append(_Worker(context, module, chosen, force, quiet or bool(workers)))
             for worker in workers:
                 if worker.job is None and waiting:
                     worker.begin(waiting.popleft())

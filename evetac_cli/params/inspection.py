@@ -36,11 +36,18 @@ class Export:
 class Doctor:
     """Find cameras and grippers, and say of each what is wrong and the command that mends it; changes nothing.
 
-    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong. With --hardware
-    it tries a camera and a gripper step by step, moves the fingers a little, and writes a report.
+    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong. With --compile it
+    only has the commands' inner loops compiled. With --hardware it tries a camera and a gripper step by step, moves the
+    fingers a little, and writes a report.
     """
 
     print_udev: bool = parameter(False, "Print udev rules and where to put them, and do nothing else.", recipe=False)
+    compile: bool = parameter(
+        False,
+        "Compile what the commands need, so that none of them waits for it later, and do nothing else; `make setup`"
+        " does it.",
+        recipe=False,
+    )
     gripper: str | None = parameter(
         None,
         "Examine this port too, with or without @BAUD. By itself it only talks to ports of FTDI adapters (U2D2).",

@@ -42,8 +42,11 @@ def dots_near(dot: int, path: Floats, box: Floats, outer: float, near_path: Floa
         reach_x = box[dot, 2] + box[other, 2] + 2.0 * outer
         reach_y = box[dot, 3] + box[other, 3] + 2.0 * outer
         if abs(box[dot, 0] - box[other, 0]) <= reach_x and abs(box[dot, 1] - box[other, 1]) <= reach_y:
-            near_path[near] = path[other]
-            near_box[near] = box[other]
+            for shot in range(path.shape[1]):
+                near_path[near, shot, 0] = path[other, shot, 0]
+                near_path[near, shot, 1] = path[other, shot, 1]
+            for side in range(4):
+                near_box[near, side] = box[other, side]
             near += 1
     return near
 

@@ -166,14 +166,15 @@ def step_nodes(
             too_long = too_long or released > resisted
             accepted = accepted and hardest <= resisted
     if too_long or (error > allowed_m and not accepted):
-        stuck[:] = stuck_before
+        _restore(stuck, stuck_before)
         if second is not None:
-            stuck_2[:] = stuck_before_2
+            _restore(stuck_2, stuck_before_2)
         return TOO_LONG
     info[:] = 0.0
     if second is not None:
         advance(state_2, nodal_2, friction, dt, theta, layer_2, work_2, info)
-        info[16:19] = info[9:12]
+        for axis in range(3):
+            info[16 + axis] = info[9 + axis]
         heat, pressed = info[13], info[14]
     info[0] = sweeps
     info[1] = worst / scale
@@ -187,3 +188,13 @@ def step_nodes(
         pose[axis] += dt * body[axis]
         twist[axis] = body[axis] if prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
     return 0
+
+
+@njit(cache=True)
+def _restore(nodes: Flags, before: Flags) -> None:
+    """Put values of nodes (rows, columns) back. Why so: assigned as a whole, they bring along the words of an error
+    about shapes, which take seconds to compile.
+    """
+    for row in range(nodes.shape[0]):
+        for column in range(nodes.shape[1]):
+            nodes[row, column] = before[row, column]

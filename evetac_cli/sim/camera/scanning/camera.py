@@ -37,13 +37,14 @@ from evetac_cli.sim.camera.scanning.dots import scan_dots
 from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines
 from evetac_cli.sim.camera.scanning.pixels import (
+    FALSE,
+    ZERO,
     CandidatePixels,
     CandidateRuns,
     ScanTimes,
     all_pixels,
     all_runs,
     gel_pixels,
-    line_motion,
     window_pixels,
 )
 from evetac_cli.sim.camera.scanning.readout import Readout
@@ -315,7 +316,7 @@ def step(
     line_events = 0
     if lines is not None:
         plain = (tuple(lines.start), tuple(lines.end), tuple(lines.outline), *lines[3:])
-        made, line_events = _scan_with_lines(plain, path, gel, tuple(motion), window, times, state.keys)
+        made, line_events = scan_lines(plain, path, gel, tuple(motion), window, times, state.keys)
     else:
         made = _scan(path, gel, tuple(motion), window, times, state.keys)
     if state.contact_edges is not None:
@@ -380,30 +381,12 @@ def _scan(
     """Scan dots and window; returns the number of events."""
     scans = ScanTimes(times[0], times[1], times[2])
     untouched = np.zeros(len(path), np.uint8)
-    made = scan_dots(path, gel_pixels(gel), scans, 0, len(scans.readout_us), untouched, False, keys, 0)
+    made = scan_dots(path, gel_pixels(gel), scans, ZERO, len(scans.readout_us), untouched, FALSE, keys, ZERO)
     pixels = window_pixels(window)
     if pixels.reference.size:
         object_motion = ObjectMotion(motion[0], motion[1], motion[2])
-        made = scan_window(object_motion, pixels, scans, 0, len(scans.readout_us), keys, made)
+        made = scan_window(object_motion, pixels, scans, ZERO, len(scans.readout_us), keys, made)
     return int(made)
-
-
-@njit(cache=True)
-def _scan_with_lines(
-    lines: tuple[Any, ...],
-    path: NDArray[np.float64],
-    gel: tuple[Any, ...],
-    motion: tuple[Any, ...],
-    window: tuple[Any, ...],
-    times: tuple[Any, ...],
-    keys: NDArray[np.int64],
-) -> tuple[int, int]:
-    """Scan dots and window with lines that move; returns the number of events, and of those that lines alone made."""
-    scans = ScanTimes(times[0], times[1], times[2])
-    object_motion = ObjectMotion(motion[0], motion[1], motion[2])
-    moving = line_motion(lines)
-    made, line_events = scan_lines(moving, path, gel_pixels(gel), object_motion, window_pixels(window), scans, keys)
-    return int(made), int(line_events)
 
 
 @njit(cache=True)

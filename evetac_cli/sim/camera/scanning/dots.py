@@ -32,7 +32,7 @@ from evetac_cli.sim.camera.scanning.pixel_culling import (
     select_listed,
     select_own,
 )
-from evetac_cli.sim.camera.scanning.pixels import CandidatePixels, GelPixels, ScanTimes
+from evetac_cli.sim.camera.scanning.pixels import FALSE, TRUE, CandidatePixels, GelPixels, ScanTimes
 
 # A dot that has lost its list to a line gets a new one once lines have left it alone for so many scans, in which its
 # whole ring is compared: making a list costs about as much.
@@ -85,7 +85,7 @@ def scan_dots(
             inner, outer, profile = own_inner[dot], own_outer[dot], own_level[dot]
         if crowded[dot] and differing:
             candidates.list_box[dot] = np.nan
-            count = ring_pixels(box[dot], least_inner, greatest_outer, False, candidates)
+            count = ring_pixels(box[dot], least_inner, greatest_outer, FALSE, candidates)
             count = select_own(dot, count, box, least_inner, greatest_outer, candidates)
             made = compare_crowded(
                 candidates.active[:count],
@@ -110,7 +110,7 @@ def scan_dots(
         elif crowded[dot]:
             near = dot_rings.dots_near(dot, at_xy, box, outer, near_xy, near_box)
             candidates.list_box[dot] = np.nan
-            count = ring_pixels(box[dot], inner, outer, False, candidates)
+            count = ring_pixels(box[dot], inner, outer, FALSE, candidates)
             count = select_own(dot, count, box, inner, outer, candidates)
             count = select_active(
                 candidates.active[:count],
@@ -145,7 +145,7 @@ def scan_dots(
             )
         elif touched[dot]:
             candidates.list_length[dot] = -1
-            count = ring_pixels(list_reach(box[dot]), inner, outer, True, candidates)
+            count = ring_pixels(list_reach(box[dot]), inner, outer, TRUE, candidates)
         else:
             if not is_within(box, candidates.list_box, dot):
                 make_list(

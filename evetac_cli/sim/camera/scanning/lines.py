@@ -19,7 +19,6 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.contact_edges import (
-    LineMotion,
     Place,
     cut_moved,
     cut_run,
@@ -32,7 +31,7 @@ from evetac_cli.sim.camera.contact_edges import (
 from evetac_cli.sim.camera.dot_shapes import DotShapes, differing_row
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
 from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
-from evetac_cli.sim.camera.scanning.pixels import RUN_PX, GelPixels, ScanTimes, WindowPixels
+from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ZERO, ScanTimes, gel_pixels, line_motion, window_pixels
 from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
 
 ROUNDED_UP = 1.0 + 1e-6  # more than single precision costs a difference
@@ -40,16 +39,24 @@ ROUNDED_UP = 1.0 + 1e-6  # more than single precision costs a difference
 
 @njit(cache=True)
 def scan_lines(
-    lines: LineMotion,
+    plain_lines: tuple[Any, ...],
     path: NDArray[np.float64],
-    gel: GelPixels,
-    motion: ObjectMotion,
-    window: WindowPixels,
-    times: ScanTimes,
+    plain_gel: tuple[Any, ...],
+    plain_motion: tuple[Any, ...],
+    plain_window: tuple[Any, ...],
+    plain_times: tuple[Any, ...],
     keys: NDArray[np.int64],
 ) -> tuple[int, int]:
-    """Scan dots and window with lines that move; returns the number of events, and of those that lines alone made."""
-    start, end, outline, cut_contrast, cut_half, seen_corner, seen_cut_x, seen_level, seen_cut_level = lines
+    """Scan dots and window with lines that move; returns the number of events, and of those that lines alone made.
+
+    Python hands over LineMotion, GelPixels, ObjectMotion, WindowPixels and ScanTimes as plain tuples, see camera.
+    """
+    gel, window = gel_pixels(plain_gel), window_pixels(plain_window)
+    motion = ObjectMotion(plain_motion[0], plain_motion[1], plain_motion[2])
+    times = ScanTimes(plain_times[0], plain_times[1], plain_times[2])
+    start, end, outline, cut_contrast, cut_half, seen_corner, seen_cut_x, seen_level, seen_cut_level = line_motion(
+        plain_lines
+    )
     inner, outer, steps_per_px, profile = gel.profile
     reference = gel.reference
     candidates = gel.candidates
@@ -58,7 +65,6 @@ def scan_lines(
     height, width = reference.shape
     rows, columns = outline.picture.shape
     cut_rows = len(seen_cut_x)
-    moved_from = seen_corner.copy()
     line = np.empty(width, np.float32)
     outlined = height if rows else 0
     runs = np.zeros((outlined, 4), np.int64)
@@ -109,10 +115,10 @@ def scan_lines(
     row_xy = np.empty_like(near_xy)
     due = (due_runs.due_at, due_runs.row_due_at)
     shifted = (reference, candidates.lower2_px2, first_x, first_y, window_reference, *due)
-    made = 0
+    made = ZERO
     line_events = 0
     if not at_lines:
-        made = scan_dots(path, gel, times, 0, scans, touched, apart, keys, made)
+        made = scan_dots(path, gel, times, ZERO, scans, touched, apart, keys, made)
     for scan in range(scans):
         part = scan / scans
         now_us = t0_us + scan * SLICE_US / scans
@@ -122,12 +128,13 @@ def scan_lines(
         first_row, end_row = outline_rows(rows, height, y, seen_corner[1])
         if not (rows and outline_moved(outline.slope, outline.height, seen_corner, x, y, strength)):
             end_row = first_row
-        moved_from[:] = seen_corner
-        faded = strength != seen_corner[2]
-        moved = (x, y, moved_from[0], moved_from[1], faded)
+        moved = (x, y, seen_corner[0], seen_corner[1], strength != seen_corner[2])
         for row in range(first_row, end_row):
             left, left_end, right, right_end = outline_runs(outline.runs, columns, width, row, *moved)
-            runs[row] = (left, left_end, right, right_end)
+            runs[row, 0] = left
+            runs[row, 1] = left_end
+            runs[row, 2] = right
+            runs[row, 3] = right_end
         touching = (first_row, end_row)
         if few:
             place = (x, y, strength)
@@ -140,13 +147,13 @@ def scan_lines(
                     _shift(line, seen_level, row, first, beyond, *shifted)
         touched[:] = 0
         if first_row < end_row:
-            over = (first_row, end_row, 0, width)
+            over = (first_row, end_row, ZERO, width)
             _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, over, runs, touched)
             seen_corner[0] = x
             seen_corner[1] = y
             seen_corner[2] = strength
         cut_left = width
-        cut_right = 0
+        cut_right = ZERO
         for row in range(cut_rows):
             cut_x = start.cut_x_px[row] + part * (end.cut_x_px[row] - start.cut_x_px[row])
             cut_runs[row, 0] = 0
@@ -163,7 +170,7 @@ def scan_lines(
                 if few:
                     doubtful[row, first:beyond] = 1
         if cut_left < cut_right:
-            over = (0, cut_rows, cut_left, cut_right)
+            over = (ZERO, cut_rows, cut_left, cut_right)
             _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, over, cut_runs, touched)
 
         if at_lines:
@@ -175,8 +182,8 @@ def scan_lines(
         when = (readout_us[scan], now_us, refractory_us)
         texture_at = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
         ink = (inner, outer, steps_per_px, profile, near_shapes, texture, texture_at)
-        gel_pixels = (reference, gel.threshold, gel.middle_shift, gel.release_us, candidates.lower2_px2)
-        window_pixels = (
+        of_gel = (reference, gel.threshold, gel.middle_shift, gel.release_us, candidates.lower2_px2)
+        of_window = (
             first_x,
             first_y,
             window_reference,
@@ -185,11 +192,12 @@ def scan_lines(
             window_release_us,
             *due,
         )
-        pixels = (*gel_pixels, *window_pixels)
+        pixels = (*of_gel, *of_window)
         dots = 0
         for dot in range(len(near)):
             if near[dot]:
-                near_xy[dots] = at_xy[dot, scan]
+                near_xy[dots, 0] = at_xy[dot, scan, 0]
+                near_xy[dots, 1] = at_xy[dot, scan, 1]
                 dots += 1
         if few:
             dot_ink = (inner, outer, steps_per_px, profile)
@@ -200,7 +208,7 @@ def scan_lines(
         what = (near_xy, row_xy, ink, pixels)
         made = _compare_across(*what, first_row, end_row, runs, *when, line, keys, made)
         if cut_left < cut_right:
-            made = _compare_across(*what, 0, cut_rows, cut_runs, *when, line, keys, made)
+            made = _compare_across(*what, ZERO, cut_rows, cut_runs, *when, line, keys, made)
         line_events += made - before
     return made, line_events
 
@@ -400,7 +408,7 @@ def _compare_across(
                 row,
                 first,
                 end,
-                (0, 0),
+                (ZERO, ZERO),
                 readout_us,
                 now_us,
                 refractory_us,

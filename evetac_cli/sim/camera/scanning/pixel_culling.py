@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.camera import dot_rings, optics
-from evetac_cli.sim.camera.scanning.pixels import CandidatePixels
+from evetac_cli.sim.camera.scanning.pixels import TRUE, CandidatePixels
 
 # A dot that has moved by no more, on either axis, since it was last compared rests: no level has changed by more than
 # 0.0008, and tremor below it makes no event. It saves the comparison where the gel only creeps.
@@ -45,7 +45,8 @@ def list_reach(box: NDArray[np.float64]) -> NDArray[np.float64]:
     wider = box.copy()
     travel_px = 2.0 * max(box[2], box[3])
     if travel_px < FAST_PX:
-        wider[2:] += SKIN_PX * math.sqrt(travel_px)
+        wider[2] += SKIN_PX * math.sqrt(travel_px)
+        wider[3] += SKIN_PX * math.sqrt(travel_px)
     return wider
 
 
@@ -68,9 +69,8 @@ def make_list(
     candidates.list_length[dot] = -1
     if 2.0 * max(box[2], box[3]) >= FAST_PX:
         return
-    wider = np.empty((1, 4))
-    wider[0] = list_reach(box)
-    count = ring_pixels(wider[0], inner, outer, True, candidates)
+    wider = list_reach(box).reshape(1, 4)
+    count = ring_pixels(wider[0], inner, outer, TRUE, candidates)
     count = select_active(
         candidates.active[:count],
         wider,
@@ -91,7 +91,8 @@ def make_list(
             candidates.listed_px2[dot, 0, k] = candidates.lower2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
             candidates.listed_px2[dot, 1, k] = candidates.upper2_px2[pixel >> PIXEL_SHIFT, pixel & COLUMN_MASK]
         candidates.list_length[dot] = count
-        candidates.list_box[dot] = wider[0]
+        for side in range(4):
+            candidates.list_box[dot, side] = wider[0, side]
 
 
 @njit(cache=True)

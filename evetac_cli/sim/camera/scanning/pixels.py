@@ -1,9 +1,10 @@
 """The arrays of the scanning camera, in the groups in which its compiled loops take them.
 
-Groups end at the functions that `_scan` calls; what these call takes the arrays one by one (why so: see dots).
+Groups end at the functions that `_scan` calls and at `scan_lines`; what these call takes the arrays one by one (why
+so: see dots).
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numba import njit
@@ -17,6 +18,9 @@ MOST_LISTED = 512  # pixels in the list of a dot; larger or blurred dots may do 
 # Pixels side by side in the window that are compared together: with more, the one nearest to its threshold makes more
 # others be compared; with fewer, there are more runs to visit.
 RUN_PX = 16
+# Why so: a number or truth value of Python that is written into a call has a type of its own for numba, which compiles
+# what is called once more for it: some seconds. These have the types of all others.
+ZERO, FALSE, TRUE = cast("int", np.int64(0)), cast("bool", np.bool_(False)), cast("bool", np.bool_(True))
 
 
 class CandidatePixels(NamedTuple):

@@ -14,7 +14,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.event_keys import event_key
-from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ScanTimes, WindowPixels
+from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ZERO, ScanTimes, WindowPixels
 
 # Where levels change by more in a scan, or fade, a run would be left out for too few scans to be worth its finding.
 FAST_LEVEL = 0.002
@@ -52,8 +52,9 @@ def scan_window(
         place = optics.texture_place(texture, first_x, first_y, x, y, contrast)
         if first_look:
             for row in range(rows):
-                optics.sample_texture_run(texture, *place, row, 0, columns, line)
-                reference[row] += line
+                optics.sample_texture_run(texture, *place, row, ZERO, columns, line)
+                for column in range(columns):
+                    reference[row, column] += line[column]
             continue
         if faded:
             candidate_runs.due_at[:] = -np.inf
@@ -113,7 +114,7 @@ def _compare_all(
     whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
     for row in range(rows):
         optics.sample_texture_run(
-            texture, whole_x, whole_y, upper_left, upper_right, lower_left, lower_right, row, 0, columns, line
+            texture, whole_x, whole_y, upper_left, upper_right, lower_left, lower_right, row, ZERO, columns, line
         )
         made = compare_row(
             line,
@@ -122,7 +123,7 @@ def _compare_all(
             middle_shift,
             release_us,
             row,
-            0,
+            ZERO,
             columns,
             corner,
             readout_us,
