@@ -61,7 +61,7 @@ def one(checkout: Path, chosen: argparse.Namespace, folder: Path) -> dict[str, A
     lift_s = phases_s / 2
     out = folder / "run.recording.h5"
     words = [
-        *("--camera", f"virtual:prepared={chosen.events_per_s:g}", "--gripper", "virtual"),
+        *("--camera", f"virtual:prepared={chosen.events_per_s}", "--gripper", "virtual"),
         *("--calibration", str(grid(folder)), "--slip-threshold", f"{chosen.slip_threshold:g}"),
         *("--lift-s", f"{lift_s:g}", "--balance-s", f"{phases_s - lift_s:g}"),
         *("--max-seconds", f"{2 * chosen.seconds:g}"),
@@ -96,7 +96,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--against", type=Path, help="another checkout, run in turns with this one")
-    parser.add_argument("--events-per-s", type=float, default=1e6)
+    parser.add_argument("--events-per-s", type=int, default=1_000_000)
     parser.add_argument("--slip-threshold", type=float, default=0.8)
     parser.add_argument("-o", "--out", type=Path, help="all runs as JSON")
     chosen = parser.parse_args()

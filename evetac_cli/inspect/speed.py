@@ -74,7 +74,7 @@ class Written(NamedTuple):
     longest_ms: float
 
 
-@dataclass(frozen=True)
+@dataclass
 class Computer:
     """The computer it runs on, or one that a test made up."""
 
