@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -114,7 +114,7 @@ def run_detector(
     pipe: Connection,
     alive: Connection,
 ) -> None:
-    """The detector's process: load, wait for an order, open the camera, wait for an order, detect until stopped.
+    """The detector's process: load, wait for an order, open the camera, detect until stopped; publish from an order on.
 
     orders: any message is the next order; pipe: to the recorder; alive: never written to, it closes when this process
     ends, however it ends.
@@ -137,8 +137,7 @@ def run_detector(
         gc.freeze()
         gc.disable()  # the loop makes no cycles
         outbox.flush(FLUSH_S)
-        _wait_for_order(orders, ending)  # from the first slice on, the gripper moves
-        detect(camera, detector, status, outbox, settings.slices, ending)
+        detect(camera, detector, status, outbox, settings.slices, ending, lambda: _ordered(orders))
     except (EOFError, BrokenPipeError):  # whoever started this is gone
         return
     except EvetacError as failed:
@@ -162,6 +161,14 @@ def _wait_for_order(orders: Connection, ending: Sequence[int]) -> None:
     orders.recv()
 
 
+def _ordered(orders: Connection) -> bool:
+    """Whether the next order has come, which is taken."""
+    has_come = orders.poll()
+    if has_come:
+        orders.recv()
+    return has_come
+
+
 def _raise_if_ended(ending: Sequence[int]) -> None:
     if ending:
         raise DeviceError(f"the detector was ended by {signal.Signals(ending[0]).name}")
@@ -174,9 +181,12 @@ def detect(
     outbox: MessageWriter,
     most: int,
     ending: Sequence[int] = (),
+    may_move: Callable[[], bool] = lambda: True,
 ) -> None:
     """Evaluate and hand over slice after slice, until there are `most`, or an order to stop.
 
+    Nothing is published before `may_move`: from the first status on, the gripper moves. Slices are evaluated before,
+    because those that wait in the meantime would have to be caught up with, while the gripper moves by old ones.
     DeviceError where the stream ends before, the recorder cannot keep up, or a signal came (`ending`).
     """
     host_us = getattr(camera, "host_us", None)
@@ -185,6 +195,7 @@ def detect(
     clock = camera_time(camera)
     events_us = clock.now_s() * 1e6  # when the camera last gave an event
     slips = slices = 0
+    moves = False
     slices_held: list[Events] = []
     batch = SliceBatch(concatenate([]))
     while slices < most and not status.stopping:
@@ -202,7 +213,9 @@ def detect(
         if signal.slips > slips:
             slips = signal.slips
             slip_us.append(zero_us + (float(events.t[0]) if events.size else (slices - 1) * SLICE_US))
-        status.publish(DetectorStatus(signal, slices, now_us, events_us, zero_us, tuple(slip_us)))
+        moves = moves or may_move()
+        if moves:
+            status.publish(DetectorStatus(signal, slices, now_us, events_us, zero_us, tuple(slip_us)))
         slices_held.append(events)
         batch.counts.append(events.size)
         batch.probability.append(probability)

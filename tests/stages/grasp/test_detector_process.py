@@ -105,6 +105,15 @@ def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
     assert [p for batch in batches for p in batch.probability] == [0.25 * (k % 3) for k in range(1, most + 1)]
 
 
+def test_slices_before_the_order_are_evaluated_and_not_published(pipe: tuple[MessageReader, MessageWriter]) -> None:
+    """Assert that the gripper's controller hears nothing before it may move, and then nothing that is old."""
+    shared, asked = SpiedStatus(), iter([False] * 6 + [True])
+    detect(Camera(20), Detector(), shared, pipe[1], 12, may_move=lambda: next(asked))
+    assert [status.slices for status in shared.published] == list(range(7, 13))
+    assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(7, 13)]
+    assert sum(len(batch.counts) for batch in batches_in(*pipe)) == 12
+
+
 def test_without_a_detector(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that slices are recorded, and a status published, where there is no detector."""
     shared = SpiedStatus()
