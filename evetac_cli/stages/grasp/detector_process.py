@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from evetac_cli.devices import camera_time
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera, RunningCamera
 from evetac_cli.errors import DeviceError, EvetacError
-from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
+from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, set_realtime_priority
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 PRIORITY = 20  # behind the controller, whose steps are short
-BATCH_MS = 50  # slices that the recorder gets at once
+BATCH_MS = 5  # slices that the recorder gets at once: of 50, copying took a millisecond
 FLUSH_US = 250  # a quiet camera's words are sent this often: a slice is evaluated the sooner
 WARM_UP_SLICES = 30  # of noise, before the camera runs
 WARM_UP_EVENTS = 3000  # in each
@@ -66,13 +66,30 @@ class CameraReady(NamedTuple):
 
 @dataclass
 class SliceBatch:
-    """Some slices, one after the other, for the recorder; the lists have an item for each."""
+    """Some slices, one after the other, for the recorder; the lists have an item for each.
 
-    events: Events
+    Why so: columns travel as bytes, joined without a step between, in a quarter of the time that arrays take.
+    """
+
+    columns: tuple[bytes, ...] = ()  # of the events of all, as they lie in memory
     counts: list[int] = field(default_factory=list)
     probability: list[float] = field(default_factory=list)
     at_us: list[float] = field(default_factory=list)  # when it was evaluated
     late_us: list[float] = field(default_factory=list)  # from the end of a slice until it was evaluated, where known
+
+    @property
+    def events(self) -> Events:
+        """The events of all slices."""
+        if not self.columns:
+            return empty()
+        t, x, y, p = self.columns
+        x_px, y_px = (np.frombuffer(data, np.uint16) for data in (x, y))
+        return Events(np.frombuffer(t, np.int64), x_px, y_px, np.frombuffer(p, np.uint8))
+
+
+def joined(slices: Sequence[Events]) -> tuple[bytes, ...]:
+    """The columns of slices for a batch."""
+    return tuple(b"".join(column) for column in zip(*slices, strict=True))
 
 
 class DetectorEnded(NamedTuple):
@@ -197,7 +214,7 @@ def detect(
     slips = slices = 0
     moves = False
     slices_held: list[Events] = []
-    batch = SliceBatch(concatenate([]))
+    batch = SliceBatch()
     while slices < most and not status.stopping:
         _raise_if_ended(ending)
         events = camera.read()
@@ -223,7 +240,7 @@ def detect(
         batch.late_us.append(now_us - zero_us - slices * SLICE_US)
         if len(slices_held) >= BATCH_MS:
             _hand_over(outbox, batch, slices_held)
-            slices_held, batch = [], SliceBatch(concatenate([]))
+            slices_held, batch = [], SliceBatch()
             if os.getppid() != parent:
                 return
     _hand_over(outbox, batch, slices_held)
@@ -231,7 +248,7 @@ def detect(
 
 def _hand_over(outbox: MessageWriter, batch: SliceBatch, slices: list[Events]) -> None:
     """Send a batch to the recorder; DeviceError if too much waits for it already."""
-    batch.events = concatenate(slices)
+    batch.columns = joined(slices)
     if not outbox.put(batch):
         waiting = f"{outbox.waiting_bytes / 1e6:.0f} MB wait to be written"
         raise DeviceError("the recorder cannot keep up", found=waiting)

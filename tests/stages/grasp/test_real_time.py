@@ -24,7 +24,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import grasp
 from evetac_cli.stages.grasp import real_time
 from evetac_cli.stages.grasp.controller_process import ControllerEnded, GripperReady
-from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, SliceBatch, noise
+from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, SliceBatch, joined, noise
 from evetac_cli.stages.grasp.loop import control_row
 from evetac_cli.stages.grasp.recorder import RecordedGrasp
 from evetac_cli.stages.trials import DeviceTrial
@@ -193,7 +193,7 @@ def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
 def some(writer: RecordingWriter, ended: str, error: Exception | None = None, steps: int = 2) -> RecordedGrasp:
     """What is recorded of a grasp of a few slices."""
     recorded = RecordedGrasp(1000, ended=ended, error=error)
-    batch = SliceBatch(noise(np.random.default_rng(0), 0), [3000], [0.5], [1.0], [600.0])
+    batch = SliceBatch(joined([noise(np.random.default_rng(0), 0)]), [3000], [0.5], [1.0], [600.0])
     recorded.take_slices(batch, writer)
     control = Control(PAPER)
     row = control_row(control, Phase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
