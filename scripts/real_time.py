@@ -8,7 +8,7 @@ event of the slice with slip to the last byte of the command; how late slices ar
 steps begin; commands missed. Before each run it measures how late the machine itself wakes from sleeps of 1 ms, while
 this program does nothing else, at the loops' priority.
 
-Latency needs slip, and the events are at random: --slip-threshold 0.8 makes slip of some slices in a hundred, most of
+Latency needs slip, and the events are at random: --slip-threshold 0.7 makes slip of some slices in a hundred, most of
 them alone between steps, which is what a grasp at the edge of slip has. At the default of `grasp`, 0.3, every second
 slice slips; a step then answers two, and its latency is that of the older.
 
@@ -97,7 +97,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--against", type=Path, help="another checkout, run in turns with this one")
     parser.add_argument("--events-per-s", type=int, default=1_000_000)
-    parser.add_argument("--slip-threshold", type=float, default=0.8)
+    parser.add_argument("--slip-threshold", type=float, default=0.7)
     parser.add_argument("-o", "--out", type=Path, help="all runs as JSON")
     chosen = parser.parse_args()
     checkouts = [HERE, *([chosen.against.resolve()] if chosen.against else [])]

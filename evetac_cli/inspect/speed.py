@@ -28,7 +28,7 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.inspect.doctor import Row, check, show
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.inspection import Doctor
-from evetac_cli.realtime.processes import raised_priority
+from evetac_cli.realtime.processes import REALTIME, raised_priority
 from evetac_cli.stages.grasp.controller_process import PRIORITY
 from evetac_cli.stages.grasp.setup import open_detector
 from evetac_cli.stages.session import RECORDER_MS
@@ -186,7 +186,7 @@ def _waking(computer: Computer) -> list[Row]:
     each_s = max(WAKING_S / len(cores), LEAST_WAKING_S)
     woken = {core: computer.wake_ups_us(core, each_s) for core in cores}
     scheduling = woken[cores[0]].scheduling
-    first = scheduling.startswith("real-time")
+    first = scheduling.startswith(REALTIME)
     governor = computer.governor()
     slow = governor not in (None, GOVERNOR)
     for core, (late_us, _) in woken.items():
@@ -196,7 +196,7 @@ def _waking(computer: Computer) -> list[Row]:
         words = f"99 % of sleeps of 1 ms end at most {p99:.0f} us late, all at most {most:.0f} us"
         limit = f"{WAKE_P99_US:.0f} us and {WAKE_MOST_US:.0f} us"
         rows.append(row("cores", f"core {core} wakes", fine, words, limit, "" if fine else "; ".join(ways)))
-    rows.append(row("cores", "priority", first or None, scheduling, "real-time", "" if first else PERMIT))
+    rows.append(row("cores", "priority", first or None, scheduling, REALTIME, "" if first else PERMIT))
     if governor is not None:
         fix = SET_GOVERNOR if slow else ""
         rows.append(row("cores", "clock rate", None if slow else True, f"governor {governor}", GOVERNOR, fix))

@@ -25,7 +25,13 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.message_pipe import MessageWriter
-from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, set_realtime_priority
+from evetac_cli.realtime.processes import (
+    REALTIME,
+    bind_threads,
+    ignore_interrupts,
+    remember_signals,
+    set_realtime_priority,
+)
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.loop import SlipDetector
 
@@ -149,6 +155,8 @@ def run_detector(
         _wait_for_order(orders, ending)
         scheduling = set_realtime_priority(PRIORITY)  # before the camera's thread, which inherits it
         camera, setup, _ = settings.camera.open(CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
+        if scheduling.startswith(REALTIME):  # else it would share that core with other programs
+            scheduling += bind_threads()
         outbox.put(CameraReady(camera.sensor, setup, getattr(camera, "notes", ()), scheduling))
         gc.collect()
         gc.freeze()
