@@ -62,6 +62,7 @@ class UsbReader(Thread):
         self._clock = clock
         self._blocks: deque[Block] = deque()
         self._waiting_bytes = 0
+        plausible_events(np.empty(0, np.uint32))  # loads or compiles it now, not where the queue is full already
         self._is_due = False  # something waits that may end a slice
         self._changed = Condition()
         self._running = True

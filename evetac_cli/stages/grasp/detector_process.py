@@ -153,12 +153,12 @@ def run_detector(
         outbox.put("ready")
         outbox.flush(FLUSH_S)
         _wait_for_order(orders, ending)
+        gc.collect()  # which takes long, and once the camera runs its slices wait
         scheduling = set_realtime_priority(PRIORITY)  # before the camera's thread, which inherits it
         camera, setup, _ = settings.camera.open(CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
         if scheduling.startswith(REALTIME):  # else it would share that core with other programs
             scheduling += bind_threads()
         outbox.put(CameraReady(camera.sensor, setup, getattr(camera, "notes", ()), scheduling))
-        gc.collect()
         gc.freeze()
         gc.disable()  # the loop makes no cycles
         outbox.flush(FLUSH_S)

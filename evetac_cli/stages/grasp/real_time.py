@@ -188,8 +188,9 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         try:
             if not signals:
                 processes.go()
-            # A grasp lasts while its recorder is alive. A world that is simulated beside it needs the cores as much.
-            with raised_priority(session.PRIORITY, wanted=world is None):
+            with raised_priority(
+                session.PRIORITY, wanted=gripper.is_hardware
+            ):  # a grasp lasts while its recorder is alive
                 recorded = record(
                     processes, world, writer, timing.end_ms, signals, key, lambda done: progress(done, timing.end_ms)
                 )
