@@ -239,33 +239,35 @@ class LateSlices:
     Why so: a slice that is followed by silence is over only when the camera would have spoken.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most_us: float = LATE_US) -> None:
+        """most_us: from the end of a slice; what comes later is late."""
         self.count = 0
+        self.most_us = most_us
         self._late = False
 
     def add(self, late_us: float, events: int) -> None:
         """Take the next slice: how late it was, from its end, and how many events it has."""
         self.count += self._late and events > 0
-        self._late = events > 0 and late_us > LATE_US
+        self._late = events > 0 and late_us > self.most_us
 
 
 def too_slow(
-    datasets: Mapping[str, Any], slices: int, late_slices: int, commands: int, *, grasps: bool, behind_s: float = 0.0
+    datasets: Mapping[str, Any], slices: int, late_slices: LateSlices, commands: int, behind_s: float | None = None
 ) -> str | None:
     """What this computer was too slow for, and what that means for the recording, in one line; None for nothing.
 
-    datasets: capture/...; commands: that were given; grasps: whether slices decide on commands; behind_s: how far
-    behind the recorder was at most.
+    datasets: capture/...; commands: that were given; behind_s: how far behind the recorder of a grasp was at most; None
+    where no slice decides on a command, and one that is late costs nothing.
     """
     missed, lost = int(datasets.get("capture/command_misses", 0)), int(datasets.get(QUEUE_LOST, 0))
-    late = f"{late_slices:,} of {slices:,} slices came more than {LATE_US * 1e-3:g} ms late"
+    late = f"{late_slices.count:,} of {slices:,} slices came more than {late_slices.most_us * 1e-3:g} ms late"
     parts = {
         f"{missed:,} of {commands + missed:,} commands were missed (the gripper kept the one before)": missed
         > TOLERATED * (commands + missed),
-        f"{late} ({'slip was answered late' if grasps else 'they are all in the file'})": late_slices
+        f"{late} ({'they are all in the file' if behind_s is None else 'slip was answered late'})": late_slices.count
         > TOLERATED * slices,
         f"{lost:,} events were lost while they waited (they are missing in the file)": lost > 0,
-        f"the recorder was {behind_s:.1f} s behind (all is in the file)": behind_s > BEHIND_S,
+        f"the recorder was {behind_s or 0.0:.1f} s behind (all is in the file)": (behind_s or 0.0) > BEHIND_S,
     }
     said = [words for words, applies in parts.items() if applies]
     return f"this computer was too slow: {'; '.join(said)}. {SPEED}" if said else None

@@ -186,17 +186,21 @@ def test_a_slice_is_late_where_events_follow_it() -> None:
     assert late.count == 2  # the first, and the fifth
 
 
-SLOW: dict[str, Any] = {"slices": 1000, "late_slices": 0, "commands": 999, "grasps": True}
+def slow(datasets: dict[str, Any], late: int = 0, behind_s: float | None = 0.0, most_us: float = 5000.0) -> str | None:
+    """What is said of 1000 slices, some of them late, and 999 commands."""
+    late_slices = session.LateSlices(most_us)
+    late_slices.count = late
+    return session.too_slow(datasets, 1000, late_slices, 999, behind_s)
 
 
 @pytest.mark.parametrize(
-    ("datasets", "changed", "words"),
+    ("datasets", "figures", "words"),
     [
         ({"capture/command_misses": 1}, {}, None),  # of a thousand
         ({"capture/command_misses": 2}, {}, "2 of 1,001 commands were missed"),
-        ({}, {"late_slices": 1}, None),
-        ({}, {"late_slices": 2}, "2 of 1,000 slices came more than 5 ms late (slip was answered late)"),
-        ({}, {"late_slices": 2, "grasps": False}, "(they are all in the file)"),
+        ({}, {"late": 1}, None),
+        ({}, {"late": 2}, "2 of 1,000 slices came more than 5 ms late (slip was answered late)"),
+        ({}, {"late": 2, "behind_s": None, "most_us": 5e5}, "more than 500 ms late (they are all in the file)"),
         ({"capture/lost/camera.events_in_full_queue": 1}, {}, "1 events were lost while they waited"),
         ({"capture/lost/camera.unknown_words": 9}, {}, None),  # the camera's fault
         ({}, {"behind_s": 0.5}, None),
@@ -204,9 +208,9 @@ SLOW: dict[str, Any] = {"slices": 1000, "late_slices": 0, "commands": 999, "gras
     ],
 )
 def test_what_the_computer_was_too_slow_for(
-    datasets: dict[str, Any], changed: dict[str, Any], words: str | None
+    datasets: dict[str, Any], figures: dict[str, Any], words: str | None
 ) -> None:
-    said = session.too_slow(datasets, **{**SLOW, **changed})
+    said = slow(datasets, **figures)
     if words is None:
         assert said is None
     else:
@@ -217,7 +221,7 @@ def test_what_the_computer_was_too_slow_for(
 
 
 def test_all_that_was_too_slow_is_said_in_one_line() -> None:
-    said = session.too_slow({"capture/command_misses": 9}, **{**SLOW, "late_slices": 9, "behind_s": 2.0})
+    said = slow({"capture/command_misses": 9}, late=9, behind_s=2.0)
     assert said is not None
     assert said.count("; ") == 2
     assert "\n" not in said

@@ -316,10 +316,8 @@ def _row(
         timing[name] = None if values is None else float(values[index])
     for name in ("slices_per_s", "commands_per_s"):
         timing[name] = float(datasets[f"capture/{name}"]) if f"capture/{name}" in datasets else None
-    late_slices, commands = recorded.late_slices.count, len(recorded.step_late_us)
-    too_slow = session.too_slow(
-        datasets, recorded.slices, late_slices, commands, grasps=True, behind_s=recorded.behind_s
-    )
+    late, commands = recorded.late_slices, len(recorded.step_late_us)
+    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s)
     if too_slow is not None:
         console.say(too_slow)
     return outcome(
@@ -331,7 +329,7 @@ def _row(
         **timing,
         command_misses=_whole(datasets.get("capture/command_misses")),
         latencies=len(recorded.latency_us),
-        late_slices=late_slices,
+        late_slices=late.count,
         too_slow=too_slow,
         scheduling=datasets["capture/scheduling"],
         **session.lost_columns(datasets),

@@ -114,7 +114,7 @@ class CameraRecording:
     first_s: float = 0.0  # when the first and the last slice came
     last_s: float = 0.0
     delays: TimeSample = field(default_factory=TimeSample)
-    late_slices: LateSlices = field(default_factory=LateSlices)
+    late_slices: LateSlices = field(default_factory=lambda: LateSlices(1e6 * session.BEHIND_S))
     loop: GripperLoop | None = None  # commands the gripper, if there is one
     thread: SliceThread | None = None  # reads the camera, if it is not the first
 
@@ -420,8 +420,8 @@ def _row(trial: DeviceTrial, recording: CameraRecording, datasets: Mapping[str, 
     none = (None, None, None)
     late_us, command_us = (datasets.get(f"capture/{name}", none) for name in ("slice_late_us", "command_us"))
     loop = recording.loop
-    commands, late_slices = loop.commands if loop is not None else 0, recording.late_slices.count
-    too_slow = session.too_slow(datasets, recording.slices, late_slices, commands, grasps=False)
+    commands = loop.commands if loop is not None else 0
+    too_slow = session.too_slow(datasets, recording.slices, recording.late_slices, commands)
     if too_slow is not None:
         console.say(too_slow)
     (row,) = outcome(
@@ -437,7 +437,7 @@ def _row(trial: DeviceTrial, recording: CameraRecording, datasets: Mapping[str, 
         commands=loop.commands if loop is not None else None,
         command_misses=loop.misses if loop is not None else None,
         command_us_median=_plain(command_us[0]),
-        late_slices=late_slices,
+        late_slices=recording.late_slices.count,
         too_slow=too_slow,
     ).rows
     return row
