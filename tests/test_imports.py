@@ -17,7 +17,7 @@ GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources"
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
     "api": GROUND | {"stages", "devices", "store", "sim", "kernels"},
-    "inspect": GROUND | {"stages", "devices", "formats", "store", "sim", "kernels"},
+    "inspect": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "numerics": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "realtime", "kernels"},
     "devices": frozenset({"console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}),

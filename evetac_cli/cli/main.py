@@ -199,6 +199,8 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         module = importlib.import_module(f"evetac_cli.{command.module}")
         if not chosen.hardware and (chosen.camera or chosen.arm or chosen.yes or running["out"]):
             raise InputError("has no effect without --hardware", where="--camera, --arm, --yes or -o")
+        if chosen.speed and (chosen.hardware or chosen.gripper or chosen.print_udev):
+            raise InputError("have no effect with --speed", where="--hardware, --gripper or --print-udev")
         if chosen.print_udev:
             if running["as_json"]:
                 console.show(title, [], {"udev": module.udev_rules()}, simulated=False, as_json=True)
@@ -216,6 +218,9 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         if chosen.hardware:
             module = importlib.import_module("evetac_cli.inspect.hardware_check")
             result = module.run(chosen, running["out"])
+        elif chosen.speed:
+            module = importlib.import_module("evetac_cli.inspect.speed")
+            result = module.run(chosen)
         else:
             result = module.run(chosen)
         if running["as_json"]:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 NAMES = "sim, virtual, dvxplorer[:SERIAL], dv[:SERIAL] or replay:FILE"
 PREPARED_EVENTS_S = 1_000_000
-PREPARED_S = 30  # how long prepared words are played; then the camera is silent
+PREPARED_S = 120  # how long prepared words are played; then the camera is silent
 FIRMWARE = 10
 
 
@@ -278,7 +278,7 @@ def parse(text: str) -> NamedCamera:
 
 
 def prepared_words(events_s: float, seeds: np.random.SeedSequence) -> "PreparedWords":
-    """Event words of one second of events at random, played again and again for half a minute."""
+    """Event words of one second of events at random, played again and again for two minutes."""
     from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 
     second = random_event_words(events_s, 1.0, np.random.default_rng(seeds))

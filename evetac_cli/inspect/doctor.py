@@ -71,7 +71,7 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
     kind = (params.gripper or "").partition(":")[0]
     if kind in NO_PORTS:
         reason = f"not: a {kind} gripper needs no doctor" if kind != "none" else "not: no gripper is named"
-        rows.append(_row(f"gripper {kind}", "examined", None, reason, "", "name a port: --gripper /dev/ttyUSB0"))
+        rows.append(check(f"gripper {kind}", "examined", None, reason, "", "name a port: --gripper /dev/ttyUSB0"))
     grippers = 0
     for path, named in _ports(host, params):
         port_rows, count = _port(host, path, named)
@@ -83,6 +83,7 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
 
 def show(result: Outcome) -> None:
     """Print a block for each device: what is right, what is wrong, and how to mend it."""
+    counts = result.summary
     for device, group in itertools.groupby(result.rows, key=lambda row: str(row["device"])):
         print_text(device)
         for row in group:
@@ -91,20 +92,19 @@ def show(result: Outcome) -> None:
             print_text(f"  {sign:<6}{row['check']:<16}{row['found']}{expected}")
             if row["fix"]:
                 print_text(f"        {'':<16}try: {row['fix']}")
-    counts = result.summary
-    if not counts["cameras"]:
+    if counts.get("cameras") == 0:
         print_text(
             "no camera found on USB. One that is plugged in: another port, another cable (some only carry power);"
         )
         print_text("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need none.")
-    if not counts["grippers"]:
+    if counts.get("grippers") == 0:
         print_text(
             "no gripper found. By itself doctor only asks FTDI adapters (U2D2): name another with --gripper PORT."
         )
     print_text(f"{counts['wrong']} wrong" if counts["wrong"] else "all that was found is fine")
 
 
-def _row(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:
+def check(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:
     """The row of a check. ok: None where it is neither right nor wrong; fix: also a change that one may want."""
     return {
         "device": device,
@@ -119,14 +119,14 @@ def _row(device: str, check: str, ok: bool | None, result: str, expected: str = 
 def _software(host: Host) -> Iterator[Row]:
     loads = host.has_libusb()
     fix = "" if loads else "pip install --force-reinstall libusb-package"
-    yield _row("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
+    yield check("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
     for extra, packages in EXTRAS.items():
         lacking = [name for name in packages if not host.has_package(name)]
         state = f"without {', '.join(lacking)}" if lacking else "installed"
         fix = f"pip install '.[{extra}]'" if lacking else ""
-        yield _row("software", f"extra {extra}", None if lacking else True, state, "", fix)
+        yield check("software", f"extra {extra}", None if lacking else True, state, "", fix)
     installed = host.distributions(OPENCV)
-    yield _row(
+    yield check(
         "software",
         "opencv",
         len(installed) == 1,
@@ -143,7 +143,7 @@ def _disk(host: Host, folder: Path) -> Row:
     enough = free >= FREE_BYTES
     minutes = free / 3.5e6 / 60
     room = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events a second"
-    return _row(
+    return check(
         "disk", "free space", enough, room, f"{FREE_BYTES / 1e9:.1f} GB", "" if enough else "record elsewhere: -o"
     )
 
@@ -152,11 +152,11 @@ def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
     name = f"camera {camera.serial or 'at ' + camera.where}"
     mini = camera.board == protocol.MINI_BOARD
     fix = "" if mini else "record it with DV, and import: evetac record --from FILE.aedat4"
-    yield _row(name, "model", mini, f"board {camera.board}", f"board {protocol.MINI_BOARD}, a DVXplorer Mini", fix)
+    yield check(name, "model", mini, f"board {camera.board}", f"board {protocol.MINI_BOARD}, a DVXplorer Mini", fix)
     if mini:
         known = OLDEST_FIRMWARE <= camera.firmware <= protocol.NEWEST_FIRMWARE
         old = camera.firmware < OLDEST_FIRMWARE
-        yield _row(
+        yield check(
             name,
             "firmware",
             known,
@@ -167,13 +167,13 @@ def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
     if camera.speed is not None:
         fast = camera.speed >= SUPER_SPEED
         fix = "" if fast else "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
-        yield _row(name, "link", fast, SPEEDS.get(camera.speed, f"speed {camera.speed}"), "USB 3", fix)
+        yield check(name, "link", fast, SPEEDS.get(camera.speed, f"speed {camera.speed}"), "USB 3", fix)
     answer = host.ask_camera(camera)
-    yield _row(name, *_opened(host, camera, answer.errno, answer.message))
+    yield check(name, *_opened(host, camera, answer.errno, answer.message))
     if answer.frame_px is not None and mini:
         right = answer.frame_px == FRAME_PX
         fix = "" if right else "this sensor is not that of a DVXplorer Mini: is it the right camera?"
-        yield _row(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
+        yield check(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
 
 
 def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple[str, bool, str, str, str]:
@@ -220,41 +220,44 @@ def _port(host: Host, path: Path, named: bool) -> tuple[list[Row], int]:
     """Rows of one port and of the grippers on it, and the number of these."""
     name = f"port {path}"
     if not path.exists():
-        return [_row(name, "exists", False, "no such port", "", f"plug the adapter in; {WHICH_PORTS}")], 0
+        return [check(name, "exists", False, "no such port", "", f"plug the adapter in; {WHICH_PORTS}")], 0
     if not _is_serial(path):
         fix = f"name the adapter's port; {WHICH_PORTS}"
-        return [_row(name, "serial port", False, "not a serial port", "a port as /dev/ttyUSB0", fix)], 0
+        return [check(name, "serial port", False, "not a serial port", "a port as /dev/ttyUSB0", fix)], 0
     rows = []
     if not os.access(path, os.R_OK | os.W_OK):
         fix = f"sudo usermod -aG dialout $USER, and log in again; or {INSTALL_RULES}"
-        return [_row(name, "permission", False, "none, for you", "", fix)], 0
+        return [check(name, "permission", False, "none, for you", "", fix)], 0
     latency_ms = host.latency_ms(path)
     if latency_ms is not None:
         fine = latency_ms <= LATENCY_MS
         timer = f"/sys/bus/usb-serial/devices/{path.name}/latency_timer"
         fix = "" if fine else f"echo 1 | sudo tee {timer}; for good: {INSTALL_RULES}"
         rows.append(
-            _row(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands a second", fix)
+            check(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands a second", fix)
         )
     users = host.programs_using(path)
     if users:
         fix = f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
-        return [*rows, _row(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
+        return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
     try:
         grippers = host.scan(path)
     except DeviceError as error:
-        return [*rows, _row(name, "opens", False, " ".join(str(error).split()), "", f"sudo fuser {path}")], 0
+        return [*rows, check(name, "opens", False, " ".join(str(error).split()), "", f"sudo fuser {path}")], 0
     if not grippers:
         rates = f"{host.rates[0]} to {host.rates[-1]} baud"
         fix = "switch on its 24 V, check the cable between adapter and gripper"
         # an adapter that the user did not name may well serve another device
-        return [*rows, _row(name, "gripper", False if named else None, "none answers", f"an answer at {rates}", fix)], 0
+        return [
+            *rows,
+            check(name, "gripper", False if named else None, "none answers", f"an answer at {rates}", fix),
+        ], 0
     for gripper in grippers:
         try:
             rows += _gripper(host, path, gripper)
         except DeviceError as error:
             fault = " ".join(str(error).split())
-            rows.append(_row(f"gripper {gripper.id} at {path}", "answers", False, fault, "", "check cable and 24 V"))
+            rows.append(check(f"gripper {gripper.id} at {path}", "answers", False, fault, "", "check cable and 24 V"))
     return rows, len(grippers)
 
 
@@ -277,35 +280,35 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     right = gripper.model == MODEL_NUMBER
     older = " (RH-P12-RN without A: another control table)" if gripper.model == OLD_MODEL_NUMBER else ""
     fix = "" if right else "this driver serves the RH-P12-RN(A) only"
-    yield _row(name, "model", right, f"{gripper.model}{older}", f"{MODEL_NUMBER}, RH-P12-RN(A)", fix)
+    yield check(name, "model", right, f"{gripper.model}{older}", f"{MODEL_NUMBER}, RH-P12-RN(A)", fix)
     fast = gripper.baud >= LEAST_BAUD
     change = f"change_baud('{path}', {gripper.baud}, {USUAL_BAUD}, id_={gripper.id})"
     slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn.driver import change_baud; {change}" (torque goes off)'
     unusual = f"name it: --gripper {path}@{gripper.baud}" if gripper.baud != USUAL_BAUD else ""
     expected = f"{LEAST_BAUD} at least, for 500 commands a second"
-    yield _row(name, "baud", fast, str(gripper.baud), expected, unusual if fast else slow_fix)
+    yield check(name, "baud", fast, str(gripper.baud), expected, unusual if fast else slow_fix)
     if not right:
         return
     registers = host.registers(path, gripper)
     delay_us = registers["Return Delay Time"] * RETURN_DELAY_US
     fix = "" if delay_us == 0 else f"evetac record --gripper {path}@{gripper.baud} sets it when it opens the gripper"
-    yield _row(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
+    yield check(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
     errors = hardware_errors(registers["Hardware Error Status"])
     fix = "remove the cause, then switch its 24 V off and on" if errors else ""
-    yield _row(name, "hardware error", not errors, ", ".join(errors) or "none", "none", fix)
+    yield check(name, "hardware error", not errors, ", ".join(errors) or "none", "none", fix)
     volts = [registers[f"{which} Voltage Limit"] / 10 for which in ("Min", "Max")]
     present = registers["Present Input Voltage"] / 10
     within = volts[0] <= present <= volts[1]
     fix = "" if within else "check its 24 V supply"
-    yield _row(name, "supply", within, f"{present:.1f} V", f"{volts[0]:.1f} to {volts[1]:.1f} V", fix)
+    yield check(name, "supply", within, f"{present:.1f} V", f"{volts[0]:.1f} to {volts[1]:.1f} V", fix)
     cool = registers["Present Temperature"] < registers["Temperature Limit"]
     limit = f"below {registers['Temperature Limit']} C"
-    yield _row(
+    yield check(
         name, "temperature", cool, f"{registers['Present Temperature']} C", limit, "" if cool else "let it cool down"
     )
     off = registers["Torque Enable"] == 0
     fix = "" if off else "another program may drive it, or have left it so"
-    yield _row(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)
-    yield _row(
+    yield check(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)
+    yield check(
         name, "firmware", True, f"{registers['Firmware Version']}; current limit {registers['Current Limit']} mA"
     )

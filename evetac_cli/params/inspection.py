@@ -36,9 +36,9 @@ class Export:
 class Doctor:
     """Find cameras and grippers, and say of each what is wrong and the command that mends it; changes nothing.
 
-    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong. With --compile it
-    only has the commands' inner loops compiled. With --hardware it tries a camera and a gripper step by step, moves the
-    fingers a little, and writes a report.
+    Ends with 0 if all that was found is fine, or nothing was found, and with 3 if something is wrong. With --speed it
+    measures this computer instead, with --compile it only has the commands' inner loops compiled. With --hardware it
+    tries a camera and a gripper step by step, moves the fingers a little, and writes a report.
     """
 
     print_udev: bool = parameter(False, "Print udev rules and where to put them, and do nothing else.", recipe=False)
@@ -46,6 +46,12 @@ class Doctor:
         False,
         "Compile what the commands need, so that none of them waits for it later, and do nothing else; `make setup`"
         " does it.",
+        recipe=False,
+    )
+    speed: bool = parameter(
+        False,
+        "Measure for some 10 s whether this computer is fast enough to record and to grasp in real time; writes a"
+        " temporary file in this folder. Nothing else is examined.",
         recipe=False,
     )
     gripper: str | None = parameter(

@@ -31,7 +31,8 @@ INTERRUPTED = "interrupted"
 OPENED = "opened by the emergency key"
 KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
 PRIORITY = 10  # of whoever records while a gripper moves: behind detector and controller, whose steps are short
-OVERLOADED = "is the computer overloaded? A longer --watchdog-ms gives it more time"
+SPEED = "`evetac doctor --speed` says what is too slow"
+OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
 FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time
 RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
 ENDS = (signal.SIGINT, *ENDING)
@@ -39,6 +40,10 @@ LOST = "capture/lost/"
 JOINED_AT_ONCE_EVENTS = 300_000_000  # half a minute of joining, which another Ctrl-C ends; more is left to repair
 SEGMENT_EVENTS = 50_000  # that take as long to join as opening a segment does
 BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
+LATE_US = 5000.0  # from the end of a slice: a quiet camera's words may take 4 ms, and are no fault of the computer
+TOLERATED = 1e-3  # of slices and of commands may be late before it is said that the computer was too slow
+BEHIND_S = 0.5  # that a recorder may lag behind: a segment of a busy disk takes that long now and then
+QUEUE_LOST = "capture/lost/camera.events_in_full_queue"
 MOST_TIMES = 1 << 20  # that are kept, 8 MB; of longer recordings every second one, every fourth, ...
 
 
@@ -226,6 +231,46 @@ class TimeSample:
         values = spread(self._values)
         values[2] = self._most
         return values
+
+
+class LateSlices:
+    """Counts slices that are late by the computer's fault: with events, and more of them in the slice after it.
+
+    Why so: a slice that is followed by silence is over only when the camera would have spoken.
+    """
+
+    def __init__(self, most_us: float = LATE_US) -> None:
+        """most_us: from the end of a slice; what comes later is late."""
+        self.count = 0
+        self.most_us = most_us
+        self._late = False
+
+    def add(self, late_us: float, events: int) -> None:
+        """Take the next slice: how late it was, from its end, and how many events it has."""
+        self.count += self._late and events > 0
+        self._late = events > 0 and late_us > self.most_us
+
+
+def too_slow(
+    datasets: Mapping[str, Any], slices: int, late_slices: LateSlices, commands: int, behind_s: float | None = None
+) -> str | None:
+    """What this computer was too slow for, and what that means for the recording, in one line; None for nothing.
+
+    datasets: capture/...; commands: that were given; behind_s: how far behind the recorder of a grasp was at most; None
+    where no slice decides on a command, and one that is late costs nothing.
+    """
+    missed, lost = int(datasets.get("capture/command_misses", 0)), int(datasets.get(QUEUE_LOST, 0))
+    late = f"{late_slices.count:,} of {slices:,} slices came more than {late_slices.most_us * 1e-3:g} ms late"
+    parts = {
+        f"{missed:,} of {commands + missed:,} commands were missed (the gripper kept the one before)": missed
+        > TOLERATED * (commands + missed),
+        f"{late} ({'they are all in the file' if behind_s is None else 'slip was answered late'})": late_slices.count
+        > TOLERATED * slices,
+        f"{lost:,} events were lost while they waited (they are missing in the file)": lost > 0,
+        f"the recorder was {behind_s or 0.0:.1f} s behind (all is in the file)": (behind_s or 0.0) > BEHIND_S,
+    }
+    said = [words for words, applies in parts.items() if applies]
+    return f"this computer was too slow: {'; '.join(said)}. {SPEED}" if said else None
 
 
 def lost_datasets(counts: Mapping[str, int]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import time
 from array import array
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -175,3 +176,52 @@ def test_h2_a_swallowed_ctrl_c_still_ends_before_anything_is_recorded() -> None:
         with pytest.raises(KeyboardInterrupt), session.signals_counted(came):
             pytest.fail("a recording was begun")
     assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_a_slice_is_late_where_events_follow_it() -> None:
+    """Assert that lateness counts where the camera spoke on, and not where it was silent."""
+    late = session.LateSlices()
+    for late_us, events in ((5001.0, 3), (100.0, 1), (5001.0, 3), (9000.0, 0), (9000.0, 2), (5000.0, 2), (5001.0, 2)):
+        late.add(late_us, events)
+    assert late.count == 2  # the first, and the fifth
+
+
+def slow(datasets: dict[str, Any], late: int = 0, behind_s: float | None = 0.0, most_us: float = 5000.0) -> str | None:
+    """What is said of 1000 slices, some of them late, and 999 commands."""
+    late_slices = session.LateSlices(most_us)
+    late_slices.count = late
+    return session.too_slow(datasets, 1000, late_slices, 999, behind_s)
+
+
+@pytest.mark.parametrize(
+    ("datasets", "figures", "words"),
+    [
+        ({"capture/command_misses": 1}, {}, None),  # of a thousand
+        ({"capture/command_misses": 2}, {}, "2 of 1,001 commands were missed"),
+        ({}, {"late": 1}, None),
+        ({}, {"late": 2}, "2 of 1,000 slices came more than 5 ms late (slip was answered late)"),
+        ({}, {"late": 2, "behind_s": None, "most_us": 5e5}, "more than 500 ms late (they are all in the file)"),
+        ({"capture/lost/camera.events_in_full_queue": 1}, {}, "1 events were lost while they waited"),
+        ({"capture/lost/camera.unknown_words": 9}, {}, None),  # the camera's fault
+        ({}, {"behind_s": 0.5}, None),
+        ({}, {"behind_s": 0.6}, "the recorder was 0.6 s behind"),
+    ],
+)
+def test_what_the_computer_was_too_slow_for(
+    datasets: dict[str, Any], figures: dict[str, Any], words: str | None
+) -> None:
+    said = slow(datasets, **figures)
+    if words is None:
+        assert said is None
+    else:
+        assert said is not None
+        assert said.startswith("this computer was too slow: ")
+        assert words in said
+        assert said.endswith("`evetac doctor --speed` says what is too slow")
+
+
+def test_all_that_was_too_slow_is_said_in_one_line() -> None:
+    said = slow({"capture/command_misses": 9}, late=9, behind_s=2.0)
+    assert said is not None
+    assert said.count("; ") == 2
+    assert "\n" not in said

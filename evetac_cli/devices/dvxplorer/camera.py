@@ -219,8 +219,8 @@ class DvxplorerCamera:
                     self._left = self._slices.open_events
                     raise self._reader.failure
                 return None
-            times, emptied = (block.begun_us, block.ended_us), len(block.data) < READ_BYTES
-            self._ready += self._slices.push_words(block.data, *times, emptied=emptied, gap=block.gap)
+            data, begun_us, ended_us, gap, emptied = block
+            self._ready += self._slices.push_words(data, begun_us, ended_us, emptied=emptied, gap=gap)
         if not self._open:
             return None
         self._handed_out += 1

@@ -3,9 +3,13 @@
 Why so: pyusb has one blocking transfer at a time, and the camera loses what nobody fetches; so nothing may keep the
 thread from its next transfer. If whoever empties the queue is too slow, the oldest buffers go, and their events are
 counted, as far as their words make sense.
+
+Whoever empties it is woken by a TIMESTAMP or by a read that found nothing, because only these end a slice, and gets
+what waits in one piece: decoding has a price for every call, and the two threads share an interpreter.
 """
 
 import errno
+import itertools
 import time
 from array import array
 from collections import Counter, deque
@@ -27,15 +31,24 @@ BLOCK_BYTES = 256  # that a block takes beside its data: many short ones fill me
 QUEUE_BYTES = 64 << 20  # a second and a half of the worst case, 10 million single events a second
 ERRORS_IN_A_ROW = 5
 LOG_EVERY_S = 0.5
+TIMESTAMP_CODE = 2  # bits 26 up of a word
 
 
 class Block(NamedTuple):
-    """What one read of the data endpoint gave; host times in us."""
+    """What reads of the data endpoint gave, one after the other; host times in us, of the first and the last."""
 
     data: bytes
     begun_us: float
     ended_us: float
     gap: bool  # whether bytes before it were lost
+    emptied: bool  # whether the last read left nothing in the camera
+
+
+def _may_end_slice(block: Block) -> bool:
+    """Whether there is a TIMESTAMP in it, nothing at all, or words that are cut, so that nobody can tell."""
+    if not block.data or block.gap or len(block.data) % 4:
+        return True
+    return bool((np.frombuffer(block.data, "<u4") >> 26 == TIMESTAMP_CODE).any())
 
 
 class UsbReader(Thread):
@@ -49,6 +62,8 @@ class UsbReader(Thread):
         self._clock = clock
         self._blocks: deque[Block] = deque()
         self._waiting_bytes = 0
+        plausible_events(np.empty(0, np.uint32))  # loads or compiles it now, not where the queue is full already
+        self._is_due = False  # something waits that may end a slice
         self._changed = Condition()
         self._running = True
         self.failure: DeviceError | None = None
@@ -56,15 +71,26 @@ class UsbReader(Thread):
         self.messages: deque[str] = deque(maxlen=100)
 
     def take(self) -> Block | None:
-        """Wait for the next block; None after the last one."""
+        """Wait for the next block, as many reads as have come without a break; None after the last one."""
         with self._changed:
-            while not self._blocks and self._running and self.failure is None:
+            while not self._is_due and self._running and self.failure is None:
                 self._changed.wait()
-            if not self._blocks:
-                return None
-            block = self._blocks.popleft()
-            self._waiting_bytes -= len(block.data) + BLOCK_BYTES
-            return block
+            taken = list(itertools.islice(self._blocks, 1))
+            size = sum(len(block.data) for block in taken)
+            for block in itertools.islice(self._blocks, 1, None):
+                size += len(block.data)
+                if not taken[-1].data or not block.data or block.gap or size > READ_BYTES:
+                    break
+                taken.append(block)
+            for block in taken:
+                self._blocks.popleft()
+                self._waiting_bytes -= len(block.data) + BLOCK_BYTES
+            self._is_due = bool(self._blocks)
+        if not taken:
+            return None
+        first, last = taken[0], taken[-1]
+        data = first.data if first is last else b"".join(block.data for block in taken)
+        return Block(data, first.begun_us, last.ended_us, first.gap, last.emptied)
 
     def end(self) -> None:
         """Stop reading and wait until the thread has ended."""
@@ -108,7 +134,8 @@ class UsbReader(Thread):
                     self.lost["failed_transfers"] += 1
                     gap = True
                 continue
-            self._put(Block(memoryview(buffer)[:count].tobytes(), begun_us, self._clock.now_s() * 1e6, gap))
+            data, ended_us = memoryview(buffer)[:count].tobytes(), self._clock.now_s() * 1e6
+            self._put(Block(data, begun_us, ended_us, gap, count < READ_BYTES))
             gap = False
             if time.monotonic() >= next_log_s:
                 next_log_s = time.monotonic() + LOG_EVERY_S
@@ -127,7 +154,9 @@ class UsbReader(Thread):
                 self._waiting_bytes -= len(dropped) + BLOCK_BYTES
                 self._blocks[0] = self._blocks[0]._replace(gap=True)
                 self.lost["events_in_full_queue"] += plausible_events(np.frombuffer(dropped, "<u4", len(dropped) // 4))
-            self._changed.notify_all()
+            if not self._is_due and (self._waiting_bytes > READ_BYTES or _may_end_slice(block)):
+                self._is_due = True
+                self._changed.notify_all()
 
     def _recovered(self, error: Any, failures: int) -> bool:
         """Clear a halted endpoint; after too many errors in a row, or without a device, give up."""

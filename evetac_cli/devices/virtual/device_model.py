@@ -62,10 +62,13 @@ class DeviceModel:
         self._ran_s: float | None = None  # time of the first RUN
         self._runs = False
         self._sent_s = 0.0  # host time of the last transfer
+        self._alters = False  # whether it is set to crop, flip or flatten
         self._decoder = event_words.start()  # where crop, flip or flatten change the events
 
     def has(self, name: str) -> bool:
         """Whether a fault lasts now; those before RUN always do."""
+        if not self._faults:  # as nearly always, in a loop that has to keep time
+            return False
         now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
         return any(each.name == name and (not CAMERA_FAULTS[name].moment or each.lasts(now_s)) for each in self._faults)
 
@@ -78,6 +81,8 @@ class DeviceModel:
 
     def _hits(self, name: str) -> bool:
         """Whether a fault that alters words does so now: while it lasts, or later if no words came in that time."""
+        if not self._faults:
+            return False
         now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
         missed = name not in self._done and any(
             each.name == name and now_s >= (each.start_s or 0.0) for each in self._faults
@@ -96,6 +101,7 @@ class DeviceModel:
         if (module, parameter) not in self._registers or (module == protocol.DVS and parameter < protocol.RUN):
             return False
         self._registers[module, parameter] = value
+        self._alters = self._is_set_to_alter()
         if self.generation is Generation.PARAMETERS and (module, parameter) == (protocol.DVS, protocol.RUN):
             self._run(value != 0)
         elif (module, parameter) == (protocol.SENSOR, protocol.SENSOR_MODE):
@@ -162,10 +168,12 @@ class DeviceModel:
         data = self._part + self._source.take(self._fifo_bytes, timeout_s)
         whole = len(data) // 4 * 4
         self._part = data[whole:]
+        if not whole:
+            return False
         words = self._retimed(np.frombuffer(data, "<u4", whole // 4))
         self.events_seen += events_in(words)
-        if not whole or self._hits("silence"):
-            return whole > 0
+        if self._hits("silence"):
+            return True
         if self._hits("lost-timestamps"):
             words = words[words >> 26 != _TIMESTAMP_CODE]
         for name, share in _DAMAGED_SHARE.items():
@@ -186,23 +194,29 @@ class DeviceModel:
 
     def _retimed(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """The words with the times of a clock that jumps, or runs at another rate."""
-        if not any(each.name in (*_JUMP_US, *_RATE) for each in self._faults):
+        if not self._faults or not any(each.name in (*_JUMP_US, *_RATE) for each in self._faults):
             return words
         jump_us = sum(jump for name, jump in _JUMP_US.items() if self.once(name))
         rate = next((rate for name, rate in _RATE.items() if self.has(name)), (1, 1))
         return self._clock.retimed(words, rate, jump_us)
 
-    def _altered(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Words of what is left after crop, flip and flatten, as the registers of firmware 10 say."""
+    def _is_set_to_alter(self) -> bool:
+        """Whether crop, flip or flatten, as the registers of firmware 10 say, leave the events not as they are."""
         if self.generation is Generation.REGISTERS:
+            return False
+        crop = tuple(self._registers[protocol.DVS, protocol.CROP + k] for k in range(4))
+        flips = (protocol.FLIP_X, protocol.FLIP_Y, protocol.FLATTEN)
+        return crop != (0, 0, *FRAME_PX) or any(self._registers[protocol.DVS, parameter] for parameter in flips)
+
+    def _altered(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """Words of what is left after crop, flip and flatten."""
+        if not self._alters:
             return words
         x0, y0, width, height = (self._registers[protocol.DVS, protocol.CROP + k] for k in range(4))
         flip_x, flip_y, flatten = (
             self._registers[protocol.DVS, parameter]
             for parameter in (protocol.FLIP_X, protocol.FLIP_Y, protocol.FLATTEN)
         )
-        if (x0, y0, width, height, flip_x, flip_y, flatten) == (0, 0, *FRAME_PX, 0, 0, 0):
-            return words
         events = event_words.step(self._decoder, words.astype("<u4", copy=False).tobytes())
         inside = (events.x >= x0) & (events.x < x0 + width) & (events.y >= y0) & (events.y < y0 + height)
         if flatten in (2, 3):

@@ -82,9 +82,9 @@ class PreparedWords:
         for turn in range(start // length, -(-end // length)):
             first, last = max(start - turn * length, 0), min(end - turn * length, length)
             chosen = slice(first // 4, -(-last // 4))
-            later = np.where(self._is_stamp[chosen], np.uint32(turn * self._period_ms), np.uint32(0))
-            words = (self._words[chosen] + later).astype("<u4").tobytes()
-            parts.append(words[first % 4 : first % 4 + last - first])
+            words = self._words[chosen].copy()
+            words[self._is_stamp[chosen]] += np.uint32(turn * self._period_ms)
+            parts.append(words.tobytes()[first % 4 : first % 4 + last - first])
         return b"".join(parts)
 
     def _limit_time(self) -> None:
@@ -102,7 +102,7 @@ class PreparedWords:
         passed_us = int(self._ran_us + 1e6 * (self._time.now_s() - self._began_s))
         turn = min(passed_us // (SLICE_US * self._period_ms), self._times - 1) if self._times > 1 else 0
         within_us = passed_us - turn * SLICE_US * self._period_ms
-        return 4 * (turn * len(self._words) + int(np.searchsorted(self._due_us, within_us, side="right")))
+        return 4 * (turn * len(self._words) + int(self._due_us.searchsorted(within_us, side="right")))
 
     def _wait_s(self, waited_for: bool) -> float | None:
         """Until something is due: 0 if it is, None if nothing will be."""

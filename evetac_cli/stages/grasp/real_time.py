@@ -37,7 +37,7 @@ from evetac_cli.stages.grasp.recorder import GraspProcesses, RecordedGrasp, reco
 from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, device_trials
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.segments import RecordingWriter
 
 if TYPE_CHECKING:
@@ -150,6 +150,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         )
         signals = opened.enter_context(session.signals_counted(came))  # until here Ctrl-C breaks off
         sensor = _sensor(trial, params, world)
+        parents = (*setup.model_headers(setup.model_path_for(params)), *camera.parents())
         detector = DetectorSettings(
             camera,
             seeds,
@@ -179,7 +180,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
             console.say(note)
         sensor = {**camera_ready.sensor, **sensor, "t_offset": np.int64(0)}
         described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
-        recipe = _recipe(trial, params, described, sensor)
+        recipe = _recipe(trial, params, described, sensor, parents)
         writer = RecordingWriter(trial.output, sensor, discard_leftover=False, recipe=recipe)
         if gripper.is_hardware and not signals:
             console.say(f"{gripper} moves now; {FALLS}")
@@ -228,8 +229,17 @@ def _sensor(trial: DeviceTrial, params: Grasp, world: "VirtualWorld | None") -> 
     return dict(sensor)
 
 
-def _recipe(trial: DeviceTrial, params: Grasp, described: Mapping[str, Any], sensor: Mapping[str, Any]) -> Recipe:
-    """What is known of a grasp beforehand; its content stands in for the rest."""
+def _recipe(
+    trial: DeviceTrial,
+    params: Grasp,
+    described: Mapping[str, Any],
+    sensor: Mapping[str, Any],
+    parents: tuple[Header, ...],
+) -> Recipe:
+    """What is known of a grasp beforehand; its content stands in for the rest.
+
+    parents: headers of the model and of what the camera plays. They take long to read, and now the camera runs.
+    """
     (camera,) = trial.cameras
     control = Control(setup.make_law(params), params.control_hz)
     return session.make_recipe(
@@ -238,7 +248,7 @@ def _recipe(trial: DeviceTrial, params: Grasp, described: Mapping[str, Any], sen
         described,
         sensor,
         {"watchdog_ms": params.watchdog_ms},
-        parents=(*setup.model_headers(setup.model_path_for(params)), *camera.parents()),
+        parents=parents,
         simulated=camera.is_simulated,
     )
 
@@ -306,6 +316,10 @@ def _row(
         timing[name] = None if values is None else float(values[index])
     for name in ("slices_per_s", "commands_per_s"):
         timing[name] = float(datasets[f"capture/{name}"]) if f"capture/{name}" in datasets else None
+    late, commands = recorded.late_slices, len(recorded.step_late_us)
+    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s)
+    if too_slow is not None:
+        console.say(too_slow)
     return outcome(
         trial,
         made=True,
@@ -315,6 +329,8 @@ def _row(
         **timing,
         command_misses=_whole(datasets.get("capture/command_misses")),
         latencies=len(recorded.latency_us),
+        late_slices=late.count,
+        too_slow=too_slow,
         scheduling=datasets["capture/scheduling"],
         **session.lost_columns(datasets),
         **grasp_outcome,

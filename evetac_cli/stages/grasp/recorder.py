@@ -31,7 +31,7 @@ from evetac_cli.stages.grasp import controller_process, detector_process
 from evetac_cli.stages.grasp.controller_process import OVER, ControllerEnded, ControllerSettings, GripperReady
 from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, DetectorSettings, SliceBatch
 from evetac_cli.stages.grasp.loop import TrialBuffer
-from evetac_cli.stages.session import INTERRUPTED, OPENED, lost_datasets, signals_held, spread
+from evetac_cli.stages.session import INTERRUPTED, OPENED, LateSlices, lost_datasets, signals_held, spread
 from evetac_cli.store.segments import RecordingWriter
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class GraspProcesses:
         context = multiprocessing.get_context("spawn")
         self.status = SharedStatus()
         self._settings = controller
-        self._clock = controller.time.now_s
+        self.now_s = controller.time.now_s
         self._hangs_us = 1e6 * max(HANGS_S, HANGS_WATCHDOGS * 1e-3 * controller.watchdog_ms)
         self._began_us = math.inf
         self._orders = []  # to the detector and to the controller
@@ -105,7 +105,7 @@ class GraspProcesses:
     def go(self) -> None:
         """Let the detector begin, upon which the controller moves the gripper; from now on it needs signs of life."""
         self.give_sign_of_life()
-        self._began_us = self._clock() * 1e6
+        self._began_us = self.now_s() * 1e6
         self._order(0, "go")
 
     def _order(self, whom: int, order: str) -> None:
@@ -114,12 +114,12 @@ class GraspProcesses:
 
     def give_sign_of_life(self) -> None:
         """For the loop that records: it is alive."""
-        self.status.recorder_lives(self._clock() * 1e6)
+        self.status.recorder_lives(self.now_s() * 1e6)
 
     def end_hanging_controller(self) -> str:
         """End a controller that gives no sign of life; for how long it did not, in words, "" if it does."""
         patience_us = self._hangs_us + 1e6 * OPENING_S * self.status.opening
-        silent_us = self._clock() * 1e6 - max(self.status.controller_us, self._began_us)
+        silent_us = self.now_s() * 1e6 - max(self.status.controller_us, self._began_us)
         if not silent_us > patience_us:
             return ""
         self.controller.kill()
@@ -195,6 +195,8 @@ class RecordedGrasp:
     slice_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     step_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     latency_us: "array[float]" = field(default_factory=lambda: array("d"))
+    late_slices: LateSlices = field(default_factory=LateSlices)
+    behind_s: float = 0.0  # that slices waited for the recorder, at most
     steps: TrialBuffer = field(default_factory=TrialBuffer)  # of the controller, as far as the outcome needs them
     truth: TrialBuffer = field(default_factory=TrialBuffer)  # of a virtual world
     truths: int = 0  # slices whose truth is known
@@ -242,8 +244,9 @@ class RecordedGrasp:
             if row["control/phase"] != Phase.CONTACT and not math.isnan(row["control/latency_us"]):
                 self.latency_us.append(row["control/latency_us"])  # in contact the law does not react to slip
 
-    def take_slices(self, batch: SliceBatch, writer: RecordingWriter) -> None:
-        """Write slices of the camera, but for those after the end of a virtual world."""
+    def take_slices(self, batch: SliceBatch, writer: RecordingWriter, now_s: float = -math.inf) -> None:
+        """Write slices of the camera, but for those after the end of a virtual world. now_s: when they came here."""
+        self.behind_s = max([self.behind_s, *(now_s - at_us * 1e-6 for at_us in batch.at_us[-1:])])
         first = 0
         for k, count in enumerate(batch.counts):
             if self.world_over and self.slices >= self.truths:
@@ -253,6 +256,7 @@ class RecordedGrasp:
             self.first_us = batch.at_us[k] if not self.slices else self.first_us
             self.last_us = batch.at_us[k]
             self.slice_late_us.append(batch.late_us[k])
+            self.late_slices.add(batch.late_us[k], count)
             self.slices += 1
         self.events += first
 
@@ -335,7 +339,7 @@ def record(
             recorded.take_truth(message)
         for message in processes.slices.take():
             if isinstance(message, SliceBatch):
-                recorded.take_slices(message, writer)
+                recorded.take_slices(message, writer, processes.now_s())
                 progress(recorded.slices)
             else:
                 recorded.detector = message

@@ -36,7 +36,7 @@ from evetac_cli.realtime.processes import raised_priority
 from evetac_cli.stages import session
 from evetac_cli.stages.record.capture_plan import asked_holding_ma, check, is_done, make_hold, settings
 from evetac_cli.stages.record.current_ramp import GripperLoop, Hold, start, step
-from evetac_cli.stages.session import INTERRUPTED, TimeSample
+from evetac_cli.stages.session import INTERRUPTED, LateSlices, TimeSample
 from evetac_cli.stages.trials import OUTPUT, DeviceTrial
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
@@ -114,6 +114,7 @@ class CameraRecording:
     first_s: float = 0.0  # when the first and the last slice came
     last_s: float = 0.0
     delays: TimeSample = field(default_factory=TimeSample)
+    late_slices: LateSlices = field(default_factory=lambda: LateSlices(1e6 * session.BEHIND_S))
     loop: GripperLoop | None = None  # commands the gripper, if there is one
     thread: SliceThread | None = None  # reads the camera, if it is not the first
 
@@ -125,7 +126,9 @@ class CameraRecording:
         self.events += events.size
         host_us = getattr(self.rig.camera, "host_us", None)
         if host_us is not None:
-            self.delays.add(came_s * 1e6 - host_us(self.slices * SLICE_US))
+            late_us = came_s * 1e6 - host_us(self.slices * SLICE_US)
+            self.delays.add(late_us)
+            self.late_slices.add(late_us, events.size)
         self.writer.append(events)
 
     def datasets(self, first: Rig) -> dict[str, Any]:
@@ -417,6 +420,10 @@ def _row(trial: DeviceTrial, recording: CameraRecording, datasets: Mapping[str, 
     none = (None, None, None)
     late_us, command_us = (datasets.get(f"capture/{name}", none) for name in ("slice_late_us", "command_us"))
     loop = recording.loop
+    commands = loop.commands if loop is not None else 0
+    too_slow = session.too_slow(datasets, recording.slices, recording.late_slices, commands)
+    if too_slow is not None:
+        console.say(too_slow)
     (row,) = outcome(
         Job(trial.inputs, recording.saved or recording.output),
         made=True,
@@ -430,6 +437,8 @@ def _row(trial: DeviceTrial, recording: CameraRecording, datasets: Mapping[str, 
         commands=loop.commands if loop is not None else None,
         command_misses=loop.misses if loop is not None else None,
         command_us_median=_plain(command_us[0]),
+        late_slices=recording.late_slices.count,
+        too_slow=too_slow,
     ).rows
     return row
 

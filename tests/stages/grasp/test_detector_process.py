@@ -87,7 +87,7 @@ def batches_in(inbox: MessageReader, outbox: MessageWriter) -> list[SliceBatch]:
 
 def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that every slice gives a status, with the host's time of the first event of slip, and is handed over."""
-    camera, shared, most = Camera(4 * BATCH_MS), SpiedStatus(), 2 * BATCH_MS + 7
+    camera, shared, most = Camera(4 * BATCH_MS), SpiedStatus(), 2 * BATCH_MS + 3
     detect(camera, Detector(), shared, pipe[1], most)
     assert [status.slices for status in shared.published] == list(range(1, most + 1))
     assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(1, most + 1)]
@@ -98,11 +98,20 @@ def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
         status.heard_us == shared.published[k - 1].heard_us for k, status in enumerate(shared.published) if k % 5 == 4
     )
     batches = batches_in(*pipe)
-    assert [len(batch.counts) for batch in batches] == [BATCH_MS, BATCH_MS, 7]
+    assert [len(batch.counts) for batch in batches] == [BATCH_MS, BATCH_MS, 3]
     assert [count for batch in batches for count in batch.counts] == [part.size for part in camera.slices[:most]]
     t_us = np.concatenate([batch.events.t for batch in batches])
     np.testing.assert_array_equal(t_us, np.concatenate([part.t for part in camera.slices[:most]]))
     assert [p for batch in batches for p in batch.probability] == [0.25 * (k % 3) for k in range(1, most + 1)]
+
+
+def test_slices_before_the_order_are_evaluated_and_not_published(pipe: tuple[MessageReader, MessageWriter]) -> None:
+    """Assert that the gripper's controller hears nothing before it may move, and then nothing that is old."""
+    shared, asked = SpiedStatus(), iter([False] * 6 + [True])
+    detect(Camera(20), Detector(), shared, pipe[1], 12, may_move=lambda: next(asked))
+    assert [status.slices for status in shared.published] == list(range(7, 13))
+    assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(7, 13)]
+    assert sum(len(batch.counts) for batch in batches_in(*pipe)) == 12
 
 
 def test_without_a_detector(pipe: tuple[MessageReader, MessageWriter]) -> None:

@@ -24,7 +24,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import grasp
 from evetac_cli.stages.grasp import real_time
 from evetac_cli.stages.grasp.controller_process import ControllerEnded, GripperReady
-from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, SliceBatch, noise
+from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, SliceBatch, joined, noise
 from evetac_cli.stages.grasp.loop import control_row
 from evetac_cli.stages.grasp.recorder import RecordedGrasp
 from evetac_cli.stages.trials import DeviceTrial
@@ -193,7 +193,7 @@ def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
 def some(writer: RecordingWriter, ended: str, error: Exception | None = None, steps: int = 2) -> RecordedGrasp:
     """What is recorded of a grasp of a few slices."""
     recorded = RecordedGrasp(1000, ended=ended, error=error)
-    batch = SliceBatch(noise(np.random.default_rng(0), 0), [3000], [0.5], [1.0], [600.0])
+    batch = SliceBatch(joined([noise(np.random.default_rng(0), 0)]), [3000], [0.5], [1.0], [600.0])
     recorded.take_slices(batch, writer)
     control = Control(PAPER)
     row = control_row(control, Phase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
@@ -215,12 +215,14 @@ def test_motion_is_announced_when_all_is_ready(
     """Assert that "moves now" is said once both processes are ready and the file is begun, and next is motion."""
     recorder_is(lambda processes, world, writer, *more: some(writer, "the grasp is over"))
     grasp.run(armed[1], armed[0])
-    ready, moves, go = capsys.readouterr().err.splitlines()
+    ready, moves, go = capsys.readouterr().err.splitlines()[:3]
     assert (ready, go) == ("ready", "go")
     assert moves.startswith(f"{PORT}@2000000 moves now; torque is switched off")
 
 
-def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
+def test_a_file_says_how_time_was_kept(
+    armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
+) -> None:
     """Assert that misses, latency, losses and scheduling are in file and row, and that both processes are ended."""
     recorder_is(lambda processes, world, writer, *more: some(writer, "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
@@ -228,6 +230,9 @@ def test_a_file_says_how_time_was_kept(armed: tuple[Grasp, DeviceTrial], recorde
     assert (row["command_misses"], row["latency_us_median"], row["latencies"]) == (1, 2500.0, 2)
     assert row["lost"] == 3
     assert row["lost_why"] == "camera.late_events 3; gripper.answers_lost 4"
+    assert row["late_slices"] == 0
+    assert row["too_slow"].startswith("this computer was too slow: 1 of 3 commands were missed")
+    assert row["too_slow"] in capsys.readouterr().err.splitlines()
     with open_recording(armed[1].output) as file:
         assert file.read("capture/latency_us").tolist() == [2500.0] * 3
         assert file.read("capture/slice_late_us").tolist() == [600.0] * 3

@@ -137,6 +137,7 @@ def test_after_the_seconds(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     assert header["parameters"]["setup"] == rig.setup
     row = made.rows[0]
     assert (row["slices"], row["events"], row["lost"], row["lost_why"]) == (500, 5000, 3, "camera.late_events 3")
+    assert (row["late_slices"], row["too_slow"]) == (0, None)
     json.dumps(made.rows)
     assert rig.camera.closed
 
