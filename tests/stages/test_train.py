@@ -297,6 +297,13 @@ def test_patience_is_part_of_the_recipe(trials: list[Path], tmp_path: Path) -> N
         assert "patience" not in file.header["parameters"]
     with pytest.raises(InputError, match=r"(?s)another recipe.*patience"):
         run(job, small(patience=100))
+    (patient,) = train.jobs(trials, small(patience=100), tmp_path / "patient")
+    (row,) = run(patient, small(patience=100)).rows
+    assert row["steps"] == 120
+    with StageFile(patient.output) as file:
+        assert file.header["parameters"]["patience"] == 100
+    # it never has to wait for so long
+    assert contents(patient.output) | {"id": b""} == contents(job.output) | {"id": b""}
     for several in ({"folds": 2}, {"networks": 2}):
         with pytest.raises(InputError, match=r"--patience: is for a model of one network"):
             train.jobs(trials, small(patience=3, **several), tmp_path)
