@@ -82,7 +82,7 @@ def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> 
 
 def with_engine(words: Command, jobs: int, engine: str) -> Command:
     """A command that works on files, told where, and on how many at a time; a cluster that runs knows that itself."""
-    if words[0] != "evetac" or words[1] not in IN_PARALLEL:
+    if words[0] != "evetac" or (words[1] not in IN_PARALLEL and words[1:3] != ["evaluate", "slip"]):
         return words
     at_once = [] if engine.startswith("dask:") else ["--jobs", str(jobs)]
     return [*words, *at_once, *(["--engine", engine] if engine != "local" else [])]
@@ -314,7 +314,7 @@ def perform(
     evaluations = {}
     for name, words in commands.items():
         print("+", *words, flush=True)
-        evaluations[name] = evaluate(name, words, folder, run, header)
+        evaluations[name] = evaluate(name, with_engine(words, jobs, engine), folder, run, header)
     refusals = []
     for table in experiment.tables:
         chosen = {name: evaluations[name] for name in table.evaluations}
@@ -348,7 +348,7 @@ def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, e
     for step in experiment.steps(sizes):
         print(*with_engine(step, jobs, engine))
     for name, words in experiment.evaluations(sizes).items():
-        print(*words, "--out", f"{name}.report.h5", "--json")
+        print(*with_engine(words, jobs, engine), "--out", f"{name}.report.h5", "--json")
 
 
 def main(arguments: list[str] | None = None) -> None:

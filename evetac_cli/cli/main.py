@@ -270,14 +270,30 @@ def _run(
         hint = "leave it out: a cluster that runs has as many workers as it has"
         raise InputError("has no effect", where="--jobs", found=f"--engine {running['engine']}", hint=hint)
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
-    waiting = engines.largest_first([job for job in jobs if force or not job.output.exists()])
-    at_once = 1 if exclusive else min(running["number_of_jobs"], len(waiting))
-    if engine.name == engines.DASK and waiting:
+    waiting = [job for job in jobs if force or not job.output.exists()]
+
+    def run_several(some: list[Job], into: dict[Path, Outcome | EvetacError]) -> None:
+        at_once = 1 if exclusive else min(running["number_of_jobs"], len(some))
+        if not some or (engine.name == engines.LOCAL and at_once < 2):
+            return
+        how = (command.module, engines.largest_first(some), chosen, force, at_once)
         with console.progress_bar(command.name, "files", quiet=quiet) as progress:
-            engines.run_on_dask(engine, command.module, waiting, chosen, force, at_once, progress, results)
-    elif at_once > 1:
-        with console.progress_bar(command.name, "files", quiet=quiet) as progress:
-            workers.run_parallel(command.module, waiting, chosen, force, at_once, progress, results, quiet=quiet)
+            if engine.name == engines.DASK:
+                engines.run_on_dask(engine, *how, progress, into)
+            else:
+                workers.run_parallel(*how, progress, into, quiet=quiet)
+
+    if engine.name == engines.DASK or running["number_of_jobs"] > 1:
+        # Of some stages a job has parts that can be made at the same time, before it.
+        parts_of = getattr(importlib.import_module(f"evetac_cli.{command.module}"), "parts", None)
+        parts: dict[Path, list[Job]] = {job.output: parts_of(job, chosen) for job in waiting if parts_of is not None}
+        made: dict[Path, Outcome | EvetacError] = {}
+        run_several([part for some in parts.values() for part in some], made)
+        for output, some in parts.items():
+            failed = (result for part in some if isinstance(result := made.get(part.output), EvetacError))
+            if (error := next(failed, None)) is not None:
+                results[output] = error
+        run_several([job for job in waiting if job.output not in results], results)
     for number, job in enumerate(jobs):
         if job.output not in results:
             name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")

@@ -129,6 +129,14 @@ class Train:
         unit="steps",
         low=1,
     )
+    patience: int | None = parameter(
+        None,
+        "Stop when the loss on the files that validate has not fallen for so many of 100 looks at it, evenly spread"
+        " over the steps; its best network is then among the checkpoints. Default: take all steps.",
+        low=1,
+        high=100,
+        recipe=False,  # it is, where it is given: models that were made before there was such a choice stay up to date
+    )
     seed: int = parameter(0, "Seed of weights, sampling and augmentation.", low=0, high=2**31 - 1)
     seeds: int = parameter(
         1, "Models to train, each with the next seed and in a file of its own.", low=1, high=1000, recipe=False

@@ -1,6 +1,8 @@
 """Slip detectors from model files, their inputs from features files, and their predictions."""
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages.splits import object_name
+from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
@@ -60,11 +63,36 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     )
 
 
+def join_on_disk(folder: Path, parts: Iterable[inputs.Series]) -> inputs.Series:
+    """What `inputs.join` does, in files without a name in `folder`: thousands of trajectories do not fit into memory.
+
+    Of event images, where each slice starts stays in memory.
+    """
+    starts = [np.zeros(1, np.int64)]
+
+    def columns() -> Iterator[tuple[NDArray[Any], ...]]:
+        for part in parts:
+            if isinstance(part, features.EventImages):
+                starts.append(starts[-1][-1] + part.start[1:])
+                yield part.pixel, part.sign
+            else:
+                yield (part,)
+
+    joined = joined_on_disk(folder, columns())
+    return joined[0] if len(joined) == 1 else features.EventImages(np.concatenate(starts), *joined)
+
+
 def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> Prediction:
     """The probabilities of a detector for a trajectory, from its first labelled slice on, beside its labels.
 
     The labels are shifted by `horizon_ms`, for F1; the onset is not, for the timing.
     """
+    label = shift_labels(trajectory.label, horizon_ms)
+    return Prediction(probabilities(detector, trajectory), label, trajectory.onset, object_name(header))
+
+
+def probabilities(detector: Detector, trajectory: Trajectory) -> NDArray[np.float32]:
+    """The probabilities of a detector for a trajectory, (slices,), NaN before its first labelled slice."""
     architecture, slices = detector.architecture, len(trajectory.label)
     examined = np.flatnonzero(trajectory.label >= 0)
     probability = np.full(slices, np.nan, np.float32)
@@ -73,8 +101,7 @@ def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_
         begin = max(0, int(examined[0]) - architecture.history - architecture.every + 2)
         probability[begin:] = detector.over(inputs.part(trajectory.series, begin, slices), begin)
         probability[: examined[0]] = np.nan
-    label = shift_labels(trajectory.label, horizon_ms)
-    return Prediction(probability, label, trajectory.onset, object_name(header))
+    return probability
 
 
 def read_horizon_ms(model: StageFile) -> int:

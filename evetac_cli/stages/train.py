@@ -4,13 +4,9 @@ Checkpoint and threshold are chosen on validation trajectories (paper, "Evaluati
 never trained on: those named by --validate, or every 8th of the inputs. With --folds they are chosen on objects that a
 network has not seen, by networks that are trained for this alone. --adapt goes on from a trained model.
 
-An interrupted run leaves `NAME.model.part` for each network, a numpy archive that is written every half a minute, from
-which the same command goes on to the same result.
+An interrupted run leaves `NAME.model.part` for each network, from which the same command goes on to the same result.
 """
 
-import time
-import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,7 +17,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.kernels.slip import onnx_graphs, sampling
+from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     LEAST_COLUMNS,
@@ -32,7 +28,6 @@ from evetac_cli.kernels.slip.architectures import (
 )
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
 from evetac_cli.params.learning import Train
 from evetac_cli.params.parameter import recipe_of
@@ -42,17 +37,16 @@ from evetac_cli.stages import one_file
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.slip_detectors import predict, read_trajectory, read_weights
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
-from evetac_cli.store.disk import taking_the_place_of
+from evetac_cli.stages.train_networks import Networks, state_file
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import
-    from evetac_cli.kernels.slip.training import Training, TrainingState
+    from evetac_cli.kernels.slip.training import Training
 
 OUTPUT = "model"
 METHOD = 6
 VALIDATE_EVERY = 8
-SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
 
 class Settings(NamedTuple):
@@ -75,6 +69,14 @@ class TrainJob(Job):
 
     learned: int
     seed: int
+
+
+@dataclass(frozen=True)
+class NetworkJob(TrainJob):
+    """One of the networks of a model: its output is its state at the end, from which the model is then made."""
+
+    number: int
+    model: Path
 
 
 def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
@@ -100,6 +102,15 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
         trainings.append(TrainJob((*learn, *validate), output, len(learn), seed))
     return trainings
+
+
+def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
+    """The networks of a model, to be trained at the same time; none if it is a single one."""
+    settings, _ = _settings(params)
+    count = settings.networks * (params.folds + 1)
+    numbers = range(count if count > 1 else 0)
+    places = [state_file(job.output, number, count) for number in numbers]
+    return [NetworkJob(job.inputs, places[number], job.learned, job.seed, number, job.output) for number in numbers]
 
 
 def _with_objects(files: list[Path], params: Train) -> list[Path]:
@@ -139,6 +150,12 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
                     found=str(getattr(params, name)),
                 )
     given = {name: getattr(params, name) for name in Settings._fields}
+    if params.patience is not None and (params.folds or (given["networks"] or usual.networks) > 1):
+        raise InputError(
+            "is for a model of one network, without --folds: several would stop at different steps",
+            where="--patience",
+            found=str(params.patience),
+        )
     return usual._replace(**{name: value for name, value in given.items() if value is not None}), trained
 
 
@@ -164,10 +181,13 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     labels = _label_method(job.inputs[:learn], headers[:learn])
     folds = make_folds(headers, learn, params.folds)
     parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
+    if params.patience is not None:
+        parameters["patience"] = params.patience
     parents = (*headers, adapted.header) if adapted is not None else tuple(headers)
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=parents)
     simulated = any(header["simulated"] for header in parents)
-    if up_to_date(job.output, recipe, force=force):
+    output = job.model if isinstance(job, NetworkJob) else job.output
+    if up_to_date(output, recipe, force=force):
         return outcome(job, made=False, simulated=simulated)
 
     import torch
@@ -186,17 +206,17 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     architecture = ARCHITECTURES[settings.model]
     if isinstance(architecture, DotArchitecture):
         _check_grid(shape, job.inputs[0])
+    networks = Networks(output, job.inputs, folds, recipe, shape, None if adapted is None else adapted.weights)
     predictions: list[list[Prediction]] = []
     resumed: int | None = None
     try:
+        if isinstance(job, NetworkJob):
+            networks.train(job.number, progress)
+            return Outcome([], simulated)
         for number, fold in enumerate(folds):
-            trajectories = (read_trajectory(job.inputs[index], architecture) for index in fold.trained_on)
-            samples = sampling.gather(trajectories, architecture, *shape, settings.horizon_ms)
             results: list[Training] = []
             for member in range(settings.networks):
-                place = number * settings.networks + member, len(folds) * settings.networks
-                start = None if adapted is None else adapted.weights[member]
-                result, resumed_at = _train(job, params, settings, recipe, samples, place, progress, start)
+                result, resumed_at = networks.train(number * settings.networks + member, progress)
                 results.append(result)
                 resumed = resumed_at if resumed is None else resumed
             steps = [checkpoint.step for checkpoint in result.checkpoints[-LAST_CHECKPOINTS:]]
@@ -232,9 +252,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         "checkpoint/onnx": np.stack([np.frombuffer(graph, np.uint8) for graph in graphs]),
     }
     write_stage(job.output, recipe, arrays)
-    trainings = len(folds) * settings.networks
-    for number in range(trainings):
-        _part(job, number, trainings).unlink(missing_ok=True)
+    networks.remove_states()
     return outcome(
         job,
         made=True,
@@ -256,73 +274,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         threshold=choice.threshold,
         validation_score=choice.score,
     )
-
-
-def _train(
-    job: TrainJob,
-    params: Train,
-    settings: Settings,
-    recipe: Recipe,
-    samples: Samples,
-    place: tuple[int, int],
-    progress: Progress,
-    start: dict[str, NDArray[np.float32]] | None,
-) -> tuple["Training", int | None]:
-    """Train from the beginning, or from the saved state of an interrupted run; its step, or None, is returned too.
-
-    `place`: the network's number and how many there are; the last one draws the same numbers whatever their count.
-    `start`: weights to go on from.
-    """
-    from evetac_cli.kernels.slip import training
-
-    number, networks = place
-    seed = job.seed
-    part = _part(job, *place)
-    saved = _read_part(part, recipe)
-    written = time.monotonic()
-
-    def save(state: Callable[[], "TrainingState"]) -> None:
-        nonlocal written
-        if time.monotonic() - written >= SAVE_S:
-            _write_part(part, recipe, state())
-            written = time.monotonic()
-
-    result = training.train(
-        samples,
-        training.ADAPT if start is not None else training.PRESETS[settings.preset],
-        # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
-        np.random.default_rng(seed if number == networks - 1 else (seed, number + 1)),
-        epochs=params.epochs,
-        max_steps=settings.max_steps,
-        on_progress=lambda step, steps, loss: progress(number * steps + step, networks * steps),
-        device=params.device,
-        resume_from=saved,
-        on_save=save,
-        start=start,
-    )
-    return result, None if saved is None else int(saved["step"])
-
-
-def _part(job: Job, number: int, networks: int) -> Path:
-    """Where the state of a run is saved: NAME.model.part, or NAME.model.network1.part for the first of several."""
-    name = "" if number == networks - 1 else f".network{number + 1}"
-    return job.output.with_name(job.output.name.removesuffix(".h5") + name + ".part")
-
-
-def _read_part(path: Path, recipe: Recipe) -> "TrainingState | None":
-    """The saved state of a run of this recipe; None if there is none, it is damaged, or of another recipe."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        return None
-    return arrays if str(arrays.pop("recipe", "")) == recipe.id else None
-
-
-def _write_part(path: Path, recipe: Recipe, state: "TrainingState") -> None:
-    """Save the state of a run, all or nothing."""
-    with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, recipe=np.array(recipe.id), **state)  # type: ignore[arg-type]
 
 
 def _label_method(paths: tuple[Path, ...], headers: list[Header]) -> str:

@@ -15,14 +15,17 @@ import platform
 import shutil
 import signal
 import stat
+import tempfile
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
 import h5py
+import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 
@@ -152,6 +155,39 @@ def _lives(name: str) -> bool:
     except (ValueError, OverflowError, PermissionError):  # no number: not ours to remove; or somebody else's process
         return True
     return True
+
+
+def joined_on_disk(folder: Path | None, parts: Iterable[tuple[NDArray[Any], ...]]) -> tuple[NDArray[Any], ...]:
+    """Columns of arrays, each put end to end: in files of `folder`, from where they are read as they are used.
+
+    parts: of each column the next rows. Without a folder, that of the system for temporary files, which TMPDIR names.
+    The files have no name and are gone with the arrays. Memory is needed for one part; what is read lies in memory that
+    the system takes back when it needs it. Without any part there is no column. InputError if the disk does not take
+    them.
+    """
+    with ExitStack() as stack:
+        files: list[IO[bytes]] = []
+        first: tuple[NDArray[Any], ...] = ()
+        for part in parts:
+            try:
+                first = first or part
+                files = files or [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in part]
+                for file, rows in zip(files, part, strict=True):
+                    file.write(np.ascontiguousarray(rows).data.cast("B") if rows.size else b"")
+            except OSError as error:
+                where = str(folder or tempfile.gettempdir())
+                raise InputError(f"cannot be written: {error.strerror or error}", where=where) from error
+        return tuple(_mapped(file, column) for file, column in zip(files, first, strict=True))
+
+
+def _mapped(file: IO[bytes], like: NDArray[Any]) -> NDArray[Any]:
+    """What a file holds, as an array of rows like these."""
+    file.flush()
+    row_bytes = like.dtype.itemsize * int(np.prod(like.shape[1:]))
+    shape = (os.fstat(file.fileno()).st_size // row_bytes, *like.shape[1:])
+    if not shape[0]:
+        return np.empty(shape, like.dtype)
+    return np.asarray(np.memmap(file, like.dtype, "r", shape=shape))
 
 
 def open_lock(path: Path) -> BinaryIO:

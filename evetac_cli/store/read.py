@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import SLICE_US, Events
+from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.files import StageFile
 
 BLOCK_SLICES = 1000
@@ -141,6 +142,10 @@ class SlipWindows:
     from rest in px, then its event counts, of the last `history` slices, the newest first. Slices without a full
     history, without an examined label, or `after_onset` slices and more after the onset are left out.
 
+    The files are read once, one after the other, and unpacked into a temporary file without a name (450 bytes a slice
+    of 56 dots, in the folder that TMPDIR names), from which windows are read: memory does not grow with it. Workers
+    that are forked share it; those that are spawned read the files again.
+
     >>> import torch
     >>> windows = evetac.SlipWindows(["a.features.h5"], history=10)
     >>> loader = torch.utils.data.DataLoader(windows, batch_size=16, shuffle=True)
@@ -150,28 +155,47 @@ class SlipWindows:
     """
 
     def __init__(self, paths: Sequence[str | Path], history: int = 10, after_onset: int = 15) -> None:
-        self.history = history
-        self._trials: list[tuple[Any, Any, Any]] = []
-        self._index: list[tuple[int, int]] = []
-        for trial, path in enumerate(paths):
-            with StageFile(Path(path), "features") as file:
+        self.paths, self.history, self.after_onset = [Path(path) for path in paths], history, after_onset
+        self._dots: list[int] = []  # of each file
+        self._first: list[int] = []  # of its values
+        # of each window: its file, its slice there, its label
+        index: list[NDArray[np.int32]] = [np.empty((0, 3), np.int32)]
+        values = joined_on_disk(None, self._unpacked(index))
+        self._values: NDArray[np.float32] = values[0] if values else np.empty(0, np.float32)
+        self._index = np.concatenate(index)
+
+    def _unpacked(self, index: list[NDArray[np.int32]]) -> Iterator[tuple[NDArray[np.float32]]]:
+        """Distances and event counts of each file, slice by slice; `index` is filled on the way."""
+        first = 0
+        for number, path in enumerate(self.paths):
+            with StageFile(path, "features") as file:
                 if not file.has("label"):
                     raise InputError(
                         "these features have no labels", where=str(path), hint="evetac label, then featurize"
                     )
-                label = file.read("label")
-                self._trials.append((file.read("displacement_px"), file.read("events_per_dot"), label))
-                onset = int(file.read("onset_slice"))
-            stop = len(label) if onset < 0 else min(len(label), onset + after_onset)
+                label, onset = file.read("label"), int(file.read("onset_slice"))
+                values = np.stack([file.read("displacement_px"), file.read("events_per_dot")], axis=1, dtype=np.float32)
+            stop = len(label) if onset < 0 else min(len(label), onset + self.after_onset)
             usable = np.flatnonzero(label[:stop] >= 0)
-            self._index += [(trial, int(slice_)) for slice_ in usable if slice_ >= history - 1]
+            usable = usable[usable >= self.history - 1]
+            index.append(np.stack([np.full_like(usable, number), usable, label[usable]], axis=1, dtype=np.int32))
+            self._dots.append(values.shape[2])
+            self._first.append(first)
+            first += values.size
+            yield (values.reshape(-1),)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For workers that are spawned, which have files of their own."""
+        return SlipWindows, (self.paths, self.history, self.after_onset)
 
     def __len__(self) -> int:
         return len(self._index)
 
     def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
-        trial, slice_ = self._index[index]
-        displacement, events, label = self._trials[trial]
-        back = slice(slice_ + 1 - self.history, slice_ + 1)
-        window = np.concatenate([displacement[back][::-1].T, events[back][::-1].T], axis=1, dtype=np.float32)
-        return window, np.float32(label[slice_])
+        number, slice_, label = self._index[index].tolist()
+        row = 2 * self._dots[number]
+        begin = self._first[number] + (slice_ + 1 - self.history) * row
+        values = self._values[begin : begin + self.history * row].reshape(self.history, row)
+        # newest first; of each dot its distances, then its event counts
+        window = values[::-1].reshape(self.history, 2, -1).transpose(2, 1, 0)
+        return window.reshape(-1, 2 * self.history), np.float32(label)

@@ -611,3 +611,38 @@ def test_several_jobs_at_a_time(files: list[str]) -> None:
     assert done[0].stdout == done[1].stdout
     assert done[0].stderr == done[1].stderr
     assert all(f"error: {path}: cannot be opened" in done[0].stderr for path in paths)
+
+
+def test_parts_of_a_job_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that with --jobs the parts of all jobs are run before them, and one that fails is its job's error."""
+    begun: list[list[str]] = []
+
+    def run_parallel(module: str, jobs: list[Job], chosen: Any, force: bool, at_once: int, _: Any, into: Any) -> None:
+        begun.append([job.output.name for job in jobs])
+        for job in jobs:
+            failed = EvetacError("no memory") if job.output.name == "b-1" else Outcome([], simulated=False)
+            into[job.output] = failed
+
+    stage = SimpleNamespace(
+        parts=lambda job, chosen: [Job((), Path(f"{job.output}-{number}")) for number in range(2)],
+        run=lambda job, chosen, **_: Outcome([{"alone": job.output.name}], simulated=False),
+    )
+    monkeypatch.setattr(main.importlib, "import_module", lambda name: stage)
+    monkeypatch.setattr(main.workers, "run_parallel", run_parallel)
+    jobs = [Job((), tmp_path / name) for name in ("a", "b", "c", "there")]
+    (tmp_path / "there").touch()
+    running = {"quiet": True, "force": False, "engine": "local", "number_of_jobs": 2}
+
+    results: dict[Path, Outcome | EvetacError] = {}
+    main._run(Command("of parts", object, "", ""), jobs, None, running, results)
+    assert begun == [["a-0", "a-1", "b-0", "b-1", "c-0", "c-1"], ["a", "c"]]
+    assert isinstance(results[tmp_path / "b"], EvetacError)
+    assert set(results) == {job.output for job in jobs}
+
+    begun.clear()
+    results.clear()
+    main._run(Command("of parts", object, "", ""), jobs, None, {**running, "number_of_jobs": 1}, results)
+    assert begun == []
+    assert [result.rows[0]["alone"] for result in results.values() if isinstance(result, Outcome)] == [
+        "a", "b", "c", "there",
+    ]  # fmt: skip

@@ -86,7 +86,7 @@ def test_a_table_says_what_its_reports_say(tmp_path: Path) -> None:
 
 
 def test_jobs_are_handed_on(tmp_path: Path) -> None:
-    """Assert that commands which work on several files are given --jobs, and evaluations are not."""
+    """Assert that commands which work on several files are given --jobs, and most evaluations are not."""
     record, _, evaluation = run_labels(tmp_path, [1]).commands
     assert record[-2:] == ["--jobs", "3"]
     assert "--jobs" not in evaluation
@@ -345,7 +345,7 @@ def test_trackers_stand_side_by_side() -> None:
 )
 def test_commands_are_told_the_engine(engine: str, more: str) -> None:
     """Assert that commands that work on files get engine and jobs, and others stay as they are."""
-    track = ["evetac", "track", "a.recording.h5"]
-    assert reproduce.with_engine(track, 3, engine) == [*track, *more.split()]
-    for other in (["evetac", "evaluate", "slip"], ["python", "scripts/film.py"]):
+    for words in (["evetac", "track", "a.recording.h5"], ["evetac", "evaluate", "slip", "a.features.h5"]):
+        assert reproduce.with_engine(words, 3, engine) == [*words, *more.split()]
+    for other in (["evetac", "evaluate", "labels"], ["python", "scripts/film.py"]):
         assert reproduce.with_engine(other, 3, engine) == other

@@ -16,7 +16,7 @@ from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.params.learning import Train
-from evetac_cli.stages import slip_detectors, splits, train
+from evetac_cli.stages import slip_detectors, splits, train, train_networks
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 
@@ -106,7 +106,7 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
         if done >= at:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(train, "SAVE_S", 0.0)
+    monkeypatch.setattr(train_networks, "SAVE_S", 0.0)
     with pytest.raises(KeyboardInterrupt):
         run(job, params, stop)
 
@@ -287,6 +287,45 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
     run(again, params)
     assert contents(again.output) == folded
     assert [path.name for path in again.output.parent.iterdir()] == ["hist10.model.h5"]
+
+
+def test_patience_is_part_of_the_recipe(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that the recipe says patience where it is given alone, and that it is refused where it means nothing."""
+    (job,) = train.jobs(trials, small(), tmp_path)
+    run(job, small())
+    with StageFile(job.output) as file:
+        assert "patience" not in file.header["parameters"]
+    with pytest.raises(InputError, match=r"(?s)another recipe.*patience"):
+        run(job, small(patience=100))
+    (patient,) = train.jobs(trials, small(patience=100), tmp_path / "patient")
+    (row,) = run(patient, small(patience=100)).rows
+    assert row["steps"] == 120
+    with StageFile(patient.output) as file:
+        assert file.header["parameters"]["patience"] == 100
+    # it never has to wait for so long
+    assert contents(patient.output) | {"id": b""} == contents(job.output) | {"id": b""}
+    for several in ({"folds": 2}, {"networks": 2}):
+        with pytest.raises(InputError, match=r"--patience: is for a model of one network"):
+            train.jobs(trials, small(patience=3, **several), tmp_path)
+
+
+def test_networks_are_tasks_of_their_own(trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the networks of a model, each trained as a job, make the file that one job makes; none is redone."""
+    params = small(folds=2, max_steps=60)
+    whole, job = (train.jobs(trials, params, tmp_path / name)[0] for name in ("whole", "parts"))
+    run(whole, params)
+    assert train.parts(job, small()) == []
+    parts = train.parts(job, params)
+    assert len({part.output for part in parts}) == 3
+    for part in reversed(parts):
+        assert run(part, params).rows == []
+        assert part.output.exists()
+    monkeypatch.setattr(train_networks.sampling, "gather", None)  # nothing is trained any more
+    (row,) = run(job, params).rows
+    assert row["resumed_at_step"] is None
+    assert contents(job.output) == contents(whole.output)
+    assert [path.name for path in job.output.parent.iterdir()] == ["hist10.model.h5"]
+    assert not run(parts[0], params).made
 
 
 def test_several_networks_decide_by_the_mean_of_their_logits(

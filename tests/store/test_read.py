@@ -1,5 +1,6 @@
 """The reading API: a recording by slice, by iteration and by range is the same; windows of features for training."""
 
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -219,3 +220,16 @@ def test_windows_need_labels(tmp_path: Path) -> None:
     path, _ = write_features(tmp_path / "a.features.h5")
     with pytest.raises(InputError, match=r"(?s)have no labels.*evetac label"):
         SlipWindows([path])
+
+
+def test_windows_are_the_same_in_a_worker(tmp_path: Path) -> None:
+    """Assert that windows travel to another process as the names of their files."""
+    path, _ = write_features(tmp_path / "a.features.h5", [0] * 5 + [1] * 8, 5)
+    data = SlipWindows([path], 3, 4)
+    state = pickle.dumps(data)
+    assert len(state) < 1000
+    copy = pickle.loads(state)
+    assert len(copy) == len(data) == 7
+    for one, other in zip([data[index] for index in range(7)], [copy[index] for index in range(7)], strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1] == other[1]

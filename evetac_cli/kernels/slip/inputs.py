@@ -4,7 +4,8 @@ One kernel serves training, a whole trajectory and the online detector, so all t
 series of slices and the slices at which inputs end. The online detector gives it its last slices as a series.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import features
-from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX, Architecture, ImageArchitecture, View
+from evetac_cli.kernels.slip.architectures import (
+    CHANNELS,
+    GEL_PX,
+    Architecture,
+    DotArchitecture,
+    ImageArchitecture,
+    View,
+)
 from evetac_cli.kernels.slip.features import EventImages
 
 Series = NDArray[np.float32] | EventImages
@@ -36,11 +44,12 @@ def part(series: Series, first: int, last: int) -> Series:
     return series[first:last].copy()
 
 
-def join(parts: Sequence[Series]) -> Series:
+def join(parts: Iterable[Series]) -> Series:
     """Put at least one series of one sort end to end."""
-    if isinstance(parts[0], EventImages):
-        return features.join_images([images for images in parts if isinstance(images, EventImages)])
-    return np.concatenate([dots for dots in parts if not isinstance(dots, EventImages)])
+    given = list(parts)
+    if isinstance(given[0], EventImages):
+        return features.join_images([images for images in given if isinstance(images, EventImages)])
+    return np.concatenate([dots for dots in given if not isinstance(dots, EventImages)])
 
 
 def length(series: Series) -> int:
@@ -80,24 +89,47 @@ def _checked_ends(slices: NDArray[np.integer], history: int, available: int) -> 
     return ends.astype(np.int64)
 
 
-def rotate(
-    architecture: Architecture, inputs: NDArray[np.float32], rows: int, columns: int, quarter_turns: int
+def turn(
+    architecture: Architecture,
+    batch: NDArray[np.float32],
+    rows: int,
+    columns: int,
+    turns: NDArray[np.int64],
+    factors: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Turn inputs as `features.rotate` does, and the displacements that have a direction with them; a new array.
+    """Turn each sample of a batch by its quarter turns, 0 to 3, and multiply it by its factor; a new array.
 
-    Why so: after a quarter turn counter-clockwise, what pointed right points up. So x becomes y and y becomes -x.
+    As `features.rotate` does, and the displacements that have a direction with it. Why so: after a quarter turn
+    counter-clockwise, what pointed right points up. So x becomes y and y becomes -x.
     """
     if isinstance(architecture, ImageArchitecture):
-        turned = features.rotate(np.moveaxis(inputs, 1, 3), quarter_turns)
-        return np.ascontiguousarray(np.moveaxis(turned, 3, 1))
-    grid = inputs.reshape(len(inputs), rows, columns, -1)
-    turned = features.rotate(grid, quarter_turns)
+        images = batch * factors.reshape(-1, 1, 1, 1)
+        for times in (1, 2, 3):
+            chosen = turns == times
+            if chosen.any():
+                turned = features.rotate(np.moveaxis(images[chosen], 1, 3), times)
+                images[chosen] = np.moveaxis(turned, 3, 1)
+        return images
+    result = np.empty_like(batch)
+    _turn(batch, turns, factors, *_turning(architecture, rows, columns), result)
+    return result
+
+
+@lru_cache
+def _turning(
+    architecture: DotArchitecture, rows: int, columns: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+    """After 0 to 3 turns: which dot each was, -1 for none, (4, n); which input it was, and its sign, (4, inputs)."""
+    places = np.arange(1, rows * columns + 1, dtype=np.float32).reshape(1, rows, columns, 1)
+    was = np.stack([features.rotate(places, times).reshape(-1) for times in range(4)]).astype(np.int64) - 1
+    column = np.tile(np.arange(architecture.inputs_per_dot), (4, 1))
+    sign = np.ones(column.shape, np.float32)
     right, down = architecture.channel_columns("x"), architecture.channel_columns("y")
-    for _ in range(quarter_turns % 4):
-        across = turned[..., right].copy()
-        turned[..., right] = turned[..., down]
-        turned[..., down] = -across
-    return turned.reshape(inputs.shape)
+    for times in (1, 2, 3):
+        before = times - 1
+        column[times, right], sign[times, right] = column[before, down], sign[before, down]
+        column[times, down], sign[times, down] = column[before, right], -sign[before, right]
+    return was, column, sign
 
 
 def view_table(views: Sequence[View]) -> NDArray[np.int64]:
@@ -110,8 +142,14 @@ def view_table(views: Sequence[View]) -> NDArray[np.int64]:
 def fill(
     series: NDArray[np.float32], ends: NDArray[np.int64], views: NDArray[np.int64], inputs: NDArray[np.float32]
 ) -> None:
-    """What `at` does for dots, unchecked and into a given array: for the online detector, whose slices all fit."""
-    dots = series.shape[1]
+    """What `at` does for dots, unchecked and into a given array: for the online detector, whose slices all fit.
+
+    Why all channels are summed, also those of no view: as they lie side by side, that is one pass without gaps, which
+    serves all views with the same blocks.
+    """
+    slices, dots, channels = series.shape
+    flat = series.reshape(slices, dots * channels)
+    total = np.empty(dots * channels, np.float32)
     for sample in range(ends.shape[0]):
         end = ends[sample]
         first = 0
@@ -120,21 +158,54 @@ def fill(
             for ago in range(recent):
                 for dot in range(dots):
                     inputs[sample, dot, first + ago] = series[end - ago, dot, channel]
-            for mean in range(means):
-                column = first + recent + mean
-                newest = end - mean * block
-                for dot in range(dots):
-                    inputs[sample, dot, column] = 0
-                for ago in range(block):
-                    for dot in range(dots):
-                        inputs[sample, dot, column] += series[newest - ago, dot, channel]
-                for dot in range(dots):
-                    inputs[sample, dot, column] /= np.float32(block)
-            if change:
-                for column in range(first + 1, first + recent + means):
-                    for dot in range(dots):
-                        inputs[sample, dot, column] = inputs[sample, dot, first] - inputs[sample, dot, column]
             first += recent + means
+        for view in range(views.shape[0]):
+            block, means = views[view, 2:4]
+            done = False  # with an earlier view
+            for other in range(view):
+                done |= views[other, 2] == block and views[other, 3] == means
+            for mean in range(0 if done else means):
+                newest = end - mean * block
+                total[:] = 0
+                for ago in range(block):
+                    row = flat[newest - ago]
+                    for place in range(dots * channels):
+                        total[place] += row[place]
+                first = 0
+                for other in range(views.shape[0]):
+                    if views[other, 2] == block and views[other, 3] == means:
+                        column = first + views[other, 1] + mean
+                        channel = views[other, 0]
+                        for dot in range(dots):
+                            inputs[sample, dot, column] = total[dot * channels + channel] / np.float32(block)
+                    first += views[other, 1] + views[other, 3]
+        first = 0
+        for view in range(views.shape[0]):
+            width = views[view, 1] + views[view, 3]
+            if views[view, 4]:
+                for dot in range(dots):
+                    for column in range(first + 1, first + width):
+                        inputs[sample, dot, column] = inputs[sample, dot, first] - inputs[sample, dot, column]
+            first += width
+
+
+@njit(cache=True)
+def _turn(
+    batch: NDArray[np.float32],
+    turns: NDArray[np.int64],
+    factors: NDArray[np.float32],
+    was: NDArray[np.int64],
+    column: NDArray[np.int64],
+    sign: NDArray[np.float32],
+    result: NDArray[np.float32],
+) -> None:
+    for sample in range(batch.shape[0]):
+        times, factor = turns[sample], factors[sample]
+        for dot in range(batch.shape[1]):
+            before = was[times, dot]
+            for place in range(batch.shape[2]):
+                value = batch[sample, before, column[times, place]] if before >= 0 else np.float32(0)
+                result[sample, dot, place] = sign[times, place] * value * factor
 
 
 @njit(cache=True)

@@ -11,7 +11,7 @@ Selection):
 32, 32 and 8 of them, and an epoch is one pass over the busy pool.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
@@ -63,22 +63,37 @@ def gather(
     rows: int = 7,
     columns: int = 8,
     horizon_ms: int = 0,
+    join: Callable[[Iterable[inputs.Series]], inputs.Series] = inputs.join,
 ) -> Samples:
     """Sort the slices of trajectories into the three pools; slices that no sample needs are left out.
 
     A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
     50 ms beyond. A slice is a sample when its history is full and it is labelled. With `horizon_ms` the same slices are
-    labelled as by `shift_labels`. ValueError where shapes, values or the onset do not fit, or where the slip or the
-    busy pool would be empty; the quiet pool may be.
+    labelled as by `shift_labels`. `join` puts series end to end, taking them one by one. ValueError where shapes,
+    values or the onset do not fit, or where the slip or the busy pool would be empty; the quiet pool may be.
     """
-    history = architecture.history
     pools: dict[str, list[NDArray[np.int64]]] = {"slip": [], "busy": [], "quiet": []}
-    parts, shares = [], []
+    shares: list[NDArray[np.float32]] = []
+    series = join(_sorted(trajectories, architecture, rows * columns, horizon_ms, pools, shares))
+    ends = {name: np.concatenate(pool) for name, pool in pools.items()}
+    return Samples(architecture, rows, columns, series, **ends, slip_share=np.concatenate(shares))
+
+
+def _sorted(
+    trajectories: Iterable[Trajectory],
+    architecture: Architecture,
+    dots: int,
+    horizon_ms: int,
+    pools: dict[str, list[NDArray[np.int64]]],
+    shares: list[NDArray[np.float32]],
+) -> Iterator[inputs.Series]:
+    """The slices of each trajectory that samples need; `pools` and `shares` are filled on the way."""
+    history = architecture.history
     begin = count = 0
     for index, trajectory in enumerate(trajectories):
         count += 1
         try:
-            _check(trajectory, rows * columns)
+            _check(trajectory, dots)
             shifted = shift_labels(trajectory.label, horizon_ms)
         except ValueError as error:
             raise ValueError(f"trajectory {index}: {error}") from error
@@ -93,18 +108,16 @@ def gather(
         first = int(np.argmax(drawn)) - (history - 1)
         for name, members in (("slip", label == 1), ("busy", (label == 0) & busy), ("quiet", (label == 0) & ~busy)):
             pools[name].append(begin - first + np.flatnonzero(drawn & members))
-        parts.append(inputs.part(trajectory.series, first, slices))
         shares.append(_share_ahead(trajectory, horizon_ms)[first:slices])
         begin += slices - first
-    ends = {name: np.concatenate([np.empty(0, np.int64), *pool]) for name, pool in pools.items()}
+        yield inputs.part(trajectory.series, first, slices)
     meanings = {"slip": "labelled slip", "busy": f"labelled no slip with more than {BUSY_EVENTS} events"}
     for name, meaning in meanings.items():
-        if len(ends[name]) == 0:
+        if not any(len(pool) for pool in pools[name]):
             raise ValueError(
                 f"the {name} pool is empty: expected at least one slice {meaning} with a full history of "
                 f"{history}, found none in {count} trajectories"
             )
-    return Samples(architecture, rows, columns, inputs.join(parts), **ends, slip_share=np.concatenate(shares))
 
 
 def _share_ahead(trajectory: Trajectory, horizon_ms: int) -> NDArray[np.float32]:
@@ -157,14 +170,14 @@ def quarter_turns(samples: int, rng: np.random.Generator) -> NDArray[np.int64]:
     return np.where(rng.random(samples) < ROTATED_SHARE, rng.integers(1, 4, samples), 0)
 
 
-def augment(samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Rotate each input of a batch by its quarter turns, as if the object had been gripped so; a new array (paper)."""
-    result = batch.copy()
-    for times in (1, 2, 3):
-        chosen = turns == times
-        if chosen.any():
-            result[chosen] = inputs.rotate(samples.architecture, batch[chosen], samples.rows, samples.columns, times)
-    return result
+def augment(
+    samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int64], factors: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Rotate each input of a batch by its quarter turns, as if the object had been gripped so (paper); a new array.
+
+    And multiply it by its factor.
+    """
+    return inputs.turn(samples.architecture, batch, samples.rows, samples.columns, turns, factors)
 
 
 def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -184,6 +197,16 @@ def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.flo
             mean = mean + part * values.mean(axis=axes)
             square = square + part * np.square(values).mean(axis=axes)
     return mean, np.sqrt(np.maximum(square - np.square(mean), 0))
+
+
+def pool_shares(samples: Samples) -> list[tuple[int, NDArray[np.int64], float]]:
+    """Of each pool that is not empty its share of a batch, its slices, and their label."""
+    pools = (
+        (SLIP_SHARE, samples.slip, 1.0),
+        (_busy_share(samples), samples.busy, 0.0),
+        (QUIET_SHARE, samples.quiet, 0.0),
+    )
+    return [pool for pool in pools if len(pool[1])]
 
 
 def _busy_share(samples: Samples) -> int:

@@ -13,9 +13,19 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
-from evetac_cli.kernels.slip.sampling import Samples, augment, batches, channel_stats, quarter_turns, steps_per_epoch
+from evetac_cli.kernels.slip.sampling import (
+    Samples,
+    augment,
+    batches,
+    channel_stats,
+    pool_shares,
+    quarter_turns,
+    steps_per_epoch,
+)
 
 CURVE_POINTS = 100
+VALIDATION_SAMPLES = 2000  # of each pool, evenly spaced: a loss that is known to some percent
+VALIDATION_BATCH = 200
 SAVE_STEPS = 50  # steps between two states that a run can be resumed from, see `train`
 
 
@@ -91,10 +101,11 @@ class Training:
     curve_loss: NDArray[np.float64]  # (points,) mean loss since the point before
     steps: int
     steps_planned: int  # what all epochs would have taken
+    state: "TrainingState"  # at its end
 
     @property
     def cut(self) -> bool:
-        """Whether max_steps ended the run before its last epoch."""
+        """Whether max_steps or patience ended the run before its last epoch."""
         return self.steps < self.steps_planned
 
 
@@ -112,6 +123,8 @@ def train(
     resume_from: TrainingState | None = None,
     on_save: Callable[[Callable[[], TrainingState]], None] | None = None,
     start: Mapping[str, NDArray[np.float32]] | None = None,
+    validation: Samples | None = None,
+    patience: int | None = None,
 ) -> Training:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
@@ -119,6 +132,9 @@ def train(
     `max_steps` cuts the run, as many are spread evenly over its steps, and the result's `cut` is True.
     `on_progress` gets (step, steps, loss) at each of the up to 100 points of the loss curve. The result depends on the
     generator's state alone (on one kind of machine and number of torch threads, which is the caller's to set).
+
+    With `patience` the loss on the samples for `validation` is taken at each point of the loss curve, and the run ends
+    when it has not fallen below its least for so many of them. The network of the least is then a checkpoint too.
 
     `start` holds weights and normalisation of a trained network to go on from, as `networks.weights` gives them.
     `on_save` is called every 50 steps with a function that returns the run's state as named arrays. With that state as
@@ -139,7 +155,7 @@ def train(
     points = set(_evenly(steps, CURVE_POINTS))
 
     seeds, draws, turns, gains = rng.spawn(4)
-    run = _Run(*_network(samples, preset, int(seeds.integers(2**63)), start), preset, device)
+    run = _Run(*_network(samples, preset, int(seeds.integers(2**63)), start), preset, device, steps, planned)
     if resume_from is not None:
         run.restore(resume_from)
     for step, batch in enumerate(islice(batches(samples, draws), steps), start=1):
@@ -150,8 +166,7 @@ def train(
             continue  # done before the interruption
         target = torch.zeros(len(ends))
         target[: len(batch.slip)] = 1
-        varied = augment(samples, samples.inputs(ends), turned)
-        varied *= factor.reshape(-1, *(1,) * (varied.ndim - 1))
+        varied = augment(samples, samples.inputs(ends), turned, factor)
         run.advance(varied, target, samples.slip_share[ends], (step - 1) / steps)
         if step in points:
             mean = run.mean_loss()
@@ -159,18 +174,43 @@ def train(
                 raise ValueError(f"preset {preset.name}: expected a finite loss, found {mean} by step {step}")
             if on_progress:
                 on_progress(step, steps, mean)
+            if validation is not None and patience is not None and run.waits(validation) >= patience:
+                run.end_here()
+                break
         if step in checkpoint_steps:
             run.checkpoints.append(Checkpoint(step, run.weights()))
         if on_save and step % SAVE_STEPS == 0 and step < steps:
             on_save(run.state)
-    curve = np.array(run.curve_step, np.int64), np.array(run.curve_loss)
-    return Training(preset, run.checkpoints, *curve, steps, planned)
+    return _training(preset, run.state())
+
+
+def ended(preset: Preset, saved: TrainingState) -> Training | None:
+    """The result of a run whose saved state is that at its end; None if it is of another run, or has not ended."""
+    try:
+        return _training(preset, saved) if int(saved["step"]) == int(saved["steps"]) else None
+    except (KeyError, ValueError, TypeError):
+        return None
+
+
+def _training(preset: Preset, state: TrainingState) -> Training:
+    curve = np.asarray(state["curve_step"]), np.asarray(state["curve_loss"])
+    checkpoints = _checkpoints(_groups(state)["checkpoint"])
+    return Training(preset, checkpoints, *curve, int(state["steps"]), int(state["planned"]), state)
 
 
 class _Run:
     """A run of training between two steps."""
 
-    def __init__(self, network: Network, share_output: nn.Linear | None, preset: Preset, device: str) -> None:
+    def __init__(
+        self,
+        network: Network,
+        share_output: nn.Linear | None,
+        preset: Preset,
+        device: str,
+        steps: int,
+        planned: int,
+    ) -> None:
+        self.steps, self.planned = steps, planned
         self.network = network.to(device)
         self.share_output = None if share_output is None else share_output.to(device)
         self.preset = preset
@@ -185,6 +225,8 @@ class _Run:
         self.loss_sum = torch.zeros((), device=device)
         self.step = self.since = 0
         self.checkpoints: list[Checkpoint] = []
+        self.least, self.waited = math.inf, 0  # validation loss, and how many there were since
+        self.best: Checkpoint | None = None  # the network of the least
         self.curve_step: list[int] = []
         self.curve_loss: list[float] = []
 
@@ -217,6 +259,24 @@ class _Run:
             new = [value.detach() for value in self.trained.values()]
             torch._foreach_lerp_(list(self.average.values()), new, 1 - old)
 
+    def waits(self, validation: Samples) -> int:
+        """Take the loss on samples for validation; how many such losses there were since the least."""
+        now = Checkpoint(self.step, self.weights())
+        loss = validation_loss(validation, now.weights, self.device)
+        if loss < self.least:
+            self.least, self.best, self.waited = loss, now, 0
+        else:
+            self.waited += 1
+        return self.waited
+
+    def end_here(self) -> None:
+        """Let this be the last step; the network of the least validation loss and this one are its last checkpoints."""
+        assert self.best is not None
+        more = [self.best, Checkpoint(self.step, self.weights())]
+        known = {checkpoint.step: checkpoint for checkpoint in (*self.checkpoints, *more)}
+        self.checkpoints = [known[step] for step in sorted(known)]
+        self.steps = self.step
+
     def mean_loss(self) -> float:
         """Mean loss since the last call; it becomes a point of the loss curve."""
         mean = float(self.loss_sum) / (self.step - self.since)
@@ -235,6 +295,10 @@ class _Run:
         arrays: TrainingState = {
             "step": np.array(self.step),
             "since": np.array(self.since),
+            "steps": np.array(self.steps),
+            "planned": np.array(self.planned),
+            "least": np.array(self.least),
+            "waited": np.array(self.waited),
             "loss_sum": self.loss_sum.cpu().numpy().copy(),
             "curve_step": np.array(self.curve_step, np.int64),
             "curve_loss": np.array(self.curve_loss, np.float64),
@@ -249,9 +313,10 @@ class _Run:
             for name, value in tensors.items():
                 if value is not None:
                     arrays[f"optimiser/{index}/{name}"] = value.cpu().numpy().copy()
-        for checkpoint in self.checkpoints:
-            for name, array in checkpoint.weights.items():
-                arrays[f"checkpoint/{checkpoint.step}/{name}"] = array
+        for group, checkpoints in (("checkpoint", self.checkpoints), ("best", [self.best] if self.best else [])):
+            for checkpoint in checkpoints:
+                for name, array in checkpoint.weights.items():
+                    arrays[f"{group}/{checkpoint.step}/{name}"] = array
         return arrays
 
     def restore(self, saved: TrainingState) -> None:
@@ -271,11 +336,9 @@ class _Run:
                 index, key = name.split("/")
                 optimiser["state"].setdefault(int(index), {})[key] = torch.from_numpy(np.array(array))
             self.optimiser.load_state_dict(optimiser)
-            checkpoints: dict[int, dict[str, NDArray[np.float32]]] = {}
-            for name, array in groups["checkpoint"].items():
-                step, key = name.split("/")
-                checkpoints.setdefault(int(step), {})[key] = array
-            self.checkpoints = [Checkpoint(*item) for item in checkpoints.items()]
+            self.checkpoints = _checkpoints(groups["checkpoint"])
+            self.best = next(iter(_checkpoints(groups["best"])), None)
+            self.least, self.waited = float(saved["least"]), int(saved["waited"])
             self.loss_sum.copy_(torch.from_numpy(np.array(saved["loss_sum"])))
             self.step, self.since = int(saved["step"]), int(saved["since"])
             self.curve_step, self.curve_loss = saved["curve_step"].tolist(), saved["curve_loss"].tolist()
@@ -285,12 +348,42 @@ class _Run:
 
 def _groups(saved: TrainingState) -> dict[str, TrainingState]:
     """Arrays by the first part of their names."""
-    groups: dict[str, TrainingState] = {name: {} for name in ("weights", "share", "average", "optimiser", "checkpoint")}
+    names = ("weights", "share", "average", "optimiser", "checkpoint", "best")
+    groups: dict[str, TrainingState] = {name: {} for name in names}
     for name, array in saved.items():
         group, _, rest = name.partition("/")
         if rest:
             groups[group][rest] = array
     return groups
+
+
+def validation_loss(samples: Samples, arrays: Mapping[str, NDArray[np.float32]], device: str = "cpu") -> float:
+    """Mean binary cross entropy of a network over samples, every pool with its share of a batch, none of them turned.
+
+    arrays: the network's weights, as from `networks.weights`.
+    """
+    network = from_weights(samples.architecture, arrays, samples.rows, samples.columns).to(device)
+    total = weight = 0.0
+    for share, pool, wanted in pool_shares(samples):
+        spaced = pool[:: max(1, len(pool) // VALIDATION_SAMPLES)]
+        losses = 0.0
+        with torch.no_grad():
+            for begin in range(0, len(spaced), VALIDATION_BATCH):
+                batch = torch.from_numpy(samples.inputs(spaced[begin : begin + VALIDATION_BATCH])).to(device)
+                target = torch.full((len(batch),), wanted, device=device)
+                logits = network(batch)
+                losses += float(functional.binary_cross_entropy_with_logits(logits, target, reduction="sum"))
+        total, weight = total + share * losses / max(1, len(spaced)), weight + share
+    return total / weight
+
+
+def _checkpoints(saved: TrainingState) -> list[Checkpoint]:
+    """Checkpoints from arrays that are named STEP/NAME, in their order."""
+    checkpoints: dict[int, dict[str, NDArray[np.float32]]] = {}
+    for name, array in saved.items():
+        step, key = name.split("/")
+        checkpoints.setdefault(int(step), {})[key] = array
+    return [Checkpoint(*item) for item in checkpoints.items()]
 
 
 def _network(

@@ -10,18 +10,19 @@ the labels' onset it first detected slip; the figures by object; by model; by tr
 """
 
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.params.evaluation import EvaluateSlip
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job
-from evetac_cli.stages.evaluate.slip_models import Model, check, predict_all
+from evetac_cli.stages.evaluate.slip_models import AT_ONCE, Model, check, predict_all
 from evetac_cli.stages.evaluate.slip_tables import tables
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.store.files import StageFile
@@ -43,6 +44,26 @@ def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Mode
         )
     (job,) = report_job(features, "slip", out, *models)
     return [ModelsReportJob(job.inputs, job.output, len(models))]
+
+
+@dataclass(frozen=True)
+class JudgingJob(ModelsReportJob):
+    """A few trajectories of a report, to be judged by all its models before it is made."""
+
+
+def parts(job: ModelsReportJob, params: EvaluateSlip) -> list[JudgingJob]:
+    """What can be judged at the same time, and is then found by the report."""
+    split = len(job.inputs) - job.models
+    paths, models = job.inputs[:split], job.inputs[split:]
+    return [
+        JudgingJob((*paths[begin : begin + AT_ONCE], *models), _kept(job) / f"{begin}", job.models)
+        for begin in range(0, split, AT_ONCE)
+    ]
+
+
+def _kept(job: Job) -> Path:
+    """The folder of what the models judged."""
+    return job.output.with_name(job.output.name.removesuffix(".h5").removesuffix(".report") + ".judged")
 
 
 def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], list[Path]]:
@@ -71,11 +92,14 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
     paths = job.inputs[:split]
     models = [Model.read(path) for path in job.inputs[split:]]
     headers = check(models, paths)
+    if isinstance(job, JudgingJob):
+        predict_all(models, paths, headers, progress, job.output.parent)
+        return Outcome([], simulated=False)
     thresholds = [model.threshold if params.threshold is None else params.threshold for model in models]
     parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds}
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        predictions = predict_all(models, paths, headers, progress)
+        predictions = predict_all(models, paths, headers, progress, _kept(job))
         return tables(models, thresholds, predictions, paths)
 
     parents = [*(model.header for model in models), *headers]

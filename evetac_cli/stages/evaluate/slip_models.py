@@ -1,22 +1,34 @@
-"""The models of a report on slip: read from their files, checked against the features, and run on them."""
+"""The models of a report on slip: read from their files, checked against the features, and run on them.
 
+What they judged is kept in a folder beside the report, `NAME.judged`: for each trajectory a zip archive, named by its
+recipe id, with the probabilities of each model as float32. So a report on more models or trajectories judges only what
+is new, and one that was broken off goes on. The folder can be removed at any time.
+"""
+
+import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.stages.slip_detectors import load_detector, predict, read_horizon_ms, read_trajectory
+from evetac_cli.stages.slip_detectors import load_detector, probabilities, read_horizon_ms, read_trajectory
 from evetac_cli.stages.splits import check_disjoint, object_name
+from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
+AT_ONCE = 8  # trajectories that are in memory, and one task of several
+JUDGING = 1  # raised when the same model gives the same features other probabilities
 NOT_WEIGHTS = ("input_scale", "input_offset")  # fixed, not trained
 
 
@@ -28,6 +40,7 @@ class Model:
     header: Header
     architecture: Architecture
     graph_bytes: int
+    key: str  # of what it judged: another for another graph, also of the same recipe on another computer
     horizon_ms: int
     threshold: float
     dot_shape: tuple[int, int]
@@ -44,6 +57,7 @@ class Model:
                 file.header,
                 load_detector(file).architecture,
                 file.length("onnx"),
+                hashlib.sha256(f"{JUDGING} {file.header['id']} ".encode() + file.read("onnx").tobytes()).hexdigest(),
                 read_horizon_ms(file),
                 float(file.read("threshold")),
                 (rows, columns),
@@ -122,18 +136,76 @@ def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:
 
 
 def predict_all(
-    models: Sequence[Model], paths: Sequence[Path], headers: Sequence[Header], progress: Progress
+    models: Sequence[Model],
+    paths: Sequence[Path],
+    headers: Sequence[Header],
+    progress: Progress,
+    folder: Path | None = None,
 ) -> list[list[Prediction]]:
-    """The predictions of each model for all trajectories; a trajectory is read once for each architecture."""
+    """The predictions of each model for all trajectories; those that are kept in `folder` are not made again."""
     by_model: list[list[Prediction]] = [[] for _ in models]
-    done = 0
-    for architecture in dict.fromkeys(model.architecture for model in models):
-        trajectories = [read_trajectory(path, architecture) for path in paths]
-        for model, predictions in zip(models, by_model, strict=True):
-            if model.architecture == architecture:
-                detector = model.detector()
-                for trajectory, header in zip(trajectories, headers, strict=True):
-                    predictions.append(predict(detector, trajectory, header, model.horizon_ms))
-                    done += 1
-                    progress(done // len(models), len(paths))
+    for begin in range(0, len(paths), AT_ONCE):
+        chunk = slice(begin, begin + AT_ONCE)
+        probabilities = _judge(models, paths[chunk], headers[chunk], folder)
+        for path, header, of_models in zip(paths[chunk], headers[chunk], probabilities, strict=True):
+            with StageFile(path, "features") as file:
+                label, onset = file.read("label"), int(file.read("onset_slice"))
+            for model, predictions, probability in zip(models, by_model, of_models, strict=True):
+                shifted = shift_labels(label, model.horizon_ms)
+                predictions.append(Prediction(probability, shifted, onset, object_name(header)))
+        progress(min(begin + AT_ONCE, len(paths)), len(paths))
     return by_model
+
+
+def _judge(
+    models: Sequence[Model], paths: Sequence[Path], headers: Sequence[Header], folder: Path | None
+) -> list[list[NDArray[np.float32]]]:
+    """The probabilities of each model for a few trajectories, by trajectory; kept in `folder`, if there is one.
+
+    A trajectory is read once for each architecture that has not judged it.
+    """
+    places = [None if folder is None else folder / f"{header['id']}.zip" for header in headers]
+    known = [{} if place is None else _read_kept(place) for place in places]
+    by_path: list[list[NDArray[np.float32] | None]] = []
+    for path, kept in zip(paths, known, strict=True):
+        with StageFile(path, "features") as file:
+            slices = file.length("label")
+        by_path.append([_probabilities(kept.get(model.key), slices) for model in models])
+    missing = [{index for index, one in enumerate(of_path) if one is None} for of_path in by_path]
+    for architecture in dict.fromkeys(model.architecture for model in models):
+        members = {index for index, model in enumerate(models) if model.architecture == architecture}
+        new = [number for number, gaps in enumerate(missing) if gaps & members]
+        trajectories = {number: read_trajectory(paths[number], architecture) for number in new}
+        for index in sorted(members):
+            waiting = [number for number in new if index in missing[number]]
+            if waiting:
+                detector = models[index].detector()
+                for number in waiting:
+                    by_path[number][index] = judged = probabilities(detector, trajectories[number])
+                    known[number][models[index].key] = judged.tobytes()
+    for place, kept, gaps in zip(places, known, missing, strict=True):
+        if place is not None and gaps:
+            with taking_the_place_of(place) as temporary, ZipFile(temporary, "w") as archive:
+                for key, values in kept.items():
+                    archive.writestr(key, values)
+    return [[one for one in of_path if one is not None] for of_path in by_path]
+
+
+def _read_kept(path: Path) -> dict[str, bytes]:
+    """What is kept of a trajectory, by the models' keys; nothing where it is missing or damaged: it is judged again."""
+    try:
+        with ZipFile(path) as archive:
+            plain = [item for item in archive.infolist() if item.compress_type == ZIP_STORED]
+            if sum(item.file_size for item in plain) > path.stat().st_size:
+                return {}
+            return {item.filename: archive.read(item) for item in plain}
+    except (OSError, EOFError, BadZipFile, RuntimeError, ValueError):  # RuntimeError: encrypted, or of another version
+        return {}
+
+
+def _probabilities(kept: bytes | None, slices: int) -> NDArray[np.float32] | None:
+    """Kept probabilities of so many slices, NaN where there is none; None if they are anything else."""
+    if kept is None or len(kept) != 4 * slices:
+        return None
+    values = np.frombuffer(kept, np.float32)
+    return values if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))) else None

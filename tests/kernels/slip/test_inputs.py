@@ -30,6 +30,11 @@ def series_for(row: Architecture, slices: int, seed: int = 0) -> inputs.Series:
     return images(slices, seed) if isinstance(row, ImageArchitecture) else dots(slices, seed=seed)
 
 
+def quarter_turned(row: Architecture, batch: NDArray[np.float32], turns: int) -> NDArray[np.float32]:
+    """All samples of a batch turned alike, and not multiplied."""
+    return inputs.turn(row, batch, 7, 8, np.full(len(batch), turns), np.ones(len(batch), np.float32))
+
+
 def by_the_paper(name: str, series: NDArray[np.float32], t: int) -> NDArray[np.float64]:
     """Inputs of the paper's table, written out: d and N of every dot at t, t - 1 and so on, and their means."""
     d, events = (series[:, :, channel].astype(np.float64) for channel in (0, 1))
@@ -138,7 +143,7 @@ def test_directions_turn_with_the_grid(turns: int) -> None:
     row = ARCHITECTURES["disp-xy"]
     assert isinstance(row, DotArchitecture)
     series = dots(100)
-    result = inputs.rotate(row, inputs.at(row, series, np.array([99])), 7, 8, turns)
+    result = quarter_turned(row, inputs.at(row, series, np.array([99])), turns)
     turned = series.copy()
     for _ in range(turns):
         turned[..., 2:] = np.stack([turned[..., 3], -turned[..., 2]], axis=-1)
@@ -152,7 +157,7 @@ def test_right_turns_up() -> None:
     still = np.zeros((1, 56, 2), np.float32)
     still[0, 27] = (1, 0)  # row 3, column 3: left of the middle of the square, which is columns 1 to 7
     still[0, 28] = (0, -1)  # the middle itself
-    grid = inputs.rotate(row, still, 7, 8, 1).reshape(7, 8, 2)
+    grid = quarter_turned(row, still, 1).reshape(7, 8, 2)
     assert grid[3, 4].tolist() == [-1, 0]
     assert grid[4, 4].tolist() == [0, -1]
 
@@ -165,7 +170,7 @@ def test_quarter_turns_add_up_to_the_crop(name: str) -> None:
     before = batch.copy()
     turned = batch
     for _ in range(4):
-        turned = inputs.rotate(row, turned, 7, 8, 1)
+        turned = quarter_turned(row, turned, 1)
     np.testing.assert_array_equal(batch, before)
     if isinstance(row, ImageArchitecture):
         expected = np.zeros_like(batch)

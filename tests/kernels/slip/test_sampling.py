@@ -216,15 +216,16 @@ def test_half_of_the_samples_are_rotated() -> None:
 
 
 def test_each_sample_is_turned_as_drawn() -> None:
-    """Assert that the inputs of a batch are turned one by one, in their place, and the batch is left as it was."""
+    """Assert that the inputs of a batch are turned and multiplied one by one, and the batch is left as it was."""
     batch = np.random.default_rng(1).random((5, 56, 20), np.float32)
     before = batch.copy()
-    out = sampling.augment(pools(1, 1, 1), batch, np.array([0, 1, 2, 3, 0]))
+    factors = np.array([1, 0.5, 2, 1, 1.7], np.float32)
+    out = sampling.augment(pools(1, 1, 1), batch, np.array([0, 1, 2, 3, 0]), factors)
     np.testing.assert_array_equal(batch, before)
     grid = batch.reshape(5, 7, 8, 20)
     for sample, turns in enumerate((0, 1, 2, 3, 0)):
         expected = features.rotate(grid[sample : sample + 1], turns).reshape(56, 20)
-        np.testing.assert_array_equal(out[sample], expected)
+        np.testing.assert_array_equal(out[sample], expected * factors[sample])
 
 
 def test_shifted_trajectories_are_checked() -> None:

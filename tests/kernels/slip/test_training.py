@@ -171,7 +171,9 @@ def test_paper_step_is_plain_gradient_descent(problem: Samples) -> None:
     _, draws, turns = np.random.default_rng(13).spawn(3)
     for batch in islice(sampling.batches(problem, draws), 2):
         ends = np.concatenate(batch)
-        turned = sampling.augment(problem, problem.inputs(ends), sampling.quarter_turns(len(ends), turns))
+        turned = sampling.augment(
+            problem, problem.inputs(ends), sampling.quarter_turns(len(ends), turns), np.ones(len(ends), np.float32)
+        )
     target = torch.from_numpy((np.arange(len(turned)) < len(batch.slip)).astype(np.float32))
     probability = torch.sigmoid(network(torch.from_numpy(turned)))
     loss = -(target * torch.log(probability) + (1 - target) * torch.log(1 - probability)).mean()
@@ -319,8 +321,9 @@ def test_the_first_step_sees_the_varied_samples(problem: Samples) -> None:
     _, draws, turns, gains = np.random.default_rng(13).spawn(4)
     batch = next(sampling.batches(problem, draws))
     ends = np.concatenate(batch)
-    varied = sampling.augment(problem, problem.inputs(ends), sampling.quarter_turns(len(ends), turns))
-    varied = varied * training.factors(idle, len(ends), gains)[:, None, None]
+    turned = sampling.quarter_turns(len(ends), turns)
+    factors = training.factors(idle, len(ends), gains)
+    varied = sampling.augment(problem, problem.inputs(ends), turned, factors)
     target = torch.from_numpy((np.arange(len(ends)) < len(batch.slip)).astype(np.float32))
     with torch.no_grad():
         logits = from_weights(HIST10, result.checkpoints[0].weights)(torch.from_numpy(varied))
@@ -360,3 +363,44 @@ def test_images_are_trained_on() -> None:
     with torch.no_grad():
         slipping, holding = (network(torch.from_numpy(samples.inputs(at))) for at in (samples.slip, samples.busy))
     assert slipping.min() > holding.max()
+
+
+def test_patience_ends_a_run_that_no_longer_learns(problem: Samples) -> None:
+    """Assert that a run ends so many looks after its least validation loss, also one that was broken off."""
+    usual = replace(ADAM, checkpoint_every=10**6)
+    idle = replace(usual, learning_rate=0.0)
+    saved: list[training.TrainingState] = []
+
+    def run(preset: training.Preset, steps: int, patience: int | None, **more: Any) -> Training:
+        rng = np.random.default_rng(3)
+        watched = {"validation": problem, "patience": patience} if patience else {}
+        return training.train(problem, preset, rng, epochs=10**6, max_steps=steps, **watched, **more)
+
+    made = run(idle, 2000, 4, on_save=lambda state: saved.append(state()))
+    assert made.steps == 5 * 20  # looks are 20 steps apart, the first is the best
+    assert [one.step for one in made.checkpoints] == [20, 100]
+    assert made.cut
+    assert len(made.curve_step) == 5
+    resumed = run(idle, 2000, 4, resume_from=saved[0])
+    assert [one.step for one in resumed.checkpoints] == [20, 100]
+    np.testing.assert_array_equal(resumed.curve_loss, made.curve_loss)
+    again = training.ended(idle, made.state)
+    assert again is not None
+    assert again.steps == 100
+    assert training.ended(idle, saved[0]) is None
+
+    learning, whole = run(usual, 60, 100), run(usual, 60, None)
+    assert same(learning, whole)
+    assert len(learning.checkpoints) == len(whole.checkpoints)
+
+
+def test_validation_loss_counts_every_pool_by_its_share(problem: Samples) -> None:
+    """Assert that it is the mean over a batch of 72 in which each pool has its mean."""
+    arrays = training.train(problem, ADAM, np.random.default_rng(3), max_steps=3).checkpoints[-1].weights
+    network = from_weights(HIST10, arrays)
+    total = 0.0
+    for share, pool, wanted in ((32, problem.slip, 1.0), (32, problem.busy, 0.0), (8, problem.quiet, 0.0)):
+        with torch.no_grad():
+            p = torch.sigmoid(network(torch.from_numpy(problem.inputs(pool)))).numpy().astype(float)
+        total += share / 72 * float(np.mean(-np.log(p if wanted else 1 - p)))
+    assert training.validation_loss(problem, arrays) == pytest.approx(total, rel=1e-5)

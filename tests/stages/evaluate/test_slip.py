@@ -3,8 +3,10 @@
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import pytest
@@ -12,13 +14,16 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
+from evetac_cli.jobs import silent
 from evetac_cli.kernels.slip.decision import is_slip
+from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.params.evaluation import EvaluateSlip
 from evetac_cli.params.learning import Train
 from evetac_cli.stages import slip_detectors, train
-from evetac_cli.stages.evaluate import slip, slip_tables
-from evetac_cli.stages.evaluate.slip_models import Model
+from evetac_cli.stages.evaluate import slip, slip_models, slip_tables
+from evetac_cli.stages.evaluate.slip_models import Model, check
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 
@@ -272,3 +277,76 @@ def test_the_report(world: dict[str, Any], tmp_path: Path) -> None:
     picture.unlink()
     evaluated(files, out)
     assert picture.exists()
+
+
+def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The architectures of the detectors that are run on a trajectory from now on."""
+    calls: list[str] = []
+
+    def counted(detector: Detector, trajectory: Trajectory) -> NDArray[np.float32]:
+        calls.append(detector.architecture.name)
+        return slip_detectors.probabilities(detector, trajectory)
+
+    monkeypatch.setattr(slip_models, "probabilities", counted)
+    return calls
+
+
+def test_only_what_is_new_is_judged(world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a model, then a trajectory more costs what is new alone, and the report is as if made at once."""
+    calls = judged(monkeypatch)
+    report, both = tmp_path / "r.report.h5", world["seeds"]
+    known, more = world["known"][:3], world["known"]
+
+    def made(files: list[Path], out: Path) -> tuple[list[dict[str, Any]], int]:
+        before = len(calls)
+        (job,) = slip.jobs(files, EvaluateSlip(), out)
+        return slip.run(job, EvaluateSlip(), force=True).rows, len(calls) - before
+
+    assert made([*known, both[0]], report)[1] == 3
+    assert made([*known, *both], report)[1] == 3
+    rows, times = made([*more, *both], report)
+    assert times == 2
+    assert rows == made([*more, *both], tmp_path / "new" / "r.report.h5")[0]
+    assert len(list((tmp_path / "r.judged").iterdir())) == 4
+    renamed = replace(Model.read(both[0]), key="of another graph with the same recipe")
+    (predictions,) = slip_models.predict_all([renamed], known, check([renamed], known), silent, tmp_path / "r.judged")
+    assert len(calls) == 3 + 3 + 2 + 8 + 3
+    assert len(predictions) == 3
+
+
+@pytest.mark.parametrize("damage", ["cut", "nonsense", "short", "packed", "large", "unlikely"])
+def test_what_was_kept_and_is_damaged_is_judged_again(
+    world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
+) -> None:
+    """Assert that a broken or made up archive changes no figure."""
+    files = [*world["known"], world["seeds"][0]]
+    rows, _ = evaluated(files, tmp_path / "r.report.h5")
+    (kept, *_) = sorted((tmp_path / "r.judged").iterdir())
+    with ZipFile(kept) as archive:
+        ((key, values),) = {name: archive.read(name) for name in archive.namelist()}.items()
+    if damage == "cut":
+        kept.write_bytes(kept.read_bytes()[:-30])
+    elif damage == "nonsense":
+        kept.write_bytes(b"PK nonsense")
+    else:
+        other = {"short": values[:-4], "large": bytes(10**6), "unlikely": np.full(len(values) // 4, 2.0, np.float32)}
+        with ZipFile(kept, "w", ZIP_DEFLATED if damage in ("packed", "large") else ZIP_STORED) as archive:
+            archive.writestr(key, bytes(other.get(damage, values)))
+    calls = judged(monkeypatch)
+    (tmp_path / "r.report.h5").unlink()
+    assert evaluated(files, tmp_path / "r.report.h5")[0] == rows
+    assert len(calls) == 1
+
+
+def test_parts_of_a_report(world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a report finds what its parts judged, in whatever order."""
+    monkeypatch.setattr(slip, "AT_ONCE", 3)
+    files = [*world["known"], *world["seeds"]]
+    rows, _ = evaluated(files, tmp_path / "whole.report.h5")
+    (job,) = slip.jobs(files, EvaluateSlip(), tmp_path / "r.report.h5")
+    parts = slip.parts(job, EvaluateSlip())
+    assert [len(part.inputs) for part in parts] == [5, 3]
+    for part in reversed(parts):
+        assert slip.run(part, EvaluateSlip()).rows == []
+    monkeypatch.setattr(slip_models, "probabilities", None)
+    assert slip.run(job, EvaluateSlip()).rows == rows

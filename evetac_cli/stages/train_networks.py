@@ -1,0 +1,130 @@
+"""The networks of one training, one after the other or each as a task: trained, or gone on with where they broke off.
+
+The state of each is kept in a file beside the model, a numpy archive that is written every half a minute. What another
+process finished is taken from there.
+"""
+
+import time
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.jobs import Progress
+from evetac_cli.kernels.slip import sampling
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.sampling import Samples
+from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
+from evetac_cli.stages.splits import Fold
+from evetac_cli.store.disk import existing_folder, taking_the_place_of
+from evetac_cli.store.provenance import Recipe
+
+if TYPE_CHECKING:  # torch takes more than a second to import
+    from evetac_cli.kernels.slip.training import Training, TrainingState
+
+SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
+
+
+@dataclass(eq=False)
+class Networks:
+    """Every network that a model takes, numbered: those of the first fold, of the second, and so on."""
+
+    model: Path  # which they are for
+    inputs: tuple[Path, ...]
+    folds: Sequence[Fold]
+    recipe: Recipe  # with all settings of the training
+    shape: tuple[int, int]  # rows and columns of dots
+    start: Sequence[dict[str, NDArray[np.float32]]] | None  # weights to go on from, of each network of a fold
+    _gathered: dict[int, Samples] = field(default_factory=dict, init=False)  # of the fold that was asked for last
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.folds) * int(self.recipe.parameters["networks"])
+
+    def train(self, number: int, progress: Progress) -> tuple["Training", int | None]:
+        """Train one, or go on from its saved state; the step of that is returned too, None without or at the end.
+
+        Of several the state at the end is saved. The last one draws the same numbers whatever their count.
+        """
+        from evetac_cli.kernels.slip import training
+
+        chosen, place = self.recipe.parameters, state_file(self.model, number, self.count)
+        start = None if self.start is None else self.start[number % chosen["networks"]]
+        preset = training.ADAPT if start is not None else training.PRESETS[chosen["preset"]]
+        saved = _read(place, self.recipe)
+        if saved is not None and (whole := training.ended(preset, saved)) is not None:
+            return whole, None
+        written = time.monotonic()
+
+        def save(state: Callable[[], "TrainingState"]) -> None:
+            nonlocal written
+            if time.monotonic() - written >= SAVE_S:
+                _write(place, self.recipe, state())
+                written = time.monotonic()
+
+        seed = chosen["seed"]
+        result = training.train(
+            self._samples_of(number // chosen["networks"]),
+            preset,
+            # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
+            np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
+            epochs=chosen["epochs"],
+            max_steps=chosen["max_steps"],
+            on_progress=lambda step, steps, loss: progress(number * steps + step, self.count * steps),
+            device=chosen["device"],
+            resume_from=saved,
+            on_save=save,
+            start=start,
+            validation=self._samples(self.folds[-1].evaluated_on) if chosen.get("patience") else None,
+            patience=chosen.get("patience"),
+        )
+        if self.count > 1:
+            _write(place, self.recipe, result.state)
+        return result, None if saved is None else int(saved["step"])
+
+    def remove_states(self) -> None:
+        """Remove what was saved."""
+        for number in range(self.count):
+            state_file(self.model, number, self.count).unlink(missing_ok=True)
+
+    def _samples_of(self, fold: int) -> Samples:
+        """What the networks of a fold learn from."""
+        if fold not in self._gathered:
+            self._gathered.clear()
+            self._gathered[fold] = self._samples(self.folds[fold].trained_on)
+        return self._gathered[fold]
+
+    def _samples(self, numbers: Sequence[int]) -> Samples:
+        """The samples of the inputs of these numbers."""
+        chosen, join = self.recipe.parameters, partial(join_on_disk, existing_folder(self.model.parent))
+        architecture = ARCHITECTURES[chosen["model"]]
+        trajectories = (read_trajectory(self.inputs[number], architecture) for number in numbers)
+        return sampling.gather(trajectories, architecture, *self.shape, chosen["horizon_ms"], join)
+
+
+def state_file(model: Path, number: int, networks: int) -> Path:
+    """Where the state of a run is saved: NAME.model.part, or NAME.model.network1.part for the first of several."""
+    name = "" if number == networks - 1 else f".network{number + 1}"
+    return model.with_name(model.name.removesuffix(".h5") + name + ".part")
+
+
+def _read(path: Path, recipe: Recipe) -> "TrainingState | None":
+    """The saved state of a run of this recipe; None if there is none, it is damaged, or of another recipe."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+    return arrays if str(arrays.pop("recipe", "")) == recipe.id else None
+
+
+def _write(path: Path, recipe: Recipe, state: "TrainingState") -> None:
+    """Save the state of a run, all or nothing."""
+    with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, recipe=np.array(recipe.id), **state)  # type: ignore[arg-type]
