@@ -29,6 +29,7 @@ from typing import Any
 
 from experiment_steps import Command
 from experiments import EXPERIMENTS
+from reproduce import IN_PARALLEL
 
 from evetac_cli.cli.workers import ONE_THREAD
 from evetac_cli.console import print_table
@@ -234,8 +235,9 @@ def cpu_of(*words: object) -> float:
 
     from evetac_cli.cli.main import app
 
+    alone = ("--jobs", "1") if words[0] in IN_PARALLEL else ()
     began = time.process_time()
-    done = CliRunner().invoke(app, [*map(str, words), "--quiet", "--force"])
+    done = CliRunner().invoke(app, [*map(str, (*words, *alone)), "--quiet", "--force"])
     if done.exit_code:
         raise SystemExit(f"{' '.join(map(str, words))} ended with {done.exit_code}: {done.output}")
     return time.process_time() - began
