@@ -29,12 +29,13 @@ import threading
 import time
 import tomllib
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from digests import digest
+from reproduce import commit
+from results import put_measured
 
 from evetac_cli.console import print_table
 from evetac_cli.resources import SCENES
@@ -80,9 +81,7 @@ def run_stage(stage: str, folder: Path, count: int, *engine: str, seed: int = 0)
 
 def digests(folder: Path) -> dict[str, str]:
     """Digest of every stage file of a folder."""
-    paths = sorted(path for kind in KINDS for path in folder.glob(f"*.{kind}.h5"))
-    with ProcessPoolExecutor() as pool:
-        return dict(zip((path.name for path in paths), pool.map(digest, paths, chunksize=20), strict=True))
+    return {path.name: digest(path) for kind in KINDS for path in sorted(folder.glob(f"*.{kind}.h5"))}
 
 
 def different(one: Path, other: Path) -> tuple[int, list[str]]:
@@ -269,7 +268,7 @@ def main() -> int:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--kill", action="store_true", help="workers that die and join")
     what.add_argument("--nodes", action="store_true", help="a simulation of 4 nodes")
-    parser.add_argument("--json", type=Path, help="write the rows to this file too")
+    parser.add_argument("--page", type=Path, help="put the table into this page")
     chosen = parser.parse_args()
     if chosen.folder.exists():
         parser.error(f"{chosen.folder} is there already")
@@ -287,8 +286,11 @@ def main() -> int:
         rows = (kills if chosen.kill else engines)(folder, chosen.count)
         files, wrong = different(folder / "local", folder / "dask")
         summary |= {"files": files, "different": len(wrong)}
-    if chosen.json:
-        chosen.json.write_text(json.dumps({"rows": rows, "summary": summary}, indent=1) + "\n")
+    if chosen.page:
+        name = "nodes" if chosen.nodes else "kills" if chosen.kill else "engines"
+        figures = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in summary.items())
+        said = f"Simulated, by compare_engines.py at commit {commit()[0]} on {os.cpu_count()} cores, {figures}"
+        put_measured(chosen.page, name, rows, said)
     print_table("engines", rows, summary, simulated=True)
     if wrong:
         print("different:", *wrong[:20], file=sys.stderr)

@@ -3,7 +3,7 @@
     python scripts/growth.py OUT.json events dots                # seconds
     python scripts/growth.py OUT.json slices --longest-min 60    # a recording of 1 s to 1 h: some minutes
     python scripts/growth.py OUT.json trajectories workers files
-    python scripts/growth.py OUT.json --draw docs/growth.svg     # a picture of all parts that OUT.json has
+    python scripts/growth.py OUT.json --draw docs/growth.svg --page docs/cost.md     # all that OUT.json has
 
 Each part replaces its own rows in OUT.json and leaves the others. Times of a step are medians; of a command, those of
 all processors, with what it starts. Run it on a quiet computer. All of it is simulated.
@@ -35,6 +35,8 @@ import numpy as np
 from attack.long_recording import Repeated
 from compare_engines import STAGES, run_stage, write_scene
 from numpy.typing import NDArray
+from reproduce import commit
+from results import put_measured
 
 from evetac_cli.console import print_table
 from evetac_cli.events import FRAME_PX, Events
@@ -284,6 +286,24 @@ def draw(measured: dict[str, list[Row]], path: Path) -> None:
     figure.savefig(path, metadata={"Date": None})
 
 
+def spread(part: str, rows: list[Row]) -> list[Row]:
+    """Rows as they stand in a page: one for each stage or number of events, what varies beside each other."""
+    if part == "events":
+        by_count: dict[int, Row] = {}
+        for row in rows:
+            by_count.setdefault(row["events"], {"events a slice": row["events"]})[f"{row['what']} [us]"] = row["us"]
+        return list(by_count.values())
+    if part == "slices":
+        by_stage: dict[str, Row] = {}
+        for row in rows:
+            shown = by_stage.setdefault(row["stage"], {"stage": row["stage"]})
+            shown[f"{row['length_s']} s"] = row["cpu_s"]
+            if "over_linear" in row:
+                shown[f"over linear at {row['length_s']} s"] = f"{row['over_linear']:+.1%}"
+        return list(by_stage.values())
+    return rows
+
+
 def main() -> int:
     """Read the flags, measure the parts that are asked for, keep them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -293,6 +313,7 @@ def main() -> int:
     parser.add_argument("--longest-min", type=float, default=60.0, help="of `slices`; lengths are 1 s to 1 h")
     parser.add_argument("--events-a-slice", type=float, default=50.0, help="of `slices`, at least")
     parser.add_argument("--draw", type=Path, help="write a picture of what OUT has")
+    parser.add_argument("--page", type=Path, help="put tables of what OUT has into this page")
     chosen = parser.parse_args()
     wrong = [part for part in chosen.parts if part not in (*parts, "slices")]
     if wrong:
@@ -305,6 +326,9 @@ def main() -> int:
         print_table(part, rows, {}, simulated=True)
     if chosen.draw:
         draw(measured, chosen.draw)
+    if chosen.page:
+        for part, rows in measured.items():
+            put_measured(chosen.page, part, spread(part, rows), f"Simulated, by growth.py at commit {commit()[0]}")
     over = [row for row in measured.get("slices", []) if abs(row.get("over_linear", 0.0)) > MOST_OVER_LINEAR]
     for row in over:
         print(f"not linear: {row['stage']}, {row['length_s']} s: {row['over_linear']:+.0%}", file=sys.stderr)

@@ -29,7 +29,8 @@ from typing import Any
 
 from experiment_steps import Command
 from experiments import EXPERIMENTS
-from reproduce import IN_PARALLEL
+from reproduce import IN_PARALLEL, commit
+from results import put_measured
 
 from evetac_cli.cli.workers import ONE_THREAD
 from evetac_cli.console import print_table
@@ -230,7 +231,7 @@ def many(costs: Costs, counts: list[int], cores: list[int]) -> list[Row]:
 
 
 def cpu_of(*words: object) -> float:
-    """Processor time of a command in this process, where what it needs is loaded already; SystemExit if it fails."""
+    """Processor time of a command in this process; SystemExit if it fails."""
     from typer.testing import CliRunner
 
     from evetac_cli.cli.main import app
@@ -241,12 +242,6 @@ def cpu_of(*words: object) -> float:
     if done.exit_code:
         raise SystemExit(f"{' '.join(map(str, words))} ended with {done.exit_code}: {done.output}")
     return time.process_time() - began
-
-
-def warm_cpu_of(*words: object) -> float:
-    """As cpu_of, the second time."""
-    cpu_of(*words)
-    return cpu_of(*words)
 
 
 def measure(folder: Path) -> Costs:
@@ -260,7 +255,6 @@ def measure(folder: Path) -> Costs:
         return float(sum(path.stat().st_size for path in folder.glob(pattern)))
 
     def recorded(scene: str, words: tuple[object, ...], count: int) -> None:
-        cpu_of(*words, "--out", folder / scene)
         cpu_s = cpu_of(*words, "--out", folder / scene) / count
         lengths = []
         for path in sorted((folder / scene).glob("*.recording.h5")):
@@ -270,6 +264,8 @@ def measure(folder: Path) -> Costs:
                         "size_bytes": size(f"{scene}/*.recording.h5") / count}  # fmt: skip
         print(scene, costs[scene], flush=True)
 
+    cpu_of("record", "--object", "3,8", "--seed", 1, "--out", folder / "warm")  # loads what is needed; judged later on
+    cpu_of("grasp", "--lift-s", 1, "--balance-s", 0, "--out", folder / "warm")
     for scene in RECORDED:
         tone = ("--tone", 200) if scene.startswith("vibration") else ()
         several = scene in ("slip", "slip-varied", "handling")
@@ -277,21 +273,23 @@ def measure(folder: Path) -> Costs:
         recorded(scene, ("record", "--scene", scene, *objects, *tone), 4 if several else 1)
     recorded("grasp", ("grasp", "--object", 11), 1)
     slips = sorted((folder / "slip").glob("*.recording.h5"))
+    warm = sorted((folder / "warm").glob("slip*.recording.h5"))
     seconds = len(slips) * costs["slip"]["seconds"]
 
-    def stage(name: str, suffix: str, *words: object) -> None:
-        cpu_s = warm_cpu_of(*words, *slips)
-        costs[name] = {"cpu_s": cpu_s / seconds, "size_bytes": size(f"slip/**/*.{suffix}.h5") / seconds}
+    def stage(name: str, made: str, *words: object) -> None:
+        cpu_of(*words, *warm)
+        cpu_s = cpu_of(*words, *slips)
+        costs[name] = {"cpu_s": cpu_s / seconds, "size_bytes": size(f"slip/{made}.h5") / seconds}
         print(name, costs[name], flush=True)
 
-    stage("label", "labels", "label")
+    stage("label", "*.labels", "label")
     for preset in PRESETS:
-        stage(f"track {preset}", "tracks", "track", "--preset", preset)
-    stage("featurize", "features", "featurize")
-    stage("featurize --images", "features", "featurize", "--images")
+        stage(f"track {preset}", "*.tracks", "track", "--preset", preset)
+    stage("featurize", "*.features", "featurize")
+    stage("featurize --images", "*.features", "featurize", "--images")
 
     def trained(model: str, preset: str) -> None:
-        how = ("train", *features, "--model", model, "--preset", preset, "--validate", features[-1],
+        how = ("train", *features[:-1], "--model", model, "--preset", preset, "--validate", features[-1],
                "--out", folder / f"{model}.model.h5")  # fmt: skip
         few, more = (cpu_of(*how, "--max-steps", count) for count in STEPS)
         costs[f"train {model} {preset}"] = {"cpu_s": (more - few) / (STEPS[1] - STEPS[0]),
@@ -306,21 +304,24 @@ def measure(folder: Path) -> Costs:
         trained(model, "adamw")
 
     def judged(what: str, count: int, *words: object) -> None:
-        cpu_s = warm_cpu_of("evaluate", what, *words, "--out", folder / f"{what}.report.h5")
+        cpu_of("evaluate", what, *words, "--out", folder / "warm" / f"{what}.report.h5")
+        cpu_s = cpu_of("evaluate", what, *words, "--out", folder / f"{what}.report.h5")
         costs[f"evaluate {what}"] = {"cpu_s": cpu_s / count, "size_bytes": size(f"{what}.report.h5")}
 
     tracks = sorted((folder / "slip").glob("*.tracks.h5"))
-    judged("slip", len(features), *features, "--model", folder / "hist10.model.h5")
+    judged(
+        "slip", len(warm), *sorted((folder / "warm").glob("slip*.features.h5")), "--model", folder / "hist10.model.h5"
+    )
     judged("labels", len(slips), *sorted((folder / "slip").glob("*.labels.h5")))
     judged("tracking", len(slips), *tracks)
     judged("data-rate", 1, *sorted((folder / "data-rate").glob("*.recording.h5")))
     judged("vibration", 1, *sorted((folder / "vibration-randomized").glob("*.recording.h5")),
            "--windows", "10,2,1,0.25")  # fmt: skip
     judged("grasp", 1, *sorted((folder / "grasp").glob("*.recording.h5")))
-    stage("track-rgb", "tracks", "track-rgb", "--out", folder / "slip" / "rgb")
+    stage("track-rgb", "rgb/*.tracks", "track-rgb", "--out", folder / "slip" / "rgb")
     model = folder / "dots.force-model.h5"
     costs["train-force"] = {"cpu_s": cpu_of("train-force", *tracks, "--out", model), "size_bytes": size(model.name)}
-    judged("force", len(slips), *tracks, "--model", model)
+    judged("force", len(warm), *sorted((folder / "warm").glob("slip*.tracks.h5")), "--model", model)
     return costs
 
 
@@ -330,6 +331,7 @@ def main() -> None:
     parser.add_argument("--cores", default="1,16,256", help="numbers of cores")
     parser.add_argument("--trajectories", default="10000,1000000", help="numbers of trajectories")
     parser.add_argument("--measure", type=Path, metavar="FOLDER", help="measure the costs, in a new folder")
+    parser.add_argument("--page", type=Path, help="put the tables into this page")
     chosen = parser.parse_args()
     if chosen.measure:
         os.environ |= dict.fromkeys(ONE_THREAD, "1")  # before these libraries are loaded
@@ -337,9 +339,15 @@ def main() -> None:
     costs: Costs = json.loads(COSTS.read_text())
     cores = [int(count) for count in chosen.cores.split(",")]
     planned = list(steps(costs))
-    print_table("plan", table(planned, cores), least(planned, cores), simulated=True)
-    counts = [int(count) for count in chosen.trajectories.split(",")]
-    print_table("record, label, track, featurize", many(costs, counts, cores), {}, simulated=True)
+    experiments, fastest = table(planned, cores), least(planned, cores)
+    print_table("plan", experiments, fastest, simulated=True)
+    trajectories = many(costs, [int(count) for count in chosen.trajectories.split(",")], cores)
+    print_table("record, label, track, featurize", trajectories, {}, simulated=True)
+    if chosen.page:
+        said = f"By plan.py at commit {commit()[0]}, costs of tasks measured on one core"
+        bound = {name.replace("at_least_", ""): value for name, value in fastest.items()}
+        put_measured(chosen.page, "plan", [*experiments, {"experiment": "all, at least", **bound}], said)
+        put_measured(chosen.page, "trajectories-planned", trajectories, said)
 
 
 if __name__ == "__main__":
