@@ -46,7 +46,7 @@ LIFT_S, BALANCE_S = 10.0, 20.0
 PRESETS = ("unregularised", "paper", "official", "stable")
 MODELS = ("no-hist", "hist10", "events-only", "disp-only", "hist20", "down5", "fast-slow", "disp-xy")
 IMAGE_MODELS = ("no-hist-img-6x6", "hist10-img-6x6")
-RECORDED = ("slip", "slip-varied", "handling", "edge", "shear", "data-rate", "press", "vibration-randomized")
+RECORDED = ("slip", "slip-varied", "handling", "edge", "shear", "data-rate", "vibration-randomized")
 EPOCH_STEPS = 100  # a guess, of the demo: all other trainings are planned in steps
 STEPS = (50, 250)  # of two short trainings: their difference is what a step costs
 
