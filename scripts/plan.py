@@ -269,9 +269,9 @@ def measure(folder: Path) -> Costs:
     cpu_of("grasp", "--lift-s", 1, "--balance-s", 0, "--out", folder / "warm")
     for scene in RECORDED:
         tone = ("--tone", 200) if scene.startswith("vibration") else ()
-        several = scene in ("slip", "slip-varied", "handling")
-        objects = ("--object", "3,8,11,16") if several else ()
-        recorded(scene, ("record", "--scene", scene, *objects, *tone), 4 if several else 1)
+        several = {"slip": 4, "slip-varied": 4, "handling": 4, "shear": 2}.get(scene, 1)
+        trials = ("--count", 2) if scene == "shear" else ("--object", "3,8,11,16") if several == 4 else ()
+        recorded(scene, ("record", "--scene", scene, *trials, *tone), several)
     recorded("grasp", ("grasp", "--object", 11), 1)
     slips = sorted((folder / "slip").glob("*.recording.h5"))
     warm = sorted((folder / "warm").glob("slip*.recording.h5"))
@@ -323,8 +323,11 @@ def measure(folder: Path) -> Costs:
     judged("grasp", 1, *sorted((folder / "grasp").glob("*.recording.h5")))
     stage("track-rgb", "rgb/*.tracks", "track-rgb", "--out", folder / "slip" / "rgb")
     model = folder / "dots.force-model.h5"
-    costs["train-force"] = {"cpu_s": cpu_of("train-force", *tracks, "--out", model), "size_bytes": size(model.name)}
-    judged("force", len(warm), *sorted((folder / "warm").glob("slip*.tracks.h5")), "--model", model)
+    shears = sorted((folder / "shear").glob("*.recording.h5"))
+    cpu_of("track", *shears)
+    learnt, unseen = sorted((folder / "shear").glob("*.tracks.h5"))
+    costs["train-force"] = {"cpu_s": cpu_of("train-force", learnt, "--out", model), "size_bytes": size(model.name)}
+    judged("force", 1, unseen, "--model", model)
     return costs
 
 
