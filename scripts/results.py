@@ -128,8 +128,8 @@ def put_measured(page: Path, name: str, rows: list[Row], said: str) -> None:
     cells = [heads, ["---"] * len(heads), *([as_figure(row.get(key)) for key in heads] for row in rows)]
     table = "\n".join("| " + " | ".join(cell.replace("_", " ") for cell in line) + " |" for line in cells)
     begin, end = f"<!-- measured {name} -->\n", f"<!-- end of {name} -->"
-    before, found, rest = page.read_text().partition(begin)
-    if not found or end not in rest:
+    before, marked, rest = page.read_text().partition(begin)
+    if not marked or end not in rest:
         raise SystemExit(f"{page}: expected {begin.strip()} and {end}")
     _, _, after = rest.partition(end)
     page.write_text(f"{before}{begin}\n{said}:\n\n{table}\n\n{end}{after}")
