@@ -168,7 +168,7 @@ def stage_commands(name: str) -> dict[str, tuple[str, ...]]:
 
 
 def slices(longest_s: int, events_a_slice: float) -> list[Row]:
-    """A row for every stage and length; files of a length are removed when it is done."""
+    """A row for every stage and length: up to a minute the least of three, in which start-up weighs."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -176,15 +176,23 @@ def slices(longest_s: int, events_a_slice: float) -> list[Row]:
         with open_recording(folder / "trial.recording.h5") as trial:
             repeated = Repeated(trial, events_a_slice)
         for length_s in (length for length in LENGTHS_S if length <= longest_s):
-            place = folder / str(length_s)
-            place.mkdir()
-            repeated.write(place / "long.recording.h5", 1000 * length_s)
-            for stage, words in stage_commands("long").items():
-                cpu_s, memory_mb = cpu_of(*words, cwd=place)
-                rows.append({"stage": stage, "length_s": length_s, "cpu_s": cpu_s, "memory_mb": memory_mb})
+            turns = [_stages(folder / str(length_s), repeated, length_s) for _ in range(3 if length_s <= 60 else 1)]
+            for same in zip(*turns, strict=True):  # what else the computer did is in the longer ones
+                rows.append(min(same, key=lambda row: row["cpu_s"]))
                 print(rows[-1], file=sys.stderr)
-            shutil.rmtree(place)
     return with_linear(rows)
+
+
+def _stages(place: Path, repeated: Repeated, length_s: int) -> list[Row]:
+    """A row for every stage on one recording, in a folder that is made for it and removed."""
+    place.mkdir()
+    repeated.write(place / "long.recording.h5", 1000 * length_s)
+    rows: list[Row] = []
+    for stage, words in stage_commands("long").items():
+        cpu_s, memory_mb = cpu_of(*words, cwd=place)
+        rows.append({"stage": stage, "length_s": length_s, "cpu_s": cpu_s, "memory_mb": memory_mb})
+    shutil.rmtree(place)
+    return rows
 
 
 def with_linear(rows: list[Row]) -> list[Row]:

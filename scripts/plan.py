@@ -269,8 +269,8 @@ def measure(folder: Path) -> Costs:
     cpu_of("grasp", "--lift-s", 1, "--balance-s", 0, "--out", folder / "warm")
     for scene in RECORDED:
         tone = ("--tone", 200) if scene.startswith("vibration") else ()
-        several = {"slip": 4, "slip-varied": 4, "handling": 4, "shear": 2}.get(scene, 1)
-        trials = ("--count", 2) if scene == "shear" else ("--object", "3,8,11,16") if several == 4 else ()
+        several = {"slip": 4, "slip-varied": 4, "handling": 4, "shear": 3}.get(scene, 1)
+        trials = ("--count", 3) if scene == "shear" else ("--object", "3,8,11,16") if several == 4 else ()
         recorded(scene, ("record", "--scene", scene, *trials, *tone), several)
     recorded("grasp", ("grasp", "--object", 11), 1)
     slips = sorted((folder / "slip").glob("*.recording.h5"))
@@ -325,8 +325,8 @@ def measure(folder: Path) -> Costs:
     model = folder / "dots.force-model.h5"
     shears = sorted((folder / "shear").glob("*.recording.h5"))
     cpu_of("track", *shears)
-    learnt, unseen = sorted((folder / "shear").glob("*.tracks.h5"))
-    costs["train-force"] = {"cpu_s": cpu_of("train-force", learnt, "--out", model), "size_bytes": size(model.name)}
+    *learnt, unseen = sorted((folder / "shear").glob("*.tracks.h5"))
+    costs["train-force"] = {"cpu_s": cpu_of("train-force", *learnt, "--out", model), "size_bytes": size(model.name)}
     judged("force", 1, unseen, "--model", model)
     return costs
 
