@@ -342,6 +342,8 @@ def main() -> None:
     if chosen.measure:
         os.environ |= dict.fromkeys(ONE_THREAD, "1")  # before these libraries are loaded
         COSTS.write_text(json.dumps(measure(chosen.measure), indent=1) + "\n")
+    elif not COSTS.exists():
+        parser.error(f"{COSTS} is missing: make it with --measure FOLDER")
     costs: Costs = json.loads(COSTS.read_text())
     cores = [int(count) for count in chosen.cores.split(",")]
     planned = list(steps(costs))
