@@ -115,6 +115,26 @@ def fill_page(page: str, results: Path) -> str:
     return re.sub(pattern, replace, page, flags=re.DOTALL)
 
 
+def as_figure(value: Any) -> str:
+    """A value of a row as text; numbers with three digits."""
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def put_measured(page: Path, name: str, rows: list[Row], said: str) -> None:
+    """Put run times into a page, between `<!-- measured NAME -->` and `<!-- end of NAME -->`: rows, and how made."""
+    heads = list(dict.fromkeys(key for row in rows for key in row))
+    cells = [heads, ["---"] * len(heads), *([as_figure(row.get(key)) for key in heads] for row in rows)]
+    table = "\n".join("| " + " | ".join(cell.replace("_", " ") for cell in line) + " |" for line in cells)
+    begin, end = f"<!-- measured {name} -->\n", f"<!-- end of {name} -->"
+    before, marked, rest = page.read_text().partition(begin)
+    if not marked or end not in rest:
+        raise SystemExit(f"{page}: expected {begin.strip()} and {end}")
+    _, _, after = rest.partition(end)
+    page.write_text(f"{before}{begin}\n{said}:\n\n{table}\n\n{end}{after}")
+
+
 def publish(result: Result, page: Path) -> None:
     """Write a result into docs/results, and its table into a page."""
     folder = ROOT / "docs" / "results"

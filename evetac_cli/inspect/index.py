@@ -11,7 +11,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.index import Index, Row, open_index
 
-NAMES = tuple(name for name in Row._fields if name != "mtime_ns")  # that --where knows, and a row shows
+NAMES = tuple(name for name in Row._fields if name != "changed_ns")  # that --where knows, and a row shows
 SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
 COUNTED = ("object", "sensor", "scene", "outcome")  # of each kind of file, a table each
 MOST_UNREADABLE = 20  # of the files that are named with their reasons

@@ -5,6 +5,10 @@ ones with their reason. A row is made again when size or time of change of its f
 which no file is opened, says whether the index is up to date. Only what could not be read is tried each time: the
 reason may lie in permissions, the storage, or an older evetac.
 
+Why the time of change (ctime) and not that of the last writing (mtime): `cp -p`, `rsync -t` and backups bring files
+back with an old mtime, and another content may have the same size. Nobody can set the ctime;
+a data set that was copied to another place is read once again there.
+
 Why it is written anew as a whole: a new file takes the place of the old one at once, also on storage that several
 computers share, where SQLite cannot lock. Whoever reads the old one goes on with it, of two commands at once the later
 one wins, and both wrote what is right.
@@ -21,7 +25,7 @@ from typing import Any, NamedTuple
 from evetac_cli.errors import EvetacError, InputError
 
 NAME = ".evetac-index.sqlite"
-FORMAT = 1  # of the table; an index of another format is made again
+FORMAT = 2  # of the table; an index of another format is made again
 LARGEST = 2**63 - 1  # whole number of SQLite
 
 
@@ -30,7 +34,7 @@ class Row(NamedTuple):
 
     path: str  # from the folder on
     size_bytes: int
-    mtime_ns: int
+    changed_ns: int
     kind: str | None = None  # none for a file that cannot be read
     recipe_id: str | None = None
     object: int | str | None = None
@@ -113,7 +117,7 @@ def _look(folder: Path) -> Seen:
                 path = f"{inner}{name}".encode("utf-8", "backslashreplace").decode()  # SQLite keeps no other names
                 try:
                     stat = entry.stat()
-                    seen[path] = (stat.st_size, stat.st_mtime_ns)
+                    seen[path] = (stat.st_size, stat.st_ctime_ns)
                 except OSError:  # a link to nothing
                     seen[path] = (0, 0)
     return seen
@@ -159,18 +163,18 @@ def _store(path: Path, rows: Iterable[tuple[Any, ...]]) -> bool:
 # --- what a file is ---------------------------------------------------------------------------------------------------
 
 
-def describe(folder: Path, name: str, size_bytes: int, mtime_ns: int) -> Row:
+def describe(folder: Path, name: str, size_bytes: int, changed_ns: int) -> Row:
     """The row of a file; one that cannot be read has its reason."""
     from evetac_cli.store.files import StageFile
 
     try:
         with StageFile(folder / name) as file:
-            return Row(name, size_bytes, mtime_ns, **_figures(file))
+            return Row(name, size_bytes, changed_ns, **_figures(file))
     except EvetacError as error:
         reason = f"{error.message}: {error.found}" if error.found else error.message
-        return Row(name, size_bytes, mtime_ns, error=reason)
+        return Row(name, size_bytes, changed_ns, error=reason)
     except (OSError, MemoryError) as error:
-        return Row(name, size_bytes, mtime_ns, error=str(error) or type(error).__name__)
+        return Row(name, size_bytes, changed_ns, error=str(error) or type(error).__name__)
 
 
 def _figures(file: Any) -> dict[str, Any]:
