@@ -95,6 +95,7 @@ class RowReader:
         self._shape, self._dtype, self._chunks = dataset.shape, dataset.dtype, dataset.chunks  # h5py takes 10 us each
         self._first = -1  # row of the chunk that is kept
         self._kept: NDArray[Any] = np.empty(0)
+        self._nothing = self._kept
         recipe = dataset.id.get_create_plist()
         filters = [recipe.get_filter(number)[0] for number in range(recipe.get_nfilters())]
         self._ours = (
@@ -111,6 +112,7 @@ class RowReader:
         rows = np.empty((stop - start, *self._shape[1:]), self._dtype)
         for first in range(start - start % chunk, stop, chunk):
             if first != self._first:
+                self._kept, self._first = self._nothing, -1  # two chunks at a time are not needed
                 self._kept, self._first = self._unpacked(first), first
             begin, end = max(start, first), min(stop, first + chunk)
             rows[begin - start : end - start] = self._kept[begin - first : end - first]

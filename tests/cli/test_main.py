@@ -617,7 +617,8 @@ def test_parts_of_a_job_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     """Assert that with --jobs the parts of all jobs are run before them, and one that fails is its job's error."""
     begun: list[list[str]] = []
 
-    def run_parallel(module: str, jobs: list[Job], chosen: Any, force: bool, at_once: int, _: Any, into: Any) -> None:
+    def run_parallel(module: str, jobs: list[Job], *given: Any, quiet: bool) -> None:
+        into = given[-1]
         begun.append([job.output.name for job in jobs])
         for job in jobs:
             failed = EvetacError("no memory") if job.output.name == "b-1" else Outcome([], simulated=False)

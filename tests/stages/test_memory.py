@@ -18,7 +18,7 @@ from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.learning import Featurize, Label, Track, TrackRgb
 from evetac_cli.params.recording import Record, Trim
 from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, trim
-from evetac_cli.store import contents, read
+from evetac_cli.store import chunks, contents, read
 from evetac_cli.store.read import open_recording
 from scripts.attack.long_recording import Repeated
 from tests.conftest import Made
@@ -33,11 +33,14 @@ def folders(made: Made, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
     both = tmp_path_factory.mktemp("short"), tmp_path_factory.mktemp("long")
     with open_recording(made.recordings[0]) as trial:
         repeated = Repeated(trial, 50.0)
-    for folder, slices in zip(both, (SHORT, LONG), strict=True):
-        repeated.write(folder / "a.recording.h5", slices)
-        _run(track, Track(), folder)
-        export(folder / "a.recording.h5", "dsec", folder / "a.dsec.h5")
-        _import("a.dsec.h5")(folder, folder / "imported.recording.h5")
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name, size in CHUNKS:
+            patch.setattr(module, name, size)
+        for folder, slices in zip(both, (SHORT, LONG), strict=True):
+            repeated.write(folder / "a.recording.h5", slices)
+            _run(track, Track(), folder)
+            export(folder / "a.recording.h5", "dsec", folder / "a.dsec.h5")
+            _import("a.dsec.h5")(folder, folder / "imported.recording.h5")
     return both
 
 
@@ -61,6 +64,7 @@ def _replay(folder: Path, out: Path) -> None:
     grasp.run(job, chosen)
 
 
+CHUNKS = ((chunks, "CHUNK_ROWS", 1 << 13), (chunks, "CHUNK_BYTES", 1 << 16))  # of which a reader holds one
 BLOCKS = (
     (stages, "BLOCK_ROWS", 100),
     (track_rgb, "FRAMES", 2),
@@ -73,6 +77,7 @@ BLOCKS = (
     (contents, "BLOCK_VALUES", 1 << 13),
     (replay, "BLOCK_SLICES", 100),
     (replay, "PACKET_EVENTS", 1 << 10),
+    *CHUNKS,
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "trim": lambda folder, out: _run(trim, Trim(from_ms=100), folder, out),
@@ -88,7 +93,14 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "export dsec": lambda folder, out: _export(folder, "dsec", out),
     "export aedat4": lambda folder, out: _export(folder, "aedat4", out),
 }
-LONG = ("grasp again", "label by flow", "trim")  # commands that take seconds
+SLOW = (
+    "grasp again",
+    "label by flow",
+    "trim",
+    "track-rgb",
+    "import --sort",
+    "export dsec",
+)  # commands that take seconds
 
 
 def _export(folder: Path, format_: str, out: Path) -> None:
@@ -100,7 +112,7 @@ def _validate(*files: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in COMMANDS]
+    "command", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in COMMANDS]
 )
 def test_m11_memory_does_not_grow_with_length(
     command: str, folders: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -34,6 +34,7 @@ def test_cost_of_a_late_detector(monkeypatch: pytest.MonkeyPatch) -> None:
     assert rows["load-proportional, detector truth"]["time_us_median"] == 90.0
 
 
+@pytest.mark.slow
 def test_a_real_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert the report and picture of two settings, of which the object that no controller holds is lost."""
     for name, amount in {

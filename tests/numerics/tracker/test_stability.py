@@ -95,6 +95,7 @@ def test_faults_are_seen(monkeypatch):
     assert tracker.step not in (step, by_order)
 
 
+@pytest.mark.slow
 def test_a_scene_is_simulated_once_for_all_presets(monkeypatch):
     """Assert that presets follow the same slices of a short slip, from the dots that they are told of."""
     started = []

@@ -208,8 +208,8 @@ def test_one_event_a_pixel_and_scan() -> None:
     assert len(np.unique(columns, axis=0)) == result.size > 2000
 
 
-@pytest.mark.parametrize("window", [True, False])
-@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize("window", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("name", ["touch", pytest.param("slide", marks=pytest.mark.slow)])
 def test_ideal_against_fine_steps(name: str, window: bool) -> None:
     """Assert the events of all pixels followed in steps of 4 us, within 5 us, for gel and window."""
     motion, slices = MOTIONS[name]

@@ -33,7 +33,8 @@ def column(rows: list[dict[str, Any]], name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("object_name", "sensor", "gel"), [("finger", "evetac", "cut"), ("handle", "second", "closed")]
+    ("object_name", "sensor", "gel"),
+    [("finger", "evetac", "cut"), pytest.param("handle", "second", "closed", marks=pytest.mark.slow)],
 )
 def test_most_events_are_not_from_dots(object_name: str, sensor: str, gel: str) -> None:
     """Assert that lines make most events of a rub, that dots end where they began, and forces are as planned."""

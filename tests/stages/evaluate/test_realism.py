@@ -100,6 +100,7 @@ def test_motion(tmp_path: Path) -> None:
     assert rows["motion", "band_10_30_hz"]["distance"] > 0.8
 
 
+@pytest.mark.slow
 def test_windows_are_told_apart(tmp_path: Path) -> None:
     """Assert that half seconds of another polarity are told apart, those of one camera are not, and what stands beside.
 

@@ -39,6 +39,7 @@ def replay(path: Path, out: Path, **flags: float | str) -> Path:
     return job.output
 
 
+@pytest.mark.slow
 def test_decisions_are_those_of_the_grasp(grasped: Path, tmp_path: Path) -> None:
     """Assert that a grasp that is replayed is evaluated and decided again just as it was, and moves nothing."""
     again = replay(grasped, tmp_path / "again.recording.h5")
@@ -74,6 +75,7 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
             assert law.step(Phase(phase[step]), SlipSignal(int(slips[2 * step])), int(position[step])) == goal
 
 
+@pytest.mark.slow
 def test_another_law_and_another_recording(grasped: Path, short_scene: Path, tmp_path: Path) -> None:
     """Assert that a law can be tried on what was recorded, also without a grasp; phases are then those of the flags."""
     other = replay(grasped, tmp_path / "other.recording.h5", controller="fixed:3")
