@@ -25,7 +25,7 @@ setup: $(READY)  ## make a virtual environment of its own in .venv
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,plot,dev]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,plot,dev]'
 	$(BIN)/evetac doctor --compile
 	@touch $@
 

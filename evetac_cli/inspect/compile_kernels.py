@@ -4,6 +4,7 @@ Why so: the commands themselves are run, on three short trials in a folder that 
 their types would have to be kept by hand, and be wrong with the next change of a kernel.
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -14,36 +15,74 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Outcome, Progress, silent
 
-# What one step makes, the next ones read; the commands of a step need different functions, and run side by side.
+# Commands of a step are chains that run side by side; what one step makes, the next ones read. The chain of the
+# tracker begins with an import, which compiles nothing, so that it need not wait until the simulator is compiled.
 # Three trials: to learn from, to choose a threshold on, to be judged on.
 TRIALS = [f"slip-obj03-s0-{number:03d}" for number in range(3)]
 RECORDINGS = " ".join(f"{name}.recording.h5" for name in TRIALS)
-STEPS: tuple[tuple[str, ...], ...] = (
-    ("record --scene slip --object 3 --count 3 --out .",),
-    (f"track {RECORDINGS}", f"label {RECORDINGS}"),
-    (f"featurize {RECORDINGS}", "grasp --object 11 --lift-s 1 --balance-s 0.1 --out b.recording.h5"),
-    (f"train {TRIALS[0]}.features.h5 --validate {TRIALS[1]}.features.h5 --epochs 1 --max-steps 1 --out a.model.h5",),
-    (f"evaluate slip {TRIALS[2]}.features.h5 --model a.model.h5 --out a.report.h5",),
+EVENTS, GRID = "events.txt", "grid.json"
+Chain = Sequence[str]
+STEPS: tuple[tuple[Chain, ...], ...] = (
+    (
+        ("record --scene slip --object 3 --count 3 --out .",),
+        (
+            f"record --from {EVENTS} --frame-size 640x480 --calibration {GRID} --out a.recording.h5",
+            "track a.recording.h5",
+            "label a.recording.h5",
+            "featurize a.recording.h5",
+        ),
+    ),
+    (
+        (
+            f"track {RECORDINGS}",
+            f"label {RECORDINGS}",
+            f"featurize {RECORDINGS}",
+            f"train {TRIALS[0]}.features.h5 --validate {TRIALS[1]}.features.h5 --epochs 1 --max-steps 1"
+            " --out a.model.h5",
+            f"evaluate slip {TRIALS[2]}.features.h5 --model a.model.h5 --out a.report.h5",
+        ),
+        ("grasp --object 11 --lift-s 1 --balance-s 0.1 --out b.recording.h5",),
+    ),
 )
 
 
-def run(progress: Progress = silent, steps: Sequence[Sequence[str]] = STEPS) -> Outcome:
+def run(progress: Progress = silent, steps: Sequence[Sequence[Chain]] = STEPS) -> Outcome:
     """Run the commands, a row each; EvetacError with the words of one that fails."""
     rows: list[dict[str, Any]] = []
-    commands = sum(map(len, steps))
+    commands = sum(len(chain) for step in steps for chain in step)
     with (
         TemporaryDirectory(prefix="evetac-compile-") as folder,
         ThreadPoolExecutor(max_workers=os.cpu_count()) as pool,
     ):
+        _write_events(Path(folder))
         progress(0, commands)
-        for step in steps:
-            for row in pool.map(lambda command: _run(command, Path(folder)), step):
-                rows.append(row)
+
+        def run_chain(chain: Chain) -> None:
+            for command in chain:
+                rows.append(_run(command, Path(folder)))
                 progress(len(rows), commands)
+
+        for step in steps:
+            list(pool.map(run_chain, step))
     return Outcome(rows, False, {"commands": commands})
+
+
+def _write_events(folder: Path) -> None:
+    """A second of events at random places, and a dot grid with a window."""
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.integers(0, 1_000_000, 50_000))
+    events = np.stack(
+        [t, rng.integers(0, 640, len(t)), rng.integers(0, 480, len(t)), rng.integers(0, 2, len(t))], axis=1
+    )
+    np.savetxt(folder / EVENTS, events, fmt="%d", header="t_us x y p", comments="")
+    dots = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
+    grid = {"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots.tolist(), "window_px": [540, 0, 640, 480]}
+    (folder / GRID).write_text(json.dumps(grid))
 
 
 def _run(command: str, folder: Path) -> dict[str, Any]:

@@ -73,5 +73,5 @@ def test_a_command_that_compiles_is_seen(tmp_path: Path) -> None:
 def test_a_command_that_fails_is_named() -> None:
     """Assert that an error names the command and says why it failed."""
     with pytest.raises(EvetacError, match="evetac record --scene nowhere") as error:
-        compile_kernels.run(steps=(("record --scene nowhere",),))
+        compile_kernels.run(steps=((("record --scene nowhere",),),))
     assert "nowhere" in str(error.value).split("--scene nowhere", 1)[1]

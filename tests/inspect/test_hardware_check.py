@@ -111,6 +111,7 @@ def test_each_oddity_of_a_gripper_stops_at_its_step(options: dict[str, Any], ste
         assert is_off(gripper)
 
 
+@pytest.mark.slow
 def test_a_person_is_asked_before_it_moves(tmp_path: Path) -> None:
     """Assert that without a yes torque is never on and nothing is changed, and with one all is done and put back."""
     with VirtualGripper() as gripper:

@@ -156,6 +156,7 @@ def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_cost_of_the_simulator():
     """Assert real rows of mechanics and camera, in this order, with errors that fall the finer a setting is."""
     _, outcome = make(cost, EvaluateCost())
@@ -196,6 +197,7 @@ def test_parts_without_files(given, tmp_path):
 
 
 @needs_matplotlib
+@pytest.mark.slow
 def test_the_picture_lies_beside_the_report(pictures, tmp_path):
     """Assert that the picture has the report's name, is drawn again only where it is missing, and leaves no trace."""
     output, outcome = make(cost, EvaluateCost(), tmp_path / "here.h5")
@@ -222,6 +224,7 @@ def test_a_picture_that_cannot_be_written(tmp_path):
 
 
 @needs_matplotlib
+@pytest.mark.slow
 def test_lines_of_the_picture():
     """Assert a panel for each error, a line for each integrator, and no points for a blow-up, 0, or infinity."""
     from matplotlib.figure import Figure

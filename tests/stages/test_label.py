@@ -207,6 +207,7 @@ def test_regions_keep_clear_of_the_cut_edge(made: Made) -> None:
     assert gel == (0, 0, 530, 480)
 
 
+@pytest.mark.slow
 def test_leaving_out_does_not_change_the_onset(made: Made) -> None:
     """Assert that steps, leaving out pairs, and smaller pictures give the onset that all pairs of all slices give."""
     with open_recording(made.recordings[0]) as recording:

@@ -98,6 +98,7 @@ def test_timers_are_taken_off_again(machine: SlowedClock) -> None:
 
 
 @pytest.mark.parametrize(("stage", "params"), [(record, Record(scene="slip")), (grasp, Grasp())])
+@pytest.mark.slow
 def test_a_dry_run_of_a_scene(stage: Any, params: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that calls and the rest make up the whole of a dry run, and that it says what its scene saves."""
     monkeypatch.setattr(part_costs, "_moving_slices", lambda *_: 2 * BLOCK)

@@ -269,6 +269,7 @@ def test_folds_leave_objects_out(tmp_path: Path) -> None:
             splits.make_folds(headers, 3, wrong)
 
 
+@pytest.mark.slow
 def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that folds leave the network as it is, judge all trials, and go on after an interruption."""
     params = small(folds=2)

@@ -89,6 +89,7 @@ def test_every_dataset_of_a_simulation_is_cut(made: Made, tmp_path: Path) -> Non
 
 @given(st.lists(st.integers(1, 11), min_size=0, max_size=4, unique=True))
 @settings(max_examples=10, deadline=None)
+@pytest.mark.slow
 def test_pieces_put_together_are_the_whole(tmp_path_factory: pytest.TempPathFactory, edges: list[int]) -> None:
     """Assert that however it is cut, no event and no command is lost or doubled."""
     folder = tmp_path_factory.mktemp("cut")

@@ -101,6 +101,7 @@ def everything(folder: Path) -> list[str]:
     st.integers(1, 3),
 )
 @settings(max_examples=25, deadline=None)
+@pytest.mark.slow
 def test_joined_is_what_was_appended(counts: list[int], cuts: set[int], every: int) -> None:
     """Assert that every dataset is what was appended, bit for bit, whatever the cuts, and nothing else is left."""
     with TemporaryDirectory() as name:

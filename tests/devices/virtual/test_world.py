@@ -166,6 +166,7 @@ def test_servo_without_torque_has_no_force(world: VirtualWorld) -> None:
     assert until(world, Goals(False), lambda motion: motion.current_ma == 0).current_ma == 0
 
 
+@pytest.mark.slow
 def test_scenes_that_cannot_be_built(made: Made) -> None:
     """Assert that what the world's process refuses is raised here in its own words."""
     with pytest.raises(DeviceError, match="needs a scene with a gripper"):

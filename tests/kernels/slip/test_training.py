@@ -346,6 +346,7 @@ def test_the_share_that_slips_is_learned_beside_the_labels(problem: Samples) -> 
     assert set(with_share.checkpoints[-1].weights) == set(trained(unknown, preset).checkpoints[-1].weights)
 
 
+@pytest.mark.slow
 def test_images_are_trained_on() -> None:
     """Assert that an image network tells full images from empty ones, and is the same again for the same seed."""
     label = (np.arange(60) >= 40).astype(np.int8)

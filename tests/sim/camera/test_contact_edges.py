@@ -221,6 +221,7 @@ def test_ideal_against_fine_steps(name: str, window: bool) -> None:
     assert agreement.f1 >= 0.98
 
 
+@pytest.mark.slow
 def test_time_error_falls_with_the_square_of_substeps() -> None:
     """Assert a slope of 2 of log time error over log sub-step for edges that move evenly."""
 

@@ -55,6 +55,7 @@ def test_shear_sticks_and_stays_in_its_disc(tmp_path: Path) -> None:
     assert force[settled + 150] == pytest.approx(-stiffness * place, abs=0.5)
 
 
+@pytest.mark.slow
 def test_strokes_move_every_dot(tmp_path: Path) -> None:
     """Assert that strokes over the gel move every dot by 3 px at least twice, and leave all of them at rest."""
     trial = pressing("press", tmp_path, motion={"speed_mm_s": 80.0, "lines": 5}, solver={"node_pitch_mm": 1.0})

@@ -67,6 +67,7 @@ def test_one_sensor_twice(same: tuple[Path, Path], tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_another_sensor_is_far(same: tuple[Path, Path], tmp_path: Path) -> None:
     """Assert that a sensor with another polarity, and twice the noise of ordinary pixels, is told by just that."""
     row = scene.sensor_row("bare-dvxplorer")
@@ -162,6 +163,7 @@ def test_a_slice_with_too_many_events(same: tuple[Path, Path], tmp_path: Path, m
         compared(*same, tmp_path)
 
 
+@pytest.mark.slow
 def test_on_the_command_line(same: tuple[Path, Path], tmp_path: Path) -> None:
     """Assert the command, its table, and exit code 2 for a missing file."""
     names = list(map(str, same))

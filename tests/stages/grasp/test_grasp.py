@@ -137,6 +137,7 @@ def test_known_dots() -> None:
             known_dots(closed, rows, columns)
 
 
+@pytest.mark.slow
 def test_a_closed_gel_is_felt_by_the_network_for_a_cut_one(tmp_path: Path) -> None:
     """Assert that 63 dots are tracked and evaluated: the file has them all, and a probability for every slice."""
     path, row = made(tmp_path, gel="closed")

@@ -399,6 +399,7 @@ def test_contrast_of_the_window() -> None:
 
 
 @pytest.mark.parametrize("refractory_us", [150.0, 2500.0])
+@pytest.mark.slow
 def test_refractory_time(refractory_us: float) -> None:
     """Assert that a pixel is blind after an event, then starts from the level it finds, across slices and at rest."""
 
