@@ -11,13 +11,14 @@ loop ends in order at its next step: an exception in the middle of a command wou
 Why so, priority: a beat of 1 ms is shorter than what a usual scheduler promises on a busy computer. What is permitted
 depends on the user (`ulimit -r`, `ulimit -e`): it is tried, and the result is recorded. Only for what takes little:
 Linux stops all real-time processes of a core for the rest of a second of which they took 0.95 s (sched_rt_runtime_us),
-which with a simulated world and a recorder among them looked like a dead detector.
+which with a simulated world and a recorder among them looked like a dead detector. And serial bytes are handed on by
+threads of the kernel with usual priority: where a detector with real-time priority took most of a core, the controller
+waited for answers of its gripper, and missed one command in eight on two cores. So the detector is only nicer.
 """
 
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -89,23 +90,24 @@ def set_realtime_priority(rank: int, process: int = 0) -> str:
         return USUAL
 
 
-def bind_threads() -> str:
-    """Bind this process's Python threads to one core, the last one it may use; returns ` on core N`, or "" if not.
+def set_niceness(niceness: int) -> str:
+    """Put this process ahead of others (below 0) or behind them; returns `nice N`, or `as usual` if not permitted."""
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+        return f"nice {niceness}"
+    except OSError:
+        return USUAL
 
-    Why so: one at a time holds the interpreter, so a second core lets none of them get on, and costs: on two cores of a
-    busy machine the detector and its camera's thread took 1.4 times the time, and blocked what else is urgent on both.
-    Threads of libraries that need no interpreter stay where they are.
-    """
-    if sys.platform != "linux":
-        return ""
-    core = max(os.sched_getaffinity(0))
-    threads = [thread.native_id for thread in threading.enumerate() if thread.native_id is not None]
-    with suppress(OSError):
-        if len(os.sched_getaffinity(0)) > 1:
-            for thread in threads:
-                os.sched_setaffinity(thread, {core})
-            return f" on core {core}"
-    return ""
+
+@contextmanager
+def behind_others(niceness: int) -> Iterator[None]:
+    """Put this process behind others for as long as the block lasts, and then, if permitted, where it was."""
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    set_niceness(niceness)
+    try:
+        yield
+    finally:
+        set_niceness(before)
 
 
 @contextmanager

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
@@ -52,33 +51,23 @@ def test_ctrl_c_is_held_back_from_the_first_moment() -> None:
     assert (run.stdout, run.stderr) == ("interrupted\n", "")
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux binds threads")
-def test_threads_of_one_interpreter_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that each is bound to the last core, where there is a choice, and none where it is refused."""
-    bound: dict[int, set[int]] = {}
-    cores = {0, 2, 3}
-    permitted = SimpleNamespace(sched_getaffinity=lambda thread: cores, sched_setaffinity=bound.__setitem__)
+def test_niceness_is_changed_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a process is put behind others and back again, and that a refusal changes nothing."""
+    changed: list[int] = []
+    permitted = SimpleNamespace(
+        PRIO_PROCESS=0,
+        getpriority=lambda what, process: -3,
+        setpriority=lambda what, process, value: changed.append(value),
+    )
     monkeypatch.setattr(processes, "os", permitted)
-    ended = threading.Event()
-    other = threading.Thread(target=ended.wait)
-    other.start()
-    assert processes.bind_threads() == " on core 3"
-    ended.set()
-    other.join()
-    assert {threading.get_native_id(), other.native_id} <= set(bound)
-    assert all(only == {3} for only in bound.values())
-    cores = {1}
-    bound.clear()
-    assert (processes.bind_threads(), bound) == ("", {})
+    with processes.behind_others(15):
+        assert changed == [15]
+    assert changed == [15, -3]
+    assert processes.set_niceness(-10) == "nice -10"
 
-
-def test_threads_stay_where_binding_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(thread: int, cores: set[int]) -> None:
+    def refuse(what: int, process: int, value: int) -> None:
         raise PermissionError
 
-    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="linux"))
-    refusing = SimpleNamespace(sched_getaffinity=lambda thread: {0, 1}, sched_setaffinity=refuse)
-    monkeypatch.setattr(processes, "os", refusing)
-    assert processes.bind_threads() == ""
-    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="darwin"))
-    assert processes.bind_threads() == ""
+    permitted.setpriority = refuse
+    with processes.behind_others(15):
+        assert processes.set_niceness(-10) == processes.USUAL

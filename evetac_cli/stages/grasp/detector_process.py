@@ -26,11 +26,10 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import (
-    REALTIME,
-    bind_threads,
+    NICE,
     ignore_interrupts,
     remember_signals,
-    set_realtime_priority,
+    set_niceness,
 )
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.loop import SlipDetector
@@ -38,7 +37,6 @@ from evetac_cli.stages.grasp.loop import SlipDetector
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
-PRIORITY = 20  # behind the controller, whose steps are short
 BATCH_MS = 5  # slices that the recorder gets at once: of 50, copying took a millisecond
 FLUSH_US = 250  # a quiet camera's words are sent this often: a slice is evaluated the sooner
 WARM_UP_SLICES = 30  # of noise, before the camera runs
@@ -154,10 +152,8 @@ def run_detector(
         outbox.flush(FLUSH_S)
         _wait_for_order(orders, ending)
         gc.collect()  # which takes long, and once the camera runs its slices wait
-        scheduling = set_realtime_priority(PRIORITY)  # before the camera's thread, which inherits it
+        scheduling = set_niceness(NICE)  # before the camera's thread, which inherits it
         camera, setup, _ = settings.camera.open(CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
-        if scheduling.startswith(REALTIME):  # else it would share that core with other programs
-            scheduling += bind_threads()
         outbox.put(CameraReady(camera.sensor, setup, getattr(camera, "notes", ()), scheduling))
         gc.freeze()
         gc.disable()  # the loop makes no cycles
