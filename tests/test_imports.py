@@ -1,9 +1,9 @@
 """Who may import whom (design, section 4), and what starting the program must not load."""
 
 import ast
+import functools
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -54,16 +54,19 @@ ONLY_IN = {
 }
 
 
-def imports(path: Path) -> Iterator[str]:
+@functools.cache
+def imports(path: Path) -> tuple[str, ...]:
     """Full names of all that a module imports, at its head, in its functions and for type checking."""
     package = ("evetac_cli", *path.relative_to(PACKAGE).parent.parts)
+    names: list[str] = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            yield from (name.name for name in node.names)
+            names += [name.name for name in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = list(package[: len(package) - node.level + 1]) if node.level else []
             base += node.module.split(".") if node.module else []
-            yield from (".".join([*base, name.name]) for name in node.names)
+            names += [".".join([*base, name.name]) for name in node.names]
+    return tuple(names)
 
 
 def part_of(name: str) -> str:

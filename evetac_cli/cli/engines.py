@@ -260,13 +260,9 @@ class _Run:
         self.progress(0, self.count)
         self._look_at_workers()
         try:
-            future: Any = None
             while self.waiting or self.running:
                 self._hand_out()
-                # Why not before: that it goes is a message to the scheduler, for which the next job would wait 10 ms.
-                future = None
-                future = self._wait()
-                self._take(future)
+                self._take(self._wait())
         except KeyboardInterrupt:
             self._stop()
             raise

@@ -39,6 +39,7 @@ def tried(folder: Path, gripper: str, ask: Any = None, **flags: Any) -> tuple[Ou
     return outcome, json.loads(out.read_text())
 
 
+@pytest.mark.slow
 def test_a_good_camera_and_gripper(tmp_path: Path) -> None:
     """Assert that every step is as expected, and the report holds steps, all registers, and what ran where."""
     made, report = tried(tmp_path, "virtual", camera="virtual:prepared=1e4")
@@ -102,6 +103,7 @@ def test_lost_answers_stop_it_before_anything_moves(
         ({"plant": Obstacle(at_ticks=400.0, stiffness_n_tick=100.0)}, "closes"),
     ],
 )
+@pytest.mark.slow
 def test_each_oddity_of_a_gripper_stops_at_its_step(options: dict[str, Any], step: str, tmp_path: Path) -> None:
     """Assert that a gripper at a port that is not as expected is left alone, and off, from that step on."""
     with VirtualGripper(**options) as gripper:

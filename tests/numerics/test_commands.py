@@ -37,7 +37,11 @@ CAMERA = [
     for n, late in ((1, 5.0), (2, math.inf), (4, 0.3))
 ]  # fmt: skip
 STAGES = [("cost", cost, EvaluateCost), ("stability", stability, EvaluateStability)]
-each = pytest.mark.parametrize(("name", "stage", "cls"), STAGES, ids=[stage[0] for stage in STAGES])
+SLOW = {"cost": pytest.mark.slow}  # takes seconds each time
+each = pytest.mark.parametrize(
+    ("name", "stage", "cls"),
+    [pytest.param(*stage, id=stage[0], marks=SLOW.get(stage[0], ())) for stage in STAGES],
+)
 
 
 def tiny_workloads():

@@ -160,6 +160,7 @@ def test_where_reports_go(files: dict[str, list[Path]], tmp_path: Path) -> None:
     assert (job.inputs, str(job.output)) == ((), "model.cost.report.h5")
 
 
+@pytest.mark.slow
 def test_what_is_refused(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
     """Assert that files for another part, models without their report, and reports on others are errors."""
     with pytest.raises(InputError, match="measured without files"):

@@ -260,6 +260,7 @@ def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
         results.fill_page(page.replace("labels", "lost"), tmp_path / "results")
 
 
+@pytest.mark.slow
 def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
     """Assert figures and facts of the demo's table, from real reports on one trial and one grasp."""
     trial = made.folder / "apart.recording.h5"  # no model is trained on it

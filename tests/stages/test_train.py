@@ -332,6 +332,7 @@ def test_networks_are_tasks_of_their_own(trials: list[Path], tmp_path: Path, mon
     assert not run(parts[0], params).made
 
 
+@pytest.mark.slow
 def test_several_networks_decide_by_the_mean_of_their_logits(
     trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -515,6 +515,7 @@ def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("fault", ["overload@1.2", "unplug@1.2"])
+@pytest.mark.slow
 def test_gripper_fault(fault: str, tmp_path: Path) -> None:
     """Assert that a gripper that fails ends the recording with its error, and what was recorded is valid."""
     params = Record(camera="virtual:prepared=1e4", gripper=f"virtual:{fault}", seconds=30.0, expected_event_rate=1e3)

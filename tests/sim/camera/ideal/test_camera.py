@@ -151,6 +151,7 @@ MOTIONS: dict[str, tuple[Path, int]] = {
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.slow
 def test_against_the_reference(motion: str) -> None:
     """Assert the count within 0.1 % and F1 at 10 us of 0.99 against every pixel sampled at 100 kHz, with mismatch."""
     path, slices = MOTIONS[motion]
