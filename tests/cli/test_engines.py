@@ -228,6 +228,7 @@ def left(folder: Path) -> list[str]:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
+@pytest.mark.slow
 def test_a_job_whose_worker_dies_runs_again(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
     """Assert that one death costs nothing, that the third at the same job is an error that names it, others go on."""
     reported = run(started, tmp_path, "dask", "quick-1", "once-1", "killed-1", "quick-2").ended()

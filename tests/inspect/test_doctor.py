@@ -276,6 +276,7 @@ def test_faults_of_a_gripper(machine: Made, plugged: Any, registers: dict[str, i
     assert words in faulty[check]["found"]
 
 
+@pytest.mark.slow
 def test_an_adapter_without_a_gripper(machine: Made, plugged: Any) -> None:
     """Assert that silence is a fault only on a port that the user named."""
     port, gripper = plugged(registers=GOOD, faults=["lost-answer%100"])

@@ -64,6 +64,7 @@ def test_a_good_camera_and_gripper(tmp_path: Path) -> None:
         ("bad-crc", "line", "answers_damaged 1"),
     ],
 )
+@pytest.mark.slow
 def test_each_fault_stops_at_its_step(fault: str, step: str, words: str, tmp_path: Path) -> None:
     """Assert that it ends at the step that finds the fault, with its words, and what torque is read back as."""
     made, report = tried(tmp_path, f"virtual:{fault}")

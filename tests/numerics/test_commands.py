@@ -260,6 +260,7 @@ def test_what_a_line_is_called():
         assert plots._knob_range(first, last) == said
 
 
+@pytest.mark.slow
 def test_without_matplotlib(pictures, monkeypatch, tmp_path):
     """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)

@@ -20,6 +20,7 @@ def one_recording(monkeypatch: pytest.MonkeyPatch, made: Made) -> None:
     monkeypatch.setattr(labels, "AROUND_MS", 20)
 
 
+@pytest.mark.slow
 def test_rows_of_labels(monkeypatch: pytest.MonkeyPatch, one_recording: None) -> None:
     """Assert a row a setting with errors and run times, the reference first, agreeing with itself."""
     chosen = [labels.methods()[number] for number in (0, 1, 6, 10)]

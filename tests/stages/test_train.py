@@ -313,6 +313,7 @@ def test_patience_is_part_of_the_recipe(trials: list[Path], tmp_path: Path) -> N
             train.jobs(trials, small(patience=3, **several), tmp_path)
 
 
+@pytest.mark.slow
 def test_networks_are_tasks_of_their_own(trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the networks of a model, each trained as a job, make the file that one job makes; none is redone."""
     params = small(folds=2, max_steps=60)

@@ -119,6 +119,7 @@ def test_joined_is_what_was_appended(counts: list[int], cuts: set[int], every: i
 
 @given(st.lists(st.integers(0, 3), min_size=1, max_size=8), st.sets(st.integers(0, 7)), st.sets(st.integers(0, 7)))
 @settings(max_examples=8, deadline=None)
+@pytest.mark.slow
 def test_digest_of_a_device_recording(counts: list[int], cuts: set[int], other_cuts: set[int]) -> None:
     """Assert that what stands for a recording that cannot be made again does not depend on where it was cut."""
     with TemporaryDirectory() as name:

@@ -103,6 +103,7 @@ def test_set_up_is_repeated_after_a_loss() -> None:
         assert gripper.instructions()[Instruction.PING] >= 3  # the first, once more, and the one of the second set-up
 
 
+@pytest.mark.slow
 def test_set_up_gives_up_on_a_bad_line() -> None:
     """Assert that a line on which nearly every set-up loses an answer is refused in words, with torque off."""
     with VirtualGripper(faults=["lost-answer%20"], seed=1) as gripper:

@@ -71,6 +71,7 @@ def test_a_dot_astray_is_not_ok_unless_it_is_flagged(monkeypatch):
     assert "1 of 63 dots flagged lost, 0 others" in rows[0]["outcome"]
 
 
+@pytest.mark.slow
 def test_a_dot_that_leaves_the_frame_counts():
     """Assert that dots which leave the frame, and are reported in it, are as far off as they are."""
     worst, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "stable", slices=200)

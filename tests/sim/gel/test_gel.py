@@ -107,6 +107,7 @@ def drag(influence, traction, bound, along_x_m, sweeps):
     return change / bound.max()
 
 
+@pytest.mark.slow
 def test_partial_slip_on_a_half_space():
     """Assert that a sphere dragged over a half space obeys Cattaneo and Mindlin: force to 0.3 %, stick radius to 1 %.
 

@@ -26,6 +26,7 @@ def pads(stiffness: float = 1.0, factor: float = 1.0) -> tuple[gel.GelState, gel
 
 
 @pytest.mark.parametrize("law", [gel.Friction(0.8, 0.8), FRICTION])
+@pytest.mark.slow
 def test_equal_pads_are_mirrored_pads(law: gel.Friction) -> None:
     """Assert that two pads that do not differ do what one does that counts twice, through slip and to 1e-9 m."""
     first, second = pads()

@@ -79,6 +79,7 @@ def test_another_sensor_is_far(same: tuple[Path, Path], tmp_path: Path) -> None:
     assert rows["rest", "hot_pixels"]["distance"] < 0.05
 
 
+@pytest.mark.slow
 def test_motion(tmp_path: Path) -> None:
     """Assert that bursts of events are a phase of their own, whose rate and spectrum are compared."""
 

@@ -67,6 +67,7 @@ def test_refusals(tmp_path: Path, chosen, said: str) -> None:
         grasp.jobs([], Grasp(**chosen), tmp_path)
 
 
+@pytest.mark.slow
 def test_dry_run_refuses_what_a_run_does(tmp_path: Path) -> None:
     """Assert that a file made by another recipe, and a model that is not there, are refused by a dry run too."""
     out = tmp_path / "a.recording.h5"

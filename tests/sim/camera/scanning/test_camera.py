@@ -358,6 +358,7 @@ def test_window_against_every_pixel(velocity: tuple[float, float], slices: int) 
 
 @pytest.mark.parametrize("leak_hz", [0.0, 10.0])
 @pytest.mark.parametrize("refractory_us", [0.0, 1500.0])
+@pytest.mark.slow
 def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
     """Assert equal events and references of a camera that is woken before every slice and of one that sleeps on."""
     model = dataclasses.replace(QUIET, leak_hz=leak_hz, refractory_us=refractory_us, mismatch=0.1)

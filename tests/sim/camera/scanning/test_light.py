@@ -56,6 +56,7 @@ def walk(slices: int, rng: np.random.Generator) -> NDArray[np.float64]:
     ],
     ids=["shallow", "deep", "flicker and step"],
 )
+@pytest.mark.slow
 def test_light_against_every_pixel(change: LightChange, refractory_us: float) -> None:
     """Assert the very events of a camera that compares all pixels in every scan, and again when the light changed."""
     rng = np.random.default_rng(4)
