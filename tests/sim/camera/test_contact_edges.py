@@ -18,6 +18,8 @@ from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 
+pytestmark = pytest.mark.slow  # a minute of processor time
+
 FRAME = (120, 90)
 QUIET = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0)
 STRIP = (80, 10, 120, 80)

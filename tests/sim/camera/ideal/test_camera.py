@@ -21,6 +21,8 @@ from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 
+pytestmark = pytest.mark.slow  # a minute of processor time
+
 Path = Callable[[float], NDArray[np.float64]]
 
 FRAME = (100, 80)
