@@ -100,9 +100,12 @@ def set_niceness(niceness: int) -> str:
 
 
 @contextmanager
-def behind_others(niceness: int) -> Iterator[None]:
-    """Put this process behind others for as long as the block lasts, and then, if permitted, where it was."""
+def at_niceness(niceness: int) -> Iterator[None]:
+    """Put this process ahead of others or behind them for as long as the block lasts, where that can be undone."""
     before = os.getpriority(os.PRIO_PROCESS, 0)
+    if set_niceness(before - 1) == USUAL:  # who may not go ahead could not come back either
+        yield
+        return
     set_niceness(niceness)
     try:
         yield

@@ -30,7 +30,7 @@ from evetac_cli.store.segments import RecordingWriter, refuse_leftover
 INTERRUPTED = "interrupted"
 OPENED = "opened by the emergency key"
 KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
-PRIORITY = 10  # of whoever records while a gripper moves: behind detector and controller, whose steps are short
+PRIORITY = 10  # of `record` while a gripper moves
 SPEED = "`evetac doctor --speed` says what is too slow"
 OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
 FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time

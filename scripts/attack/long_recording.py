@@ -8,7 +8,7 @@ file says so: a load for memory and disk, and no touch that anybody would see. W
 replayed, validate, repair, trim, export and import run on it; a table says how long each took and how much memory
 (largest resident set, no less than this program's own). Exit code 1 if one failed or took more than the limit.
 
-Why not `train`: it keeps the slices that it trains on in memory, and these are those of trials, not of hours.
+Why not `train`: it learns from trials, not from hours.
 """
 
 import argparse

@@ -60,14 +60,14 @@ def test_niceness_is_changed_for_a_while(monkeypatch: pytest.MonkeyPatch) -> Non
         setpriority=lambda what, process, value: changed.append(value),
     )
     monkeypatch.setattr(processes, "os", permitted)
-    with processes.behind_others(15):
-        assert changed == [15]
-    assert changed == [15, -3]
+    with processes.at_niceness(15):
+        assert changed == [-4, 15]
+    assert changed == [-4, 15, -3]
     assert processes.set_niceness(-10) == "nice -10"
 
     def refuse(what: int, process: int, value: int) -> None:
         raise PermissionError
 
     permitted.setpriority = refuse
-    with processes.behind_others(15):
+    with processes.at_niceness(15):
         assert processes.set_niceness(-10) == processes.USUAL

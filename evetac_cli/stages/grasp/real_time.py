@@ -26,7 +26,7 @@ from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params.grasp import Grasp
-from evetac_cli.realtime.processes import behind_others, raised_priority, set_realtime_priority
+from evetac_cli.realtime.processes import at_niceness, set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.stages import session
 from evetac_cli.stages.grasp import replay, setup
@@ -47,7 +47,7 @@ METHOD = 2  # of grasps in real time
 EVENTS_S = 500_000  # that the disk must have room for
 SLOWEST_HZ = 100.0  # below, the watchdog would be blind
 SERVO_PRIORITY = 40  # hardware does not wait for a scheduler
-RECORDER_NICE = 15  # beside virtual devices: of what takes much, it can wait longest
+RECORDER_NICE, BESIDE_VIRTUAL = -5, 15  # behind the detector; beside devices that take as much, behind all
 LAST_TICK = 740  # closed; the law's own limit
 FALLS = "torque is switched off at the end, and at once if detector, camera or bus fail: what is held then falls"
 
@@ -176,7 +176,6 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         opened.callback(processes.close)
         if servo is not None and servo.pid is not None:
             set_realtime_priority(SERVO_PRIORITY, servo.pid)
-            opened.enter_context(behind_others(RECORDER_NICE))
         camera_ready, gripper_ready = processes.begin(signals)
         for note in camera_ready.notes:
             console.say(note)
@@ -190,9 +189,8 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         try:
             if not signals:
                 processes.go()
-            with raised_priority(
-                session.PRIORITY, wanted=gripper.is_hardware
-            ):  # a grasp lasts while its recorder is alive
+            # A grasp lasts while its recorder is alive.
+            with at_niceness(RECORDER_NICE if gripper.is_hardware else BESIDE_VIRTUAL):
                 recorded = record(
                     processes, world, writer, timing.end_ms, signals, key, lambda done: progress(done, timing.end_ms)
                 )
