@@ -1,16 +1,19 @@
 """Where jobs run: on this computer (`local`, workers.py), or on a Dask cluster (`dask`, `dask:tcp://ADDRESS`).
 
-A task is one job, which reads and writes its files itself: the cluster needs storage that all its computers share, and
-only paths and rows travel. A worker goes to the folder in which the command was started, so that paths, rows and
-recipes read the same on every engine.
+A job reads and writes its files itself: the cluster needs storage that all its computers share, and only paths and rows
+travel. A worker goes to the folder in which the command was started, so that paths, rows and recipes read the same on
+every engine. A task is one job, or as many short ones as take TASK_S: handing out a task costs some 18 ms.
 
 Why a file that lies beside the outputs while a command runs: a worker that sees it shares the storage, and one that no
 longer sees it has to stop. Dask itself cannot end a task that has begun.
 
-Why no more tasks than there are workers: if one dies, Dask counts that against every task that was handed to it, also
-those that only waited there. And jobs share the working folder of a worker, so that it takes one at a time.
+Why no more tasks than there are workers, and why a cluster of our own gives up a task with its worker: if a worker
+dies, Dask counts that against every task that was handed to it, also those that only waited there, or that it moved
+there from another that had died. So we hand out again ourselves. And jobs share the working folder of a worker, so that
+it takes one at a time.
 """
 
+import itertools
 import logging
 import os
 import pkgutil
@@ -36,6 +39,7 @@ LOCAL, DASK = "local", "dask"
 LOOK_S = 1.0  # so often a worker looks whether it has to stop, and the command for workers that joined
 GRACE_S = 5.0  # in which the workers of somebody's cluster may stop
 DEATHS = 3  # of workers at the same job, then the job is at fault
+TASK_S = 1.0  # shorter jobs are handed out together
 CONNECT_S = 20.0
 _one_job_at_a_time = threading.Lock()  # in a worker, which may have several threads
 
@@ -102,25 +106,37 @@ def check_worker(command: Command) -> str:
     return "" if command.sign.exists() else f"does not see the files in {command.sign.parent}: no shared storage"
 
 
-def run_task(command: Command, job: Job, seen: tuple[Path, ...]) -> Outcome | EvetacError | Refused | None:
-    """What a worker does with one job; None if it was told to stop. seen: inputs that the command itself sees."""
+def run_task(command: Command, jobs: list[Job], seen: list[tuple[Path, ...]]) -> list[Outcome | EvetacError] | Refused:
+    """What a worker does with some jobs, one after the other; fewer results if it was told to stop.
+
+    seen: inputs of every job that the command itself sees.
+    """
     with _one_job_at_a_time:
         if reason := check_worker(command):
             return Refused(reason)
         resources.find_kernel_cache()
         before = Path.cwd()
         os.chdir(command.folder)
+        results: list[Outcome | EvetacError] = []
         try:
-            for path in seen:
-                if not path.exists():
-                    return EvetacError(
-                        f"a worker on {platform.node()} does not see this file: no shared storage", where=str(path)
-                    )
-            return workers.run_one(command.module, job, command.chosen, command.force, _stopping(command.sign))
+            stopping = _stopping(command.sign)
+            for job, paths in zip(jobs, seen, strict=True):
+                results.append(_run_job(command, job, paths, stopping))
         except KeyboardInterrupt:
-            return None
+            pass
         finally:
             os.chdir(before)
+        return results
+
+
+def _run_job(command: Command, job: Job, seen: tuple[Path, ...], stopping: Progress) -> Outcome | EvetacError:
+    for path in seen:
+        if not path.exists():
+            return EvetacError(
+                f"a worker on {platform.node()} does not see this file: no shared storage", where=str(path)
+            )
+    stopping(0, 1)  # also between jobs that tell no progress
+    return workers.run_one(command.module, job, command.chosen, command.force, stopping)
 
 
 def _stopping(sign: Path) -> Progress:
@@ -212,7 +228,7 @@ def _client(engine: Engine, at_once: int) -> Iterator[Any]:
             yield client
         return
     settings = {
-        "distributed.scheduler.allowed-failures": DEATHS - 1,
+        "distributed.scheduler.allowed-failures": 0,
         "distributed.worker.profile.enabled": False,
         "distributed.comm.timeouts.connect": f"{CONNECT_S} s",
     }
@@ -247,9 +263,13 @@ class _Run:
         self.waiting = deque(jobs)
         self.count = len(jobs)
         self.progress, self.results = progress, results
-        self.running: dict[Any, Job] = {}  # by their futures
+        self.running: dict[Any, list[Job]] = {}  # by their futures
+        self.alone = False  # every job a task of its own
+        self.deaths: dict[Path, int] = {}  # of workers at a job, by its output
+        self.took_s, self.took_jobs = 0.0, 0  # of workers, for all jobs that ended
+        self.handed_out_s: dict[Any, float] = {}  # when, by futures
         self.ended: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures
-        self.name = f"evetac-{uuid.uuid4().hex}"
+        self.name, self.numbers = f"evetac-{uuid.uuid4().hex}", itertools.count()
         self.workers: set[str] = set()  # all that there ever were
         self.fit: list[str] | None = None  # those that may be used; None: all, also those that join
         self.said: set[str] = set()
@@ -277,22 +297,29 @@ class _Run:
         self.workers |= joined
         usable = len(joined if self.fit is None else joined & set(self.fit))
         while self.waiting and len(self.running) < usable:
-            job = self.waiting.popleft()
-            seen = tuple(path for path in job.inputs if path.exists())
-            key = f"{self.name}-{self.count - len(self.waiting)}"
+            jobs = [self.waiting.popleft() for _ in range(self._task_size(usable))]
+            seen = [tuple(path for path in job.inputs if path.exists()) for job in jobs]
             # Others may take what was meant for a worker that is gone: they refuse it, and it is handed out again.
             future = self.client.submit(
                 run_task,
                 self.command,
-                job,
+                jobs,
                 seen,
-                key=key,
+                key=f"{self.name}-{next(self.numbers)}",  # never the same: Dask would give the result of the other
                 pure=False,
                 workers=self.fit,
                 allow_other_workers=self.fit is not None,
             )
-            self.running[future] = job
+            self.running[future] = jobs
+            self.handed_out_s[future] = time.monotonic()
             future.add_done_callback(self.ended.put)
+
+    def _task_size(self, usable: int) -> int:
+        """How many jobs make the next task: TASK_S of work, but so few that all workers end at about the same time."""
+        if self.alone or not self.took_jobs:
+            return 1
+        last = -(-len(self.waiting) // (2 * usable))
+        return max(1, min(last, int(TASK_S * self.took_jobs / max(self.took_s, 1e-6))))
 
     def _wait(self, timeout_s: float = LOOK_S) -> Any:
         """The next future that ended, or None; here Ctrl-C comes up."""
@@ -305,32 +332,47 @@ class _Run:
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
     def _take(self, future: Any) -> None:
-        """Note what came of a job; one that was refused waits again."""
+        """Note what came of jobs; those that were refused wait again."""
         if future is None:
             return
-        job = self.running.pop(future)
-        result = self._result(future, job)
-        if isinstance(result, Outcome | EvetacError):
-            self.results[job.output] = result
+        jobs = self.running.pop(future)
+        began_s = self.handed_out_s.pop(future)
+        results = self._results(future, jobs)
+        if isinstance(results, Refused):
+            results = []
+        if results:
+            self.took_s += time.monotonic() - began_s
+            self.took_jobs += len(results)
+            self.results |= {job.output: result for job, result in zip(jobs, results, strict=False)}
             self.progress(len(self.results), self.count)
-        elif not self.stopping:  # refused, or the file that says that the command runs was removed
-            self.waiting.appendleft(job)
+        rest = jobs[len(results) :]
+        if rest and not self.stopping:  # refused, or the file that says that the command runs was removed
+            self.waiting.extendleft(reversed(rest))
             self._look_at_workers()
 
-    def _result(self, future: Any, job: Job) -> Outcome | EvetacError | Refused | None:
+    def _results(self, future: Any, jobs: list[Job]) -> list[Outcome | EvetacError] | Refused:
         from concurrent.futures import CancelledError
 
         from distributed import KilledWorker
 
         try:
-            result: Outcome | EvetacError | Refused | None = future.result()
+            results: list[Outcome | EvetacError] | Refused = future.result()
         except KilledWorker as error:
-            return EvetacError(
-                f"{error.allowed_failures + 1} workers died while they worked on it",
-                where=str(job.output),
-                found=f"the last was {error.last_worker.address}",
-                hint="out of memory? use workers with more of it, or fewer on a computer",
-            )
+            if len(jobs) > 1:  # which of them it was shows when each is a task of its own
+                self.alone = True
+                return []
+            output = jobs[0].output
+            self.deaths[output] = deaths = self.deaths.get(output, 0) + error.allowed_failures + 1
+            if deaths < DEATHS:
+                return []
+            return [
+                EvetacError(
+                    f"{deaths} workers died while they worked on it",
+                    where=str(output),
+                    found=f"the last was {error.last_worker.address}",
+                    hint="out of memory? use workers with more of it, or fewer on a computer",
+                )
+            ]
         except (CancelledError, OSError):
             if future.status == "error":  # raised by the job itself
                 raise
@@ -343,7 +385,7 @@ class _Run:
             if (error.name or "").partition(".")[0] != "evetac_cli":
                 raise
             return Refused("has no evetac")  # it could not even read the task
-        return result
+        return results
 
     def _look_at_workers(self) -> None:
         """Leave out workers that do not fit, and say so; InputError if none ever did."""
@@ -396,6 +438,6 @@ class _Run:
             return
         with suppress(Exception):  # a cluster that is gone cannot be asked
             if self.workers - set(self.client.nthreads()):
-                outputs = [job.output for job in self.running.values()] + list(self.results)
+                outputs = [job.output for jobs in self.running.values() for job in jobs] + list(self.results)
                 files = [self.command.folder / output for output in outputs]
                 self.client.run(workers.remove_unfinished, files, on_error="ignore")

@@ -122,8 +122,8 @@ def test_a_worker_goes_to_the_folder_of_the_command(
     before = Path.cwd()
     where = []
     stage_is(monkeypatch, lambda *_: where.append(Path.cwd()) or MADE)
-    assert engines.run_task(command, Job((), Path("a.h5")), ()) is MADE
-    assert where == [tmp_path]
+    assert engines.run_task(command, [Job((), Path("a.h5")), Job((), Path("b.h5"))], [(), ()]) == [MADE, MADE]
+    assert where == [tmp_path, tmp_path]
     assert Path.cwd() == before
 
 
@@ -134,11 +134,11 @@ def test_a_worker_that_does_not_fit_refuses(
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
     job = Job((), Path("a.h5"))
     monkeypatch.setattr(engines, "__version__", "0.0.0")
-    refused = engines.run_task(command, job, ())
+    refused = engines.run_task(command, [job], [()])
     assert refused == Refused(f"has evetac 0.0.0, and this is evetac {command.version}")
     monkeypatch.setattr(engines, "__version__", command.version)
     (tmp_path / "sign").unlink()
-    refused = engines.run_task(command, job, ())
+    refused = engines.run_task(command, [job], [()])
     assert isinstance(refused, Refused) and "no shared storage" in refused.reason
     elsewhere = engines.Command("standing", None, False, command.version, tmp_path / "none", command.sign)
     assert str(tmp_path / "none") in engines.check_worker(elsewhere)
@@ -147,22 +147,29 @@ def test_a_worker_that_does_not_fit_refuses(
 def test_an_input_that_a_worker_does_not_see(command: engines.Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that an input that only the command sees is an error that names it."""
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
-    result = engines.run_task(command, Job((), Path("a.h5")), (Path("b.recording.h5"),))
-    assert isinstance(result, EvetacError)
+    results = engines.run_task(command, [Job((), Path("a.h5"))], [(Path("b.recording.h5"),)])
+    assert isinstance(results, list) and isinstance(results[0], EvetacError)
+    result = results[0]
     assert "b.recording.h5" in str(result) and "no shared storage" in str(result)
 
 
 def test_a_job_ends_with_its_command(command: engines.Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone."""
+    """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone.
+
+    What the task had finished before is told.
+    """
 
     def run(module: str, job: Job, chosen: Any, force: bool, progress: Any) -> Outcome:
+        if job.output.stem == "first":
+            return MADE
         progress(1, 3)
         command.sign.unlink()
         progress(2, 3)
         pytest.fail("went on")
 
     stage_is(monkeypatch, run)
-    assert engines.run_task(command, Job((), Path("a.h5")), ()) is None
+    jobs = [Job((), Path(f"{name}.h5")) for name in ("first", "second", "third")]
+    assert engines.run_task(command, jobs, [(), (), ()]) == [MADE]
 
 
 # --- clusters ---------------------------------------------------------------------------------------------------------
@@ -230,10 +237,14 @@ def left(folder: Path) -> list[str]:
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 @pytest.mark.slow
 def test_a_job_whose_worker_dies_runs_again(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
-    """Assert that one death costs nothing, that the third at the same job is an error that names it, others go on."""
-    reported = run(started, tmp_path, "dask", "quick-1", "once-1", "killed-1", "quick-2").ended()
+    """Assert that one death costs nothing, that the third at the same job is an error that names it, others go on.
+
+    Also where short jobs were handed out together.
+    """
+    others = ["quick-1", "once-1", *(f"quick-{number}" for number in range(2, 20))]
+    reported = run(started, tmp_path, "dask", *others[:15], "killed-1", *others[15:]).ended()
     assert reported["ended"] == ""
-    assert {name for name, result in reported["jobs"].items() if result == "made"} == {"quick-1", "once-1", "quick-2"}
+    assert {name for name, result in reported["jobs"].items() if result == "made"} == set(others)
     assert "killed-1.h5" in reported["jobs"]["killed-1"] and "3 workers died" in reported["jobs"]["killed-1"]
     assert len((tmp_path / "once-1.pids").read_text().split()) >= 2
     assert [name for name in left(tmp_path) if "killed" in name or "runs" in name] == []
