@@ -230,6 +230,9 @@ def _client(engine: Engine, at_once: int) -> Iterator[Any]:
     settings = {
         "distributed.scheduler.allowed-failures": 0,
         "distributed.worker.profile.enabled": False,
+        "distributed.admin.tick.interval": "1 s",  # each tick takes the interpreter from the job
+        # Its default gives freed memory back at once, and the next array takes it anew, page by page.
+        "distributed.nanny.pre-spawn-environ": dict.fromkeys(workers.ONE_THREAD, "1"),
         "distributed.comm.timeouts.connect": f"{CONNECT_S} s",
     }
     with (

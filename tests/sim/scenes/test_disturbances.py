@@ -191,7 +191,7 @@ def test_a_calibration_that_is_off() -> None:
         np.testing.assert_array_equal(off.truth()["truth/dot_xy_px"], true.truth()["truth/dot_xy_px"])
 
 
-@pytest.mark.parametrize("readout", ["dvxplorer", "ideal"])
+@pytest.mark.parametrize("readout", ["dvxplorer", pytest.param("ideal", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("bandwidth_hz", [0.0, 500.0])
 def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
     """Assert that a dot brightens once where it was, makes no events afterwards, and goes on in the truth."""

@@ -26,6 +26,7 @@ def both_n(one: GraspSimulation) -> tuple[float, float]:
     return done.friction_n[0], done.second_friction_n[0]
 
 
+@pytest.mark.slow
 def test_a_second_finger_that_does_not_differ() -> None:
     """Assert that it makes the trial of mirrored fingers, from hold to loss, within 0.01 px and 1 ms of slip."""
     mirrored, own = (trial("slip", "ramp", second) for second in (None, {"friction_factor": 1.0}))
