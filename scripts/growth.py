@@ -29,6 +29,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ USUAL_EVENTS = 1_000
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14, 16)
 DISTINCT = 400_000  # events in slices that are timed in turn: with few, their pixels would be hot, and left out
 REPEAT, WARM_UP = 300, 20
-LENGTHS_S = (1, 10, 60, 600, 3600)
+LENGTHS_S = (1, 60, 600, 3600)
 TRAJECTORIES = (20, 60, 180)
 FILES = (100, 1_000, 10_000)
 MOST_OVER_LINEAR = 0.1
@@ -168,19 +169,37 @@ def stage_commands(name: str) -> dict[str, tuple[str, ...]]:
 
 
 def slices(longest_s: int, events_a_slice: float) -> list[Row]:
-    """A row for every stage and length: up to a minute the least of three, in which start-up weighs."""
+    """A row for every stage and length; up to a minute the mean of several turns, in which start-up weighs."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         cpu_of("record", "--object", "2", "--seed", str(SEED), "-o", "trial.recording.h5", cwd=folder)
         with open_recording(folder / "trial.recording.h5") as trial:
             repeated = Repeated(trial, events_a_slice)
-        for length_s in (length for length in LENGTHS_S if length <= longest_s):
-            turns = [_stages(folder / str(length_s), repeated, length_s) for _ in range(3 if length_s <= 60 else 1)]
-            for same in zip(*turns, strict=True):  # what else the computer did is in the longer ones
-                rows.append(min(same, key=lambda row: row["cpu_s"]))
-                print(rows[-1], file=sys.stderr)
-    return with_linear(rows)
+        lengths = [length for length in LENGTHS_S if length <= longest_s]
+        short = [length for length in lengths if length <= 60]
+        # Short ones again before and after every long one: a computer is faster at one time than at another.
+        order = [*short * 2, *(length for longer in lengths[len(short) :] for length in (longer, *short * 2))]
+        for length_s in order:
+            rows += _stages(folder / str(length_s), repeated, length_s)
+            print(*rows[-len(stage_commands("")) :], sep="\n", file=sys.stderr)
+    return with_linear(means(rows))
+
+
+def means(rows: list[Row]) -> list[Row]:
+    """A row for every stage and length, with the mean processor time and the most memory of its turns."""
+    turns: dict[tuple[str, int], list[Row]] = {}
+    for row in rows:
+        turns.setdefault((row["stage"], row["length_s"]), []).append(row)
+    return [
+        {
+            "stage": stage,
+            "length_s": length_s,
+            "cpu_s": fmean(row["cpu_s"] for row in same),
+            "memory_mb": max(row["memory_mb"] for row in same),
+        }
+        for (stage, length_s), same in sorted(turns.items(), key=lambda turn: turn[0][1])
+    ]
 
 
 def _stages(place: Path, repeated: Repeated, length_s: int) -> list[Row]:

@@ -119,7 +119,8 @@ def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> I
         judged = sum(files.count for files in matching(patterns, made))
         each = costs[f"evaluate {what}"]
         many = sum(files.count for files in models) or 1
-        yield Step(experiment, f"evaluate {what}", 1, each["cpu_s"] * judged * many, 0.0)
+        tasks = many if what == "slip" else 1  # of which each model is judged by itself
+        yield Step(experiment, f"evaluate {what}", tasks, each["cpu_s"] * judged * many / tasks, 0.0)
         return
     inputs = matching(words[1:end], made)
     if not inputs:
