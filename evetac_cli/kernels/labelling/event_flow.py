@@ -240,19 +240,41 @@ def events_per_px(moved: Floats, leading: Floats, assumed: float, fading_px: flo
     `moved` (slices + 1,) counts events without noise, `leading` is how far the leading dots are from rest, every
     STEP_MS slices. Of all earlier steps the median, weighted by how far these dots went; `assumed` before.
     """
-    slices = len(moved) - 1
-    known = np.full(slices, assumed)
     gone = np.diff(leading)
     seen = np.diff(moved[::STEP_MS]) * (1.0 + 0.5 * (leading[1:] + leading[:-1]) / fading_px)
-    steps: list[tuple[float, float]] = []  # events a pixel, weight
-    for step, (moved_px, events) in enumerate(zip(gone, seen, strict=True)):
-        if step and moved_px > LEAST_STEP_PX:  # in the first step the dots jump from rest to where they are
-            steps.append((events / moved_px, moved_px))
-        if len(steps) >= LEAST_STEPS:
-            rates, weights = np.array(sorted(steps)).T
-            reached = np.cumsum(weights)
-            known[(step + 1) * STEP_MS + LAG_MS :] = rates[np.searchsorted(reached, 0.5 * reached[-1])]
+    used = gone > LEAST_STEP_PX
+    used[:1] = False  # in the first step the dots jump from rest to where they are
+    steps = np.cumsum(used)  # of use up to each
+    medians = _medians(seen[used] / gone[used], gone[used])
+    known = np.full(len(moved) - 1, assumed)
+    ended = (np.arange(len(known)) - LAG_MS) // STEP_MS - 1  # step that a slice may use, with all before it
+    of_use = steps[np.clip(ended, 0, None)] if len(steps) else np.zeros(len(known), np.int64)
+    tells = (ended >= 0) & (of_use >= LEAST_STEPS)
+    known[tells] = medians[of_use[tells] - 1]
     return known
+
+
+@njit(cache=True)
+def _medians(rates: Floats, weights: Floats) -> Floats:
+    """Weighted median of the first value, the first two, and so on; sorted by insertion, so that an hour is quick."""
+    medians, reached = np.empty(len(rates)), np.empty(len(rates))
+    ordered, ordered_weights = np.empty(len(rates)), np.empty(len(rates))
+    for count in range(len(rates)):
+        at = count
+        while at > 0 and (
+            ordered[at - 1] > rates[count]
+            or (ordered[at - 1] == rates[count] and ordered_weights[at - 1] > weights[count])
+        ):
+            ordered[at] = ordered[at - 1]
+            ordered_weights[at] = ordered_weights[at - 1]
+            at -= 1
+        ordered[at] = rates[count]
+        ordered_weights[at] = weights[count]
+        for place in range(at, count + 1):
+            reached[place] = ordered_weights[place] + (reached[place - 1] if place else 0.0)
+        half = np.searchsorted(reached[: count + 1], 0.5 * reached[count])
+        medians[count] = ordered[half]
+    return medians
 
 
 def travel(moved: Floats, fresh: Floats, fading_px: float) -> Floats:

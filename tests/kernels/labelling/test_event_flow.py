@@ -215,3 +215,13 @@ def test_impossible_constants(wrong: dict[str, float]) -> None:
     """Assert that constants out of range are refused by name."""
     with pytest.raises(ValueError, match=next(iter(wrong))):
         event_flow.EventFlowConstants(**wrong)  # type: ignore[arg-type]
+
+
+def test_medians_are_those_of_all_values_so_far() -> None:
+    """Assert that each weighted median is that of a sorted list of the values up to it, also where values are equal."""
+    rng = np.random.default_rng(0)
+    rates, weights = np.round(rng.random(300), 1), 0.1 * rng.integers(1, 9, 300)
+    for count, median in enumerate(event_flow._medians(rates, weights), 1):
+        ordered, by = np.array(sorted(zip(rates[:count], weights[:count], strict=True))).T
+        reached = np.cumsum(by)
+        assert median == ordered[np.searchsorted(reached, 0.5 * reached[-1])]
