@@ -47,7 +47,7 @@ ONLY_IN = {
         "kernels/force/gel_training.py",
         "stages/train.py",
     ),
-    "typer": ("cli/main.py", "cli/exit_codes.py"),
+    "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),
     "dask": ("cli/engines.py",),
     "distributed": ("cli/engines.py",),

@@ -1,29 +1,25 @@
 """The command line: pick a command, read its flags, run its jobs, print the result or the error.
 
-Flags are made from the dataclasses in params/, so a parameter is written down once. A stage is imported only when it
-is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
+A stage is imported only when it is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
 """
 
 import importlib
-import inspect
 import itertools
 import os
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import typer
 
 from evetac_cli import __version__, console, resources
-from evetac_cli.cli import compiling, config, engines, exit_codes, workers
+from evetac_cli.cli import compiling, config, engines, exit_codes, flags, workers
 from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome, require_possible_name
-from evetac_cli.params.parameter import flag_of
 
 MOST_ROWS = 100  # of one table on a terminal
 
@@ -34,7 +30,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-evaluate = typer.Typer(help="Measure results: figures, tables, a report file.", no_args_is_help=True)
+evaluate = typer.Typer(
+    cls=flags.Group, help="Measure results: figures, tables, a report file.", no_args_is_help=True
+)
 
 
 def _print_version(wanted: bool) -> None:
@@ -52,89 +50,29 @@ def _root(
     """Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp."""
 
 
-# How to run, the same for every command that makes files; none of it changes the numbers.
-_RUNNING: dict[str, tuple[Any, Any, str, str]] = {
-    "out": (Path | None, None, "-o/--out", "Output file (ends in .h5) or folder; default: beside the input."),
-    "force": (bool, False, "-f/--force", "Replace an output that was made by another recipe."),
-    "number_of_jobs": (int, 1, "-j/--jobs", "Files worked on at the same time."),
-    "engine": (
-        str,
-        engines.LOCAL,
-        "--engine",
-        "Where files are worked on; local: processes of this computer; dask: a Dask cluster of --jobs processes;"
-        " dask:tcp://ADDRESS: one that runs, see docs/cluster.md.",
-    ),
-    "config": (Path | None, None, "--config", "TOML file with parameters, one table a command."),
-    "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
-    "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
-    "verbose": (bool, False, "-v/--verbose", "Print the traceback of an error."),
-}
-# view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
-_VIEWING = {name: entry for name, entry in _RUNNING.items() if name not in ("number_of_jobs", "engine", "config")} | {
-    "out": (Path | None, None, "-o/--out", "Page (ends in .html) or folder; default: beside the file."),
-    "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
-}
-_EXPORTING = _VIEWING | {
-    "out": (Path | None, None, "-o/--out", "File or folder; default: beside the recording."),
-    "force": (bool, False, "-f/--force", "Replace a file that exists."),
-}
-_EXAMINING = {name: _RUNNING[name] for name in ("as_json", "verbose")} | {
-    "out": (Path | None, None, "-o/--out", "--hardware: report file; default: evetac-hardware-DATE.json here."),
-}
-
-
 def _add(
     group: typer.Typer,
     command: Command,
     title: str,
     panel: str,
     act: Callable[[Command, str, dict[str, Any]], None] | None = None,
-    running: dict[str, tuple[Any, Any, str, str]] = _RUNNING,
+    running: dict[str, tuple[Any, Any, str, str]] = flags.OF_STAGES,
 ) -> None:
     """Register a command whose signature is made from its parameters."""
 
     def call(**given: Any) -> None:
         (act or _execute)(command, title, given)
 
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    signature = []
-    if command.files:
-        files = Annotated[list[Path], typer.Argument(help=command.files, show_default=False)]
-        needed: Any = inspect.Parameter.empty if command.files_needed else []
-        signature.append(inspect.Parameter("files", keyword, default=needed, annotation=files))
-    hints = get_type_hints(command.params)
-    for item in fields(command.params):
-        unit = f" \\[{item.metadata['unit']}]" if item.metadata["unit"] else ""
-        choices = f" ({', '.join(item.metadata['choices'])})" if len(item.metadata["choices"]) > 1 else ""
-        flag = flag_of(item)
-        has_default = item.default is not None and item.default is not False and item.default != ""
-        default = f" \\[default: {item.default}]" if has_default else ""
-        text = item.metadata["help"].replace("[", "\\[")  # text, not markup
-        help_ = text + choices + unit + default
-        option: Any  # typer's own types of arguments and options
-        if flag.startswith("--"):
-            option = typer.Option(flag if hints[item.name] is not bool else f"{flag}/--no-{flag[2:]}", help=help_)
-        else:
-            option = typer.Argument(metavar=flag, help=help_, show_default=False)
-        # Every flag defaults to None, so that a config file can tell what was not given. What is named by its place
-        # comes before the files, which take all the rest.
-        entry = inspect.Parameter(
-            item.name, keyword, default=None, annotation=Annotated[hints[item.name] | None, option]
-        )
-        signature.insert(len(signature) if flag.startswith("--") else 0, entry)
-    for name, (kind, default, flags, help_) in running.items():
-        shown = default in (1, engines.LOCAL)
-        option = typer.Option(*flags.split("/"), help=help_, rich_help_panel="Running", show_default=shown)
-        signature.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
-    call.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
-    call.__annotations__ = {entry.name: entry.annotation for entry in signature}
-    call.__doc__ = command.params.__doc__
-    group.command(command.name, rich_help_panel=panel)(call)
+    made = flags.signature(command, running)
+    call.__signature__ = made  # type: ignore[attr-defined]
+    call.__annotations__ = {name: entry.annotation for name, entry in made.parameters.items()}
+    call.__doc__ = flags.help_text(command)
+    group.command(command.name, rich_help_panel=panel, cls=flags.CommandOfFlags)(call)
 
 
 def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
     """Run all jobs of a command and print what came out of them."""
-    running = {name: given.pop(name) for name in _RUNNING}
+    running = {name: given.pop(name) for name in flags.OF_STAGES}
     files = given.pop("files", [])
     with CommandExit(title, running) as run:
         chosen = config.resolve(command.params, title, given, running["config"])
@@ -180,7 +118,7 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
 
 def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> None:
     """Run a command whose output is no stage file (a page, an export), and print where it was written."""
-    running = {name: given.pop(name) for name in _VIEWING}
+    running = {name: given.pop(name) for name in flags.OF_VIEW}
     files = given.pop("files")
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
@@ -193,7 +131,7 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
 
 def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
     """Examine cameras and grippers; exit code 3 if something is wrong with one of them."""
-    running = {name: given.pop(name) for name in _EXAMINING}
+    running = {name: given.pop(name) for name in flags.OF_DOCTOR}
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
         module = importlib.import_module(f"evetac_cli.{command.module}")
@@ -367,8 +305,8 @@ app.command("index", rich_help_panel="Inspect")(
         "index", "Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it.", "Folders."
     )
 )
-_add(app, VIEW, VIEW.name, "Inspect", _write_for_others, _VIEWING)
-_add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, _EXPORTING)
+_add(app, VIEW, VIEW.name, "Inspect", _write_for_others, flags.OF_VIEW)
+_add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, flags.OF_EXPORT)
 app.command("validate", rich_help_panel="Inspect")(
     _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")
 )
@@ -382,7 +320,7 @@ app.command("repair", rich_help_panel="Inspect")(
         "Folders.",
     )
 )
-_add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, _EXAMINING)
+_add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, flags.OF_DOCTOR)
 
 
 def main() -> None:

@@ -28,9 +28,8 @@ class Grasp(Trials):
     )
     controller: str = parameter(
         "paper",
-        "Law of the grip; paper: the paper's, whose balance sets its reference at the first slip; paper-reset: at every"
-        " slip; load-proportional: ours, in proportion to the load; none: contact alone, without the detector; fixed:N:"
-        " closed N ticks beyond light contact.",
+        "Law of the grip; paper: balance sets the reference at the first slip; paper-reset: at every slip;"
+        " load-proportional: ours; none: contact alone, no detector; fixed:N: N ticks beyond light contact.",
     )
     gain: float = parameter(
         1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0, panel=GRIP
@@ -53,8 +52,8 @@ class Grasp(Trials):
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0, panel=GRIP)
     camera: str = parameter(
         "sim",
-        "Camera: sim; virtual (a simulated world behind the real driver, in real time); dvxplorer, dvxplorer:SERIAL;"
-        " dv, dv:SERIAL; replay:RECORDING, with --gripper sim what the controller would have done.",
+        "Camera: sim; virtual, a simulated world behind the real driver; dvxplorer or dvxplorer:SERIAL; dv or"
+        " dv:SERIAL; replay:RECORDING, what the controller would have done.",
         recipe=False,
     )
     gripper: str | None = parameter(
@@ -68,8 +67,7 @@ class Grasp(Trials):
     )
     arm: bool = parameter(
         False,
-        "Move a real gripper. Torque goes off at the end, and at once if detector, camera or bus fail: what is held"
-        " then falls.",
+        "Move a real gripper. Torque goes off at the end and if anything fails: what is held then falls.",
         recipe=False,
     )
     max_current_ma: int = parameter(

@@ -40,8 +40,8 @@ class Record(Trials):
     )
     frame_size: str | None = parameter(
         None,
-        "Frame of the imported file where it does not say, as in 640x480; default: the smallest sensor on the market"
-        " that has all its pixels.",
+        "Frame of the imported file where it does not say, as in 640x480; default: the smallest of a known sensor that"
+        " holds all events.",
         unit="px",
         panel=IMPORT,
     )
