@@ -3,15 +3,18 @@
 import itertools
 import json
 import math
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import error_dict
 from evetac_cli.jobs import Outcome, Progress, silent
 
 FEW_ROWS = 3
+MOST_PASTED = 3  # files that are named one by one at the end
 MOST_NAMING = 3  # columns that are repeated where a table is split
 MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between them a number has more than four digits, and is still easily read
 
@@ -199,6 +202,20 @@ def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[
             columns = list(naming)
         columns.append(column)
     yield columns
+
+
+def print_result(verdict: Sequence[str], made: Sequence[Path]) -> None:
+    """Below a table: what its figures amount to, then the files that were made, as they can be pasted."""
+    for line in verdict:
+        print_text(line)
+    written = [path for path in made if path.exists()]
+    folders = sorted({path.parent for path in written})
+    if len(written) <= MOST_PASTED:
+        words = [shlex.quote(str(path)) for path in written]
+    else:
+        words = [shlex.quote(str(folder)) for folder in folders]  # a folder stands for its files
+    if words:
+        print_text(" ".join(words))
 
 
 def format_value(value: Any) -> str:

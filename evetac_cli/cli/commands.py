@@ -17,6 +17,7 @@ class Command:
     module: str
     files: str  # what the file arguments are; empty if the command takes none
     kind: str = "recording"  # of the files that are taken from a folder
+    suffix: str = ".h5"  # of a file that -o names
     unit: str = "slices"
     files_needed: bool = True
     examples: tuple[str, ...] = ()  # of command lines, as --help shows them
@@ -46,6 +47,7 @@ PIPELINE = (
         recording.Calibrate,
         "stages.calibrate",
         "Press recordings; none with --import.",
+        suffix=".json",
         files_needed=False,
         examples=("evetac calibrate press.recording.h5 -o gel.json", "evetac calibrate --import official.pkl"),
     ),
@@ -54,6 +56,7 @@ PIPELINE = (
         recording.Identify,
         "stages.identify",
         "Recordings of one sensor.",
+        suffix=".toml",
         unit="files",
         examples=("evetac identify rest.recording.h5 press.recording.h5 grip.recording.h5 -o own.sensor.toml",),
     ),
@@ -106,7 +109,7 @@ PIPELINE = (
         kind="tracks",
         unit="steps",
         examples=(
-            "evetac train-force shear/*.tracks.h5 -o force.model.h5",
+            "evetac train-force shear/*.tracks.h5 -o shear.force-model.h5",
             "evetac train-force own --adapt shipped -o own.force-model.h5",
         ),
     ),
@@ -192,7 +195,7 @@ EVALUATE = (
         "Tracks of simulated shear recordings.",
         kind="tracks",
         unit="files",
-        examples=("evetac evaluate force unseen --model force.model.h5",),
+        examples=("evetac evaluate force unseen --model shear.force-model.h5",),
     ),
     Command(
         "realism",
@@ -206,11 +209,11 @@ EVALUATE = (
         "cost",
         evaluation.EvaluateCost,
         "numerics.cost",
-        "Part model: features, models.",
-        kind="features",
+        "Part model: the report of `evaluate slip`, and models.",
+        kind="report",
         unit="rows",
         files_needed=False,
-        examples=("evetac evaluate cost sim", "evetac evaluate cost model unseen --model models"),
+        examples=("evetac evaluate cost sim", "evetac evaluate cost model unseen.slip.report.h5 --model models"),
     ),
     Command(
         "stability",

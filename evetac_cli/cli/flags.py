@@ -20,15 +20,14 @@ from evetac_cli.params.parameter import RUNNING, flag_of
 # How to run, the same for every command that makes files; none of it changes the numbers. Of each flag: the type, the
 # default, the names, the help.
 OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
-    "out": (Path | None, None, "-o/--out", "Output file (ends in .h5) or folder; default: beside the input."),
-    "force": (bool, False, "-f/--force", "Replace an output that was made by another recipe."),
+    "out": (Path | None, None, "-o/--out", "Output file (NAME.h5) or folder; default: beside the input."),
+    "force": (bool, False, "-f/--force", "Replace an output of another recipe."),
     "number_of_jobs": (int, 1, "-j/--jobs", "Files worked on at the same time."),
     "engine": (
         str,
         engines.LOCAL,
         "--engine",
-        "local: processes of this computer; dask: a Dask cluster of --jobs processes; dask:tcp://ADDRESS: one that"
-        " runs, see docs/cluster.md.",
+        "local; dask: a Dask cluster of --jobs processes; dask:tcp://ADDRESS: one that runs (docs/cluster.md).",
     ),
     "config": (Path | None, None, "--config", "TOML file with parameters, one table a command; --no-FLAG unsets one."),
     "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),

@@ -6,6 +6,8 @@ A stage is imported only when it is chosen: `evetac --help` loads none of numpy,
 import importlib
 import itertools
 import os
+import re
+import shlex
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -22,6 +24,7 @@ from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome, require_possible_name
 
 MOST_ROWS = 100  # of one table on a terminal
+OF_FOLDERS = ("index", "repair")  # commands that are about folders, not about the files in them
 
 app = typer.Typer(
     cls=Commands,
@@ -30,9 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-evaluate = typer.Typer(
-    cls=flags.Group, help="Measure results: figures, tables, a report file.", no_args_is_help=True
-)
+evaluate = typer.Typer(cls=flags.Group, help="Measure results: figures, tables, a report file.", no_args_is_help=True)
 
 
 def _print_version(wanted: bool) -> None:
@@ -73,9 +74,11 @@ def _add(
 def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
     """Run all jobs of a command and print what came out of them."""
     running = {name: given.pop(name) for name in flags.OF_STAGES}
-    files = given.pop("files", [])
+    named = given.pop("files", [])
     with CommandExit(title, running) as run:
         chosen = config.resolve(command.params, title, given, running["config"])
+        files = _with_folders(named, command.kind)
+        _check_out(running["out"], command.suffix)
         stage = importlib.import_module(f"evetac_cli.{command.module}")
         jobs: list[Job] = stage.jobs(files, chosen, running["out"])
         _check_outputs(jobs, files, chosen, force=running["force"])
@@ -98,6 +101,10 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
         _run(command, jobs, chosen, running, run.results)
         run.results = {job.output: run.results[job.output] for job in jobs}
         outcomes, errors = run.outcomes(), run.errors()
+        if not running["quiet"] and outcomes:
+            made = any(outcome.made for outcome in outcomes)
+            took = f"{time.monotonic() - started:.1f} s" if made else "up to date, nothing to do"
+            console.say(f"{title}: {took}")
         if outcomes and not (errors and running["as_json"]):
             summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else console.count(outcomes)
             simulated = any(outcome.simulated for outcome in outcomes)
@@ -105,11 +112,11 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             if running["as_json"]:
                 console.show(title, rows, summary, simulated=simulated, as_json=True)
             elif not running["quiet"]:
-                console.show(title, _first(rows), summary, simulated=simulated, as_json=False)
-        if not running["quiet"] and outcomes and not any(outcome.made for outcome in outcomes):
-            console.say(f"{title}: up to date, nothing to do")
-        elif not running["quiet"] and outcomes:
-            console.say(f"{title}: {time.monotonic() - started:.1f} s")
+                # A stage may say which of its rows people want to see, and what they amount to.
+                for_people = getattr(stage, "for_people", None)
+                shown_rows, verdict = for_people(rows, chosen) if for_people else (rows, [])
+                console.show(title, _first(shown_rows), summary, simulated=simulated, as_json=False)
+                console.print_result(verdict, [path for job in jobs for path in getattr(job, "outputs", [job.output])])
         if errors:
             for error in errors[1:]:
                 console.say(f"error: {error}")
@@ -119,14 +126,18 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
 def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> None:
     """Run a command whose output is no stage file (a page, an export), and print where it was written."""
     running = {name: given.pop(name) for name in flags.OF_VIEW}
-    files = given.pop("files")
+    named = given.pop("files")
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
+        files = _with_folders(named, command.kind)
         module = importlib.import_module(f"evetac_cli.{command.module}")
         with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
             result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
         if not running["quiet"] or running["as_json"]:
             console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=running["as_json"])
+            if not running["as_json"]:
+                written = [row.get("output") or row.get("page") for row in result.rows]
+                console.print_result([], [Path(path) for path in written if path])
 
 
 def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
@@ -137,8 +148,12 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         module = importlib.import_module(f"evetac_cli.{command.module}")
         if not chosen.hardware and (chosen.camera or chosen.arm or chosen.yes or running["out"]):
             raise InputError("has no effect without --hardware", where="--camera, --arm, --yes or -o")
-        if chosen.speed and (chosen.hardware or chosen.gripper or chosen.print_udev):
-            raise InputError("have no effect with --speed", where="--hardware, --gripper or --print-udev")
+        apart = [flag for flag in ("print_udev", "compile", "speed", "hardware") if getattr(chosen, flag)]
+        if len(apart) > 1:
+            names = ", ".join(f"--{flag.replace('_', '-')}" for flag in apart)
+            raise InputError("each does something else", where=names, expected="one of them at a time")
+        if chosen.gripper and apart and not chosen.hardware:
+            raise InputError(f"has no effect with --{apart[0].replace('_', '-')}", where="--gripper")
         if chosen.print_udev:
             if running["as_json"]:
                 console.show(title, [], {"udev": module.udev_rules()}, simulated=False, as_json=True)
@@ -167,6 +182,38 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
             module.show(result)
         if result.summary["wrong"]:
             raise typer.Exit(DeviceError.exit_code)
+
+
+def _with_folders(named: list[Path], kind: str = "*") -> list[Path]:
+    """The files that are named, with the files of a kind in place of each folder; InputError for one without any."""
+    files: list[Path] = []
+    for path in named:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        found = sorted(entry for entry in path.glob(f"*.{kind}.h5") if entry.is_file())
+        if not found:
+            below = next(iter(sorted(path.glob(f"*/*.{kind}.h5"))), None)
+            raise InputError(
+                "no such file in this folder",
+                where=str(path),
+                expected=f"*.{kind}.h5",
+                hint=f"name the folder in which they lie: {below.parent}" if below else "",
+            )
+        files += found
+    return files
+
+
+def _check_out(out: Path | None, suffix: str) -> None:
+    """InputError for `-o NAME.txt`, which would become a folder of this name."""
+    if out is not None and re.fullmatch(r"\.[A-Za-z]\w{0,6}", out.suffix) and out.suffix != suffix and not out.is_dir():
+        raise InputError(
+            "looks like a file of another kind",
+            where="--out",
+            expected=f"a name that ends in {suffix}, or a folder",
+            found=str(out),
+            hint=f"for a folder of this name: mkdir {shlex.quote(str(out))} first",
+        )
 
 
 def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
@@ -249,7 +296,7 @@ def _inspector(name: str, help_: str, files_help: str = "Stage files.") -> Calla
     ) -> None:
         with CommandExit(name, {"as_json": as_json, "verbose": verbose}):
             module = importlib.import_module(f"evetac_cli.inspect.{name}")
-            result: Outcome = module.run(files)
+            result: Outcome = module.run(files if name in OF_FOLDERS else _with_folders(files))
             if as_json:
                 console.show(name, result.rows, result.summary, simulated=result.simulated, as_json=True)
             else:
@@ -269,7 +316,7 @@ app.add_typer(evaluate, name="evaluate", rich_help_panel="Pipeline")
 _add(app, PIPELINE[-1], PIPELINE[-1].name, "Pipeline")
 
 
-@app.command("info", rich_help_panel="Inspect")
+@app.command("info", rich_help_panel="Inspect", cls=flags.CommandOfFlags)
 def _info(
     files: Annotated[list[Path], typer.Argument(help="Stage files, or a folder of them.", show_default=False)],
     where: Annotated[
@@ -283,36 +330,53 @@ def _info(
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
 ) -> None:
     """What stage files hold: kind, duration, events, rates, history; of a folder, which files it has, by its index."""
-    if len(files) != 1 or not files[0].is_dir():
-        with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
-            folders = [path for path in files if path.is_dir()]
+    with CommandExit("info", {"as_json": as_json, "verbose": verbose}) as looked:
+        if len(files) != 1 or not files[0].is_dir():
             if where:
                 named = ", ".join(map(str, files))
                 raise InputError("finds files of a folder", where="--where", expected="one folder", found=named)
-            if folders:
-                raise InputError("a folder is looked at by itself", where=str(folders[0]), found=f"{len(files)} names")
-        _inspector("info", "")(files, as_json, verbose)
-        return
-    with CommandExit("info", {"as_json": as_json, "verbose": verbose}):
+            _describe(_with_folders(files), looked)
+            return
         index = importlib.import_module("evetac_cli.inspect.index")
         result: Outcome = index.answer(files[0], where or ())
         rows = result.rows if as_json else _first(index.for_people(result.rows))
         console.show("info", rows, result.summary, simulated=result.simulated, as_json=as_json)
 
 
-app.command("index", rich_help_panel="Inspect")(
+def _describe(files: list[Path], looked: CommandExit) -> None:
+    """Show what each file holds; those that cannot be read are errors at the end, and do not hide the others."""
+    info = importlib.import_module("evetac_cli.inspect.info")
+    for number, path in enumerate(files):
+        try:
+            looked.results[Path(f"{number}")] = info.run([path])
+        except EvetacError as error:
+            looked.results[Path(f"{number}")] = error
+    rows = [row for outcome in looked.outcomes() for row in outcome.rows]
+    simulated = any(outcome.simulated for outcome in looked.outcomes())
+    errors = looked.errors()
+    if looked.as_json and not errors:
+        console.show("info", rows, {"files": len(rows)}, simulated=simulated, as_json=True)
+    elif not looked.as_json:
+        info.show(Outcome(rows, simulated, {"files": len(rows)}))
+    if errors:
+        for error in errors[1:]:
+            console.say(f"error: {error}")
+        raise errors[0]
+
+
+app.command("index", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
     _inspector(
         "index", "Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it.", "Folders."
     )
 )
 _add(app, VIEW, VIEW.name, "Inspect", _write_for_others, flags.OF_VIEW)
 _add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, flags.OF_EXPORT)
-app.command("validate", rich_help_panel="Inspect")(
+app.command("validate", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
     _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")
 )
 
 
-app.command("repair", rich_help_panel="Inspect")(
+app.command("repair", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
     _inspector(
         "repair",
         "Make valid recordings of what broke off: folders NAME.recording.part, or folders that hold some. "

@@ -177,7 +177,7 @@ class Train:
     )
     validate: str = parameter(
         "",
-        "Folder or glob of features on which checkpoint and threshold are chosen, at least 4; default: every 8th input.",
+        "Folder or glob of features to choose checkpoint and threshold on, at least 4; default: every 8th input.",
         recipe=False,
     )
     folds: int = parameter(

@@ -84,9 +84,7 @@ class Trials:
         high=100,
         panel=SOLVER,
     )
-    dry_run: bool = parameter(
-        False, "Show what would be built, left out and paid; write nothing.", recipe=False, panel=RUNNING
-    )
+    dry_run: bool = parameter(False, "Show what it would build and cost; write nothing.", recipe=False, panel=RUNNING)
 
     def solver(self) -> dict[str, Any]:
         """The settings of the simulation that were given."""
