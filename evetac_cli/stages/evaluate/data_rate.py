@@ -83,14 +83,14 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
 
 def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
     """All rows, and the mean share of the RGB sensor's bytes in words."""
-    lines = []
-    for row in rows:
-        if "interval" in row and row["share_mean"] is not None:
-            lines.append(f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes a second.")
-    if all(row["paper_share_mean"] is None for row in rows if "interval" in row):
-        lines.append(
-            f"The paper's figures are about other motions: `evetac record --scene {PAPERS_SCENE}` makes those."
-        )
+    of_intervals = [row for row in rows if "interval" in row]
+    lines = [
+        f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes a second."
+        for row in of_intervals
+        if row["share_mean"] is not None
+    ]
+    if all(row["paper_share_mean"] is None for row in of_intervals):
+        lines.append(f"The paper's figures are about other motions, those of `evetac record --scene {PAPERS_SCENE}`.")
     return rows, lines
 
 
