@@ -14,6 +14,7 @@ from evetac_cli.errors import error_dict
 from evetac_cli.jobs import Outcome, Progress, silent
 
 FEW_ROWS = 3
+BAR_WIDTH = 14  # leaves room for a name on a line of 80 signs
 MOST_PASTED = 3  # files that are named one by one at the end
 MOST_NAMING = 3  # columns that are repeated where a table is split
 MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between them a number has more than four digits, and is still easily read
@@ -61,32 +62,38 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, ProgressColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
+    from rich.table import Column
     from rich.text import Text
 
     class Count(ProgressColumn):
-        """Done of all, once it is known how many that are."""
+        """Done of all, once it is known how many that are, and what is counted."""
 
         def render(self, task: Any) -> Text:
-            return Text(f"{task.completed:.0f}/{task.total:.0f} {unit}" if task.total is not None else "")
+            known = f"{math.floor(task.completed):,}/{task.total:,.0f} " if task.total is not None else ""
+            return Text(f"{known}{task.fields['doing']}")
 
     class Rate(ProgressColumn):
-        """Units a second."""
+        """Units a second, where they are many."""
 
         def render(self, task: Any) -> Text:
-            return Text(f"{task.speed:,.{0 if task.speed >= 10 else 1}f} {unit}/s" if task.speed else "")
+            return Text(f"{task.speed:,.0f}/s" if task.speed and task.speed >= 1 else "")
 
+    one_line = {"no_wrap": True, "overflow": "ellipsis"}
     columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        Count(),
-        Rate(),
-        TimeRemainingColumn(),
+        TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, **one_line)),
+        BarColumn(BAR_WIDTH, table_column=Column(width=BAR_WIDTH)),
+        Count(Column(**one_line)),
+        Rate(Column(**one_line)),
+        TimeRemainingColumn(table_column=Column(**one_line)),
     )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(_in_a_line(what), total=None)
+    with Bar(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:
+        task = bar.add_task(_in_a_line(what), total=None, doing="")
 
-        def advance(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
+        def advance(done: float, total: float, doing: str = "") -> None:
+            doing = _in_a_line(doing or unit)
+            if bar.tasks[0].fields["doing"] != doing:  # another work has another speed
+                bar.reset(task, doing=doing)
+            bar.update(task, completed=done, total=total or None)
 
         yield advance
 

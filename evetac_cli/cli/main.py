@@ -262,7 +262,7 @@ def _run(
         if not some or (engine.name == engines.LOCAL and at_once < 2):
             return
         how = (command.module, engines.largest_first(some), chosen, force, at_once)
-        with console.progress_bar(command.name, "files", quiet=quiet) as progress:
+        with console.progress_bar(f"{command.name} {len(some)} files", "files", quiet=quiet) as progress:
             if engine.name == engines.DASK:
                 engines.run_on_dask(engine, *how, progress, into)
             else:
@@ -281,7 +281,8 @@ def _run(
         run_several([job for job in waiting if job.output not in results], results)
     for number, job in enumerate(jobs):
         if job.output not in results:
-            name = f"{command.name} {job.output.name}" + (f" ({number + 1} of {len(jobs)})" if len(jobs) > 1 else "")
+            which = f" {number + 1} of {len(jobs)}:" if len(jobs) > 1 else ""
+            name = f"{command.name}{which} {job.output.name}"
             with console.progress_bar(name, command.unit, quiet=quiet) as progress, compiling.announced(quiet=quiet):
                 results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
 
