@@ -97,6 +97,8 @@ def _execute(command: Command, title: str, given: dict[str, Any]) -> None:
             as_json, simulated = running["as_json"], shown.simulated
             console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
             return
+        for line in stage.cautions(jobs, chosen) if hasattr(stage, "cautions") and not running["quiet"] else ():
+            console.say(f"note: {line}")
         started = time.monotonic()
         _run(command, jobs, chosen, running, run.results)
         run.results = {job.output: run.results[job.output] for job in jobs}

@@ -112,20 +112,21 @@ def _in_worker(
 def _work(pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool) -> None:
     """What a worker process does: job after job from the pipe, until it closes; at once ended if the parent dies.
 
-    Through the pipe come back, of each job, the part that is done, and what came of it; in between what there is to say.
+    Through the pipe come back, of each job, the part that is done and what came of it; in between what is to be said.
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
-    def say(text: str) -> None:
-        # Whole, or not at all: what an interrupt cuts in two would be the end of the pipe.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
-        try:
-            pipe.send(text)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-    with compiling.announced(quiet=quiet, say=say):
+    with compiling.announced(quiet=quiet, say=lambda text: _send_whole(pipe, text)):
         _work_off(pipe, module, chosen, force)
+
+
+def _send_whole(pipe: "Connection", what: str | float) -> None:
+    """Send something in the middle of a job: a message that an interrupt cuts in two would spoil all that follow."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
+    try:
+        pipe.send(what)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _sending(pipe: "Connection") -> Progress:
@@ -137,11 +138,7 @@ def _sending(pipe: "Connection") -> Progress:
         if doing or not total or time.monotonic() - said_s < SAY_S:
             return
         said_s = time.monotonic()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
-        try:
-            pipe.send(min(done / total, 1.0))
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        _send_whole(pipe, min(done / total, 1.0))
 
     return report
 
