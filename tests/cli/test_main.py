@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -135,11 +136,11 @@ def test_help_says_everything(path: list[str], command: Command) -> None:
     result = evetac(*path, "--help")
     text = plain_text(result.output)
     assert result.exit_code == 0
-    assert command.params.__doc__ in text
+    assert " ".join(command.params.__doc__.split()) in text
     for item in dataclasses.fields(command.params):
         about = item.metadata
         flag = flag_of(item)
-        start = text.index(f" {flag} ")
+        start = text.index(f" {flag} ", text.index(" Options "))  # behind the examples
         entry = text[start : start + 600]
         said = plain_text(about["help"])
         assert said in entry, item.name
@@ -418,6 +419,35 @@ def test_table(label_is: Any, files: list[str]) -> None:
     assert re.fullmatch(r"label: \d+\.\d s\n", result.stderr)
 
 
+def test_what_was_made_is_the_last_line(label_is: Any, files: list[str]) -> None:
+    """Assert that the last line of stdout names the files that were made, quoted for a shell; many by their folder."""
+    label_is(made)
+    assert evetac("label", *files).stdout.splitlines()[-1] == "a.labels.h5 b.labels.h5 c.labels.h5"
+    assert evetac("label", files[0], "-o", "two words").stdout.splitlines()[-1] == "'two words/a.labels.h5'"
+    Path("d.recording.h5").touch()
+    assert evetac("label", *files, "d.recording.h5", "-o", "out").stdout.splitlines()[-1] == "out"
+    label_is(skipped)
+    assert evetac("label", files[0]).stdout.splitlines()[-1] == "a.labels.h5"
+
+
+def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
+    """Assert that a stage can choose rows for people and say what they amount to, and that --json has every row."""
+    answer = Outcome([{"a": 1}, {"b": 2}], True, {"count": 2})
+    stage = SimpleNamespace(
+        jobs=lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))],
+        run=lambda *_, **__: answer,
+        for_people=lambda rows, chosen: (rows[1:], ["early in 1 of 2"]),
+        cautions=lambda jobs, chosen: ["few files"],
+    )
+    monkeypatch.setitem(sys.modules, "evetac_cli.stages.evaluate.slip", stage)
+    result = evetac("evaluate", "slip", *files)
+    assert result.stdout.splitlines()[-2:] == ["count: 2", "early in 1 of 2"]
+    assert result.stderr.splitlines()[0] == "note: few files"
+    assert " a " not in result.stdout
+    shown = evetac("evaluate", "slip", *files, "--json", "-q")
+    assert (json.loads(shown.stdout)["rows"], shown.stderr) == (answer.rows, "")
+
+
 def test_up_to_date_is_said(label_is: Any, files: list[str]) -> None:
     """Assert that a run without work ends well and says so."""
     label_is(skipped)
@@ -449,6 +479,35 @@ def test_out_is_a_folder_or_a_file(label_is: Any, files: list[str]) -> None:
     assert "one output file cannot hold several results" in result.stderr
     assert "a folder for 3 files" in result.stderr
     assert not Path("all.h5").exists()
+
+
+@pytest.mark.parametrize("out", ["z.txt", "new/z.json", "z.png"])
+def test_out_that_looks_like_another_file_is_refused(label_is: Any, files: list[str], out: str) -> None:
+    """Assert that no folder is made by the name of a file, unless there is one already."""
+    label_is(made)
+    result = evetac("label", files[0], "-o", out)
+    assert result.exit_code == 2
+    assert "looks like a file of another kind" in result.stderr and f"mkdir {out} first" in result.stderr
+    assert not Path(out).exists()
+    Path(out).mkdir(parents=True)
+    assert evetac("label", files[0], "-o", out).exit_code == 0
+    assert evetac("label", files[0], "-o", "run-0.5").exit_code == 0
+
+
+def test_a_folder_stands_for_its_files(label_is: Any, files: list[str]) -> None:
+    """Assert that a folder is as good as the files of the right kind in it, and one without any is refused."""
+    label_is(made)
+    Path("data").mkdir()
+    for name in ("b.recording.h5", "a.recording.h5", "a.labels.h5", "notes.txt"):
+        (Path("data") / name).write_text(name)
+    rows = json.loads(evetac("label", "data", files[2], "--json").stdout)["rows"]
+    assert [row["output"] for row in rows] == ["data/a.labels.h5", "data/b.labels.h5", "c.labels.h5"]
+    Path("above/below").mkdir(parents=True)
+    Path("above/below/a.recording.h5").touch()
+    result = evetac("label", "above")
+    assert result.exit_code == 2
+    assert "above: no such file in this folder" in result.stderr and "*.recording.h5" in result.stderr
+    assert "above/below" in result.stderr
 
 
 def test_clash_of_outputs(label_is: Any, files: list[str]) -> None:
@@ -530,6 +589,7 @@ WRONG = [
     (["--confirm-ms", "0"], "--confirm-ms: out of range"),
     (["--threshold-px", "nan"], "--threshold-px: not a finite number"),
     (["--threshold-px", "-0.1"], "--threshold-px: out of range"),
+    (["--threshold-px", "0"], "--threshold-px: out of range"),
     (["--confirm-ms", "2.5"], "Invalid value"),
     (["--config", "none.toml"], "none.toml: cannot be read"),
     (["--config", "c.toml"], "did you mean `confirm_ms`?"),
@@ -580,10 +640,31 @@ def test_info(report: Path) -> None:
 
 def test_info_of_what_is_no_stage_file(report: Path, files: list[str]) -> None:
     """Assert that a foreign file is an error in words."""
-    for wrong in (files[0], "none.h5", "."):
+    Path("empty").mkdir()
+    for wrong in (files[0], "none.h5", "empty"):
         result = evetac("info", report, wrong)
         assert result.exit_code == 2
         assert result.stderr.startswith(f"error: {wrong}: ")
+
+
+def test_info_of_files_of_which_some_are_foreign(report: Path, files: list[str]) -> None:
+    """Assert that a foreign file hides no other, in words and in JSON, and gives the exit code."""
+    given = (files[0], report, files[1])
+    result = evetac("info", *given)
+    assert result.exit_code == 2
+    assert "a.slip.report.h5" in result.stdout
+    assert [line for line in result.stderr.splitlines() if line.startswith("error: ")] == [
+        line
+        for name in (files[1], files[0])
+        for line in result.stderr.splitlines()
+        if line.startswith(f"error: {name}")
+    ]
+    shown = json.loads(evetac("info", *given, "--json").stdout)
+    assert [row["file"] for row in shown["rows"]] == [str(report)]
+    assert [shown["error"]["where"], *(error["where"] for error in shown["more_errors"])] == files[:2]
+    Path("mixed").mkdir()
+    shutil.copy(report, "mixed")
+    assert json.loads(evetac("info", "mixed", report, "--json").stdout)["summary"] == {"files": 2}
 
 
 def test_validate(report: Path, files: list[str]) -> None:

@@ -293,8 +293,18 @@ def test_damage_costs_no_more_than_the_packets_it_hits(name: str, tmp_path: Path
 
 
 def test_real_aedat4_without_events() -> None:
-    """Assert that a file of two streams without a packet is refused."""
-    assert "holds no events" in refusal(real("empty_stereo.aedat4"))
+    """Assert that a file of two streams without a packet is a recording without events."""
+    imported = read_events(real("empty_stereo.aedat4"))
+    assert (imported.events.size, imported.slices) == (0, 0)
+    assert imported.notes[-1] == "the file holds no events"
+
+
+@pytest.mark.parametrize("name", ["davis346.aedat4", "multistream.aedat4"])
+def test_what_is_left_out_of_real_files_is_counted(name: str) -> None:
+    """Assert that frames, IMU samples and triggers, which a recording has no place for, do not go without a word."""
+    pytest.importorskip("faery")
+    (said,) = (note for note in read_events(real(name)).notes if note.startswith("left out: "))
+    assert re.search(r"\d+ (frames|packets of IMU samples|packets of triggers)", said)
 
 
 def test_real_noise_is_the_noise_described() -> None:

@@ -110,7 +110,7 @@ def test_models_among_the_files(world: dict[str, Any], tmp_path: Path) -> None:
     ):
         (job,) = slip.jobs(files, EvaluateSlip(model=given), tmp_path)
         assert job.inputs == expected
-        assert job.output == tmp_path / "trial-100.slip.report.h5"
+        assert job.output == tmp_path / f"{world['known'][0].resolve().parent.name}.slip.report.h5"
 
 
 def test_a_model_counts_once(world: dict[str, Any], tmp_path: Path) -> None:
