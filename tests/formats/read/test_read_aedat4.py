@@ -1,6 +1,7 @@
 """AEDAT4 files: whole ones are read as they are, of damaged ones what is intact, and nothing hangs."""
 
 import multiprocessing.process
+import re
 import struct
 import subprocess
 import sys
