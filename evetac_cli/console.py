@@ -66,11 +66,12 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
     from rich.text import Text
 
     class Count(ProgressColumn):
-        """Done of all, once it is known how many that are, and what is counted."""
+        """Done, of how many once that is known, and what is counted."""
 
         def render(self, task: Any) -> Text:
-            known = f"{math.floor(task.completed):,}/{task.total:,.0f} " if task.total is not None else ""
-            return Text(f"{known}{task.fields['doing']}")
+            of_all = "" if task.total is None else f"/{task.total:,.0f}"
+            count = f"{math.floor(task.completed):,}{of_all} " if task.completed or of_all else ""
+            return Text(f"{count}{task.fields['doing']}")
 
     class Rate(ProgressColumn):
         """Units a second, where they are many."""
