@@ -60,14 +60,13 @@ def session(folder: Path, *words: str | Path, press_at: str = "") -> Session:
     for name in ("COLUMNS", "LINES", "NO_COLOR"):
         environment.pop(name, None)
     run = subprocess.Popen(
-        [sys.executable, "-m", "evetac_cli", *map(str, words)],
+        # as a shell does it: so that Ctrl-C is a signal to all of its processes
+        ["setsid", "--ctty", "--wait", sys.executable, "-m", "evetac_cli", *map(str, words)],
         cwd=folder,
         stdin=follower,
         stdout=follower,
         stderr=follower,
         env=environment,
-        start_new_session=True,
-        preexec_fn=lambda: ioctl(0, 0x540E, 0),  # TIOCSCTTY: so that Ctrl-C is a signal to all of its processes
     )
     os.close(follower)
     started_s = from_s = time.monotonic()
