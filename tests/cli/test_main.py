@@ -18,7 +18,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from evetac_cli import __version__
-from evetac_cli.cli import main
+from evetac_cli.cli import execution
 from evetac_cli.cli.commands import EVALUATE, PIPELINE, Command
 from evetac_cli.cli.main import app
 from evetac_cli.errors import (
@@ -528,9 +528,9 @@ def test_many_outputs_are_checked_quickly(label_is: Any, files: list[str]) -> No
     """Assert that thousands of files are compared in no time, not each with each (that took minutes)."""
     label_is(skipped)
     jobs = [Job((), Path(f"{number}.h5")) for number in range(30_000)]
-    main._check_outputs(jobs, [], Label(), force=True)
+    execution._check_outputs(jobs, [], Label(), force=True)
     with pytest.raises(InputError, match=r"29999\.h5"):
-        main._check_outputs([*jobs, jobs[-1]], [], Label(), force=True)
+        execution._check_outputs([*jobs, jobs[-1]], [], Label(), force=True)
 
 
 def test_force_never_replaces_an_input(label_is: Any, files: list[str]) -> None:
@@ -705,21 +705,21 @@ def test_parts_of_a_job_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         parts=lambda job, chosen: [Job((), Path(f"{job.output}-{number}")) for number in range(2)],
         run=lambda job, chosen, **_: Outcome([{"alone": job.output.name}], simulated=False),
     )
-    monkeypatch.setattr(main.importlib, "import_module", lambda name: stage)
-    monkeypatch.setattr(main.workers, "run_parallel", run_parallel)
+    monkeypatch.setattr(execution.importlib, "import_module", lambda name: stage)
+    monkeypatch.setattr(execution.workers, "run_parallel", run_parallel)
     jobs = [Job((), tmp_path / name) for name in ("a", "b", "c", "there")]
     (tmp_path / "there").touch()
     running = {"quiet": True, "force": False, "engine": "local", "number_of_jobs": 2}
 
     results: dict[Path, Outcome | EvetacError] = {}
-    main._run(Command("of parts", object, "", ""), jobs, None, running, results)
+    execution.run_jobs(Command("of parts", object, "", ""), jobs, None, running, results)
     assert begun == [["a-0", "a-1", "b-0", "b-1", "c-0", "c-1"], ["a", "c"]]
     assert isinstance(results[tmp_path / "b"], EvetacError)
     assert set(results) == {job.output for job in jobs}
 
     begun.clear()
     results.clear()
-    main._run(Command("of parts", object, "", ""), jobs, None, {**running, "number_of_jobs": 1}, results)
+    execution.run_jobs(Command("of parts", object, "", ""), jobs, None, {**running, "number_of_jobs": 1}, results)
     assert begun == []
     assert [result.rows[0]["alone"] for result in results.values() if isinstance(result, Outcome)] == [
         "a", "b", "c", "there",
