@@ -305,6 +305,7 @@ def perform(
     """Run an experiment's commands and evaluations, print its tables and keep them."""
     folder, started = out / experiment.folder, time.time()
     folder.mkdir(parents=True, exist_ok=True)
+    print(f"{experiment.name}: {experiment.shows}; files in {folder}", flush=True)
     for step in experiment.steps(sizes):
         print("+", *step, flush=True)
         code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)

@@ -3,7 +3,7 @@
 The content decides, not the file's name. What all formats share is checked in one place, read/event_validation.
 """
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -13,13 +13,14 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.read import read_prophesee, read_rosbag
-from evetac_cli.formats.read.event_validation import Foreign, FrameUnknown, Normal, normalise
+from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.read_dsec import open_hdf5
 from evetac_cli.formats.read.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_rosbag import is_bag_folder, open_rosbag
 from evetac_cli.formats.read.read_text import open_text
+from evetac_cli.jobs import Progress, silent
 
 EXPECTED = "AEDAT4, HDF5 with events/{t,x,y,p}, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -93,6 +94,7 @@ def read_events(
     sort: bool = False,
     stream: str | None = None,
     folder: Path | None = None,
+    progress: Progress = silent,
 ) -> Imported:
     """Read another program's event file: all of it or an InputError; of a damaged AEDAT4 file what is intact.
 
@@ -100,6 +102,7 @@ def read_events(
     frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
     HDF5), that of the smallest known sensor that holds all events, and a note says so.
     path: a file, or the folder of a ROS 2 bag.
+    progress: of the events that were read; how many there will be, no format says.
     sort: put events whose time goes backwards in order (stable) instead of refusing them.
     stream: the event stream of an AEDAT4 file, or the topic of a bag, that has several; the first by name otherwise.
 
@@ -117,7 +120,7 @@ def read_events(
         note = foreign.note
         try:
             normal = normalise(
-                foreign.batches,
+                _counted(foreign.batches, progress),
                 foreign.frame_px,
                 sort=sort,
                 start_us=note.start_us if note else None,
@@ -152,6 +155,15 @@ def read_events(
         notes=notes,
         simulated=note is not None and note.simulated,
     )
+
+
+def _counted(batches: Iterable[Columns], progress: Progress) -> Iterator[Columns]:
+    """The same batches, with their events counted."""
+    count = 0
+    for batch in batches:
+        yield batch
+        count += len(batch.t)
+        progress(count, 0, "events read")
 
 
 def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
