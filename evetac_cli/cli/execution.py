@@ -70,7 +70,9 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
                 for_people = getattr(stage, "for_people", None)
                 shown_rows, verdict = for_people(rows, chosen) if for_people else (rows, [])
                 console.show(title, first_rows(shown_rows), summary, simulated=simulated, as_json=False)
-                console.print_result(verdict, [path for job in jobs for path in getattr(job, "outputs", [job.output])])
+                done = [job for job in jobs if isinstance(run.results[job.output], Outcome)]
+                written = [path for job in done for path in getattr(job, "outputs", [job.output])]
+                console.print_result(verdict, [] if getattr(chosen, "live", False) else written)
         if errors:
             for error in errors[1:]:
                 console.say(f"error: {error}")

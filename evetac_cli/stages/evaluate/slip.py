@@ -34,13 +34,28 @@ SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
 PANELS = 4  # distributions side by side
 TITLE_WIDTH = 38  # characters above one
 
-# On a terminal: a table of trajectories up to so many rows, and the columns of a table of settings.
+# On a terminal: a table of trajectories up to so many rows, and the columns that it shows, by their short names.
 FEW_TRAJECTORIES = 10
 MOST_VERDICTS = 8
-SHOWN = (
-    *("setting", "seeds", "trajectories", "slip_early", "slip_correct", "slip_late", "f1"),
-    *("paper_slip_correct", "paper_f1"),
-)
+OF_TRAJECTORIES = {
+    "file": "file",
+    "setting": "model",
+    "t_c_ms": "t_c_ms",
+    "t_m_ms": "t_m_ms",
+    "t_m_minus_t_c_ms": "late_by_ms",
+    "timing": "timing",
+}
+OF_SETTINGS = {
+    "setting": "setting",
+    "seeds": "seeds",
+    "trajectories": "trajectories",
+    "slip_early": "early",
+    "slip_correct": "correct",
+    "slip_late": "late",
+    "f1": "f1",
+    "paper_slip_correct": "paper_correct",
+    "paper_f1": "paper_f1",
+}
 
 
 def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[ModelsReportJob]:
@@ -122,16 +137,16 @@ def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
     trajectories = [row for row in rows if "t_c_ms" in row]
     verdict = [_verdict(row) for row in settings[:MOST_VERDICTS]]
     verdict.append(
-        f"Timing is correct from {-metrics.EARLIEST_MS} ms before the labels' onset to {metrics.LATEST_MS} ms after it,"
-        " as in the paper; earlier is early, later or never is late."
+        f"Correct is from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it, as"
+        " in the paper; earlier is early, later or never is late."
     )
     if params.all_tables:
         return rows, verdict
     verdict.append("--all prints every table, --json every row.")
-    if len(trajectories) <= FEW_TRAJECTORIES:
-        hidden = ("model_file", *(("setting",) if len(settings) == 1 else ()))
-        return [{name: value for name, value in row.items() if name not in hidden} for row in trajectories], verdict
-    return [{name: row[name] for name in SHOWN} for row in settings], verdict
+    few = len(trajectories) <= FEW_TRAJECTORIES
+    shown, names = (trajectories, OF_TRAJECTORIES) if few else (settings, OF_SETTINGS)
+    known = [name for name in names if any(row[name] is not None for row in shown) or not name.startswith("paper_")]
+    return [{names[name]: row[name] for name in known} for row in shown], verdict
 
 
 def _verdict(row: dict[str, Any]) -> str:
