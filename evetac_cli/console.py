@@ -79,7 +79,7 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
         def render(self, task: Any) -> Text:
             return Text(f"{task.speed:,.0f}/s" if task.speed and task.speed >= 1 else "")
 
-    one_line = {"no_wrap": True, "overflow": "ellipsis"}
+    one_line: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"}
     columns = (
         TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, **one_line)),
         BarColumn(BAR_WIDTH, table_column=Column(width=BAR_WIDTH)),

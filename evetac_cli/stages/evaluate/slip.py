@@ -137,8 +137,8 @@ def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
     trajectories = [row for row in rows if "t_c_ms" in row]
     verdict = [_verdict(row) for row in settings[:MOST_VERDICTS]]
     verdict.append(
-        f"Correct is from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it, as"
-        " in the paper; earlier is early, later or never is late."
+        f"Correct is from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it,"
+        " as in the paper; earlier is early, later or never is late."
     )
     if params.all_tables:
         return rows, verdict

@@ -279,6 +279,25 @@ def test_the_report(world: dict[str, Any], tmp_path: Path) -> None:
     assert picture.exists()
 
 
+def test_a_terminal_gets_one_table_and_a_verdict(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert few columns, every trajectory where there are few and a row a setting elsewhere, all tables on demand."""
+    rows, _ = evaluated([*world["unseen"], world["seeds"][0]], tmp_path / "one.report.h5")
+    shown, verdict = slip.for_people(rows, EvaluateSlip())
+    assert [row["file"] for row in shown] == [path.name for path in world["unseen"]]
+    assert len({tuple(row) for row in shown}) == 1
+    (setting,) = (row for row in rows if "seeds" in row)
+    assert f"correct {setting['slip_correct']:.0%}" in verdict[0] and "2 trajectories" in verdict[0]
+    assert "50 ms before" in verdict[1] and "20 ms after" in verdict[1]
+    assert slip.for_people(rows, EvaluateSlip(all_tables=True))[0] == rows
+
+    files = [*world["known"], *world["unseen"], *world["seeds"], *world["ahead"]]
+    rows, _ = evaluated(files, tmp_path / "many.report.h5")
+    shown, verdict = slip.for_people(rows, EvaluateSlip())
+    assert [row["setting"] for row in shown] == [row["setting"] for row in rows if "seeds" in row]
+    assert {"early", "correct", "late", "f1"} <= set(shown[0]) and len(shown[0]) <= 9
+    assert [line.split(":")[0] for line in verdict[: len(shown)]] == [row["setting"] for row in shown]
+
+
 def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The architectures of the detectors that are run on a trajectory from now on."""
     calls: list[str] = []
