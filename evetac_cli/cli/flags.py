@@ -72,7 +72,7 @@ class CommandOfFlags(PlainSwitches, TyperCommand):
         _, _, order = self.make_parser(ctx).parse_args(list(args))
         times = Counter(flag.opts[-1] for flag in order if not getattr(flag, "is_flag", True) and not flag.multiple)
         twice = next((name for name, count in times.items() if count > 1), None)
-        if twice is not None:
+        if twice is not None and not ctx.resilient_parsing:
             more = ": name the others among the files, or all by a glob" if twice == "--model" else ""
             ctx.fail(f"{twice} is given {times[twice]} times, and takes one value{more}.")
         return list(super().parse_args(ctx, args))
