@@ -121,7 +121,7 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
         how.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
     if command.files:
         help_ = f"{command.files} A folder stands for the {command.kind} files in it."
-        files = Annotated[list[Path], typer.Argument(help=help_, show_default=False)]
+        files = Annotated[list[Path], typer.Argument(metavar="FILES", help=help_, show_default=False)]
         needed: Any = inspect.Parameter.empty if command.files_needed else []
         places.append(inspect.Parameter("files", keyword, default=needed, annotation=files))
     return inspect.Signature([*places, *first, *how, *in_panels])
