@@ -97,7 +97,9 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
     """
     hints = get_type_hints(command.params)
     keyword = inspect.Parameter.KEYWORD_ONLY
-    places, first, in_panels = [], [], []
+    places: list[inspect.Parameter] = []
+    first: list[inspect.Parameter] = []
+    in_panels: list[inspect.Parameter] = []
     for item in fields(command.params):
         flag, kind, panel = flag_of(item), hints[item.name], item.metadata["panel"]
         option: Any  # typer's own types of arguments and options

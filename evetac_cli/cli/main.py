@@ -189,8 +189,8 @@ def _describe(files: list[Path], looked: CommandExit) -> None:
     for number, path in enumerate(files):
         try:
             looked.results[Path(f"{number}")] = info.run([path])
-        except EvetacError as error:
-            looked.results[Path(f"{number}")] = error
+        except EvetacError as fault:
+            looked.results[Path(f"{number}")] = fault
     rows = [row for outcome in looked.outcomes() for row in outcome.rows]
     simulated = any(outcome.simulated for outcome in looked.outcomes())
     errors = looked.errors()

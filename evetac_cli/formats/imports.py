@@ -137,7 +137,7 @@ def read_events(
         raise InputError("does not fit in memory", where=where, hint="import it in parts") from error
     events = normal.stored
     notes = [*foreign.notes, *_losses(foreign, normal)]
-    if foreign.may_be_empty and not events.size:
+    if note is None and not events.size:
         notes.append("the file holds no events")
     if normal.sorted:
         notes.append(f"time went backwards: {normal.sorted} events were put back in order")
@@ -204,9 +204,10 @@ def _open_with_guessed_frame(path: Path, stream: str | None, unknown: FrameUnkno
     batches = _open(path, ANY_FRAME_PX, stream).batches
     try:
         for batch in batches:
-            finite = np.isfinite(batch.x.astype(np.float64)) & np.isfinite(batch.y.astype(np.float64))
-            width = max(width, int(batch.x[finite].max(initial=-1)) + 1)
-            height = max(height, int(batch.y[finite].max(initial=-1)) + 1)
+            x, y = batch.x.astype(np.float64), batch.y.astype(np.float64)
+            finite = np.isfinite(x) & np.isfinite(y)
+            width = max(width, int(x[finite].max(initial=-1.0)) + 1)
+            height = max(height, int(y[finite].max(initial=-1.0)) + 1)
     finally:
         if isinstance(batches, Generator):
             batches.close()

@@ -140,7 +140,8 @@ def test_help_says_everything(path: list[str], command: Command) -> None:
     for item in dataclasses.fields(command.params):
         about = item.metadata
         flag = flag_of(item)
-        start = text.index(f" {flag} ", text.index(" Options "))  # behind the examples
+        panels = text.index(" Options " if flag.startswith("-") else " Arguments ")  # behind the examples
+        start = text.index(f" {flag} ", panels)
         entry = text[start : start + 600]
         said = plain_text(about["help"])
         assert said in entry, item.name

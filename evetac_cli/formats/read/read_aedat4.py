@@ -113,7 +113,8 @@ def _left_out(header: Header, packets: Packets) -> Iterator[str]:
         numbers = [stream.number for stream in header.streams if stream.kind == kind != "EVTS"]
         count = sum(packets.counts.get(number, 0) for number in numbers)
         if count:  # a packet holds one frame, but many samples
-            yield f"{count} {name}" if kind == "FRME" else f"{count} packets of {name}"
+            words = name.removesuffix("s") if count == 1 else name
+            yield f"{count} {words}" if kind == "FRME" else f"{count} packet{'s' * (count > 1)} of {name}"
 
 
 def is_whole(path: Path) -> bool:

@@ -109,7 +109,9 @@ def _left_out(connections: list[Any]) -> Iterator[str]:
     for one in connections:
         if one.msgtype not in TYPES:
             counts[one.topic, one.msgtype] += one.msgcount
-    named = [f"{count} messages on {topic} ({kind})" for (topic, kind), count in counts.items() if count]
+    named = [
+        f"{count} message{'s' * (count > 1)} on {topic} ({kind})" for (topic, kind), count in counts.items() if count
+    ]
     if named:
         more = f", and {len(named) - MOST_LEFT_OUT} more topics" if len(named) > MOST_LEFT_OUT else ""
         yield f"left out: {', '.join(named[:MOST_LEFT_OUT])}{more}"

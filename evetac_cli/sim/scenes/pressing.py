@@ -164,7 +164,8 @@ class Pressing:
     def slices_in_all(self) -> int:
         """How many slices the trial has."""
         time = self._scene["time"]
-        return math.ceil((self.timeline.time_s[-1] + time.get("after_s", time["rest_s"])) / STEP_S - 1e-6)
+        longest_s = float(self.timeline.time_s[-1]) + float(time.get("after_s", time["rest_s"]))
+        return math.ceil(longest_s / STEP_S - 1e-6)
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""

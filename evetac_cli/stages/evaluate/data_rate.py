@@ -201,7 +201,7 @@ def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, An
         "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,
         "paper_share_mean": paper_mean,
         "paper_share_sd": paper_sd,
-        "deviation_from_paper_sds": (mean - paper_mean) / paper_sd if as_papers and mean is not None else None,
+        "deviation_from_paper_sds": None if mean is None or paper_mean is None else (mean - paper_mean) / paper_sd,
     }
 
 
