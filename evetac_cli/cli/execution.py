@@ -86,8 +86,8 @@ def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
         if not path.is_dir():
             files.append(path)
             continue
-        found = sorted(entry for entry in path.glob(f"*.{kind}.h5") if entry.is_file())
-        if not found:
+        inside = sorted(entry for entry in path.glob(f"*.{kind}.h5") if entry.is_file())
+        if not inside:
             below = next(iter(sorted(path.glob(f"*/*.{kind}.h5"))), None)
             raise InputError(
                 "no such file in this folder",
@@ -95,7 +95,7 @@ def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
                 expected=f"*.{kind}.h5",
                 hint=f"name the folder in which they lie: {below.parent}" if below else "",
             )
-        files += found
+        files += inside
     return files
 
 

@@ -22,25 +22,25 @@ def evetac(*arguments: str) -> Result:
 
 def panels(text: str) -> dict[str, list[str]]:
     """The lines of each panel of a help text by its title; what comes before the first has no title."""
-    found: dict[str, list[str]] = {"": []}
+    by_title: dict[str, list[str]] = {"": []}
     title = ""
     for line in text.splitlines():
         if begins := re.match("╭─ (.+?) ─", line):
             title = begins[1]
-            found[title] = []
-        found[title].append(line)
-    return found
+            by_title[title] = []
+        by_title[title].append(line)
+    return by_title
 
 
 @pytest.mark.parametrize("command", ["record", "grasp"])
 def test_what_most_people_need_fits_a_screen(command: str) -> None:
     """Assert that examples, the ten flags that matter first, and how to run fit 60 lines of 80 columns."""
-    found = panels(evetac(command, "--help").stdout)
-    first, *others = found
+    by_title = panels(evetac(command, "--help").stdout)
+    first, *others = by_title
     assert [first, *others[:2]] == ["", "Options", "Running"]
     assert len(others) >= 5
-    assert sum(len(found[title]) for title in ("", "Options", "Running")) <= LINES
-    flags = [line for line in found["Options"] if line.startswith("│ --")]
+    assert sum(len(by_title[title]) for title in ("", "Options", "Running")) <= LINES
+    flags = [line for line in by_title["Options"] if line.startswith("│ --")]
     assert len(flags) <= 12, flags
 
 

@@ -113,12 +113,12 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
 
 def test_what_it_does_is_said_from_the_start(trials: list[Path], tmp_path: Path) -> None:
     """Assert that progress begins with the files, and then counts steps up to the last."""
-    told: list[tuple[float, float, str]] = []
+    reports: list[tuple[float, float, str]] = []
     (job,) = train.jobs(trials, small(), tmp_path)
-    run(job, small(), lambda done, total, doing="": told.append((done, total, doing)))
-    phases = list(dict.fromkeys(doing for _, _, doing in told))
+    run(job, small(), lambda done, total, doing="": reports.append((done, total, doing)))
+    phases = list(dict.fromkeys(doing for _, _, doing in reports))
     assert phases == ["files looked at", "loading torch", "files read", "", "files judged"]
-    assert [done for done, _, doing in told if not doing] == list(range(10, 121, 10))
+    assert [done for done, _, doing in reports if not doing] == list(range(10, 121, 10))
 
 
 def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], tmp_path: Path) -> None:

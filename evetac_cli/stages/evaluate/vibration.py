@@ -110,10 +110,10 @@ def for_people(rows: Rows, params: EvaluateVibration) -> tuple[Rows, list[str]]:
     for method in dict.fromkeys(row["method"] for row in whole):
         of_method = [row for row in whole if row["method"] == method]
         known = [row for row in of_method if row["correct"] is not None]
-        found = sum(row["frequency_hz"] is not None for row in of_method)
+        vibrating = sum(row["frequency_hz"] is not None for row in of_method)
         right = f"; right, within {params.tolerance_hz:g} Hz of the tone, in {sum(row['correct'] for row in known)}"
         tones = f"{right} of {len(known)} whose tone is known" if known else ""
-        lines.append(f"{method}: a vibration in {found} of {len(of_method)} recordings{tones}.")
+        lines.append(f"{method}: a vibration in {vibrating} of {len(of_method)} recordings{tones}.")
     return rows, lines
 
 
