@@ -3,15 +3,19 @@
 import itertools
 import json
 import math
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import error_dict
 from evetac_cli.jobs import Outcome, Progress, silent
 
 FEW_ROWS = 3
+BAR_WIDTH = 14  # leaves room for a name on a line of 80 signs
+MOST_PASTED = 3  # files that are named one by one at the end
 MOST_NAMING = 3  # columns that are repeated where a table is split
 MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between them a number has more than four digits, and is still easily read
 
@@ -58,32 +62,39 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, ProgressColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
+    from rich.table import Column
     from rich.text import Text
 
     class Count(ProgressColumn):
-        """Done of all, once it is known how many that are."""
+        """Done, of how many once that is known, and what is counted."""
 
         def render(self, task: Any) -> Text:
-            return Text(f"{task.completed:.0f}/{task.total:.0f} {unit}" if task.total is not None else "")
+            of_all = "" if task.total is None else f"/{task.total:,.0f}"
+            count = f"{math.floor(task.completed):,}{of_all} " if task.completed or of_all else ""
+            return Text(f"{count}{task.fields['doing']}")
 
     class Rate(ProgressColumn):
-        """Units a second."""
+        """Units a second, where they are many."""
 
         def render(self, task: Any) -> Text:
-            return Text(f"{task.speed:,.{0 if task.speed >= 10 else 1}f} {unit}/s" if task.speed else "")
+            return Text(f"{task.speed:,.0f}/s" if task.speed and task.speed >= 1 else "")
 
+    one_line: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"}
     columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        Count(),
-        Rate(),
-        TimeRemainingColumn(),
+        TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, **one_line)),
+        BarColumn(BAR_WIDTH, table_column=Column(width=BAR_WIDTH)),
+        Count(Column(**one_line)),
+        Rate(Column(**one_line)),
+        TimeRemainingColumn(table_column=Column(**one_line)),
     )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(_in_a_line(what), total=None)
+    with Bar(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:
+        task = bar.add_task(_in_a_line(what), total=None, doing="")
 
-        def advance(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
+        def advance(done: float, total: float, doing: str = "") -> None:
+            doing = _in_a_line(doing or unit)
+            if bar.tasks[0].fields["doing"] != doing:  # another work has another speed
+                bar.reset(task, doing=doing)
+            bar.update(task, completed=done, total=total or None)
 
         yield advance
 
@@ -199,6 +210,20 @@ def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[
             columns = list(naming)
         columns.append(column)
     yield columns
+
+
+def print_result(verdict: Sequence[str], made: Sequence[Path]) -> None:
+    """Below a table: what its figures amount to, then the files that were made, as they can be pasted."""
+    for line in verdict:
+        print_text(line)
+    written = [path for path in made if path.exists()]
+    folders = sorted({path.parent for path in written})
+    if len(written) <= MOST_PASTED:
+        words = [shlex.quote(str(path)) for path in written]
+    else:
+        words = [shlex.quote(str(folder)) for folder in folders]  # a folder stands for its files
+    if words:
+        print_text(" ".join(words))
 
 
 def format_value(value: Any) -> str:

@@ -1,21 +1,28 @@
-"""Jobs and what comes of them: a job makes one output file, an outcome holds its rows, progress is (done, total)."""
+"""Jobs and what comes of them: a job makes one output file, an outcome holds its rows, progress says how far it is."""
 
 import os
 import platform
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from evetac_cli.errors import InputError
 
 MOST_NAME_BYTES = 255  # of a file, on nearly every file system
 APPENDED_BYTES = 48  # to a name while the file is written (store/disk.py), beside the name of this machine
 
-Progress = Callable[[int, int], None]  # (done, total)
+
+class Progress(Protocol):
+    """How far a job is: `done` of `total`, where a total of 0 is not known yet.
+
+    doing: what is done or counted, where it is not what the command counts, as in `files read`.
+    """
+
+    def __call__(self, done: float, total: float, doing: str = "") -> None:
+        """Report it; whoever listens may leave some reports out."""
 
 
-def silent(done: int, total: int) -> None:
+def silent(done: float, total: float, doing: str = "") -> None:
     """Report no progress."""
 
 

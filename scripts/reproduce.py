@@ -42,7 +42,7 @@ def run_command(words: Command, folder: Path) -> tuple[int, str]:
     """Run evetac or a script of this folder; progress and messages go straight to the terminal."""
     first, *rest = words
     if first == "evetac":
-        program = [sys.executable, "-m", "evetac_cli", *rest, "--quiet"]
+        program = [sys.executable, "-m", "evetac_cli", *rest]
     else:
         program = [sys.executable, str(ROOT / rest[0]), *rest[1:]]
     done = subprocess.run(program, cwd=folder, stdout=subprocess.PIPE, text=True, check=False)
@@ -305,6 +305,7 @@ def perform(
     """Run an experiment's commands and evaluations, print its tables and keep them."""
     folder, started = out / experiment.folder, time.time()
     folder.mkdir(parents=True, exist_ok=True)
+    print(f"{experiment.name}: {experiment.shows}; files in {folder}", flush=True)
     for step in experiment.steps(sizes):
         print("+", *step, flush=True)
         code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)

@@ -4,6 +4,7 @@ import ast
 import io
 import json
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -176,6 +177,26 @@ def test_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         progress(10, 10)
     assert "track runs[a].h5" in terminal.getvalue()
     assert "10/10 slices" in terminal.getvalue()
+
+
+@pytest.mark.parametrize("name", ["label lift.h5", "label 3 of 40: " + "x" * 100 + ".labels.h5"])
+def test_bar_fits_a_line_of_80_signs(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Assert that no line is wider than the terminal, that count and total are whole, and that it says what it does."""
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    with console.progress_bar(name, "slices", quiet=False) as progress:
+        progress(0, 0, "loading torch")
+        progress(3, 40, "files read")
+        for done in range(0, 1_000_000, 100_000):
+            progress(done, 1_000_000)
+        progress(1_000_000, 1_000_000)
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", terminal.getvalue())
+    lines = [line.rstrip() for line in re.split(r"[\r\n]", shown)]
+    assert max(map(len, lines)) <= 80
+    assert "1,000,000/1,000,000 slices" in shown
+    assert all(line.startswith(name[:11]) for line in lines if line)
 
 
 def test_bar_without_any_step(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -47,7 +47,7 @@ ONLY_IN = {
         "kernels/force/gel_training.py",
         "stages/train.py",
     ),
-    "typer": ("cli/main.py", "cli/exit_codes.py"),
+    "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),
     "dask": ("cli/engines.py",),
     "distributed": ("cli/engines.py",),
@@ -101,7 +101,7 @@ def test_directions(path: Path) -> None:
 def test_no_module_of_ours_is_imported_by_name() -> None:
     """Assert that import_module, which the tests above do not see, gets only names of other libraries.
 
-    main and workers choose a stage by name, and `import evetac_cli` the module of a public name.
+    main, execution and workers choose a stage by name, and `import evetac_cli` the module of a public name.
     """
     for path in MODULES:
         calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
@@ -109,7 +109,7 @@ def test_no_module_of_ours_is_imported_by_name() -> None:
         names = [
             ast.literal_eval(call.args[0])
             for call in by_name
-            if path.name not in ("main.py", "workers.py", "__init__.py")
+            if path.name not in ("main.py", "execution.py", "workers.py", "__init__.py")
         ]
         known = {"evetac_cli", "", *ONLY_IN}
         assert [name for name in names if name.split(".")[0] in known] == [], path

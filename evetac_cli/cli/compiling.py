@@ -6,7 +6,7 @@ an update of what has changed. `evetac doctor --compile`, which `make setup` run
 
 import gc
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,7 +17,7 @@ AGAIN_S = 5.0
 
 
 @contextmanager
-def announced(*, quiet: bool) -> Iterator[None]:
+def announced(*, quiet: bool, say: Callable[[str], None] = console.say) -> Iterator[None]:
     """Say that functions are being compiled, and every few seconds how many are, while this lasts.
 
     Why so: Python's collector of garbage looks at all that the compiler holds again and again. It waits until a
@@ -51,7 +51,7 @@ def announced(*, quiet: bool) -> Iterator[None]:
                     gc.enable()
             if spent_s >= self.next_s and not quiet:
                 self.next_s = spent_s + AGAIN_S
-                console.say(f"compiling, once after installing: {self.done} functions so far, {spent_s:.0f} s")
+                say(f"compiling, once after installing: {self.done} functions so far, {spent_s:.0f} s")
 
     with event.install_listener("numba:compile", Announcer()):
         yield

@@ -143,7 +143,7 @@ def _stopping(sign: Path) -> Progress:
     """Progress at which a job ends once the sign of its command is gone."""
     looked_s = time.monotonic()
 
-    def report(done: int, total: int) -> None:
+    def report(done: float, total: float, doing: str = "") -> None:
         nonlocal looked_s
         if time.monotonic() - looked_s >= LOOK_S:
             looked_s = time.monotonic()
@@ -179,6 +179,7 @@ def run_on_dask(
     # Ctrl-C of a terminal reaches all processes: workers that the cluster starts inherit this and stay deaf to it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
+        progress(0, 0, "waiting for the cluster")
         with _sign(jobs[0].output.parent) as sign, _client(engine, at_once) as client:
             command = Command(module, chosen, force, __version__, Path.cwd(), sign)
             _Run(client, command, jobs, progress, results, engine).run()
@@ -264,7 +265,7 @@ class _Run:
     ) -> None:
         self.client, self.command, self.engine = client, command, engine
         self.waiting = deque(jobs)
-        self.count = len(jobs)
+        self.count, self.done = len(jobs), 0
         self.progress, self.results = progress, results
         self.running: dict[Any, list[Job]] = {}  # by their futures
         self.alone = False  # every job a task of its own
@@ -280,7 +281,7 @@ class _Run:
 
     def run(self) -> None:
         """Hand out jobs and take results until all are there; KeyboardInterrupt if some were broken off."""
-        self.progress(0, self.count)
+        self.progress(0, self.count, "files")
         self._look_at_workers()
         try:
             while self.waiting or self.running:
@@ -347,7 +348,8 @@ class _Run:
             self.took_s += time.monotonic() - began_s
             self.took_jobs += len(results)
             self.results |= {job.output: result for job, result in zip(jobs, results, strict=False)}
-            self.progress(len(self.results), self.count)
+            self.done += len(results)
+            self.progress(self.done, self.count, "files")
         rest = jobs[len(results) :]
         if rest and not self.stopping:  # refused, or the file that says that the command runs was removed
             self.waiting.extendleft(reversed(rest))

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
 
 from evetac_cli import __version__, console
+from evetac_cli.cli.flags import Group
 from evetac_cli.cli.standard_streams import OutputClosed, OutputError, end_as_by_sigpipe, open_streams
 from evetac_cli.errors import (
     INTERNAL_ERROR,
@@ -35,7 +35,7 @@ from evetac_cli.jobs import Outcome
 UsageError: Any = typer.BadParameter.__base__  # which typer does not name; it lies in click, or in typer's own copy
 
 
-class Commands(TyperGroup):
+class Commands(Group):
     """The group of all commands: with --json, a wrong flag too is reported as one JSON object on stdout."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

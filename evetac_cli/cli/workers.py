@@ -21,6 +21,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from evetac_cli import console
 from evetac_cli.cli import compiling
 from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome
 from evetac_cli.jobs import Job, Outcome, Progress, silent
@@ -31,6 +32,7 @@ if TYPE_CHECKING:  # `evetac --help` loads none of it
 
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numerical libraries
+SAY_S = 0.2  # so often a worker tells how far it is
 GRACE_S = 0.5  # in which workers that were told to stop may clean up; then they are killed
 _came = False
 
@@ -82,22 +84,24 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
 def _noticing_interrupts(progress: Progress) -> Progress:
     """The same progress, at which an interrupt that was swallowed comes up."""
 
-    def report(done: int, total: int) -> None:
+    def report(done: float, total: float, doing: str = "") -> None:
         if _came:
             raise KeyboardInterrupt
-        progress(done, total)
+        progress(done, total, doing)
 
     return report
 
 
-def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | EvetacError | None:
+def _in_worker(
+    module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent
+) -> Outcome | EvetacError | None:
     """As run_one, but Ctrl-C ends the job quietly: the parent process reports it. Nothing is begun after it."""
     if _came:
         return None
     _catch(every=False)  # Ctrl-C comes from the terminal, and from the parent too
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)  # one that came while the process started, comes up now
-        return run_one(module, job, chosen, force)
+        return run_one(module, job, chosen, force, progress)
     except KeyboardInterrupt as error:
         finished: Outcome | None = attached_outcome(error)
         return finished
@@ -106,10 +110,37 @@ def _in_worker(module: str, job: Job, chosen: Any, force: bool) -> Outcome | Eve
 
 
 def _work(pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool) -> None:
-    """What a worker process does: job after job from the pipe, until it closes; at once ended if the parent dies."""
+    """What a worker process does: job after job from the pipe, until it closes; at once ended if the parent dies.
+
+    Through the pipe come back, of each job, the part that is done and what came of it; in between what is to be said.
+    """
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    with compiling.announced(quiet=quiet):
+
+    with compiling.announced(quiet=quiet, say=lambda text: _send_whole(pipe, text)):
         _work_off(pipe, module, chosen, force)
+
+
+def _send_whole(pipe: "Connection", what: str | float) -> None:
+    """Send something in the middle of a job: a message that an interrupt cuts in two would spoil all that follow."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
+    try:
+        pipe.send(what)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _sending(pipe: "Connection") -> Progress:
+    """Progress of a job that goes to the parent, every SAY_S: the part of it that is done."""
+    said_s = time.monotonic()
+
+    def report(done: float, total: float, doing: str = "") -> None:
+        nonlocal said_s
+        if doing or not total or time.monotonic() - said_s < SAY_S:
+            return
+        said_s = time.monotonic()
+        _send_whole(pipe, min(done / total, 1.0))
+
+    return report
 
 
 def _work_off(pipe: "Connection", module: str, chosen: Any, force: bool) -> None:
@@ -119,7 +150,7 @@ def _work_off(pipe: "Connection", module: str, chosen: Any, force: bool) -> None
         except EOFError:
             return
         try:
-            pipe.send(_in_worker(module, job, chosen, force))
+            pipe.send(_in_worker(module, job, chosen, force, _sending(pipe)))
         except Exception as error:  # a defect: shown by the parent, as it would be without workers
             error.add_note(traceback.format_exc())
             pipe.send(error)
@@ -148,15 +179,16 @@ class _Worker:
         self.process.start()
         theirs.close()
         self.job: Job | None = None
+        self.share = 0.0  # of the job that is done
 
     def begin(self, job: Job) -> None:
         """Hand over a job; a worker that died meanwhile is noticed when its result is asked for."""
-        self.job = job
+        self.job, self.share = job, 0.0
         with suppress(OSError):
             self.pipe.send(job)
 
     def result(self) -> Any:
-        """What came of the job, None if it was broken off; EvetacError where the process died."""
+        """What it sends next, at the end what came of the job, None if it was broken off; EvetacError if it died."""
         assert self.job is not None
         try:
             return self.pipe.recv()
@@ -210,11 +242,11 @@ def run_parallel(
     waiting = deque(jobs)
     workers: list[_Worker] = []
     interrupted = False
+    progress(0, 0, f"starting {at_once} processes")
     resource_tracker.ensure_running()  # or starting the first worker does so, and lets interrupts through again
     # Workers inherit this, and lift it while they work; here interrupts come up only where nothing is half done.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
     try:
-        progress(0, len(jobs))
         while waiting or any(worker.job for worker in workers):
             missing = min(at_once - len(workers), len(waiting))
             for _ in range(missing):  # one of them speaks for all
@@ -224,7 +256,8 @@ def run_parallel(
                     worker.begin(waiting.popleft())
             for worker in _ready(workers):
                 interrupted |= _take(worker, workers, results)
-                progress(len(results), len(jobs))
+            done = sum(job.output in results for job in jobs)
+            progress(done + sum(worker.share for worker in workers if worker.job), len(jobs))
     except KeyboardInterrupt:
         interrupted = True
         _stop(workers, results)
@@ -252,9 +285,15 @@ def _ready(workers: Sequence[_Worker], timeout_s: float | None = None) -> list[_
 
 
 def _take(worker: _Worker, workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) -> bool:
-    """Note the result of a worker, and let go of one that died; whether its job was interrupted."""
+    """Note what a worker sends, and let go of one that died; whether its job was interrupted."""
     result = worker.result()
     assert worker.job is not None
+    if isinstance(result, float):
+        worker.share = result
+        return False
+    if isinstance(result, str):
+        console.say(result)
+        return False
     output, worker.job = worker.job.output, None
     if worker.process.exitcode is not None:
         workers.remove(worker)

@@ -8,7 +8,7 @@ comes only from a simulation and goes only into the file.
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, nan
 from typing import Any, NamedTuple, Protocol
 
 from evetac_cli.events import Events
@@ -105,6 +105,8 @@ class Rig:
     clock: Clock
     truth: Callable[[], Mapping[str, Any]] | None = None  # one row per slice just read; simulations only
     holding_ma: float = 0.0  # the current that holds the object stably; 0 where it is not known
+    slices: int = 0  # how many there are at most; 0 where nobody knows. Simulations only, for the progress shown
+    slips_at_ma: float = nan  # about this current lets the object go, which ends the trial earlier
     sampled: str = ""  # JSON of the parameters that a simulation sampled for this trial
     sensor: Mapping[str, Any] = field(default_factory=dict)  # what is known beyond what the camera says of itself
     setup: Mapping[str, Any] = field(default_factory=dict)  # what the devices are and how they are set; JSON

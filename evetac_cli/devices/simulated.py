@@ -108,8 +108,16 @@ def _rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, durations: Mapp
     if driven is not None:
         trial = driven(plan, mechanics, optics)
         camera = SimulatedCamera(trial, *named)
-        return Rig(camera, None, camera, trial.truth, sampled=trial.sampled.as_json())
+        return Rig(camera, None, camera, trial.truth, slices=trial.slices_in_all, sampled=trial.sampled.as_json())
     simulation = GraspSimulation(plan, mechanics, optics, **durations)
     camera = SimulatedCamera(simulation, *named)
-    gripper, sampled = SimulatedGripper(simulation), simulation.sampled.as_json()
-    return Rig(camera, gripper, camera, simulation.truth, simulation.holding_ma(), sampled)
+    return Rig(
+        camera,
+        SimulatedGripper(simulation),
+        camera,
+        simulation.truth,
+        simulation.holding_ma(),
+        simulation.slices_in_all,
+        simulation.slips_at_ma(),
+        simulation.sampled.as_json(),
+    )

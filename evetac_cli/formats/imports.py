@@ -3,26 +3,32 @@
 The content decides, not the file's name. What all formats share is checked in one place, read/event_validation.
 """
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.read import read_prophesee, read_rosbag
-from evetac_cli.formats.read.event_validation import Foreign, Normal, normalise
+from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.read_dsec import open_hdf5
 from evetac_cli.formats.read.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_rosbag import is_bag_folder, open_rosbag
 from evetac_cli.formats.read.read_text import open_text
+from evetac_cli.jobs import Progress, silent
 
 EXPECTED = "AEDAT4, HDF5 with events/{t,x,y,p}, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
+# Frames of event cameras that are sold or in data sets, smallest first; and one that holds them all.
+FRAMES_PX = ((128, 128), (240, 180), (304, 240), (320, 240), (346, 260), (320, 320), (640, 480), (1280, 720))
+ANY_FRAME_PX = (2048, 2048)
 LARGE_LOSS = 0.02  # share of events dropped for one reason, above which a note says so
 
 
@@ -88,30 +94,37 @@ def read_events(
     sort: bool = False,
     stream: str | None = None,
     folder: Path | None = None,
+    progress: Progress = silent,
 ) -> Imported:
     """Read another program's event file: all of it or an InputError; of a damaged AEDAT4 file what is intact.
 
     folder: on whose disk the events wait; the one for temporary files otherwise.
-    frame_px: (width, height), needed where the file does not say it (text, HDF5), refused if it contradicts the file.
+    frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
+    HDF5), that of the smallest known sensor that holds all events, and a note says so.
     path: a file, or the folder of a ROS 2 bag.
+    progress: of the events that were read; how many there will be, no format says.
     sort: put events whose time goes backwards in order (stable) instead of refusing them.
     stream: the event stream of an AEDAT4 file, or the topic of a bag, that has several; the first by name otherwise.
 
     The number of slices is the last event's slice + 1, not the duration rounded up: an event at exactly 2 ms lies in
-    the third slice. A file without any event is refused, unless it is our export of a recording without any.
+    the third slice. A file without any event is a recording without any where the format says that it is whole
+    (AEDAT4 that was closed, HDF5, an export of ours), and refused elsewhere.
     """
     path = Path(path)
     where = str(path)
     try:
-        foreign = _open(path, frame_px, stream)
+        try:
+            foreign = _open(path, frame_px, stream)
+        except FrameUnknown as unknown:
+            foreign = _open_with_guessed_frame(path, stream, unknown)
         note = foreign.note
         try:
             normal = normalise(
-                foreign.batches,
+                _counted(foreign.batches, progress),
                 foreign.frame_px,
                 sort=sort,
                 start_us=note.start_us if note else None,
-                may_be_empty=note is not None and not note.events,
+                may_be_empty=foreign.may_be_empty or (note is not None and not note.events),
                 where=where,
                 folder=folder,
             )
@@ -124,6 +137,8 @@ def read_events(
         raise InputError("does not fit in memory", where=where, hint="import it in parts") from error
     events = normal.stored
     notes = [*foreign.notes, *_losses(foreign, normal)]
+    if note is None and not events.size:
+        notes.append("the file holds no events")
     if normal.sorted:
         notes.append(f"time went backwards: {normal.sorted} events were put back in order")
     slices = (events.last_us - normal.first_us) // SLICE_US + 1 if events.size else 0
@@ -140,6 +155,15 @@ def read_events(
         notes=notes,
         simulated=note is not None and note.simulated,
     )
+
+
+def _counted(batches: Iterable[Columns], progress: Progress) -> Iterator[Columns]:
+    """The same batches, with their events counted."""
+    count = 0
+    for batch in batches:
+        yield batch
+        count += len(batch.t)
+        progress(count, 0, "events read")
 
 
 def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
@@ -172,6 +196,31 @@ def _open(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> F
             "--stream only applies to AEDAT4 files and ROS bags", where=str(path), found=stream, hint="leave it out"
         )
     return format_.read(path, frame_px)
+
+
+def _open_with_guessed_frame(path: Path, stream: str | None, unknown: FrameUnknown) -> Foreign:
+    """The file with the frame of the smallest known sensor that holds all its events; `unknown` where none does."""
+    width = height = 0
+    batches = _open(path, ANY_FRAME_PX, stream).batches
+    try:
+        for batch in batches:
+            x, y = batch.x.astype(np.float64), batch.y.astype(np.float64)
+            finite = np.isfinite(x) & np.isfinite(y)
+            width = max(width, int(x[finite].max(initial=-1.0)) + 1)
+            height = max(height, int(y[finite].max(initial=-1.0)) + 1)
+    finally:
+        if isinstance(batches, Generator):
+            batches.close()
+    fitting = [frame for frame in FRAMES_PX if 0 < width <= frame[0] and 0 < height <= frame[1]]
+    if not fitting:
+        raise unknown
+    foreign = _open(path, fitting[0], stream)
+    frame = "{}x{}".format(*fitting[0])
+    foreign.notes.append(
+        f"the file does not say its frame: took {frame}, the smallest of a known sensor that holds all events"
+        f" ({width}x{height}); --frame-size says another"
+    )
+    return foreign
 
 
 def _format(path: Path) -> Format:

@@ -21,6 +21,7 @@ RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor
 EVENT_BYTES = 5
 LOST = "capture/lost/"
 HIDDEN = ("history", "parameters", "parents", "made", "file")  # of --json, left out of the text
+NUMBERS = {"version": "schema version", "method": "method number"}  # how the text calls what is a bare number
 MOST_PARENTS = 10  # lines; a model may have hundreds of parents
 
 
@@ -36,7 +37,7 @@ def show(result: Outcome) -> None:
         figures = {name: value for name, value in row.items() if name not in HIDDEN}
         print_text(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
         for name, value in figures.items():
-            print_text(f"  {name:<24} {format_value(value)}")
+            print_text(f"  {NUMBERS.get(name, name):<24} {format_value(value)}")
         print_text(f"  {'made':<24} {row['made'].get('at', '?')} by evetac {row['made'].get('evetac', '?')}")
         for line in _ancestry(row):
             print_text(f"  {line}")
@@ -49,7 +50,7 @@ def _ancestry(row: dict[str, Any]) -> Iterator[str]:
     """Lines that name the parents of a file and count its other ancestors; --json has all of them."""
     parents = [ancestor for ancestor in row["history"] if ancestor["id"] in row["parents"]]
     for parent in parents[:MOST_PARENTS]:
-        yield f"from {parent['kind']:<19} {parent['id'][:12]}  method {parent['method']}"
+        yield f"from {parent['kind']:<19} {parent['id'][:12]}  method number {parent['method']}"
     more = parents[MOST_PARENTS:]
     deeper = [ancestor for ancestor in row["history"] if ancestor["id"] not in row["parents"]]
     for name, ancestors in (("and from", more), ("behind these", deeper)):

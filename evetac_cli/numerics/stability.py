@@ -64,6 +64,15 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
     return made
 
 
+def for_people(rows: Rows, params: EvaluateStability) -> tuple[Rows, list[str]]:
+    """The rows that are not ok, or all where all are; and how many cases that is."""
+    failed = [row for row in rows if not row["ok"]]
+    if failed:
+        cases = len({row["case"] for row in failed})
+        return failed, [f"Outside their bounds: {cases} cases; --json prints those that are ok, too."]
+    return rows, ["All cases are within their bounds, or refused in words."]
+
+
 def summary(rows: Rows, counted_by: str) -> dict[str, Any]:
     """How many cases there are, refused and not ok, by a column too, and the names of all that are not ok.
 

@@ -11,9 +11,15 @@ class EvaluateSlip:
     """Measure slip timing and F1 of models on trajectories they never saw."""
 
     model: Path | None = parameter(
-        None, "Model file, a folder of them, or a glob; the others of several stand among the files.", recipe=False
+        None, "Model file, a folder of them, or a glob; more of them may stand among the files.", recipe=False
     )
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
+    all_tables: bool = parameter(
+        False,
+        "Print all tables: timing of settings, by object, by model, by trajectory; --json always has them.",
+        recipe=False,
+        flag="--all",
+    )
 
 
 @dataclass(frozen=True)

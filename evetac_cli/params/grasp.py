@@ -6,6 +6,8 @@ from pathlib import Path
 from evetac_cli.params.parameter import parameter
 from evetac_cli.params.trials import Trials
 
+DEVICES, GRIP = "Devices", "Grip and detector"  # panels of --help
+
 
 @dataclass(frozen=True)
 class Grasp(Trials):
@@ -22,57 +24,70 @@ class Grasp(Trials):
         " chosen for timing: a grip is best tightened while the contact begins to slip.",
         low=0.0,
         high=1.0,
+        panel=GRIP,
     )
     controller: str = parameter(
         "paper",
-        "Law of the grip; paper: the paper's, whose balance sets its reference at the first slip; paper-reset: at every"
-        " slip; load-proportional: ours, in proportion to the load; none: contact alone, without the detector; fixed:N:"
-        " closed N ticks beyond light contact.",
+        "Law of the grip; paper: balance sets the reference at the first slip; paper-reset: at every slip;"
+        " load-proportional: ours; none: contact alone, no detector; fixed:N: N ticks beyond light contact.",
     )
     gain: float = parameter(
-        1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0
+        1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0, panel=GRIP
     )
-    latency_ms: int = parameter(0, "The slip signal reaches the controller so much later.", unit="ms", low=0, high=1000)
+    latency_ms: int = parameter(
+        0, "The slip signal reaches the controller so much later.", unit="ms", low=0, high=1000, panel=GRIP
+    )
     control_hz: float = parameter(
-        500.0, "Steps of the controller a second; 1000 has to be a multiple.", unit="Hz", low=1.0, high=1000.0
+        500.0,
+        "Steps of the controller a second; 1000 has to be a multiple.",
+        unit="Hz",
+        low=1.0,
+        high=1000.0,
+        panel=GRIP,
     )
     tracker: str = parameter(
-        "stable", "Preset of the dot tracker.", choices=("stable", "paper", "official", "unregularised")
+        "stable", "Preset of the dot tracker.", choices=("stable", "paper", "official", "unregularised"), panel=GRIP
     )
-    lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0)
-    balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0)
+    lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0, panel=GRIP)
+    balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0, panel=GRIP)
     camera: str = parameter(
         "sim",
-        "Camera: sim; virtual (a simulated world behind the real driver, in real time); dvxplorer, dvxplorer:SERIAL;"
-        " dv, dv:SERIAL; replay:RECORDING, with --gripper sim what the controller would have done.",
+        "Camera: sim; virtual, a simulated world behind the real driver; dvxplorer or dvxplorer:SERIAL; dv or"
+        " dv:SERIAL; replay:RECORDING, what the controller would have done.",
         recipe=False,
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (README, Hardware, lists them); or its PORT or"
-        " PORT@BAUD; default: that of the camera.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1; or its PORT or PORT@BAUD; default: that of the"
+        " camera.",
         recipe=False,
     )
     calibration: Path | None = parameter(
-        None, "Devices: dot grid (JSON) of the sensor; default: what a virtual world says.", recipe=False
+        None, "Dot grid (JSON) of the sensor; default: what a virtual world says.", recipe=False, panel=DEVICES
     )
     arm: bool = parameter(
         False,
-        "Devices: move a real gripper. Torque is switched off at the end, and at once if the detector, the camera or"
-        " the bus fails: what is held then falls.",
+        "Move a real gripper. Torque goes off at the end and if anything fails: what is held then falls.",
         recipe=False,
     )
     max_current_ma: int = parameter(
-        100, "Devices: the gripper's motor current never exceeds this.", unit="mA", low=1, high=2000, recipe=False
+        100,
+        "The gripper's motor current never exceeds this.",
+        unit="mA",
+        low=1,
+        high=2000,
+        recipe=False,
+        panel=DEVICES,
     )
     max_seconds: float = parameter(
-        60.0, "Devices: no grasp takes longer.", unit="s", low=1.0, high=3600.0, recipe=False
+        60.0, "No grasp takes longer.", unit="s", low=1.0, high=3600.0, recipe=False, panel=DEVICES
     )
     watchdog_ms: int = parameter(
         60,
-        "Devices: torque is switched off if detector, camera or computer are silent for so long; a multiple of 20.",
+        "Torque is switched off if detector, camera or computer are silent for so long; a multiple of 20.",
         unit="ms",
         low=20,
         high=500,
         recipe=False,
+        panel=DEVICES,
     )

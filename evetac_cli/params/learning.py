@@ -5,6 +5,8 @@ from pathlib import Path
 
 from evetac_cli.params.parameter import parameter
 
+OTHERS, TRAINING = "Other methods than event-flow", "Training"  # panels of --help
+
 
 @dataclass(frozen=True)
 class Label:
@@ -23,27 +25,43 @@ class Label:
         6.9, "Thresholds that a pixel crosses when a dot's rim passes; event-flow.", unit="events", low=0.1
     )
     threshold_px: float = parameter(
-        0.3, "Flow methods: relative flow of window against gel over the look-ahead that is slip.", unit="px", low=0.0
+        0.3,
+        "Flow methods: relative flow of window against gel over the look-ahead that is slip.",
+        unit="px",
+        low=0.01,
+        panel=OTHERS,
     )
     threshold_events: int = parameter(
-        200, "Events of the window over the look-ahead that are slip; event-count.", unit="events", low=1
+        200, "Events of the window over the look-ahead that are slip; event-count.", unit="events", low=1, panel=OTHERS
     )
     look_ahead_ms: int = parameter(
-        4, "Flow methods: flow is taken from a slice to the one this much later.", unit="ms", low=1, high=100
+        4,
+        "Flow methods: flow is taken from a slice to the one this much later.",
+        unit="ms",
+        low=1,
+        high=100,
+        panel=OTHERS,
     )
-    accumulate_ms: int = parameter(3, "Flow methods: slices summed into one event image.", unit="ms", low=1, high=100)
+    accumulate_ms: int = parameter(
+        3, "Flow methods: slices summed into one event image.", unit="ms", low=1, high=100, panel=OTHERS
+    )
     min_events: int = parameter(
-        20, "Flow methods: window images with fewer events have no flow; their pair is left out.", unit="events", low=1
+        20,
+        "Flow methods: window images with fewer events have no flow; their pair is left out.",
+        unit="events",
+        low=1,
+        panel=OTHERS,
     )
     confirm_ms: int = parameter(
-        5, "All but event-flow: slip must hold for this long to be an onset.", unit="ms", low=1, high=1000
+        5, "Slip must hold for this long to be an onset.", unit="ms", low=1, high=1000, panel=OTHERS
     )
     coarse_ms: int = parameter(
         5,
-        "All but event-flow: step of the coarse search for the onset; up to confirm_ms it misses none.",
+        "Step of the coarse search for the onset; up to --confirm-ms it misses none.",
         unit="ms",
         low=1,
         high=1000,
+        panel=OTHERS,
     )
     after_ms: int = parameter(60, "Slices labelled after the onset; later ones are not examined.", unit="ms", low=0)
     from_start: bool = parameter(
@@ -135,13 +153,16 @@ class Train:
         " over the steps; its best network is then among the checkpoints. Default: take all steps.",
         low=1,
         high=100,
+        panel=TRAINING,
         recipe=False,  # it is, where it is given: models that were made before there was such a choice stay up to date
     )
     seed: int = parameter(0, "Seed of weights, sampling and augmentation.", low=0, high=2**31 - 1)
     seeds: int = parameter(
         1, "Models to train, each with the next seed and in a file of its own.", low=1, high=1000, recipe=False
     )
-    device: str = parameter("cpu", "Where it is computed; numbers depend on it.", choices=("cpu", "cuda"))
+    device: str = parameter(
+        "cpu", "Where it is computed; numbers depend on it.", choices=("cpu", "cuda"), panel=TRAINING
+    )
     networks: int | None = parameter(
         None,
         "Train so many networks apart, from other first weights, and let the mean of their logits decide: steadier on"
@@ -149,13 +170,14 @@ class Train:
         " of --adapt.",
         low=1,
         high=32,
+        panel=TRAINING,
     )
     objects: str = parameter(
         "", "Use the features of these objects only, as in `1-9` or `1-3,8`.", recipe=False, flag="--object"
     )
     validate: str = parameter(
         "",
-        "Folder or glob of features on which checkpoint and threshold are chosen; default: every 8th input.",
+        "Folder or glob of features to choose checkpoint and threshold on, at least 4; default: every 8th input.",
         recipe=False,
     )
     folds: int = parameter(
@@ -164,6 +186,7 @@ class Train:
         " each without one share of the objects, and judged on that share. For detectors that will meet new objects.",
         low=0,
         high=100,
+        panel=TRAINING,
     )
     adapt: str = parameter(
         "",

@@ -7,6 +7,8 @@ import dataclasses
 from dataclasses import field, fields
 from typing import Any
 
+RUNNING = "Running"  # the panel of --help with what does not change the numbers
+
 
 def parameter(
     default: Any,
@@ -18,10 +20,14 @@ def parameter(
     high: float | None = None,
     recipe: bool = True,
     flag: str = "",
+    panel: str = "",
 ) -> Any:
-    """A dataclass field that knows its help text, unit and range (both ends included)."""
-    about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high, "recipe": recipe, "flag": flag}
-    return field(default=default, metadata=about)
+    """A dataclass field that knows its help text, unit and range (both ends included).
+
+    panel: under which heading `--help` shows it; those that most people need have none, and come first.
+    """
+    about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high, "recipe": recipe}
+    return field(default=default, metadata={**about, "flag": flag, "panel": panel})
 
 
 def recipe_of(params: Any) -> dict[str, Any]:

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evetac_cli.params.parameter import parameter
-from evetac_cli.params.trials import Trials
+from evetac_cli.params.trials import SCENE, Trials
+
+DEVICES, IMPORT = "Devices", "Import"  # panels of --help
 
 READOUT_RATES = (
     *("constant-100", "constant-200", "constant-500", "constant-1000", "lossy-2000", "lossy-5000", "lossy-10000"),
@@ -23,107 +25,142 @@ class Record(Trials):
     )
     objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
     tones: str | None = parameter(
-        None, "Tones to play, of 1 to 2500, as in `200,300`; default: the scene's.", unit="Hz", flag="--tone"
+        None,
+        "Tones to play, of 1 to 2500, as in `200,300`; default: the scene's.",
+        unit="Hz",
+        flag="--tone",
+        panel=SCENE,
     )
     source: Path | None = parameter(
         None,
-        "Import this event file instead of simulating: AEDAT4, DSEC HDF5, text `t x y p`, Prophesee RAW or DAT, or a"
-        " bag of ROS 1 or ROS 2 (its folder).",
+        "Import this event file instead: AEDAT4, DSEC HDF5, text `t x y p`, Prophesee RAW or DAT, or a bag of ROS 1 or"
+        " ROS 2 (its folder).",
         flag="--from",
         recipe=False,
     )
     frame_size: str | None = parameter(
-        None, "Frame of the imported file where it does not say, as in 640x480.", unit="px"
+        None,
+        "Frame of the imported file where it does not say, as in 640x480; default: the smallest of a known sensor that"
+        " holds all events.",
+        unit="px",
+        panel=IMPORT,
     )
-    sort: bool = parameter(False, "Sort imported events whose time goes backwards, instead of refusing them.")
-    stream: str | None = parameter(None, "Which event stream, or topic, of the imported file, where it has several.")
+    sort: bool = parameter(
+        False, "Sort imported events whose time goes backwards, instead of refusing them.", panel=IMPORT
+    )
+    stream: str | None = parameter(
+        None, "Which event stream, or topic, of the imported file, where it has several.", panel=IMPORT
+    )
     calibration: Path | None = parameter(
-        None, "Dot grid (JSON) to store with a recording that is imported or from a device.", recipe=False
+        None,
+        "Dot grid (JSON) to store with a recording that is imported or from a device.",
+        recipe=False,
+        panel=IMPORT,
     )
     camera: str = parameter(
         "sim",
-        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2 (README,"
-        " Hardware, lists them);"
-        " dvxplorer or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing; replay:FILE.",
+        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2; dvxplorer"
+        " or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing; replay:FILE.",
         recipe=False,
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1+lost-answer%2 (late-answer, lost-answer, bad-crc,"
-        " watchdog, overload, unplug; @SECONDS after torque first went on); none; or its PORT or PORT@BAUD; default:"
-        " that of the camera, or none.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1; none; or its PORT or PORT@BAUD; default: that of"
+        " the camera, or none.",
         recipe=False,
     )
     seconds: float | None = parameter(
         None,
-        "Devices and --live: record, or look, for so long; default: until the gripper has let go, or Ctrl-C.",
+        "Record, or with --live look, for so long; default: until the gripper has let go, or Ctrl-C.",
         unit="s",
         low=0.001,
         high=86400.0,
         recipe=False,
+        panel=DEVICES,
     )
     arm: bool = parameter(
-        False,
-        "Devices: move a real gripper. Torque is switched off at the end, and whenever something fails: what is held"
-        " then falls.",
-        recipe=False,
+        False, "Move a real gripper. Torque goes off at the end: what is held then falls.", recipe=False
     )
     closing_ma: int = parameter(
-        10, "Devices: current that closes the gripper until contact.", unit="mA", low=1, high=500, recipe=False
+        10,
+        "Current that closes the gripper until contact.",
+        unit="mA",
+        low=1,
+        high=500,
+        recipe=False,
+        panel=DEVICES,
     )
     holding_ma: float | None = parameter(
         None,
-        "Devices: current that holds the object; default: what a virtual world asks for, 50 otherwise.",
+        "Current that holds the object; default: what a virtual world asks for, 50 otherwise.",
         unit="mA",
         low=0.0,
         high=1000.0,
         recipe=False,
+        panel=DEVICES,
     )
     hold_s: float = parameter(
-        1.0, "Devices: how long it is held before the current falls.", unit="s", low=0.0, high=3600.0, recipe=False
+        1.0,
+        "How long it is held before the current falls.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+        recipe=False,
+        panel=DEVICES,
     )
     lowest_ma: float = parameter(
         -50.0,
-        "Devices: the recording ends where the current has fallen to this; less than --holding-ma.",
+        "The recording ends where the current has fallen to this; less than --holding-ma.",
         unit="mA",
         low=-500.0,
         high=1000.0,
         recipe=False,
+        panel=DEVICES,
     )
     current_of: str | None = parameter(
         None,
-        "Devices: the gripper follows the current that this scene names (grip-steps, or a TOML file), instead of"
-        " closing, holding and letting it fall.",
+        "The gripper follows the current that this scene names (grip-steps, or a TOML file), instead of closing,"
+        " holding and letting it fall.",
         recipe=False,
+        panel=DEVICES,
     )
     watchdog_ms: int = parameter(
         100,
-        "Devices: the gripper lets go if it gets no command for so long, or nobody records; a multiple of 20.",
+        "The gripper lets go if it gets no command for so long, or nobody records; a multiple of 20.",
         unit="ms",
         low=20,
         high=500,
         recipe=False,
+        panel=DEVICES,
     )
     threshold_on: int | None = parameter(
         None,
-        "Devices: contrast threshold of brighter, 0 most sensitive, 17 least; default: the driver's.",
+        "Contrast threshold of brighter, 0 most sensitive, 17 least; default: the driver's.",
         low=0,
         high=17,
         recipe=False,
+        panel=DEVICES,
     )
     threshold_off: int | None = parameter(
-        None, "Devices: ... of darker; default: the driver's.", low=0, high=17, recipe=False
+        None, "Contrast threshold of darker; default: the driver's.", low=0, high=17, recipe=False, panel=DEVICES
     )
     readout_rate: str | None = parameter(
         None,
-        "Devices: frames a second that the sensor reads out; default: variable-5000.",
+        "Frames a second that the sensor reads out; default: variable-5000.",
         choices=READOUT_RATES,
         recipe=False,
+        panel=DEVICES,
     )
     expected_event_rate: float = parameter(
-        1e6, "Devices: events a second that the disk must have room for.", unit="1/s", low=0.0, high=1e9, recipe=False
+        1e6,
+        "Events a second that the disk must have room for.",
+        unit="1/s",
+        low=0.0,
+        high=1e9,
+        recipe=False,
+        panel=DEVICES,
     )
-    resume: bool = parameter(False, "Devices: go on with a series, made with the same set-up.", recipe=False)
+    resume: bool = parameter(False, "Go on with a series, made with the same set-up.", recipe=False, panel=DEVICES)
     live: bool = parameter(False, "Show what the camera sees, and write nothing.", recipe=False)
 
 

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
-from evetac_cli.params.parameter import parameter
+from evetac_cli.params.parameter import RUNNING, parameter
 
+SCENE, SOLVER = "Scene", "Precision of the simulation"  # panels of --help
 SOLVER_OPTIONS = ("tolerance_um", "step_ms", "theta", "node_pitch_mm", "camera_substeps", "scans_per_ms")
 
 
@@ -18,16 +19,23 @@ class Trials:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1)
     sensor: str = parameter(
         "evetac",
-        "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel, realistic; randomized: another one, and another"
-        " gripper, for every trial; randomized:N: the N-th of these, the same wherever it is named; or a TOML file, as"
-        " `evetac identify` writes one.",
+        "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel, realistic; randomized: another for every trial;"
+        " randomized:N: the N-th of these; or a TOML file, as `evetac identify` writes one.",
     )
-    gel: str | None = parameter(None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"))
+    gel: str | None = parameter(
+        None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"), panel=SCENE
+    )
     texture: str | None = parameter(
-        None, "Whether the window shows the object's texture, instead of what the scene says.", choices=("on", "off")
+        None,
+        "Whether the window shows the object's texture, instead of what the scene says.",
+        choices=("on", "off"),
+        panel=SCENE,
     )
     readout: str = parameter(
-        "dvxplorer", "Camera: scanned 5000 times a second, or every event to the us.", choices=("dvxplorer", "ideal")
+        "dvxplorer",
+        "Camera: scanned 5000 times a second, or every event to the us.",
+        choices=("dvxplorer", "ideal"),
+        panel=SCENE,
     )
     tolerance_um: float | None = parameter(
         None,
@@ -36,23 +44,47 @@ class Trials:
         low=0.001,
         high=1000.0,
         flag="--tolerance",
+        panel=SOLVER,
     )
     step_ms: float | None = parameter(
-        None, "Fixed mechanical step instead, 1 divided by a whole number.", unit="ms", low=0.0001, high=1.0
+        None,
+        "Fixed mechanical step instead, 1 divided by a whole number.",
+        unit="ms",
+        low=0.0001,
+        high=1.0,
+        panel=SOLVER,
     )
     theta: float | None = parameter(
-        None, "Of the mechanical step: 1 is implicit Euler, 0.5 the trapezoidal rule; default: 0.55.", low=0.5, high=1.0
+        None,
+        "Of the mechanical step: 1 is implicit Euler, 0.5 the trapezoidal rule; default: 0.55.",
+        low=0.5,
+        high=1.0,
+        panel=SOLVER,
     )
     node_pitch_mm: float | None = parameter(
-        None, "Distance of the gel's nodes; default: the scene's, or 0.833.", unit="mm", low=0.05, high=5.0
+        None,
+        "Distance of the gel's nodes; default: the scene's, or 0.833.",
+        unit="mm",
+        low=0.05,
+        high=5.0,
+        panel=SOLVER,
     )
     camera_substeps: int | None = parameter(
-        None, "Straight pieces of a dot's path in each ms; default: the scene's, or 1.", low=1, high=100
+        None,
+        "Straight pieces of a dot's path in each ms; default: the scene's, or 1.",
+        low=1,
+        high=100,
+        panel=SOLVER,
     )
     scans_per_ms: int | None = parameter(
-        None, "Scans of the simulated readout; default: the scene's, or 5.", unit="1/ms", low=1, high=100
+        None,
+        "Scans of the simulated readout; default: the scene's, or 5.",
+        unit="1/ms",
+        low=1,
+        high=100,
+        panel=SOLVER,
     )
-    dry_run: bool = parameter(False, "Show what would be built, left out and paid; write nothing.", recipe=False)
+    dry_run: bool = parameter(False, "Show what it would build and cost; write nothing.", recipe=False, panel=RUNNING)
 
     def solver(self) -> dict[str, Any]:
         """The settings of the simulation that were given."""

@@ -7,6 +7,7 @@ network has not seen, by networks that are trained for this alone. --adapt goes 
 An interrupted run leaves `NAME.model.part` for each network, from which the same command goes on to the same result.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -47,6 +48,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 OUTPUT = "model"
 METHOD = 6
 VALIDATE_EVERY = 8
+FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a threshold that is far too low may do as well as a good one
 
 
 class Settings(NamedTuple):
@@ -113,6 +115,29 @@ def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
     return [NetworkJob(job.inputs, places[number], job.learned, job.seed, number, job.output) for number in numbers]
 
 
+def cautions(jobs: Sequence[TrainJob], params: Train) -> list[str]:
+    """What to know before a training begins that may take long."""
+    few = {_few(len(job.inputs) if params.folds else len(job.inputs) - job.learned) for job in jobs}
+    return sorted(few - {""})
+
+
+def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str, Any]], list[str]]:
+    """All rows, and how far the threshold can be relied on."""
+    few = {_few(row["validated_on"]) for row in rows if "validated_on" in row}
+    return rows, sorted(few - {""})
+
+
+def _few(validated_on: int) -> str:
+    """What is said where a threshold is chosen on few trajectories; nothing elsewhere."""
+    if validated_on >= FEWEST_VALIDATED_ON:
+        return ""
+    count = f"{validated_on} trajector{'y' if validated_on == 1 else 'ies'}"
+    return (
+        f"checkpoint and threshold are chosen on {count}, too few: on others the model may do badly; name at least"
+        f" {FEWEST_VALIDATED_ON} that it is not trained on with --validate"
+    )
+
+
 def _with_objects(files: list[Path], params: Train) -> list[Path]:
     """The files of the objects that `--object` names, or all; InputError if none is of these objects."""
     if not params.objects or not files:
@@ -174,7 +199,10 @@ def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
 def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
     settings, adapted = _settings(params)
-    headers = [_header(path) for path in job.inputs]
+    headers = []
+    for number, path in enumerate(job.inputs):
+        progress(number, len(job.inputs), "files looked at")
+        headers.append(_header(path))
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
@@ -190,6 +218,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     if up_to_date(output, recipe, force=force):
         return outcome(job, made=False, simulated=simulated)
 
+    progress(0, 0, "loading torch")
     import torch
 
     if params.device == "cuda" and not torch.cuda.is_available():
@@ -226,7 +255,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             graphs = [onnx_graphs.build(architecture, weights, *shape) for weights in last]
             detectors = [Detector(graph, architecture) for graph in graphs]
             predictions = predictions or [[] for _ in detectors]
-            for index in fold.evaluated_on:
+            for done, index in enumerate(fold.evaluated_on):
+                progress(done, len(fold.evaluated_on), "files judged")
                 trajectory = read_trajectory(job.inputs[index], architecture)
                 for detector, of_detector in zip(detectors, predictions, strict=True):
                     of_detector.append(predict(detector, trajectory, headers[index], settings.horizon_ms))

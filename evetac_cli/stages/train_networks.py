@@ -6,7 +6,7 @@ process finished is taken from there.
 
 import time
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
 from evetac_cli.stages.splits import Fold
@@ -70,18 +71,18 @@ class Networks:
 
         seed = chosen["seed"]
         result = training.train(
-            self._samples_of(number // chosen["networks"]),
+            self._samples_of(number // chosen["networks"], progress),
             preset,
             # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
             np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
             epochs=chosen["epochs"],
             max_steps=chosen["max_steps"],
-            on_progress=lambda step, steps, loss: progress(number * steps + step, self.count * steps),
+            on_progress=lambda step, steps: progress(number * steps + step, self.count * steps),
             device=chosen["device"],
             resume_from=saved,
             on_save=save,
             start=start,
-            validation=self._samples(self.folds[-1].evaluated_on) if chosen.get("patience") else None,
+            validation=self._samples(self.folds[-1].evaluated_on, progress) if chosen.get("patience") else None,
             patience=chosen.get("patience"),
         )
         if self.count > 1:
@@ -93,19 +94,24 @@ class Networks:
         for number in range(self.count):
             state_file(self.model, number, self.count).unlink(missing_ok=True)
 
-    def _samples_of(self, fold: int) -> Samples:
+    def _samples_of(self, fold: int, progress: Progress) -> Samples:
         """What the networks of a fold learn from."""
         if fold not in self._gathered:
             self._gathered.clear()
-            self._gathered[fold] = self._samples(self.folds[fold].trained_on)
+            self._gathered[fold] = self._samples(self.folds[fold].trained_on, progress)
         return self._gathered[fold]
 
-    def _samples(self, numbers: Sequence[int]) -> Samples:
+    def _samples(self, numbers: Sequence[int], progress: Progress) -> Samples:
         """The samples of the inputs of these numbers."""
         chosen, join = self.recipe.parameters, partial(join_on_disk, existing_folder(self.model.parent))
         architecture = ARCHITECTURES[chosen["model"]]
-        trajectories = (read_trajectory(self.inputs[number], architecture) for number in numbers)
-        return sampling.gather(trajectories, architecture, *self.shape, chosen["horizon_ms"], join)
+
+        def trajectories() -> Iterator[Trajectory]:
+            for done, number in enumerate(numbers):
+                progress(done, len(numbers), "files read")
+                yield read_trajectory(self.inputs[number], architecture)
+
+        return sampling.gather(trajectories(), architecture, *self.shape, chosen["horizon_ms"], join)
 
 
 def state_file(model: Path, number: int, networks: int) -> Path:

@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,7 +18,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from evetac_cli import __version__
-from evetac_cli.cli import main
+from evetac_cli.cli import execution
 from evetac_cli.cli.commands import EVALUATE, PIPELINE, Command
 from evetac_cli.cli.main import app
 from evetac_cli.errors import (
@@ -135,11 +136,12 @@ def test_help_says_everything(path: list[str], command: Command) -> None:
     result = evetac(*path, "--help")
     text = plain_text(result.output)
     assert result.exit_code == 0
-    assert command.params.__doc__ in text
+    assert " ".join(command.params.__doc__.split()) in text
     for item in dataclasses.fields(command.params):
         about = item.metadata
         flag = flag_of(item)
-        start = text.index(f" {flag} ")
+        panels = text.index(" Options " if flag.startswith("-") else " Arguments ")  # behind the examples
+        start = text.index(f" {flag} ", panels)
         entry = text[start : start + 600]
         said = plain_text(about["help"])
         assert said in entry, item.name
@@ -418,6 +420,35 @@ def test_table(label_is: Any, files: list[str]) -> None:
     assert re.fullmatch(r"label: \d+\.\d s\n", result.stderr)
 
 
+def test_what_was_made_is_the_last_line(label_is: Any, files: list[str]) -> None:
+    """Assert that the last line of stdout names the files that were made, quoted for a shell; many by their folder."""
+    label_is(made)
+    assert evetac("label", *files).stdout.splitlines()[-1] == "a.labels.h5 b.labels.h5 c.labels.h5"
+    assert evetac("label", files[0], "-o", "two words").stdout.splitlines()[-1] == "'two words/a.labels.h5'"
+    Path("d.recording.h5").touch()
+    assert evetac("label", *files, "d.recording.h5", "-o", "out").stdout.splitlines()[-1] == "out"
+    label_is(skipped)
+    assert evetac("label", files[0]).stdout.splitlines()[-1] == "a.labels.h5"
+
+
+def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
+    """Assert that a stage can choose rows for people and say what they amount to, and that --json has every row."""
+    answer = Outcome([{"a": 1}, {"b": 2}], True, {"count": 2})
+    stage = SimpleNamespace(
+        jobs=lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))],
+        run=lambda *_, **__: answer,
+        for_people=lambda rows, chosen: (rows[1:], ["early in 1 of 2"]),
+        cautions=lambda jobs, chosen: ["few files"],
+    )
+    monkeypatch.setitem(sys.modules, "evetac_cli.stages.evaluate.slip", stage)
+    result = evetac("evaluate", "slip", *files)
+    assert result.stdout.splitlines()[-2:] == ["count: 2", "early in 1 of 2"]
+    assert result.stderr.splitlines()[0] == "note: few files"
+    assert " a " not in result.stdout
+    shown = evetac("evaluate", "slip", *files, "--json", "-q")
+    assert (json.loads(shown.stdout)["rows"], shown.stderr) == (answer.rows, "")
+
+
 def test_up_to_date_is_said(label_is: Any, files: list[str]) -> None:
     """Assert that a run without work ends well and says so."""
     label_is(skipped)
@@ -451,6 +482,35 @@ def test_out_is_a_folder_or_a_file(label_is: Any, files: list[str]) -> None:
     assert not Path("all.h5").exists()
 
 
+@pytest.mark.parametrize("out", ["z.txt", "new/z.json", "z.png"])
+def test_out_that_looks_like_another_file_is_refused(label_is: Any, files: list[str], out: str) -> None:
+    """Assert that no folder is made by the name of a file, unless there is one already."""
+    label_is(made)
+    result = evetac("label", files[0], "-o", out)
+    assert result.exit_code == 2
+    assert "looks like a file of another kind" in result.stderr and f"mkdir {out} first" in result.stderr
+    assert not Path(out).exists()
+    Path(out).mkdir(parents=True)
+    assert evetac("label", files[0], "-o", out).exit_code == 0
+    assert evetac("label", files[0], "-o", "run-0.5").exit_code == 0
+
+
+def test_a_folder_stands_for_its_files(label_is: Any, files: list[str]) -> None:
+    """Assert that a folder is as good as the files of the right kind in it, and one without any is refused."""
+    label_is(made)
+    Path("data").mkdir()
+    for name in ("b.recording.h5", "a.recording.h5", "a.labels.h5", "notes.txt"):
+        (Path("data") / name).write_text(name)
+    rows = json.loads(evetac("label", "data", files[2], "--json").stdout)["rows"]
+    assert [row["output"] for row in rows] == ["data/a.labels.h5", "data/b.labels.h5", "c.labels.h5"]
+    Path("above/below").mkdir(parents=True)
+    Path("above/below/a.recording.h5").touch()
+    result = evetac("label", "above")
+    assert result.exit_code == 2
+    assert "above: no such file in this folder" in result.stderr and "*.recording.h5" in result.stderr
+    assert "above/below" in result.stderr
+
+
 def test_clash_of_outputs(label_is: Any, files: list[str]) -> None:
     """Assert that inputs of one name are not written over each other, and nothing is made."""
     label_is(made)
@@ -469,9 +529,9 @@ def test_many_outputs_are_checked_quickly(label_is: Any, files: list[str]) -> No
     """Assert that thousands of files are compared in no time, not each with each (that took minutes)."""
     label_is(skipped)
     jobs = [Job((), Path(f"{number}.h5")) for number in range(30_000)]
-    main._check_outputs(jobs, [], Label(), force=True)
+    execution._check_outputs(jobs, [], Label(), force=True)
     with pytest.raises(InputError, match=r"29999\.h5"):
-        main._check_outputs([*jobs, jobs[-1]], [], Label(), force=True)
+        execution._check_outputs([*jobs, jobs[-1]], [], Label(), force=True)
 
 
 def test_force_never_replaces_an_input(label_is: Any, files: list[str]) -> None:
@@ -530,6 +590,7 @@ WRONG = [
     (["--confirm-ms", "0"], "--confirm-ms: out of range"),
     (["--threshold-px", "nan"], "--threshold-px: not a finite number"),
     (["--threshold-px", "-0.1"], "--threshold-px: out of range"),
+    (["--threshold-px", "0"], "--threshold-px: out of range"),
     (["--confirm-ms", "2.5"], "Invalid value"),
     (["--config", "none.toml"], "none.toml: cannot be read"),
     (["--config", "c.toml"], "did you mean `confirm_ms`?"),
@@ -580,10 +641,27 @@ def test_info(report: Path) -> None:
 
 def test_info_of_what_is_no_stage_file(report: Path, files: list[str]) -> None:
     """Assert that a foreign file is an error in words."""
-    for wrong in (files[0], "none.h5", "."):
+    Path("empty").mkdir()
+    for wrong in (files[0], "none.h5", "empty"):
         result = evetac("info", report, wrong)
         assert result.exit_code == 2
         assert result.stderr.startswith(f"error: {wrong}: ")
+
+
+def test_info_of_files_of_which_some_are_foreign(report: Path, files: list[str]) -> None:
+    """Assert that a foreign file hides no other, in words and in JSON, and gives the exit code."""
+    given = (files[0], report, files[1])
+    result = evetac("info", *given)
+    assert result.exit_code == 2
+    assert "a.slip.report.h5" in result.stdout
+    said = [line.split(": ")[1] for line in result.stderr.splitlines() if line.startswith("error: ")]
+    assert sorted(said) == files[:2]
+    shown = json.loads(evetac("info", *given, "--json").stdout)
+    assert [row["file"] for row in shown["rows"]] == [str(report)]
+    assert [shown["error"]["where"], *(error["where"] for error in shown["more_errors"])] == files[:2]
+    Path("mixed").mkdir()
+    shutil.copy(report, "mixed")
+    assert json.loads(evetac("info", "mixed", report, "--json").stdout)["summary"] == {"files": 2}
 
 
 def test_validate(report: Path, files: list[str]) -> None:
@@ -628,21 +706,21 @@ def test_parts_of_a_job_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         parts=lambda job, chosen: [Job((), Path(f"{job.output}-{number}")) for number in range(2)],
         run=lambda job, chosen, **_: Outcome([{"alone": job.output.name}], simulated=False),
     )
-    monkeypatch.setattr(main.importlib, "import_module", lambda name: stage)
-    monkeypatch.setattr(main.workers, "run_parallel", run_parallel)
+    monkeypatch.setattr(execution.importlib, "import_module", lambda name: stage)
+    monkeypatch.setattr(execution.workers, "run_parallel", run_parallel)
     jobs = [Job((), tmp_path / name) for name in ("a", "b", "c", "there")]
     (tmp_path / "there").touch()
     running = {"quiet": True, "force": False, "engine": "local", "number_of_jobs": 2}
 
     results: dict[Path, Outcome | EvetacError] = {}
-    main._run(Command("of parts", object, "", ""), jobs, None, running, results)
+    execution.run_jobs(Command("of parts", object, "", ""), jobs, None, running, results)
     assert begun == [["a-0", "a-1", "b-0", "b-1", "c-0", "c-1"], ["a", "c"]]
     assert isinstance(results[tmp_path / "b"], EvetacError)
     assert set(results) == {job.output for job in jobs}
 
     begun.clear()
     results.clear()
-    main._run(Command("of parts", object, "", ""), jobs, None, {**running, "number_of_jobs": 1}, results)
+    execution.run_jobs(Command("of parts", object, "", ""), jobs, None, {**running, "number_of_jobs": 1}, results)
     assert begun == []
     assert [result.rows[0]["alone"] for result in results.values() if isinstance(result, Outcome)] == [
         "a", "b", "c", "there",

@@ -267,10 +267,17 @@ def test_text_outside_frame_and_not_a_number_is_counted(text: Callable[..., Path
     assert event_rows(imported) == [(0, 1, 2, 1), (6, 639, 479, 1)]
 
 
-def test_text_needs_a_frame_size(text: Callable[..., Path]) -> None:
-    """Assert that the frame is asked for, and must be possible."""
-    path = text("0 1 2 1\n")
-    assert "--frame-size" in refusal(path)
+def test_the_frame_is_guessed_among_known_sensors(text: Callable[..., Path]) -> None:
+    """Assert that the smallest sensor that holds all events is taken and said, and that beyond all it is asked for."""
+    for last, frame in (((127, 127), (128, 128)), ((345, 1), (346, 260)), ((1, 300), (320, 320)), ((639, 0), FRAME)):
+        path = text("0 1 2 1\n2 nan nan 1\n5 {} {} 0\n".format(*last))
+        imported = read_events(path)
+        assert imported.frame_px == frame
+        assert imported.counts["out_of_frame"] == 0
+        (said,) = (note for note in imported.notes if "--frame-size" in note)
+        assert "took {}x{}".format(*frame) in said
+    path = text("0 1 2 1\n1 4000 2 1\n")
+    assert "the file does not say how large the frame is" in refusal(path)
     for frame in ((0, 480), (640, -1), (70000, 1)):
         assert "impossible frame size" in refusal(path, frame_px=frame)
 
@@ -404,7 +411,7 @@ def test_dsec_layout_is_read(dsec: Callable[..., Path]) -> None:
     imported = read_events(dsec(complete), frame_px=FRAME)
     assert event_rows(imported) == ROWS
     assert (imported.format, imported.t_offset_us, imported.slices) == ("hdf5", 49_599_001_000, 3)
-    assert "--frame-size" in refusal(dsec())
+    assert read_events(dsec()).frame_px == (128, 128)
 
 
 @pytest.mark.parametrize("p", [np.array([True, False, True]), np.array([1, -1, 1], np.int8)])
@@ -420,10 +427,12 @@ def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.
     assert "first at index 2" in refusal(dsec(t=np.array([5, 6, 4])), frame_px=FRAME)
 
 
-def test_hdf5_without_events_in_it_is_refused(dsec: Callable[..., Path]) -> None:
-    """Assert that empty columns are no recording."""
+def test_hdf5_without_events_in_it(dsec: Callable[..., Path]) -> None:
+    """Assert that empty columns are a recording without events, whose frame has to be said."""
     none = {name: np.empty(0, np.uint16) for name in "txyp"}
-    assert "holds no events" in refusal(dsec(**none), frame_px=FRAME)
+    imported = read_events(dsec(**none), frame_px=FRAME)
+    assert (imported.events.size, imported.slices, imported.notes) == (0, 0, ["the file holds no events"])
+    assert "--frame-size" in refusal(dsec(**none))
 
 
 @pytest.mark.parametrize(

@@ -102,13 +102,35 @@ def test_a_seed_alone_is_that_seed_among_many(trials: list[Path], tmp_path: Path
 def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: int = 100) -> None:
     """Run until this step, as if Ctrl-C had been pressed there."""
 
-    def stop(done: int, total: int) -> None:
-        if done >= at:
+    def stop(done: float, total: float, doing: str = "") -> None:
+        if done >= at and not doing:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(train_networks, "SAVE_S", 0.0)
     with pytest.raises(KeyboardInterrupt):
         run(job, params, stop)
+
+
+def test_what_it_does_is_said_from_the_start(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that progress begins with the files, and then counts steps up to the last."""
+    reports: list[tuple[float, float, str]] = []
+    (job,) = train.jobs(trials, small(), tmp_path)
+    run(job, small(), lambda done, total, doing="": reports.append((done, total, doing)))
+    phases = list(dict.fromkeys(doing for _, _, doing in reports))
+    assert phases == ["files looked at", "loading torch", "files read", "", "files judged"]
+    assert [done for done, _, doing in reports if not doing] == list(range(10, 121, 10))
+
+
+def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], tmp_path: Path) -> None:
+    """Assert a word before the training and below its table, and none where there are four."""
+    (job,) = train.jobs(trials, small(), tmp_path)
+    (early,) = train.cautions([job], small())
+    (late,) = train.for_people([{"validated_on": 1}], small())[1]
+    assert early == late
+    assert "chosen on 1 trajectory, too few" in early and "--validate" in early
+    assert train.for_people([{"validated_on": 4}], small())[1] == []
+    assert train.cautions([replace(job, learned=0)], small()) == []
+    assert train.cautions([job], small(folds=2)) == []
 
 
 @pytest.mark.parametrize("preset", ["paper", "adamw"])

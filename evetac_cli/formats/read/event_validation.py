@@ -45,11 +45,16 @@ class Foreign:
     notes: list[str] = field(default_factory=list)
     note: Note | None = None  # if the file is an export of ours; its times are in the clock of t
     cut_short: bool = False  # its end is known to be missing
+    may_be_empty: bool = False  # the file is whole, also where it holds no event
 
 
 def at_index(start: int, row: int) -> str:
     """Where an event stands in a file that has no lines: its number, counted from 0."""
     return f"at index {start + row}"
+
+
+class FrameUnknown(InputError):
+    """Neither the file nor the user says how large the frame is (exit code 2)."""
 
 
 class Normal(NamedTuple):
@@ -69,7 +74,7 @@ class Normal(NamedTuple):
 def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tuple[int, int]:
     """Width and height in px, or an InputError that asks for them."""
     if frame_px is None:
-        raise InputError("the file does not say how large the frame is", where=where, hint=hint)
+        raise FrameUnknown("the file does not say how large the frame is", where=where, hint=hint)
     width, height = frame_px
     if not (1 <= width <= FRAME_LIMIT_PX and 1 <= height <= FRAME_LIMIT_PX):
         raise InputError(

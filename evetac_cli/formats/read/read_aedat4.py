@@ -84,6 +84,7 @@ class Packets:
     spans: list[Span]
     end: int
     whole: bool  # the walk ended where the packets of the file end
+    counts: dict[int, int]  # packets of every stream, by its number
 
 
 def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
@@ -97,9 +98,23 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     foreign.note = read_note(chosen.note, where) if chosen.note else None
     if others:
         foreign.notes.append(f"took the event stream {label}; also there: {', '.join(others)} (choose with --stream)")
-    if packets.spans or not packets.whole or header.table < 0:
+    left_out = list(_left_out(header, packets))
+    if left_out:
+        foreign.notes.append(f"left out: {', '.join(left_out)}")
+    foreign.may_be_empty = packets.whole and header.table >= 0 and not packets.spans
+    if not foreign.may_be_empty:
         foreign.batches = _batches(path, header, chosen.number, packets, foreign)
     return foreign
+
+
+def _left_out(header: Header, packets: Packets) -> Iterator[str]:
+    """How much there is of each kind of stream that is no stream of events, in words."""
+    for kind, name in KINDS.items():
+        numbers = [stream.number for stream in header.streams if stream.kind == kind != "EVTS"]
+        count = sum(packets.counts.get(number, 0) for number in numbers)
+        if count:  # a packet holds one frame, but many samples
+            words = name.removesuffix("s") if count == 1 else name
+            yield f"{count} {words}" if kind == "FRME" else f"{count} packet{'s' * (count > 1)} of {name}"
 
 
 def is_whole(path: Path) -> bool:
@@ -178,6 +193,7 @@ def _walk(handle: BinaryIO, header: Header, number: int) -> Packets:
     stop = header.table if header.table >= 0 else size
     known = {stream.number for stream in header.streams}
     spans: list[Span] = []
+    counts = dict.fromkeys(known, 0)
     at = header.size
     while at < min(stop, size):
         handle.seek(at)
@@ -187,10 +203,11 @@ def _walk(handle: BinaryIO, header: Header, number: int) -> Packets:
         stream, length = struct.unpack("<ii", head)
         if stream not in known or length <= 0 or at + 8 + length > min(stop, size):
             break
+        counts[stream] += 1
         if stream == number:
             spans.append(Span(at + 8, at + 8 + length))
         at += 8 + length
-    return Packets(spans, at, whole=at == stop)
+    return Packets(spans, at, whole=at == stop, counts=counts)
 
 
 def _listed(handle: BinaryIO, header: Header, number: int) -> list[Span] | None:

@@ -27,7 +27,7 @@ OFFSETS = ("t_offset", "events/t_offset")
 
 
 def open_hdf5(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Events of an HDF5 file; frame_px is needed because the layout does not say it (an export of ours does)."""
+    """Events of an HDF5 file; FrameUnknown without frame_px: the layout does not say it (an export of ours does)."""
     where = str(path)
     with CheckedHdf5(path) as file:
         _refuse_own(file)
@@ -44,7 +44,7 @@ def open_hdf5(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
         note = None if text is None else read_note(text, where)
     hint = "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
     frame = choose_frame(note.frame_px if note else None, frame_px, where, hint)
-    return Foreign("hdf5", frame, _batches(path, lengths[0]), clock_us, note=note)
+    return Foreign("hdf5", frame, _batches(path, lengths[0]), clock_us, note=note, may_be_empty=note is None)
 
 
 def _batches(path: Path, rows: int) -> Iterator[Columns]:

@@ -5,6 +5,7 @@ definitions of its messages, and those of other topics do not matter. Where a RO
 definition that its messages have another layout under the same name, it is refused.
 """
 
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from functools import partial
@@ -24,6 +25,7 @@ MCAP = b"\x89MCAP0\r\n"
 ROS1 = b"#ROSBAG V2.0\n"
 METADATA = "metadata.yaml"
 MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred
+MOST_LEFT_OUT = 5  # topics without events that are named
 ZSTD = b"\x28\xb5\x2f\xfd"
 PROPHESEE = ("evt2", "evt3")
 ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
@@ -54,6 +56,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         topic, kind, others = _choose(reader.connections, ros2, stream, where)
         if others:
             foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
+        foreign.notes += _left_out(reader.connections)
         first = next(_messages(reader, topic, kind, where), None)
         if first is None:
             raise InputError(f"no message on the topic {topic}", where=where, hint="a recorder that saw no camera?")
@@ -98,6 +101,20 @@ def _choose(connections: list[Any], ros2: bool, wanted: str | None, where: str) 
     if topic not in topics:
         raise InputError("no events on this topic", where=where, expected=" or ".join(sorted(topics)), found=topic)
     return topic, topics[topic], sorted(set(topics) - {topic})
+
+
+def _left_out(connections: list[Any]) -> Iterator[str]:
+    """How many messages there are of topics without events, in words."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for one in connections:
+        if one.msgtype not in TYPES:
+            counts[one.topic, one.msgtype] += one.msgcount
+    named = [
+        f"{count} message{'s' * (count > 1)} on {topic} ({kind})" for (topic, kind), count in counts.items() if count
+    ]
+    if named:
+        more = f", and {len(named) - MOST_LEFT_OUT} more topics" if len(named) > MOST_LEFT_OUT else ""
+        yield f"left out: {', '.join(named[:MOST_LEFT_OUT])}{more}"
 
 
 def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:

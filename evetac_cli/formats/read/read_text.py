@@ -35,7 +35,7 @@ class Layout(NamedTuple):
 
 
 def open_text(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Events of a text file; frame_px is needed because text does not say it (an export of ours does)."""
+    """Events of a text file; FrameUnknown without frame_px: text does not say it (an export of ours does)."""
     note = _note(path)
     if note is None and frame_px is None:
         with closing(_batches(path)) as batches:  # what is no text of events has no frame either

@@ -26,6 +26,7 @@ from evetac_cli.kernels.slip.sampling import (
 CURVE_POINTS = 100
 VALIDATION_SAMPLES = 2000  # of each pool, evenly spaced: a loss that is known to some percent
 VALIDATION_BATCH = 200
+PROGRESS_STEPS = 10
 SAVE_STEPS = 50  # steps between two states that a run can be resumed from, see `train`
 
 
@@ -118,7 +119,7 @@ def train(
     rng: np.random.Generator,
     epochs: int | None = None,
     max_steps: int | None = None,
-    on_progress: Callable[[int, int, float], None] | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
     device: str = "cpu",
     resume_from: TrainingState | None = None,
     on_save: Callable[[Callable[[], TrainingState]], None] | None = None,
@@ -130,8 +131,8 @@ def train(
 
     `epochs` None takes the preset's. Checkpoints are taken every `preset.checkpoint_every` epochs and at the end; where
     `max_steps` cuts the run, as many are spread evenly over its steps, and the result's `cut` is True.
-    `on_progress` gets (step, steps, loss) at each of the up to 100 points of the loss curve. The result depends on the
-    generator's state alone (on one kind of machine and number of torch threads, which is the caller's to set).
+    `on_progress` gets (step, steps) every 10 steps. The result depends on the generator's state alone (on one kind of
+    machine and number of torch threads, which is the caller's to set).
 
     With `patience` the loss on the samples for `validation` is taken at each point of the loss curve, and the run ends
     when it has not fallen below its least for so many of them. The network of the least is then a checkpoint too.
@@ -168,12 +169,12 @@ def train(
         target[: len(batch.slip)] = 1
         varied = augment(samples, samples.inputs(ends), turned, factor)
         run.advance(varied, target, samples.slip_share[ends], (step - 1) / steps)
+        if on_progress and (step % PROGRESS_STEPS == 0 or step == steps):
+            on_progress(step, steps)
         if step in points:
             mean = run.mean_loss()
             if not np.isfinite(mean):
                 raise ValueError(f"preset {preset.name}: expected a finite loss, found {mean} by step {step}")
-            if on_progress:
-                on_progress(step, steps, mean)
             if validation is not None and patience is not None and run.waits(validation) >= patience:
                 run.end_here()
                 break

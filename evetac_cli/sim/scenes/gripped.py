@@ -99,7 +99,7 @@ class GraspSimulation:
         self._shift_indentation_m = -1.0
         self._dilation_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
         self._seen = (self._dilation_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
-        self._last_slice = self._planned_slices(lift_s, balance_s)
+        self.slices_in_all = self._planned_slices(lift_s, balance_s)
         rises_at_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
         self._hand = Hand(self._scene, rises_at_s, STEP_S, hand_rng)
         self._drops_at = round((float(self._time.get("touch_s", 0.0)) + lift_s) * 1000)
@@ -197,6 +197,13 @@ class GraspSimulation:
         push_n = force_n * (1 + self.drive.friction_share) + self.drive.friction_n
         return float(np.ceil(push_n / self.drive.force_per_current_n_ma))
 
+    def slips_at_ma(self) -> float:
+        """About the current at which a ramp lets the object go, where the gear's friction no longer holds; else NaN."""
+        if self._kind != "ramp":
+            return math.nan
+        push_n = self._slip_limit_n * (1 - self.drive.friction_share) - self.drive.friction_n
+        return push_n / self.drive.force_per_current_n_ma
+
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
         before_m, closing_ticks = self._dilation_m, self.finger.closing_ticks
@@ -213,7 +220,7 @@ class GraspSimulation:
         now_us = self.slices * SLICE_US
         events = self.gel_camera.render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
         self.slices += 1
-        self.finished = self.slices >= self._last_slice or self._over()
+        self.finished = self.slices >= self.slices_in_all or self._over()
         return events
 
     def _fallen_m(self) -> float:

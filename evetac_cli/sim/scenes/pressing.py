@@ -5,6 +5,7 @@ once, then moved to random places in a disc so small that nothing slips, with re
 over the whole gel in lines, lifted off between them, so that every dot is moved.
 """
 
+import math
 from bisect import bisect_right
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -158,6 +159,13 @@ class Pressing:
             inside_m = (np.array(self._face["size_mm"]) * 0.5e-3 - np.abs(from_centre)).min(axis=2)
         weights: Floats = np.clip(inside_m / pitch_m + 0.5, 0.0, 1.0)
         return weights
+
+    @property
+    def slices_in_all(self) -> int:
+        """How many slices the trial has."""
+        time = self._scene["time"]
+        longest_s = float(self.timeline.time_s[-1]) + float(time.get("after_s", time["rest_s"]))
+        return math.ceil(longest_s / STEP_S - 1e-6)
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""

@@ -197,7 +197,7 @@ class Vibration:
         self._pieces = PIECES * math.ceil(PIECES_A_PERIOD * self._hz * 1e-3 / PIECES)
         self._now = Motion(*(np.zeros(()) for _ in Motion._fields))
         self.slices = 0
-        self._slices_in_all = round(1000 * (self._time["tone_at_s"] + self._time["tone_s"] + self._time["after_s"]))
+        self.slices_in_all = round(1000 * (self._time["tone_at_s"] + self._time["tone_s"] + self._time["after_s"]))
         self.finished = False
 
     def _motion_per_metre(self) -> float:
@@ -215,7 +215,7 @@ class Vibration:
         events = self.gel_camera.render(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
         self._now = Motion(*(column[end] for column in self._block))
         self.slices += 1
-        self.finished = self.slices >= self._slices_in_all
+        self.finished = self.slices >= self.slices_in_all
         return events
 
     def _start_block(self) -> None:

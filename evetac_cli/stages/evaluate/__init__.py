@@ -1,6 +1,7 @@
 """One module per subject of evaluate: stage files in, flat rows out, stored in a report file."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,8 @@ from evetac_cli.console import plain
 from evetac_cli.jobs import Job, Outcome
 from evetac_cli.store.files import StageFile, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
+
+MOST_FOLDERS = 3  # that the name of a report names
 
 Rows = list[dict[str, Any]]
 
@@ -22,10 +25,22 @@ class ModelsReportJob(Job):
 
 
 def report_job(files: list[Path], subject: str, out: Path | None, *more: Path) -> list[Job]:
-    """One report over all files: `<first input's name>.<subject>.report.h5`."""
+    """One report over all files, `<name>.<subject>.report.h5`.
+
+    The name is that of the file; of several files that of their folder, of several folders those of all, in the folder
+    that holds them.
+    """
     if out is not None and out.suffix == ".h5":
         return [Job((*files, *more), out)]
-    return [Job((*files, *more), (out or files[0].parent) / f"{stem(files[0])}.{subject}.report.h5")]
+    folders = list(dict.fromkeys(file.parent for file in files))
+    beside, name = folders[0], stem(files[0])
+    if len(files) > 1:
+        names = [folder.resolve().name for folder in folders]
+        left = len(names) - MOST_FOLDERS
+        name = "-".join(names[:MOST_FOLDERS]) + (f"-and-{left}-more" if left > 0 else "") or "files"
+    if len(folders) > 1:
+        beside = Path(os.path.relpath(os.path.commonpath([folder.absolute() for folder in folders])))
+    return [Job((*files, *more), (out or beside) / f"{name}.{subject}.report.h5")]
 
 
 def report(

@@ -28,6 +28,7 @@ from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "report"
 METHOD = 1
+PAPERS_SCENE = "data-rate"  # grasp, hold, push, let slip: what the paper's figures are about
 INTERVALS = ("whole", "contact", "slip")
 TOUCH_N = 0.03  # normal force that is contact
 SHOWN = 6  # recordings in the picture
@@ -59,22 +60,38 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
             labels = None if recording.has("truth") else _labels_beside(recording)
             parents += [labels.header] if labels else []
 
+    as_papers = all(_as_the_papers(header) for header in parents)
+    parameters = recipe_of(params) | ({} if as_papers else {"beside_the_paper": False})
+
     def measure() -> tuple[Rows, dict[str, Any]]:
         rows: Rows = []
         for number, path in enumerate(job.inputs):
             with open_recording(path) as recording:
                 rows.append(_row(recording, params))
             progress(number + 1, len(job.inputs))
-        intervals = [_interval_row(interval, rows) for interval in INTERVALS]
+        intervals = [_interval_row(interval, rows, as_papers=as_papers) for interval in INTERVALS]
         shares = {f"share_{row['interval']}": row["share_mean"] for row in intervals}
         rgb = {"rgb_bytes_s": _rgb_bytes_s(params)}
         return [*rows, *intervals], {"trajectories": len(rows), **shares, **rgb}
 
-    outcome = report(job, "evaluate data-rate", METHOD, recipe_of(params), parents, measure, force=force)
+    outcome = report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
     shown = min(len(job.inputs), SHOWN)
     return picture.beside(
         outcome, job.output, lambda figure: _draw(figure, job.inputs, params, outcome), (11.0, 0.8 + 2.2 * shown)
     )
+
+
+def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
+    """All rows, and the mean share of the RGB sensor's bytes in words."""
+    of_intervals = [row for row in rows if "interval" in row]
+    lines = [
+        f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes a second."
+        for row in of_intervals
+        if row["share_mean"] is not None
+    ]
+    if all(row["paper_share_mean"] is None for row in of_intervals):
+        lines.append(f"The paper's figures are about other motions, those of `evetac record --scene {PAPERS_SCENE}`.")
+    return rows, lines
 
 
 def _rgb_bytes_s(params: EvaluateDataRate) -> float:
@@ -162,11 +179,21 @@ def _labels_beside(recording: Recording) -> _Labels | None:
         return _Labels(labels.header, int(labels.read("onset_slice")))
 
 
-def _interval_row(interval: str, rows: Rows) -> dict[str, Any]:
-    """Mean and sd of the share of the RGB sensor's bytes, over the trajectories that have it, beside the paper's."""
+def _as_the_papers(header: Header) -> bool:
+    """Whether a file is no simulation of another scene than the paper's; of a real recording, who made it knows."""
+    recordings = [header, *header["history"].values()]
+    scenes = [one["parameters"].get("scene") for one in recordings if one["kind"] == "recording"]
+    return all(scene["name"] == PAPERS_SCENE for scene in scenes if isinstance(scene, dict))
+
+
+def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, Any]:
+    """Mean and sd of the share of the RGB sensor's bytes, over the trajectories that have it.
+
+    The paper's figures stand beside them where the motions are like its own.
+    """
     shares = [row[f"share_{interval}"] for row in rows if row[f"share_{interval}"] is not None]
     mean = float(np.mean(shares)) if shares else None
-    paper_mean, paper_sd = table("paper")["data_rate"][interval]
+    paper_mean, paper_sd = table("paper")["data_rate"][interval] if as_papers else (None, None)
     return {
         "interval": interval,
         "trajectories": len(shares),
@@ -174,7 +201,7 @@ def _interval_row(interval: str, rows: Rows) -> dict[str, Any]:
         "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,
         "paper_share_mean": paper_mean,
         "paper_share_sd": paper_sd,
-        "deviation_from_paper_sds": None if mean is None else (mean - paper_mean) / paper_sd,
+        "deviation_from_paper_sds": None if mean is None or paper_mean is None else (mean - paper_mean) / paper_sd,
     }
 
 

@@ -101,6 +101,23 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, prog
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, predictions()), (13.0, 1.0 + 3.2 * sensors))
 
 
+def for_people(rows: Rows, params: EvaluateForce) -> tuple[Rows, list[str]]:
+    """All rows, and the mean error of shear force of each model, or by what is known of the gel."""
+    by = "stiffness" if "stiffness" in rows[0] else "model"
+    columns = {"mae_n": "", **{f"mae_n_{axis}": f"{axis} " for axis in forces.AXES}}
+    lines = []
+    for name in dict.fromkeys(row[by] for row in rows):
+        of_name = [row for row in rows if row[by] == name]
+        means = {
+            word: np.mean([row[column] for row in of_name if row[column] is not None])
+            for column, word in columns.items()
+            if column in rows[0]
+        }
+        words = ", ".join(f"{word}{mean:.3g} N" for word, mean in means.items())
+        lines.append(f"{by} {name}: mean absolute error of shear force {words}; {len(of_name)} trajectories.")
+    return rows, lines
+
+
 def is_for_any_sensor(paths: tuple[Path, ...]) -> bool:
     """Whether the model is one for any sensor; InputError where there are several and one of them is."""
     has_gel = []

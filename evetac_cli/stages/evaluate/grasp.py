@@ -79,6 +79,18 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows), SIZE_IN)
 
 
+def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
+    """All rows, and of each setting how many trials held their object to the end."""
+    lines = []
+    for row in rows:
+        if "columns" in row:
+            paper = row.get("paper_success")
+            beside = "" if paper is None else f" (the paper, on its own objects: {paper:.2f})"
+            held = round(row["success"] * row["trials"])
+            lines.append(f"{row['setting']}: lifted and held to the end in {held} of {row['trials']}{beside}.")
+    return rows, lines
+
+
 def trial_row(path: Path, header: Header) -> dict[str, Any]:
     """Setting and outcome of one grasp."""
     planned = header["parameters"]

@@ -88,6 +88,19 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     return report(job, "evaluate labels", METHOD, recipe_of(params), headers, measure, force=force)
 
 
+def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
+    """All rows, and how many onsets are right."""
+    errors = [row["onset_error_ms"] for row in rows if row["onset_error_ms"] is not None]
+    slipped = sum(row["t_s_ms"] is not None for row in rows)
+    missed = sum(row["t_s_ms"] is not None and row["t_c_ms"] is None for row in rows)
+    early = sum(error < EARLIEST_MS for error in errors)
+    late = sum(error > LATEST_MS for error in errors)
+    right = len(errors) - early - late
+    words = f"Onset within {EARLIEST_MS} to +{LATEST_MS} ms of the true one in {right} of {slipped} that slip"
+    wrong = ((early, "early"), (late, "late"), (missed, "not found"))
+    return rows, [", ".join([words, *(f"{name} in {count}" for count, name in wrong if count)]) + "."]
+
+
 def true_onset(recording: Recording, first: int = 0, stop: int | None = None) -> int | None:
     """The first slice of gross slip in first .. stop, since the current began to fall; None where there is none."""
     start = max(first, ramp_start(recording))

@@ -34,6 +34,29 @@ SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
 PANELS = 4  # distributions side by side
 TITLE_WIDTH = 38  # characters above one
 
+# On a terminal: a table of trajectories up to so many rows, and the columns that it shows, by their short names.
+FEW_TRAJECTORIES = 10
+MOST_VERDICTS = 8
+OF_TRAJECTORIES = {
+    "file": "file",
+    "setting": "model",
+    "t_c_ms": "t_c_ms",
+    "t_m_ms": "t_m_ms",
+    "t_m_minus_t_c_ms": "late_by_ms",
+    "timing": "timing",
+}
+OF_SETTINGS = {
+    "setting": "setting",
+    "seeds": "seeds",
+    "trajectories": "trajectories",
+    "slip_early": "early",
+    "slip_correct": "correct",
+    "slip_late": "late",
+    "f1": "f1",
+    "paper_slip_correct": "paper_correct",
+    "paper_f1": "paper_f1",
+}
+
 
 def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[ModelsReportJob]:
     """One report over all features files and models."""
@@ -106,6 +129,35 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
     outcome = report(job, "evaluate slip", METHOD, parameters, parents, measure, force=force)
     size_in = _size_in(outcome.rows)
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome), size_in)
+
+
+def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
+    """What a terminal shows: every trajectory of a model that judged few, else a row a setting; and the verdict."""
+    settings = _settings(rows)
+    trajectories = [row for row in rows if "t_c_ms" in row]
+    verdict = [_verdict(row) for row in settings[:MOST_VERDICTS]]
+    verdict.append(
+        f"Correct is from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it,"
+        " as in the paper; earlier is early, later or never is late."
+    )
+    if params.all_tables:
+        return rows, verdict
+    verdict.append("--all prints every table, --json every row.")
+    few = len(trajectories) <= FEW_TRAJECTORIES
+    shown, names = (trajectories, OF_TRAJECTORIES) if few else (settings, OF_SETTINGS)
+    known = [name for name in names if any(row[name] is not None for row in shown) or not name.startswith("paper_")]
+    return [{names[name]: row[name] for name in known} for row in shown], verdict
+
+
+def _verdict(row: dict[str, Any]) -> str:
+    """What a setting came to, in a sentence."""
+    count = f"{row['trajectories']} trajectories" + (f", {row['seeds']} models" if row["seeds"] > 1 else "")
+    if row["slip_correct"] is None:
+        return f"{row['setting']}: no trajectory slips ({count}), so there is no timing."
+    f1 = "" if row["f1"] is None else f", F1 {row['f1']:.2f}"
+    shares = ", ".join(f"{name} {row[f'slip_{name}']:.0%}" for name in ("early", "late") if row[f"slip_{name}"])
+    timing = f"slip timing correct {row['slip_correct']:.0%}" + (f" ({shares})" if shares else "")
+    return f"{row['setting']}: {timing}{f1}; {count}."
 
 
 def _size_in(rows: Rows) -> tuple[float, float]:

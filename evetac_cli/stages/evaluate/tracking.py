@@ -84,6 +84,22 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
     return picture.beside(outcome, job.output, draw, (12.0, 4.6))
 
 
+def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
+    """All rows, and of each preset how often every dot ended where it began."""
+    lines = []
+    for row in rows:
+        if "file" not in row and row["consistent"] is not None:
+            known = [one for one in rows if one.get("file") and one["preset"] == row["preset"]]
+            decided = sum(one["consistent"] is not None for one in known)
+            paper = row["paper_consistent_share"]
+            beside = "" if paper is None else f" (the paper, on its own recordings: {paper:.0%})"
+            lines.append(
+                f"{row['preset']}: all dots end within {CONSISTENT_PX:g} px of where they began in"
+                f" {row['consistent']} of {decided}{beside}."
+            )
+    return rows, lines
+
+
 def _truth(tracks: StageFile, folder: Path | None) -> NDArray[np.float32] | None:
     """True dots (slices, dots, 2) from the recording beside the tracks, or in a folder; None without truth.
 

@@ -103,6 +103,20 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
     return picture.beside(outcome, job.output, draw, (9.0, 1.0 + 2.6 * len(spectra)))
 
 
+def for_people(rows: Rows, params: EvaluateVibration) -> tuple[Rows, list[str]]:
+    """All rows, and in how many recordings each method finds the tone."""
+    lines = []
+    whole = [row for row in rows if "seconds" in row]
+    for method in dict.fromkeys(row["method"] for row in whole):
+        of_method = [row for row in whole if row["method"] == method]
+        known = [row for row in of_method if row["correct"] is not None]
+        vibrating = sum(row["frequency_hz"] is not None for row in of_method)
+        right = f"; right, within {params.tolerance_hz:g} Hz of the tone, in {sum(row['correct'] for row in known)}"
+        tones = f"{right} of {len(known)} whose tone is known" if known else ""
+        lines.append(f"{method}: a vibration in {vibrating} of {len(of_method)} recordings{tones}.")
+    return rows, lines
+
+
 def _windows_ms(text: str) -> list[int]:
     """Lengths of windows in ms, longest first."""
     try:

@@ -99,5 +99,5 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
         case DeviceTrial():
             return capture.run(job, params, force=force, progress=progress)
         case ImportJob():
-            return imported.run(job, params, force=force)
+            return imported.run(job, params, force=force, progress=progress)
     raise TypeError(f"record has no {type(job).__name__}")

@@ -375,7 +375,7 @@ def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: li
             first.ended = INTERRUPTED
             return
         if first.slices % NEWS_SLICES == 0:
-            progress(first.slices, most or first.slices)
+            progress(first.slices, most or 0)
             _tell(recordings, news)
     first.ended = "after the seconds asked for"
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.jobs import Job, Outcome, outcome
+from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.params.recording import Record
 from evetac_cli.stages.trials import OUTPUT
 from evetac_cli.store.calibration import read_calibration
@@ -29,7 +29,7 @@ class ImportJob(Job):
     """One recording to make of a foreign event file, its only input."""
 
 
-def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
+def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> Outcome:
     """Import an event file of another program as a recording."""
     from evetac_cli.formats.imports import read_events  # with the libraries of its format
 
@@ -39,10 +39,11 @@ def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
         sort=params.sort,
         stream=params.stream,
         folder=existing_folder(job.output.parent),
+        progress=progress,
     )
     digest = ContentDigest()
     counts = np.zeros(imported.slices, np.int64)
-    for block in _blocks(imported):
+    for block in _blocks(imported, progress, "events checked"):
         for name, rows in block.items():
             digest.update(name, rows)
         t = block["events/t"]
@@ -73,7 +74,7 @@ def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
     made = not up_to_date(job.output, recipe, force=force)
     if made:
         lengths = dict.fromkeys((f"events/{column}" for column in Events._fields), imported.stored.size)
-        write_stage(job.output, recipe, arrays, _blocks(imported), lengths)
+        write_stage(job.output, recipe, arrays, _blocks(imported, progress, "events written"), lengths)
     return outcome(
         job,
         made=made,
@@ -85,10 +86,13 @@ def run(job: ImportJob, params: Record, *, force: bool) -> Outcome:
     )
 
 
-def _blocks(imported: "Imported") -> Iterator[dict[str, Any]]:
+def _blocks(imported: "Imported", progress: Progress, doing: str) -> Iterator[dict[str, Any]]:
     """The events in blocks, as the datasets of a recording."""
+    done = 0
     for events in imported.stored.blocks():
         yield {f"events/{column}": getattr(events, column) for column in Events._fields}
+        done += events.size
+        progress(done, imported.stored.size, doing)
 
 
 def _frame(text: str | None) -> tuple[int, int] | None:

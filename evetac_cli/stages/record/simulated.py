@@ -4,6 +4,7 @@ Where the scene has a gripper, the object is held by motor current, which is low
 out (paper, "Experimental Setup and Data Collection Procedure").
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import RecordingWriter
 
 METHOD = 5
+GONE_MS = 250  # from slip to the end of a trial
 CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
 
 
@@ -35,7 +37,7 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
     devices, slices = play(trial)
-    longest_ms = round(1000 * _longest_s(trial.plan["scene"]["time"]))
+    expected = _expected_slices(devices, GripperSchedule.read(trial.plan["scene"]))
     known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     writer = RecordingWriter(trial.output, known, discard_leftover=True)
     written = event_count = 0
@@ -47,7 +49,8 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
             event_count += events.size
             solver.add(rows)
             if written % 100 == 0:
-                progress(written, longest_ms)
+                progress(written, max(written, expected))
+        progress(written, written)
         writer.finish(recipe)
     except BaseException:
         writer.discard()  # a simulation can be made again
@@ -81,11 +84,6 @@ def play_through(trial: SimulatedTrial, append: Callable[[Events, dict[str, Any]
         devices.close()
 
 
-def _longest_s(time: Mapping[str, float]) -> float:
-    """How long a scene takes at most, for the progress shown."""
-    return time["tone_at_s"] + time["tone_s"] + time["after_s"] if "tone_s" in time else time.get("longest_s", 100.0)
-
-
 @dataclass(frozen=True)
 class GripperSchedule:
     """When the gripper does what, in slices: closes to touch, grips with the holding current, lowers it.
@@ -107,6 +105,14 @@ class GripperSchedule:
         named = scene.get("gripper", {})
         close_ms, grip_ms, ramp_ms = (round(1000 * named.get(name, 0.0)) for name in ("close_s", "grip_s", "ramp_s"))
         return cls(close_ms, grip_ms, ramp_ms, CurrentCourse.read(scene))
+
+
+def _expected_slices(devices: Rig, schedule: GripperSchedule) -> int:
+    """How many slices a trial will have, for the progress shown: where the object slips out, about so many."""
+    if math.isnan(devices.slips_at_ma):
+        return devices.slices
+    ramp_ms = COMMAND_MS * (devices.slips_at_ma - devices.holding_ma) / np.mean(RAMP_MA)
+    return min(devices.slices, round(schedule.ramp_ms + ramp_ms + GONE_MS))
 
 
 def _slices(

@@ -141,17 +141,15 @@ def test_checkpoints_are_stages_of_one_run(problem: Samples) -> None:
 
 
 def test_loss_curve_covers_the_run(problem: Samples) -> None:
-    """Assert that at most 100 points rise to the last step, the first near ln 2, and progress reports each of them."""
-    heard: list[tuple[int, int, float]] = []
+    """Assert that at most 100 points rise to the last step, the first near ln 2, and progress to the last step too."""
+    heard: list[tuple[int, int]] = []
     result = training.train(
-        problem, ADAM, np.random.default_rng(11), max_steps=130, on_progress=lambda *point: heard.append(point)
+        problem, ADAM, np.random.default_rng(11), max_steps=125, on_progress=lambda *point: heard.append(point)
     )
     assert len(result.curve_step) == len(result.curve_loss) == 100
-    assert result.curve_step[-1] == 130
+    assert result.curve_step[-1] == 125
     assert np.all(np.diff(result.curve_step) > 0)
-    assert heard == [
-        (step, 130, loss) for step, loss in zip(result.curve_step.tolist(), result.curve_loss.tolist(), strict=True)
-    ]
+    assert heard == [(step, 125) for step in (*range(10, 121, 10), 125)]
     assert result.curve_loss[0] == pytest.approx(np.log(2), abs=0.1)
 
 

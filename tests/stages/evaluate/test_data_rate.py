@@ -23,7 +23,13 @@ RGB_BYTES_S = 540 * 480 * 3 * 25
 
 
 def recording_file(
-    path: Path, per_slice: NDArray[np.int64], *, truth: bool = False, onset: int = ONSET, touched: bool = True
+    path: Path,
+    per_slice: NDArray[np.int64],
+    *,
+    truth: bool = False,
+    onset: int = ONSET,
+    touched: bool = True,
+    scene: str | None = None,
 ) -> Path:
     """A recording with so many events in each slice; with truth, in contact from TOUCH to LOST and slip from onset."""
     slices = len(per_slice)
@@ -54,7 +60,8 @@ def recording_file(
             "truth/shear_force_n": np.zeros((slices, 2), np.float32),
             "truth/sampled_parameters": "{}",
         }
-    recipe = Recipe("recording", 1, {}, content=content_digest(arrays), simulated_source=truth)
+    parameters = {} if scene is None else {"scene": {"name": scene}}
+    recipe = Recipe("recording", 1, parameters, content=content_digest(arrays), simulated_source=truth)
     write_stage(path, recipe, arrays)
     return path
 
@@ -108,6 +115,20 @@ def test_shares_in_closed_form(tmp_path: Path) -> None:
     assert row["not_answered"] is None
     assert [interval["paper_share_mean"] for interval in intervals] == [0.017, 0.028, 0.119]
     assert [interval["share_sd"] for interval in intervals] == [None] * 3
+
+
+def test_the_papers_figures_are_about_its_own_motions(tmp_path: Path) -> None:
+    """Assert that beside a simulation of another scene stands none of the paper's figures, and that this is said."""
+    own = recording_file(tmp_path / "a.recording.h5", steps(), truth=True, scene="data-rate")
+    other = recording_file(tmp_path / "b.recording.h5", 2 * steps(), truth=True, scene="slip")
+    rows, intervals = evaluated(own)
+    assert [row["paper_share_mean"] for row in intervals] == [0.017, 0.028, 0.119]
+    assert len(data_rate.for_people([*rows, *intervals], EvaluateDataRate())[1]) == 3
+    for files in ((other,), (own, other)):
+        rows, intervals = evaluated(*files)
+        for row in intervals:
+            assert {row[name] for name in row if "paper" in name} == {None}
+        assert "other motions" in data_rate.for_people([*rows, *intervals], EvaluateDataRate())[1][-1]
 
 
 def test_sizes_are_settable(tmp_path: Path) -> None:

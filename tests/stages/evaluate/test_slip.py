@@ -110,7 +110,7 @@ def test_models_among_the_files(world: dict[str, Any], tmp_path: Path) -> None:
     ):
         (job,) = slip.jobs(files, EvaluateSlip(model=given), tmp_path)
         assert job.inputs == expected
-        assert job.output == tmp_path / "trial-100.slip.report.h5"
+        assert job.output == tmp_path / f"{world['known'][0].resolve().parent.name}.slip.report.h5"
 
 
 def test_a_model_counts_once(world: dict[str, Any], tmp_path: Path) -> None:
@@ -277,6 +277,25 @@ def test_the_report(world: dict[str, Any], tmp_path: Path) -> None:
     picture.unlink()
     evaluated(files, out)
     assert picture.exists()
+
+
+def test_a_terminal_gets_one_table_and_a_verdict(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert few columns, every trajectory where there are few and a row a setting elsewhere, all tables on demand."""
+    rows, _ = evaluated([*world["unseen"], world["seeds"][0]], tmp_path / "one.report.h5")
+    shown, verdict = slip.for_people(rows, EvaluateSlip())
+    assert [row["file"] for row in shown] == [path.name for path in world["unseen"]]
+    assert len({tuple(row) for row in shown}) == 1
+    (setting,) = (row for row in rows if "seeds" in row)
+    assert f"correct {setting['slip_correct']:.0%}" in verdict[0] and "2 trajectories" in verdict[0]
+    assert "50 ms before" in verdict[1] and "20 ms after" in verdict[1]
+    assert slip.for_people(rows, EvaluateSlip(all_tables=True))[0] == rows
+
+    files = [*world["known"], *world["unseen"], *world["seeds"], *world["ahead"]]
+    rows, _ = evaluated(files, tmp_path / "many.report.h5")
+    shown, verdict = slip.for_people(rows, EvaluateSlip())
+    assert [row["setting"] for row in shown] == [row["setting"] for row in rows if "seeds" in row]
+    assert {"early", "correct", "late", "f1"} <= set(shown[0]) and len(shown[0]) <= 9
+    assert [line.split(":")[0] for line in verdict[: len(shown)]] == [row["setting"] for row in shown]
 
 
 def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:

@@ -1,0 +1,182 @@
+"""Run a command that makes files: from its files and flags to jobs, from jobs to a table, a verdict and the outputs.
+
+What a stage may have beside `jobs` and `run`: `dry_run`; `parts`, of a job, that can be made at the same time before
+it; `cautions`, what to know before long work begins; `for_people`, which rows a terminal shows and what they amount to.
+"""
+
+import importlib
+import itertools
+import re
+import shlex
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from evetac_cli import console
+from evetac_cli.cli import compiling, config, engines, flags, workers
+from evetac_cli.cli.commands import Command
+from evetac_cli.cli.exit_codes import CommandExit
+from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.jobs import Job, Outcome, require_possible_name
+
+MOST_ROWS = 100  # of one table on a terminal
+
+
+def execute(command: Command, title: str, given: dict[str, Any]) -> None:
+    """Run all jobs of a command and print what came out of them."""
+    running = {name: given.pop(name) for name in flags.OF_STAGES}
+    named = given.pop("files", [])
+    with CommandExit(title, running) as run:
+        chosen = config.resolve(command.params, title, given, running["config"])
+        files = with_folders(named, command.kind)
+        _check_out(running["out"], command.suffix)
+        stage = importlib.import_module(f"evetac_cli.{command.module}")
+        jobs: list[Job] = stage.jobs(files, chosen, running["out"])
+        _check_outputs(jobs, files, chosen, force=running["force"])
+        if running["number_of_jobs"] < 1:
+            raise InputError(
+                "out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"])
+            )
+        if getattr(chosen, "dry_run", False):
+            # A scene is run to measure what it costs: some seconds, up to a minute where it has to be compiled first.
+            quiet = running["quiet"]
+            with (
+                console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
+                compiling.announced(quiet=quiet),
+            ):
+                shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"], progress=progress)
+            as_json, simulated = running["as_json"], shown.simulated
+            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
+            return
+        for line in stage.cautions(jobs, chosen) if hasattr(stage, "cautions") and not running["quiet"] else ():
+            console.say(f"note: {line}")
+        started = time.monotonic()
+        run_jobs(command, jobs, chosen, running, run.results)
+        run.results = {job.output: run.results[job.output] for job in jobs}
+        outcomes, errors = run.outcomes(), run.errors()
+        if not running["quiet"] and outcomes:
+            made = any(outcome.made for outcome in outcomes)
+            took = f"{time.monotonic() - started:.1f} s" if made else "up to date, nothing to do"
+            console.say(f"{title}: {took}")
+        if outcomes and not (errors and running["as_json"]):
+            summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else console.count(outcomes)
+            simulated = any(outcome.simulated for outcome in outcomes)
+            rows = [row for outcome in outcomes for row in outcome.rows]
+            if running["as_json"]:
+                console.show(title, rows, summary, simulated=simulated, as_json=True)
+            elif not running["quiet"]:
+                # A stage may say which of its rows people want to see, and what they amount to.
+                for_people = getattr(stage, "for_people", None)
+                shown_rows, verdict = for_people(rows, chosen) if for_people else (rows, [])
+                console.show(title, first_rows(shown_rows), summary, simulated=simulated, as_json=False)
+                done = [job for job in jobs if isinstance(run.results[job.output], Outcome)]
+                written = [path for job in done for path in getattr(job, "outputs", [job.output])]
+                console.print_result(verdict, [] if getattr(chosen, "live", False) else written)
+        if errors:
+            for error in errors[1:]:
+                console.say(f"error: {error}")
+            raise errors[0]
+
+
+def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
+    """The files that are named, with the files of a kind in place of each folder; InputError for one without any."""
+    files: list[Path] = []
+    for path in named:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = sorted(entry for entry in path.glob(f"*.{kind}.h5") if entry.is_file())
+        if not inside:
+            below = next(iter(sorted(path.glob(f"*/*.{kind}.h5"))), None)
+            raise InputError(
+                "no such file in this folder",
+                where=str(path),
+                expected=f"*.{kind}.h5",
+                hint=f"name the folder in which they lie: {below.parent}" if below else "",
+            )
+        files += inside
+    return files
+
+
+def _check_out(out: Path | None, suffix: str) -> None:
+    """InputError for `-o NAME.txt`, which would become a folder of this name."""
+    if out is not None and re.fullmatch(r"\.[A-Za-z]\w{0,6}", out.suffix) and out.suffix != suffix and not out.is_dir():
+        raise InputError(
+            "looks like a file of another kind",
+            where="--out",
+            expected=f"a name that ends in {suffix}, or a folder",
+            found=str(out),
+            hint=f"for a folder of this name: mkdir {shlex.quote(str(out))} first",
+        )
+
+
+def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
+    """Refuse outputs that would replace each other, or (with --force) what they are made from."""
+    for job in jobs:
+        require_possible_name(job.output)
+    times = Counter(job.output for job in jobs)
+    clash = sorted(output for output, count in times.items() if count > 1)
+    if clash:
+        raise InputError("several inputs would write the same output", found=", ".join(map(str, clash)))
+    named = (value for value in vars(chosen).values() if isinstance(value, Path))
+    inputs = {path.resolve() for path in (*files, *named, *(path for job in jobs for path in job.inputs))}
+    lost = sorted(output for output in times if output.resolve() in inputs) if force else []
+    if lost:
+        raise InputError("the output would replace an input", found=", ".join(map(str, lost)))
+
+
+def first_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The first MOST_ROWS rows of each table, for a terminal; how many more there are is printed."""
+    shown = []
+    for _, group in itertools.groupby(rows, key=tuple):
+        table = list(group)
+        shown += table[:MOST_ROWS]
+        if len(table) > MOST_ROWS:
+            console.say(f"{len(table) - MOST_ROWS:,} more rows with {next(iter(table[0]))}; --json prints all")
+    return shown
+
+
+def run_jobs(
+    command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any], results: dict[Path, Outcome | EvetacError]
+) -> None:
+    """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
+    quiet, force = running["quiet"] or getattr(chosen, "live", False), running["force"]  # --live has its own lines
+    engine = engines.Engine.parse(running["engine"])
+    exclusive = any(job.exclusive for job in jobs)
+    if exclusive and engine.name != engines.LOCAL:
+        raise InputError("devices belong to this computer", where="--engine", expected="local", found=running["engine"])
+    if engine.address and running["number_of_jobs"] > 1:
+        hint = "leave it out: a cluster that runs has as many workers as it has"
+        raise InputError("has no effect", where="--jobs", found=f"--engine {running['engine']}", hint=hint)
+    # An output that exists is either up to date or refused: that is quick, and worth no worker process.
+    waiting = [job for job in jobs if force or not job.output.exists()]
+
+    def run_several(some: list[Job], into: dict[Path, Outcome | EvetacError]) -> None:
+        at_once = 1 if exclusive else min(running["number_of_jobs"], len(some))
+        if not some or (engine.name == engines.LOCAL and at_once < 2):
+            return
+        how = (command.module, engines.largest_first(some), chosen, force, at_once)
+        with console.progress_bar(f"{command.name} {len(some)} files", "files", quiet=quiet) as progress:
+            if engine.name == engines.DASK:
+                engines.run_on_dask(engine, *how, progress, into)
+            else:
+                workers.run_parallel(*how, progress, into, quiet=quiet)
+
+    if engine.name == engines.DASK or running["number_of_jobs"] > 1:
+        # Of some stages a job has parts that can be made at the same time, before it.
+        parts_of = getattr(importlib.import_module(f"evetac_cli.{command.module}"), "parts", None)
+        parts: dict[Path, list[Job]] = {job.output: parts_of(job, chosen) for job in waiting if parts_of is not None}
+        made: dict[Path, Outcome | EvetacError] = {}
+        run_several([part for some in parts.values() for part in some], made)
+        for output, some in parts.items():
+            failed = (result for part in some if isinstance(result := made.get(part.output), EvetacError))
+            if (error := next(failed, None)) is not None:
+                results[output] = error
+        run_several([job for job in waiting if job.output not in results], results)
+    for number, job in enumerate(jobs):
+        if job.output not in results:
+            which = f" {number + 1} of {len(jobs)}:" if len(jobs) > 1 else ""
+            name = f"{command.name}{which} {job.output.name}"
+            with console.progress_bar(name, command.unit, quiet=quiet) as progress, compiling.announced(quiet=quiet):
+                results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
