@@ -49,7 +49,7 @@ class Grasp(Trials):
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (README, Hardware, lists them); or its PORT or"
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); or its PORT or"
         " PORT@BAUD; default: that of the camera.",
         recipe=False,
     )
