@@ -37,15 +37,16 @@ RESULTS = sorted(
 
 def shown_lines(page: str) -> list[str]:
     """The lines of a page's code, indented or fenced, without comments; a line that goes on is joined to the next."""
-    code = re.findall(r"^```(?:sh)?\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    lines = [*"\n".join(code).splitlines(), *(line[4:] for line in page.splitlines() if line.startswith("    "))]
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    code = "\n".join(text for language, text in fenced if language == "sh")
+    lines = [*code.splitlines(), *(line[4:] for line in page.splitlines() if line.startswith("    "))]
     return re.sub(r"\\\n\s*", "", "\n".join(re.sub(r"\s#.*", "", line) for line in lines)).splitlines()
 
 
 def shown_commands(page: str) -> list[str]:
     """The commands of evetac on a page, without what a shell adds."""
     parts = (part.strip() for line in shown_lines(page) for part in re.split(r"[|;]|&&| - <<", line))
-    return [part.removesuffix("...").strip() for part in parts if part.startswith("evetac ")]
+    return [part.removesuffix("...").strip(" '") for part in parts if part.startswith("evetac ")]
 
 
 COMMANDS = sorted({line for page in PAGES.values() for line in shown_commands(page)})
