@@ -25,7 +25,7 @@ MOST_LINES = 40  # of what a block printed, in a page
 COLUMNS = "100"
 BLOCK = re.compile(r"^```sh\n(?P<code>.*?)^```\n(?P<rest>.*?)(?=^```sh\n|\Z)", re.DOTALL | re.MULTILINE)
 EXPECT = re.compile(r"<!-- expect (?P<name>.+?) (?P<low>-?[\d.]+)\.\.(?P<high>-?[\d.]+) -->")
-OUTPUT = re.compile(r"\A(?P<before>\s*```text\n).*?(?P<after>^```\n)", re.DOTALL | re.MULTILINE)
+OUTPUT = re.compile(r"\A(?P<before>(?:\s|<!--.*?-->)*```text\n).*?(?P<after>^```\n)", re.DOTALL | re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -70,19 +70,18 @@ def run(page: list[Block], folder: Path, environment: dict[str, str]) -> tuple[i
     """
     mark = f"--- next block {os.urandom(8).hex()}"
     script = "".join(f"echo '{mark}'\n{block.code}" for block in page)
-    shell = subprocess.Popen(
-        ["bash", "-euo", "pipefail", "-c", script], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
-    )
+    words = ["bash", "-euo", "pipefail", "-c", script]
     printed: list[str] = []
-    assert shell.stdout is not None
-    for line in shell.stdout:
-        if line.strip() == mark:
-            print("+", *page[len(printed)].code.splitlines(), sep="\n  ", flush=True)
-            printed.append("")
-        else:
-            print(line, end="", flush=True)
-            printed[-1] += line
-    return shell.wait(), printed
+    with subprocess.Popen(words, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as shell:
+        assert shell.stdout is not None
+        for line in shell.stdout:
+            if line.strip() == mark:
+                print("+", *page[len(printed)].code.splitlines(), sep="\n  ", flush=True)
+                printed.append("")
+            else:
+                print(line, end="", flush=True)
+                printed[-1] += line
+    return shell.returncode, printed
 
 
 def with_outputs(page: str, printed: list[str]) -> str:
