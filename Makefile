@@ -16,7 +16,7 @@ REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--sm
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
-	data-rate force grasp-table results film test test-all test-lowest check bench clean
+	data-rate force grasp-table grasp-shipped results film test test-all test-lowest check bench clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -66,6 +66,9 @@ force: $(READY)  ## shear force from dots in events and in frames
 	@$(REPRODUCE) --only $@
 
 grasp-table: $(READY)  ## lift and balance by feel, all controllers side by side
+	@$(REPRODUCE) --only $@
+
+grasp-shipped: $(READY)  ## ... with the package's detector, all objects
 	@$(REPRODUCE) --only $@
 
 strips: $(READY)  ## a picture of every scene, in strips/: events, forces and slip

@@ -300,6 +300,13 @@ def grasp_evaluations(sizes: Sizes) -> dict[str, Command]:
     }
 
 
+def grasp_shipped_steps(sizes: Sizes) -> Iterator[Command]:
+    """A short lift and balance of every object, with the detector that `grasp` uses unless another is named."""
+    for controller in sizes["controllers"]:
+        yield evetac("grasp", "--controller", controller, "--object", sizes["objects"], "--seed", sizes["seed"],
+                     "--lift-s", 3.5, "--balance-s", 1, "--out", controller)  # fmt: skip
+
+
 def strip_steps(sizes: Sizes) -> Iterator[Command]:
     seed = sizes["seed"]
     for scene in ("slip", "data-rate", "shear", "press", "edge"):

@@ -100,6 +100,14 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.GRASPS, tables.GRASPS_BY_OBJECT, tables.GRASP_ROBUSTNESS),
     ),
     Experiment(
+        "grasp-shipped", "grasps of all objects with the package's detector", "data/grasp-shipped", 0.1,
+        full={"seed": 20_800, "objects": "1-20", "controllers": ("paper", "load-proportional")},
+        small={"objects": "11"},
+        steps=steps.grasp_shipped_steps,
+        evaluations=lambda sizes: {"grasps-shipped": evetac("evaluate", "grasp", "*/*.recording.h5")},
+        tables=(tables.GRASPS_SHIPPED,),
+    ),
+    Experiment(
         "strips", "a picture of every scene: events, forces and slip", "strips", 0.2,
         full={"seed": 0}, small={}, steps=steps.strip_steps, after=("demo",),
     ),

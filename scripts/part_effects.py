@@ -326,7 +326,7 @@ def result(figures: list[Row], changes: list[Row], rows: list[Row], chosen: argp
         "name": NAME,
         "title": f"What each part does to each stage, {slips} slips and {grasps} grasps with each",
         "simulated": True,
-        "made": f"at {', '.join(commits)}, seeds {seeds[0]} to {seeds[-1]}",
+        "made": f"commit {', '.join(commits)}, seeds {seeds[0]} to {seeds[-1]}",
         "commit": ", ".join(commits),
         "uncommitted_changes": any(one.endswith("-dirty") for one in commits),
         "commands": [f"python scripts/part_effects.py -o effects.jsonl {flags} --publish"],

@@ -22,7 +22,7 @@ from typing import Any
 from experiment_steps import Command, Sizes
 from experiment_tables import Column, Evaluation, Row, Table
 from experiments import EXPERIMENTS, Experiment
-from results import STAGES, keys, text
+from results import STAGES, keys, ranges, text
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -118,18 +118,6 @@ def ancestors(header: Row, history: Row) -> Iterator[Row]:
                 yield from (model for model in ancestors(parent, history) if model["kind"] != "recording")
         else:
             yield from ancestors(parent, history)
-
-
-def ranges(values: Iterable[int]) -> str:
-    """Numbers as in `1-3, 8`."""
-    ordered = sorted(set(values))
-    parts: list[list[int]] = []
-    for value in ordered:
-        if parts and value == parts[-1][-1] + 1:
-            parts[-1].append(value)
-        else:
-            parts.append([value])
-    return ", ".join(f"{part[0]}-{part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)
 
 
 def facts(headers: Iterable[Row]) -> Row:

@@ -3,7 +3,7 @@
     python scripts/results.py [--results docs/results] [README.md docs/...]
 
 A page says where a table belongs by two comments, `<!-- table NAME -->` and `<!-- end of NAME -->`; the text of
-docs/results/NAME.json is put between them. A page that names a table without a file is left as it is.
+docs/results/NAME.json is put between them. The table `summary`, of the README, has one cell of each of several tables.
 
 A file holds flat rows, and says how they are shown: `columns` (heading and cell, Python format strings over a row),
 and, where rows are spread over columns, `across` (one column for each heading). A figure of the paper stands in
@@ -17,13 +17,66 @@ import importlib
 import json
 import re
 import string
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 Row = dict[str, Any]
 Result = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
 MARKS = ("same method", "other method", "fitted")
+
+
+class Figure(NamedTuple):
+    """A line of the summary: the cell of a table's row, by the row's values and the column's heading."""
+
+    what: str
+    table: str
+    row: Row
+    heading: str
+
+
+SUMMARY = (
+    Figure(
+        "slip told in time, objects never seen, evetac's detector", "slip-by-sensor", {"sensor": "evetac"}, "correct"
+    ),
+    Figure("... on 20 sensors unlike each other", "slip-by-sensor", {"sensor": "mean of 20 randomized"}, "correct"),
+    Figure(
+        "... the paper's network `fast-slow`, trained as in the paper, 10 ms ahead",
+        "slip-unseen-objects",
+        {"setting": "fast-slow, 10 ms ahead, paper, labels event-flow, up to 40000 steps"},
+        "timing correct (paper)",
+    ),
+    Figure("onset of slip in the labels, median error in ms", "labels", {"trajectories": 100}, "median error [ms]"),
+    Figure(
+        "dots all end where they began after a finger rubbed, the paper's tracker",
+        "tracking-edge",
+        {"preset": "paper"},
+        "all dots end where they began (paper)",
+    ),
+    Figure("... ours", "tracking-edge", {"preset": "stable"}, "all dots end where they began (paper)"),
+    Figure(
+        "shear force by the paper's network, mean error of Fx, Fy in N",
+        "force",
+        {"camera": "Evetac", "model": "network", "sensor": "evetac"},
+        "{sensor}",
+    ),
+    Figure(
+        "tone of 200 Hz told from 1 s of vibration, the paper's method",
+        "vibration",
+        {"method": "paper", "expected_hz": 200.0, "window_s": 1.0},
+        "{window_s:g} s",
+    ),
+    Figure(
+        "... ours, loudness, place and harmonics at random",
+        "vibration-randomized",
+        {"method": "default", "expected_hz": 200.0, "window_s": 1.0},
+        "{window_s:g} s",
+    ),
+    Figure(
+        "bytes a second, as a share of an RGB sensor's", "data-rate", {"interval": "whole trajectory"}, "share (paper)"
+    ),
+)
 # Where each command has the number of its method.
 STAGES = {
     "record": "record",
@@ -93,21 +146,62 @@ def changes(result: Result) -> list[str]:
     ]
 
 
+def ranges(values: Iterable[int]) -> str:
+    """Numbers as in `1-3, 8`."""
+    parts: list[list[int]] = []
+    for value in sorted(set(values)):
+        if parts and value == parts[-1][-1] + 1:
+            parts[-1].append(value)
+        else:
+            parts.append([value])
+    return ", ".join(f"{part[0]}-{part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)
+
+
+def how_made(result: Result) -> str:
+    """The commands that a result was made by, and the seeds, as a sentence."""
+    words = "Made by " + ", ".join(f"`{command}`" for command in result["commands"])
+    sizes = result.get("sizes") or {}
+    for what, name in (("recordings", "recording_seeds"), ("trainings", "training_seeds")):
+        if seeds := sizes.get(name):
+            words += f"; seeds of {what} {ranges(seeds)}"
+    return words + "."
+
+
+def as_table(heads: list[str], rows: Iterable[list[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join("| " + " | ".join(line) + " |" for line in (heads, ["---"] * len(heads), *rows))
+
+
 def text(result: Result) -> str:
-    """A result as Markdown: title, table, notes."""
+    """A result as Markdown: title, table, notes, how it was made."""
     heads, *rows = lines(result)
-    table = "\n".join("| " + " | ".join(line) + " |" for line in (heads, ["---"] * len(heads), *rows))
     title = ("Simulated. " if result["simulated"] else "") + result["title"]
     made = result["made"]
     if older := changes(result):
         made += f"; by older methods: {', '.join(older)}"
-    return "\n\n".join([f"{title} ({made}):", table, *result["notes"]]) + "\n"
+    return "\n\n".join([f"{title} ({made}):", as_table(heads, rows), *result["notes"], how_made(result)]) + "\n"
+
+
+def summary(results: Path) -> str:
+    """The chosen figures of several tables, each beside the paper's and with the commit that it was made at."""
+    rows = []
+    for figure in SUMMARY:
+        result = json.loads((results / f"{figure.table}.json").read_text())
+        (row,) = (each for each in result["rows"] if figure.row.items() <= each.items())
+        columns = [*result["columns"], *([result["across"]] if result["across"] else [])]
+        (column,) = (each for each in columns if each["heading"] == figure.heading)
+        paper = fill(column.get("paper", ""), row)
+        mark = row["marks"][figure.heading] if paper else ""
+        rows.append([figure.what, fill(column["cell"], row), paper, mark, result["commit"]])
+    return "\n" + as_table(["what", "simulated", "paper", "compared", "commit"], rows) + "\n"
 
 
 def fill_page(page: str, results: Path) -> str:
     """The page with every table that it names as its file says."""
 
     def replace(match: re.Match[str]) -> str:
+        if match["name"] == "summary":
+            return f"{match['begin']}{summary(results)}\n{match['end']}"
         result = json.loads((results / f"{match['name']}.json").read_text())
         return f"{match['begin']}\n{text(result)}\n{match['end']}"
 
@@ -125,8 +219,8 @@ def as_figure(value: Any) -> str:
 def put_measured(page: Path, name: str, rows: list[Row], said: str) -> None:
     """Put run times into a page, between `<!-- measured NAME -->` and `<!-- end of NAME -->`: rows, and how made."""
     heads = list(dict.fromkeys(key for row in rows for key in row))
-    cells = [heads, ["---"] * len(heads), *([as_figure(row.get(key)) for key in heads] for row in rows)]
-    table = "\n".join("| " + " | ".join(cell.replace("_", " ") for cell in line) + " |" for line in cells)
+    words = [head.replace("_", " ") for head in heads]
+    table = as_table(words, ([as_figure(row.get(key)).replace("_", " ") for key in heads] for row in rows))
     begin, end = f"<!-- measured {name} -->\n", f"<!-- end of {name} -->"
     before, marked, rest = page.read_text().partition(begin)
     if not marked or end not in rest:

@@ -144,17 +144,16 @@ def test_a_users_script_type_checks_against_the_wheel(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout
 
 
-def test_readmes_example_runs(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that README's Python, given the files it names, runs as it is written."""
-    text = (PACKAGE.parent / "README.md").read_text()
-    section = text[text.index("## From Python") :].split("\n## ")[0]
-    code = "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
+def test_the_example_of_the_docs_runs(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the Python of docs/python.md, given the files it names, runs as it is written."""
+    text = (PACKAGE.parent / "docs" / "python.md").read_text()
+    code = "\n".join(line[4:] for line in text.splitlines() if line.startswith("    "))
     assert "import evetac_cli as evetac" in code
     for name in re.findall(r'"([^"]+\.h5)"', code):
         (files / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(files / f"a.{name.split('.')[-2]}.h5", files / name)
     monkeypatch.chdir(files)
-    exec(compile(code, "README.md", "exec"), {})
+    exec(compile(code, "docs/python.md", "exec"), {})
 
 
 def test_a_report_is_json(files: Path) -> None:

@@ -1,8 +1,13 @@
-"""The README: commands, flags, make targets and files that it shows exist; its figures are those of docs/results/."""
+"""README and docs: commands, flags, make targets, links and messages exist; figures are those of results.
 
+The slow test runs the commands of README and of the first hour in an empty environment (scripts/first_hour.py).
+"""
+
+import ast
 import json
 import re
 import shlex
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,68 +18,122 @@ import typer
 from evetac_cli.cli.main import app
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+import first_hour
 import results
 from experiments import EXPERIMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text()
-PAGES = {path: path.read_text() for path in sorted((ROOT / "docs").glob("*.md"))}
-INDENTED = [line[4:].split("   #")[0].strip() for line in README.splitlines() if line.startswith("    ")]
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text()
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+}
+README = PAGES["README.md"]
 OF_SCRIPTS = ("blind-identification",)  # results of scripts, which docs quote: no tables of experiments
 RESULTS = sorted(
     (path for path in (ROOT / "docs" / "results").glob("*.json") if path.stem not in OF_SCRIPTS),
     key=lambda path: path.stem,
 )
-COMMANDS = [line for line in INDENTED if line.startswith("evetac ")]
 
 
-def test_readme_tells_both_stories() -> None:
-    """Assert that every command of the pipeline is shown."""
-    shown = {" ".join(line.split()[1:3]) if " evaluate " in line else line.split()[1] for line in COMMANDS}
-    assert shown >= {"record", "label", "track", "featurize", "train", "evaluate slip", "grasp", "info", "validate"}
+def shown_lines(page: str) -> list[str]:
+    """The lines of a page's code, indented or fenced, without comments; a line that goes on is joined to the next."""
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    code = "\n".join(text for language, text in fenced if language == "sh")
+    lines = [*code.splitlines(), *(line[4:] for line in page.splitlines() if line.startswith("    "))]
+    return re.sub(r"\\\n\s*", "", "\n".join(re.sub(r"\s#.*", "", line) for line in lines)).splitlines()
+
+
+def shown_commands(page: str) -> list[str]:
+    """The commands of evetac on a page, without what a shell adds."""
+    parts = (part.strip() for line in shown_lines(page) for part in re.split(r"[|;]|&&| - <<", line))
+    return [part.removesuffix("...").strip(" '") for part in parts if part.startswith("evetac ")]
+
+
+COMMANDS = sorted({line for page in PAGES.values() for line in shown_commands(page)})
+TARGETS = sorted({line.split()[1] for page in PAGES.values() for line in shown_lines(page) if line.startswith("make ")})
+
+
+def test_readme_tells_the_whole_story() -> None:
+    """Assert that README stays short, and that it shows every command of the pipeline."""
+    assert len(README.splitlines()) <= 130
+    commands = [line.split() for line in shown_commands(README)]
+    shown = {" ".join(words[1:3]) if words[1] == "evaluate" else words[1] for words in commands}
+    assert shown >= {"record", "label", "track", "featurize", "train", "evaluate slip", "grasp"}
 
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_command_parses(line: str) -> None:
-    """Assert that a command line of the README names a command and flags that exist."""
+    """Assert that a command line of README or docs names a command and flags that exist."""
     command = typer.main.get_command(app)
     words = shlex.split(line)[1:]
-    while hasattr(command, "commands"):
+    while hasattr(command, "commands") and words[:1] != ["--version"]:
         command = command.commands[words.pop(0)]
-    command.make_context(line, words)
+    if words != ["--version"]:
+        command.make_context(line, words)
 
 
-@pytest.mark.parametrize("target", [line.split()[1] for line in INDENTED if line.startswith("make ")])
+@pytest.mark.parametrize("target", TARGETS)
 def test_make_target_exists(target: str) -> None:
-    """Assert that a make target of the README is in the Makefile, with a line of help."""
+    """Assert that a make target of README or docs is in the Makefile, with a line of help."""
     assert re.search(rf"^{target}:.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
 
 
-@pytest.mark.parametrize("link", re.findall(r"\]\((?!http)([^)]+)\)", README))
-def test_link_leads_somewhere(link: str) -> None:
-    """Assert that a relative link of the README leads to a file or folder."""
-    assert (ROOT / link).exists()
+def anchors(page: str) -> set[str]:
+    """What links to the headings of a page end in."""
+    headings = re.findall(r"^#+ (.+)$", page, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
 
-def test_python_interface_is_there() -> None:
-    """Assert that the names that the README imports can be imported."""
-    for module, names in re.findall(r"from (evetac_cli\S*) import (.+)", README):
-        loaded = __import__(module, fromlist=["_"])
-        assert all(hasattr(loaded, name.strip()) for name in names.split(","))
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_somewhere(name: str) -> None:
+    """Assert that relative links of a page lead to files or folders, and to headings that are there."""
+    for link in re.findall(r"\]\((?!http|reference/)([^)]+)\)", PAGES[name]):  # docs/reference/ is made with the site
+        path, _, anchor = link.partition("#")
+        target = (ROOT / name).parent / path if path else ROOT / name
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target.read_text()), link
+
+
+def test_messages_are_those_of_the_code() -> None:
+    """Assert that every message that the page on troubleshooting explains is one that the code has."""
+    code = "\n".join(path.read_text() for path in (ROOT / "evetac_cli").rglob("*.py"))
+    page = PAGES["docs/troubleshooting.md"]
+    messages = re.findall(r"^### `(.+)`$", page, re.MULTILINE)
+    assert len(messages) > 20
+    parts = [part.strip() for message in messages for part in message.split("...") if part.strip()]
+    assert [part for part in parts if part not in code] == []
+
+
+def test_every_check_of_doctor_is_explained() -> None:
+    """Assert that the table of troubleshooting has a row for each check of doctor that may be wrong."""
+    table = PAGES["docs/troubleshooting.md"].split("## What `doctor` says")[1]
+    checks = set()
+    for node in ast.walk(ast.parse((ROOT / "evetac_cli" / "inspect" / "doctor.py").read_text())):
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "check" and len(node.args) > 3:
+            name, ok = node.args[1:3]
+        elif isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple) and len(node.value.elts) == 5:
+            name, ok = node.value.elts[:2]
+        else:
+            continue
+        if isinstance(name, ast.Constant) and not (isinstance(ok, ast.Constant) and ok.value in (True, None)):
+            checks.add(name.value)
+    assert {"libusb", "link", "busy", "latency timer", "supply"} <= checks
+    assert [name for name in sorted(checks - {"torque"}) if f"`{name}`" not in table] == []  # torque is never wrong
 
 
 def test_tables_say_what_results_say() -> None:
     """Assert that every table is what its file in docs/results/ says: `make results` would change nothing."""
-    for page in (README, *PAGES.values()):
+    for page in PAGES.values():
         assert results.fill_page(page, ROOT / "docs" / "results") == page
 
 
 def test_every_table_has_a_file_and_a_place() -> None:
-    """Assert that experiments and README name the same tables, and that each file has a place there or in the docs."""
-    names = sorted(table.name for experiment in EXPERIMENTS for table in experiment.tables)
-    places, elsewhere = (re.findall(r"<!-- table ([\w-]+) -->", page) for page in (README, "".join(PAGES.values())))
-    assert sorted(places) == names
-    assert [path.stem for path in RESULTS] == sorted([*names, *elsewhere])
+    """Assert that each table of the experiments has a file and one place, and that no file lacks a place."""
+    names = {table.name for experiment in EXPERIMENTS for table in experiment.tables}
+    places = re.findall(r"<!-- table ([\w-]+) -->", "".join(PAGES.values()))
+    assert len(places) == len(set(places))
+    assert names <= set(places)
+    assert {path.stem for path in RESULTS} == set(places) - {"summary"}
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
@@ -83,32 +142,60 @@ def test_figures_of_the_paper_are_marked(path: Path) -> None:
     result = json.loads(path.read_text())
     assert result["name"] == path.stem
     assert result["commands"] and result["commit"] and result["made"]
-    assert result["recipe_ids"] or result["made"].startswith("first edition, c80c948")
+    assert result["recipe_ids"] or result["commit"] == "c80c948"  # of which the reports were not kept
     for row in result["rows"]:
         for column in (*result["columns"], *([result["across"]] if result["across"] else [])):
             if "paper" in column and results.fill(column["paper"], row):
                 assert row["marks"][column["heading"]] in results.MARKS
 
 
-# What sentences of the README say, filled from a row of a table: the table, what names the row, the words.
-QUOTES: tuple[tuple[str, dict[str, Any], str], ...] = (
-    ("grasps", {"setting": "paper"}, "the detector never saw in {success:.0%} of trials"),
-    ("grasps", {"setting": "paper"}, "that {success:.2f} stands beside the paper's {paper_success:.2f}"),
-    ("grasps-by-object", {"setting": "paper", "object": 12}, "object 12 (38 g) is held with {force_end_n:.1f} N"),
-    ("grasps-by-object", {"setting": "paper", "object": 18}, "the filled bottle (18) with {force_end_n:.1f} N"),
+# What sentences of README and docs say, filled from a row of a table: page, table, what names the row, the words.
+QUOTES: tuple[tuple[str, str, dict[str, Any], str], ...] = (
+    ("docs/results.md", "grasps", {"setting": "paper"}, "That {success:.2f} stands beside the paper's {paper_success}"),
     (
-        "grasps-by-object",
-        {"setting": "load-proportional", "object": 18},
+        "docs/results.md", "grasps-by-object", {"setting": "paper", "object": 12},
+        "object 12 (38 g) is held with {force_end_n:.1f} N",
+    ),
+    (
+        "docs/results.md", "grasps-by-object", {"setting": "paper", "object": 18},
+        "the filled bottle (18) with {force_end_n:.1f} N",
+    ),
+    (
+        "docs/results.md", "grasps-by-object", {"setting": "load-proportional", "object": 18},
         "objects 18 to 20 with more (object 18 with {force_end_n:.1f} N)",
     ),
-    ("grasp-robustness", {"setting": "load-proportional, second, closed gel"}, "gel it keeps {success:.2f}"),
-    ("grasp-robustness", {"setting": "load-proportional, drop-100g"}, "slides by {moved_mm_median:.1f} mm"),
-)
+    (
+        "docs/results.md", "grasp-robustness", {"setting": "load-proportional, second, closed gel"},
+        "gel it keeps {success:.2f}",
+    ),
+    (
+        "docs/results.md", "grasp-robustness", {"setting": "load-proportional, drop-100g"},
+        "slides by {moved_mm_median:.1f} mm",
+    ),
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(("table", "names", "words"), QUOTES)
-def test_sentences_say_what_results_say(table: str, names: dict[str, Any], words: str) -> None:
+@pytest.mark.parametrize(("page", "table", "names", "words"), QUOTES)
+def test_sentences_say_what_results_say(page: str, table: str, names: dict[str, Any], words: str) -> None:
     """Assert that a figure quoted in a sentence is that of the table."""
     rows = json.loads((ROOT / "docs" / "results" / f"{table}.json").read_text())["rows"]
     (row,) = [row for row in rows if names.items() <= row.items()]
-    assert words.format(**row) in " ".join(README.replace(" %", "%").split())
+    assert words.format(**row) in " ".join(PAGES[page].replace(" %", "%").split())
+
+
+@pytest.mark.parametrize("name", first_hour.PAGES)
+def test_pages_to_follow_promise_figures(name: str) -> None:
+    """Assert that a page of the first hour has blocks to run, and that the detector's F1 is among what they promise."""
+    page = first_hour.blocks(PAGES[name])
+    assert len(page) > 2
+    promised = {name: (low, high) for block in page for name, low, high in block.expected}
+    assert promised["f1"] == (0.8, 1.0)
+
+
+@pytest.mark.slow
+def test_the_first_hour_comes_out_as_written(tmp_path: Path) -> None:
+    """Assert that from an empty environment on every command succeeds, with figures in the stated ranges."""
+    script = ROOT / "scripts" / "first_hour.py"
+    command = [sys.executable, str(script), "--folder", str(tmp_path), "--minutes", "1000"]  # a test measures no time
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-5000:] + done.stderr[-5000:]

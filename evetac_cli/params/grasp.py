@@ -58,8 +58,8 @@ class Grasp(Trials):
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1; or its PORT or PORT@BAUD; default: that of the"
-        " camera.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); or its PORT or"
+        " PORT@BAUD; default: that of the camera.",
         recipe=False,
     )
     calibration: Path | None = parameter(

@@ -59,8 +59,9 @@ class Record(Trials):
     )
     camera: str = parameter(
         "sim",
-        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2; dvxplorer"
-        " or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing; replay:FILE.",
+        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2"
+        " (docs/hardware.md lists them);"
+        " dvxplorer or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing; replay:FILE.",
         recipe=False,
     )
     gripper: str | None = parameter(

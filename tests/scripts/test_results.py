@@ -1,5 +1,6 @@
-"""scripts/results.py: run times are put into their place in a page."""
+"""scripts/results.py: tables say how they were made, the summary takes their cells, run times find their place."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -21,3 +22,47 @@ def test_rows_are_put_into_a_page(tmp_path: Path) -> None:
     )
     with pytest.raises(SystemExit, match="measured c"):
         results.put_measured(page, "c", [], "Said")
+
+
+RESULT = {
+    "name": "grip",
+    "title": "Grip of object 3",
+    "simulated": True,
+    "made": "commit abc1234",
+    "commit": "abc1234",
+    "commands": ["evetac evaluate grasp *.recording.h5"],
+    "methods": {},
+    "sizes": {"recording_seeds": [7, 8, 9, 20], "training_seeds": []},
+    "columns": [
+        {"heading": "who", "cell": "{who}"},
+        {"heading": "kept (paper)", "cell": "{kept:.2f}", "paper": "{paper_kept:.2f}"},
+    ],
+    "across": None,
+    "notes": ["A note."],
+    "rows": [
+        {"who": "a", "kept": 0.5, "paper_kept": 0.6, "marks": {"kept (paper)": "fitted"}},
+        {"who": "b", "kept": 1.0, "paper_kept": None},
+    ],
+}
+
+
+def test_a_table_says_how_it_was_made() -> None:
+    """Assert that title, commit, marks, notes, commands and seeds stand around the rows."""
+    assert results.text(RESULT) == (
+        "Simulated. Grip of object 3 (commit abc1234):\n\n| who | kept (paper) |\n| --- | --- |\n"
+        "| a | 0.50 (0.60, fitted) |\n| b | 1.00 |\n\nA note.\n\n"
+        "Made by `evetac evaluate grasp *.recording.h5`; seeds of recordings 7-9, 20.\n"
+    )
+
+
+def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a line has our figure, the paper's with its mark where there is one, and the commit."""
+    (tmp_path / "grip.json").write_text(json.dumps(RESULT))
+    chosen = [results.Figure(f"kept by {who}", "grip", {"who": who}, "kept (paper)") for who in "ab"]
+    monkeypatch.setattr(results, "SUMMARY", chosen)
+    page = results.fill_page("x\n<!-- table summary -->\nold\n<!-- end of summary -->\n", tmp_path)
+    assert page == (
+        "x\n<!-- table summary -->\n\n| what | simulated | paper | compared | commit |\n"
+        "| --- | --- | --- | --- | --- |\n| kept by a | 0.50 | 0.60 | fitted | abc1234 |\n"
+        "| kept by b | 1.00 |  |  | abc1234 |\n\n<!-- end of summary -->\n"
+    )

@@ -119,9 +119,11 @@ def test_the_page_on_safety_lists_every_fault_of_a_gripper() -> None:
         assert f"| `{name}` | {kind.effect} |" in page
 
 
-def test_the_readme_names_every_fault_and_no_other() -> None:
-    """Assert that the README's table of faults is that of the code, for cameras and for grippers."""
-    table = (PACKAGE.parent / "README.md").read_text().split("| camera | | gripper | |\n")[1].split("\n\n")[0]
+def test_the_page_on_hardware_names_every_fault_and_no_other() -> None:
+    """Assert that the table of faults in docs/hardware.md is that of the code, for cameras and for grippers."""
+    table = (
+        (PACKAGE.parent / "docs" / "hardware.md").read_text().split("| camera | | gripper | |\n")[1].split("\n\n")[0]
+    )
     rows = [line.strip("|").split("|") for line in table.splitlines()[1:]]
     for column, faults in ((0, CAMERA_FAULTS), (2, GRIPPER_FAULTS)):
         named = {name for row in rows for name in re.findall("`([a-z][a-z0-9-]*)`", row[column])}
