@@ -19,14 +19,14 @@ from evetac_cli.sim.parts import parts
 from evetac_cli.store import schema
 from tests import small_files
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts" / "docs"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts" / "docs"))
 import check_site
 import command_pages
 import page_text
 import pages
 import simulation_pages
 
+ROOT = Path(__file__).resolve().parents[2]
 SNIPPET = re.compile(r"^( *)```python\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 
 
