@@ -9,9 +9,10 @@ from typing import Any
 import typer
 from page_text import bounds, code, fenced, prose, sentence, table
 
-from evetac_cli.cli import commands
+from evetac_cli.cli import commands, config
 from evetac_cli.cli.main import app
 from evetac_cli.errors import DeviceError, EvetacError, InputError
+from evetac_cli.params.parameter import flag_of
 
 FOLDER = "commands"
 UNNAMED_PANEL = "Options"
@@ -59,7 +60,7 @@ def _index(every: Mapping[str, Any]) -> str:
     for name, command in every.items():
         panel = "Evaluate" if name.startswith("evaluate ") else command.rich_help_panel or "Other"
         link = f"[{code(f'evetac {name}')}]({page_name(name)})"
-        panels.setdefault(str(panel), []).append((link, prose(_first_sentence(command.help))))
+        panels.setdefault(str(panel), []).append((link, prose(_help(command)[0][0])))
     for panel, rows in panels.items():
         parts += [f"## {panel}\n", table(("command", "what it does"), rows)]
     parts += ["## Exit codes\n", table(("code", "meaning"), [(str(number), said) for number, said in ENDS])]
@@ -70,26 +71,22 @@ def _index(every: Mapping[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def _first_sentence(help_: str) -> str:
-    return " ".join(help_.split("\n\n")[0].split())
-
-
 def _page(name: str, command: Any) -> str:
-    purpose, *more = [" ".join(part.split()) for part in (command.help or "").replace("\b", "").split("\n\n")]
+    (purpose, *more), examples = _help(command)
     arguments = [param for param in command.params if param.param_type_name == "argument"]
     options = [param for param in command.params if param.param_type_name == "option" and not param.hidden]
     placed = " ".join(_argument(param) for param in arguments)
     parts = [f"# evetac {name}\n", sentence(prose(purpose)) + "\n"]
     parts += [prose(part) + "\n" for part in more]
     parts.append(fenced(f"evetac {name} {placed} [OPTIONS]".replace("  ", " "), "text"))
-    if examples := _examples(command):
-        parts += ["## Examples\n", fenced(examples, "console")]
+    if examples:
+        parts += ["## Examples\n", fenced("\n".join(examples), "console")]
     picture = f"{name.replace(' ', '-')}.webp"
     if (PICTURES / picture).exists():
         parts.append(f"![What `evetac {name}` shows (simulated)](../../pictures/{picture})\n")
     if arguments:
         rows = [(code(_argument(param)), prose(param.help or "")) for param in arguments]
-        parts += ["## Files\n", table(("argument", "what it is"), rows)]
+        parts += ["## Arguments\n", table(("argument", "what it is"), rows)]
     known = _parameters(name)
     panels: dict[str, list[tuple[str, str, str, str]]] = {}
     for param in options:
@@ -97,11 +94,18 @@ def _page(name: str, command: Any) -> str:
         panels.setdefault(panel, []).append(_option(param, known.get(param.name)))
     for panel, rows in panels.items():
         parts += [f"## {panel}\n", table(("option", "what it does", "values", "default"), rows)]
-    if any(item.metadata["recipe"] for item in known.values()):
-        parts.append(
-            f"Options can also stand in a file for `--config`, in a table `[{name}]`, with `_` in place of `-`.\n"
-        )
+    if name in config.COMMANDS:
+        parts.append(_in_a_file(name, known))
     return "\n".join(parts)
+
+
+def _in_a_file(name: str, known: Mapping[str, Field[Any]]) -> str:
+    """How options are written in a file for --config, where a key is the name of the parameter."""
+    flags = {flag_of(item): item.name for item in known.values() if flag_of(item).startswith("--")}
+    others = [f"{code(key)} for {code(flag)}" for flag, key in flags.items() if flag[2:].replace("-", "_") != key]
+    table_of = code(f"[{name.replace(' ', '.')}]")
+    said = f"In a file for `--config` these options stand in the table {table_of}, with `_` in place of `-`"
+    return said + (f", but {', '.join(others)}" if others else "") + ".\n"
 
 
 def _argument(param: Any) -> str:
@@ -110,10 +114,16 @@ def _argument(param: Any) -> str:
     return shown if param.required else f"[{shown}]"
 
 
-def _examples(command: Any) -> str:
-    """The lines of a command's examples, which end its help."""
-    lines = [re.sub(r"\\\[", "[", line).strip() for line in (command.epilog or "").replace("\b", "").splitlines()]
-    return "\n".join(line for line in lines if line.startswith("evetac ") or line.startswith("#"))
+def _help(command: Any) -> tuple[list[str], list[str]]:
+    """What a command's help says: its paragraphs, then its examples, which are lines that begin with `evetac `."""
+    paragraphs, examples = [], []
+    for part in (command.help or "").replace("\b", "").split("\n\n"):
+        lines = [line.strip() for line in part.strip().splitlines()]
+        if lines and all(line.startswith("evetac ") for line in lines):
+            examples += lines
+        else:
+            paragraphs.append(" ".join(lines))
+    return paragraphs, examples
 
 
 def _parameters(name: str) -> dict[str, Field[Any]]:
