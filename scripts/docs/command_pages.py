@@ -48,10 +48,10 @@ def pages() -> dict[str, str]:
     """The text of every page by its path: one a command, and the list of all."""
     every = every_command()
     made = {f"{FOLDER}/{page_name(name)}": _page(name, command) for name, command in every.items()}
-    return {f"{FOLDER}/index.md": _index(every), **made}
+    return {f"{FOLDER}.md": _list(every), **made}
 
 
-def _index(every: Mapping[str, Any]) -> str:
+def _list(every: Mapping[str, Any]) -> str:
     parts = [
         "# Commands\n",
         "Each command reads files and writes files beside them. `evetac COMMAND --help` says the same as its page.\n",
@@ -59,10 +59,10 @@ def _index(every: Mapping[str, Any]) -> str:
     panels: dict[str, list[tuple[str, str]]] = {}
     for name, command in every.items():
         panel = "Evaluate" if name.startswith("evaluate ") else command.rich_help_panel or "Other"
-        link = f"[{code(f'evetac {name}')}]({page_name(name)})"
+        link = f"[{code(f'evetac {name}')}]({FOLDER}/{page_name(name)})"
         panels.setdefault(str(panel), []).append((link, prose(_help(command)[0][0])))
-    for panel, rows in panels.items():
-        parts += [f"## {panel}\n", table(("command", "what it does"), rows)]
+    for panel in sorted(panels, key=lambda name: name == "Inspect"):
+        parts += [f"## {panel}\n", table(("command", "what it does"), panels[panel])]
     parts += ["## Exit codes\n", table(("code", "meaning"), [(str(number), said) for number, said in ENDS])]
     parts.append(
         "With `--json` a command prints one JSON object on stdout, whatever happens: `command`, `simulated`, `rows`,"
@@ -140,13 +140,13 @@ def _of_no_group() -> list[commands.Command]:
 
 def _option(param: Any, known: Field[Any] | None) -> tuple[str, str, str, str]:
     """The row of an option; its values, unit and default are those of the parameter, where there is one."""
-    flags = ", ".join(code(flag) for flag in (*param.opts, *param.secondary_opts))
+    flags = ", ".join(code(flag) for flag in param.opts)
     if known is None:
-        shown = "" if param.default in (None, False) or callable(param.default) else code(param.default)
+        shown = "" if param.default is None or param.default is False else code(param.default)
         return flags, prose(re.sub(r"\s*\\?\[default: [^\]]*\]", "", param.help or "")), "", shown
     about = known.metadata
     values = ", ".join(map(code, about["choices"])) or bounds(about["low"], about["high"])
     if about["unit"]:
         values = f"{values} {about['unit']}" if values and not about["choices"] else values or about["unit"]
-    default = "" if known.default in (None, False, "") else code(known.default)
+    default = "" if known.default is None or known.default is False or known.default == "" else code(known.default)
     return flags, prose(about["help"]), values, default

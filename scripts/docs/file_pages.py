@@ -19,7 +19,7 @@ MADE_BY = {
     "model": "[`train`](../commands/train.md)",
     "force-model": "[`train-force`](../commands/train-force.md)",
     "forces": "[`predict-force`](../commands/predict-force.md)",
-    "report": "[`evaluate`](../commands/index.md#evaluate)",
+    "report": "[`evaluate`](../commands.md#evaluate)",
 }
 
 
@@ -67,11 +67,14 @@ frame.index.name = "ms" """,
 
 def pages() -> dict[str, str]:
     """The text of every page by its path: one a kind, and the list of all."""
-    return {f"{FOLDER}/index.md": _index(), **{f"{FOLDER}/{kind}.md": _page(load(kind)) for kind in KINDS}}
+    return {f"{FOLDER}.md": _list(), **{f"{FOLDER}/{kind}.md": _page(load(kind)) for kind in KINDS}}
 
 
-def _index() -> str:
-    rows = [(f"[{code(kind)}]({kind}.md)", prose(load(kind).meaning), MADE_BY[kind]) for kind in KINDS]
+def _list() -> str:
+    rows = [
+        (f"[{code(kind)}]({FOLDER}/{kind}.md)", prose(load(kind).meaning), MADE_BY[kind].replace("../", ""))
+        for kind in KINDS
+    ]
     return "\n".join(
         (
             "# Files\n",
@@ -97,25 +100,31 @@ def _index() -> str:
             '    header = json.loads(file.attrs["header"])',
             'print(header["kind"], header["method"], header["parameters"], header["simulated"])',
             "```\n",
-            "[`evetac info`](../commands/info.md) prints it, with the history.\n",
+            "[`evetac info`](commands/info.md) prints it, with the history.\n",
         )
     )
 
 
 def _page(schema: Schema) -> str:
-    groups: dict[str, list[Dataset]] = {}
+    groups: dict[str, list[Dataset]] = {"": []}  # what lies at the root comes first
     for row in schema.datasets:
         groups.setdefault(row.path.partition("/")[0] if "/" in row.path else "", []).append(row)
     parts = [
         f"# {schema.kind}\n",
         sentence(prose(schema.meaning)) + f" Made by {MADE_BY[schema.kind]}. Schema version {schema.version}.\n",
         "## Datasets\n",
-        'A dimension "any" may have any length. Optional datasets may be missing; a group that is marked optional is'
-        " there with all its other datasets, or not at all.\n",
     ]
+    if schema.optional_groups or any(row.optional for row in schema.datasets):
+        parts.append(
+            "Optional datasets may be missing. A group that is marked optional is there with all its other datasets, or"
+            " not at all.\n"
+        )
     for name, rows in groups.items():
-        if name:
-            parts.append(f"### {name}{' (optional)' if name in schema.optional_groups else ''}\n")
+        if not rows:
+            continue
+        if len(groups) > 1:
+            optional = " (optional)" if name in schema.optional_groups else ""
+            parts.append(f"### {name or 'At the root'}{optional}\n")
         heads = ("dataset", "dtype", "shape", "unit", "meaning")
         parts.append(table(heads, [_row(row) for row in rows]))
     parts += ["## Read it\n", _snippets(schema)]
@@ -123,13 +132,9 @@ def _page(schema: Schema) -> str:
 
 
 def _row(row: Dataset) -> tuple[str, ...]:
-    meaning = prose(row.meaning)
-    limits = _limits(row.limits)
-    if limits:
-        meaning += f". {limits}" if not meaning.endswith(".") else f" {limits}"
-    if row.optional:
-        meaning += " *Optional.*"
-    return code(row.path), "text" if row.dtype == "utf8" else code(row.dtype), _shape(row.dims), row.unit, meaning
+    meaning, limits = sentence(prose(row.meaning)), _limits(row.limits, row.meaning)
+    said = " ".join(part for part in (meaning, limits, "*Optional.*" if row.optional else "") if part)
+    return code(row.path), "text" if row.dtype == "utf8" else code(row.dtype), _shape(row.dims), row.unit, said
 
 
 def _shape(dims: Sequence[str | int] | None) -> str:
@@ -138,15 +143,15 @@ def _shape(dims: Sequence[str | int] | None) -> str:
     return " x ".join(str(dim).replace("+", " + ").replace("_", " ") for dim in dims) or "one value"
 
 
-def _limits(limits: Limits) -> str:
-    """What values may be, in words."""
+def _limits(limits: Limits, meaning: str) -> str:
+    """What values may be, in words, as far as the meaning does not say it."""
     listed = [bounds(limits.minimum, limits.maximum, limits.above)]
-    listed += [" or ".join(map(str, limits.one_of))] if limits.one_of else []
+    listed += [f"one of {', '.join(map(str, limits.one_of))}"] if limits.one_of else []
     listed += ["may be NaN"] if limits.finite == "or NaN" else []
     listed += [f"rows of {code(limits.index_of)}"] if limits.index_of else []
     listed += [limits.increasing] if limits.increasing == "never decreasing" else []
     listed += ["strictly increasing"] if limits.increasing == "strictly" else []
-    listed = [each for each in listed if each]
+    listed = [each for each in listed if each and each not in meaning]
     return sentence("; ".join(listed)) if listed else ""
 
 

@@ -56,18 +56,23 @@ def folded(title: str, text: str) -> str:
 def bounds(low: float | None, high: float | None, above: float | None = None) -> str:
     """The range of a number in words, ends included but for `above`; nothing where there is none."""
     if above is not None:
-        return f"above {above:g}" + ("" if high is None else f", up to {high:g}")
+        return f"above {number(above)}" + ("" if high is None else f", up to {number(high)}")
     if low is None:
-        return "" if high is None else f"up to {high:g}"
-    return f"from {low:g}" if high is None else f"{low:g} to {high:g}"
+        return "" if high is None else f"up to {number(high)}"
+    return f"from {number(low)}" if high is None else f"{number(low)} to {number(high)}"
+
+
+def number(figure: float) -> str:
+    """A number as a reader writes it: whole ones in full."""
+    return f"{int(figure):,}" if float(figure).is_integer() and abs(figure) < 1e15 else f"{figure:g}"
 
 
 def value(item: Any) -> str:
     """A value of a table in TOML or of a dataclass, as a reader writes it."""
     if isinstance(item, bool):
         return "yes" if item else "no"
-    if isinstance(item, float):
-        return f"{item:g}"
+    if isinstance(item, (int, float)):
+        return number(item)
     if isinstance(item, (list, tuple)):
         return ", ".join(map(value, item))
     return str(item)
