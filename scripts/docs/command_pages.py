@@ -40,15 +40,15 @@ def _walk(command: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
 
 
 def page_name(command: str) -> str:
-    """The file of a command's page."""
-    return f"{command.replace(' ', '-')}.md"
+    """The file of a command's page; `index.md` is the list of all, so the command `index` has another."""
+    return "index-command.md" if command == "index" else f"{command.replace(' ', '-')}.md"
 
 
 def pages() -> dict[str, str]:
     """The text of every page by its path: one a command, and the list of all."""
     every = every_command()
     made = {f"{FOLDER}/{page_name(name)}": _page(name, command) for name, command in every.items()}
-    return {f"{FOLDER}.md": _list(every), **made}
+    return {f"{FOLDER}/index.md": _list(every), **made}
 
 
 def _list(every: Mapping[str, Any]) -> str:
@@ -59,7 +59,7 @@ def _list(every: Mapping[str, Any]) -> str:
     panels: dict[str, list[tuple[str, str]]] = {}
     for name, command in every.items():
         panel = "Evaluate" if name.startswith("evaluate ") else command.rich_help_panel or "Other"
-        link = f"[{code(f'evetac {name}')}]({FOLDER}/{page_name(name)})"
+        link = f"[{code(f'evetac {name}')}]({page_name(name)})"
         panels.setdefault(str(panel), []).append((link, prose(_help(command)[0][0])))
     for panel in sorted(panels, key=lambda name: name == "Inspect"):
         parts += [f"## {panel}\n", table(("command", "what it does"), panels[panel])]

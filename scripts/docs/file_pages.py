@@ -19,7 +19,7 @@ MADE_BY = {
     "model": "[`train`](../commands/train.md)",
     "force-model": "[`train-force`](../commands/train-force.md)",
     "forces": "[`predict-force`](../commands/predict-force.md)",
-    "report": "[`evaluate`](../commands.md#evaluate)",
+    "report": "[`evaluate`](../commands/index.md#evaluate)",
 }
 
 
@@ -67,14 +67,11 @@ frame.index.name = "ms" """,
 
 def pages() -> dict[str, str]:
     """The text of every page by its path: one a kind, and the list of all."""
-    return {f"{FOLDER}.md": _list(), **{f"{FOLDER}/{kind}.md": _page(load(kind)) for kind in KINDS}}
+    return {f"{FOLDER}/index.md": _list(), **{f"{FOLDER}/{kind}.md": _page(load(kind)) for kind in KINDS}}
 
 
 def _list() -> str:
-    rows = [
-        (f"[{code(kind)}]({FOLDER}/{kind}.md)", prose(load(kind).meaning), MADE_BY[kind].replace("../", ""))
-        for kind in KINDS
-    ]
+    rows = [(f"[{code(kind)}]({kind}.md)", prose(load(kind).meaning), MADE_BY[kind]) for kind in KINDS]
     return "\n".join(
         (
             "# Files\n",
@@ -100,7 +97,7 @@ def _list() -> str:
             '    header = json.loads(file.attrs["header"])',
             'print(header["kind"], header["method"], header["parameters"], header["simulated"])',
             "```\n",
-            "[`evetac info`](commands/info.md) prints it, with the history.\n",
+            "[`evetac info`](../commands/info.md) prints it, with the history.\n",
         )
     )
 

@@ -56,7 +56,7 @@ def test_every_command_and_option_has_a_place(every: dict[str, str]) -> None:
         assert text.startswith(f"{page_text.MADE}# evetac {name}\n")
         missing = [flag for param in command.params for flag in param.opts if flag.startswith("-") and flag not in text]
         assert missing == [], name
-        assert f"(commands/{command_pages.page_name(name)})" in every["commands.md"]
+        assert f"({command_pages.page_name(name)})" in every["commands/index.md"]
 
 
 def test_a_page_says_what_a_parameter_is(every: dict[str, str]) -> None:
@@ -127,7 +127,7 @@ def test_snippets_run(every: dict[str, str], tmp_path: Path, monkeypatch: pytest
     small_files.every_kind(tmp_path)
     monkeypatch.chdir(tmp_path)
     ran = 0
-    for page in ("files.md", *(f"files/{kind}.md" for kind in schema.KINDS)):
+    for page in ("files/index.md", *(f"files/{kind}.md" for kind in schema.KINDS)):
         for indent, snippet in SNIPPET.findall(every[page]):
             names: dict[str, Any] = {}
             exec(re.sub(rf"^{indent}", "", snippet, flags=re.MULTILINE), names)
