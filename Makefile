@@ -103,6 +103,7 @@ docs: $(READY)  ## the documentation: site/index.html, with every page of the re
 	$(BIN)/python scripts/docs/pages.py
 	$(BIN)/zensical build --clean --strict
 	$(BIN)/python scripts/docs/check_site.py
+	@echo 'open site/index.html; its search needs a server: python3 -m http.server --directory site'
 
 bench: $(READY)  ## run times of the kernels, as ratios in one run: to real time, to other ways, to a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))

@@ -81,4 +81,4 @@ def value(item: Any) -> str:
 def comments(of: type) -> dict[str, str]:
     """What a dataclass says of its fields, by their names: the comments behind them."""
     pattern = re.compile(r"^    (\w+): [^#\n]+#\s*(.+)$", re.MULTILINE)
-    return {name: said.removeprefix("... ") for name, said in pattern.findall(inspect.getsource(of))}
+    return {name: said.removeprefix("...").lstrip() for name, said in pattern.findall(inspect.getsource(of))}
