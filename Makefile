@@ -16,7 +16,7 @@ REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--sm
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
-	data-rate force grasp-table grasp-shipped results film test test-all test-lowest check bench clean
+	data-rate force grasp-table grasp-shipped results film test test-all test-lowest check docs bench clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -25,7 +25,7 @@ setup: $(READY)  ## make a virtual environment of its own in .venv
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,plot,dev]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,docs,plot,dev]'
 	$(BIN)/evetac doctor --compile
 	@touch $@
 
@@ -96,14 +96,21 @@ $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,plot,dev]'
 	@touch $@
 
-check: $(READY)  ## ruff and mypy --strict
+check: $(READY)  ## ruff, mypy --strict and the documentation
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	@$(MAKE) --no-print-directory docs
+
+docs: $(READY)  ## the documentation: site/index.html, with every page of the reference made from the code
+	$(BIN)/python scripts/docs/pages.py
+	$(BIN)/zensical build --clean --strict
+	$(BIN)/python scripts/docs/check_site.py
+	@echo 'open site/index.html; its search needs a server: python3 -m http.server --directory site'
 
 bench: $(READY)  ## run times of the kernels, as ratios in one run: to real time, to other ways, to a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))
 
 clean:  ## remove what demo, tests and builds left; the environment stays
-	rm -rf demo strips film small dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf demo strips film small dist site docs/reference .cache .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

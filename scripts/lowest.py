@@ -26,10 +26,11 @@ def lowest_versions(requirements: list[str]) -> list[str]:
 
 
 def requirements_of(pyproject: Path) -> list[str]:
-    """What the package needs, with all of its extras."""
+    """What the package needs, with all of its extras but `docs`: a site is built by versions that are pinned."""
     project = tomllib.loads(pyproject.read_text())["project"]
-    extras = project["optional-dependencies"].values()
-    return [*project["dependencies"], *(requirement for extra in extras for requirement in extra)]
+    extras = project["optional-dependencies"].items()
+    needed = [requirement for name, extra in extras if name != "docs" for requirement in extra]
+    return [*project["dependencies"], *needed]
 
 
 if __name__ == "__main__":

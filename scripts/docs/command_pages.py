@@ -1,0 +1,152 @@
+"""A page for every command, from what Typer knows of it: purpose, examples, options by panel, values and defaults."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, fields
+from pathlib import Path
+from typing import Any
+
+import typer
+from page_text import bounds, code, fenced, prose, sentence, table
+
+from evetac_cli.cli import commands, config
+from evetac_cli.cli.main import app
+from evetac_cli.errors import DeviceError, EvetacError, InputError
+from evetac_cli.params.parameter import flag_of
+
+FOLDER = "commands"
+UNNAMED_PANEL = "Options"
+PICTURES = Path(__file__).resolve().parents[2] / "docs" / "pictures"
+ENDS = (
+    (0, "all went well, or there was nothing to do"),
+    (EvetacError.exit_code, "something failed"),
+    (InputError.exit_code, "a flag, a file or a value is not what was expected"),
+    (DeviceError.exit_code, "a camera or a gripper failed, or `doctor` found something wrong"),
+    (130, "Ctrl-C: files that were finished are complete, the one in progress was left out"),
+)
+
+
+def every_command() -> dict[str, Any]:
+    """All commands by their full names, as in `evaluate slip`, in the order of `evetac --help`."""
+    return dict(_walk(typer.main.get_command(app), ()))
+
+
+def _walk(command: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+    if hasattr(command, "commands"):
+        for name, inner in command.commands.items():
+            yield from _walk(inner, (*names, name))
+    else:
+        yield " ".join(names), command
+
+
+def page_name(command: str) -> str:
+    """The file of a command's page; `index.md` is the list of all, so the command `index` has another."""
+    return "index-command.md" if command == "index" else f"{command.replace(' ', '-')}.md"
+
+
+def pages() -> dict[str, str]:
+    """The text of every page by its path: one a command, and the list of all."""
+    every = every_command()
+    made = {f"{FOLDER}/{page_name(name)}": _page(name, command) for name, command in every.items()}
+    return {f"{FOLDER}/index.md": _list(every), **made}
+
+
+def _list(every: Mapping[str, Any]) -> str:
+    parts = [
+        "# Commands\n",
+        "Each command reads files and writes files beside them. `evetac COMMAND --help` says the same as its page.\n",
+    ]
+    panels: dict[str, list[tuple[str, str]]] = {}
+    for name, command in every.items():
+        panel = "Evaluate" if name.startswith("evaluate ") else command.rich_help_panel or "Other"
+        link = f"[{code(f'evetac {name}')}]({page_name(name)})"
+        panels.setdefault(str(panel), []).append((link, prose(_help(command)[0][0])))
+    for panel in sorted(panels, key=lambda name: name == "Inspect"):
+        parts += [f"## {panel}\n", table(("command", "what it does"), panels[panel])]
+    parts += ["## Exit codes\n", table(("code", "meaning"), [(str(number), said) for number, said in ENDS])]
+    parts.append(
+        "With `--json` a command prints one JSON object on stdout, whatever happens: `command`, `simulated`, `rows`,"
+        " `summary`, and `error` where something failed. Progress and messages go to stderr.\n"
+    )
+    return "\n".join(parts)
+
+
+def _page(name: str, command: Any) -> str:
+    (purpose, *more), examples = _help(command)
+    arguments = [param for param in command.params if param.param_type_name == "argument"]
+    options = [param for param in command.params if param.param_type_name == "option" and not param.hidden]
+    placed = " ".join(_argument(param) for param in arguments)
+    parts = [f"# evetac {name}\n", sentence(prose(purpose)) + "\n"]
+    parts += [prose(part) + "\n" for part in more]
+    parts.append(fenced(f"evetac {name} {placed} [OPTIONS]".replace("  ", " "), "text"))
+    if examples:
+        parts += ["## Examples\n", fenced("\n".join(examples), "console")]
+    picture = f"{name.replace(' ', '-')}.webp"
+    if (PICTURES / picture).exists():
+        parts.append(f"![What `evetac {name}` shows (simulated)](../../pictures/{picture})\n")
+    if arguments:
+        rows = [(code(_argument(param)), prose(param.help or "")) for param in arguments]
+        parts += ["## Arguments\n", table(("argument", "what it is"), rows)]
+    known = _parameters(name)
+    panels: dict[str, list[tuple[str, str, str, str]]] = {}
+    for param in options:
+        panel = str(getattr(param, "rich_help_panel", None) or UNNAMED_PANEL)
+        panels.setdefault(panel, []).append(_option(param, known.get(param.name)))
+    for panel, rows in panels.items():
+        parts += [f"## {panel}\n", table(("option", "what it does", "values", "default"), rows)]
+    if name in config.COMMANDS:
+        parts.append(_in_a_file(name, known))
+    return "\n".join(parts)
+
+
+def _in_a_file(name: str, known: Mapping[str, Field[Any]]) -> str:
+    """How options are written in a file for --config, where a key is the name of the parameter."""
+    flags = {flag_of(item): item.name for item in known.values() if flag_of(item).startswith("--")}
+    others = [f"{code(key)} for {code(flag)}" for flag, key in flags.items() if flag[2:].replace("-", "_") != key]
+    table_of = code(f"[{name.replace(' ', '.')}]")
+    said = f"In a file for `--config` these options stand in the table {table_of}, with `_` in place of `-`"
+    return said + (f", but {', '.join(others)}" if others else "") + ".\n"
+
+
+def _argument(param: Any) -> str:
+    shown = str(param.metavar or param.name.upper())
+    shown += "..." if param.nargs == -1 else ""
+    return shown if param.required else f"[{shown}]"
+
+
+def _help(command: Any) -> tuple[list[str], list[str]]:
+    """What a command's help says: its paragraphs, then its examples, which are lines that begin with `evetac `."""
+    paragraphs, examples = [], []
+    for part in (command.help or "").replace("\b", "").split("\n\n"):
+        lines = [line.strip() for line in part.strip().splitlines()]
+        if lines and all(line.startswith("evetac ") for line in lines):
+            examples += lines
+        else:
+            paragraphs.append(" ".join(lines))
+    return paragraphs, examples
+
+
+def _parameters(name: str) -> dict[str, Field[Any]]:
+    """The parameters of a command by name, where the command is made from a dataclass."""
+    group, _, last = name.rpartition(" ")
+    listed = commands.EVALUATE if group == "evaluate" else _of_no_group()
+    return {item.name: item for command in listed if command.name == last for item in fields(command.params)}
+
+
+def _of_no_group() -> list[commands.Command]:
+    alone = [each for each in vars(commands).values() if isinstance(each, commands.Command)]
+    return [*commands.PIPELINE, *alone]
+
+
+def _option(param: Any, known: Field[Any] | None) -> tuple[str, str, str, str]:
+    """The row of an option; its values, unit and default are those of the parameter, where there is one."""
+    flags = ", ".join(code(flag) for flag in param.opts)
+    if known is None:
+        shown = "" if param.default is None or param.default is False else code(param.default)
+        return flags, prose(re.sub(r"\s*\\?\[default: [^\]]*\]", "", param.help or "")), "", shown
+    about = known.metadata
+    values = ", ".join(map(code, about["choices"])) or bounds(about["low"], about["high"])
+    if about["unit"]:
+        values = f"{values} {about['unit']}" if values and not about["choices"] else values or about["unit"]
+    default = "" if known.default is None or known.default is False or known.default == "" else code(known.default)
+    return flags, prose(about["help"]), values, default

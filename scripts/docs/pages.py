@@ -1,0 +1,102 @@
+"""Write the reference pages of the documentation from the code: commands, files, Python, scenes, sensors, models.
+
+    python scripts/docs/pages.py [--out docs/reference]
+
+CONTRIBUTING and the two lists of changes, which stand elsewhere in the repository, become pages as well.
+
+Why so: the folder is not committed. `make docs` writes it anew before it builds the site, so no page can be older than
+the code, and no change of an option or a scene needs a second commit.
+"""
+
+import argparse
+import inspect
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import command_pages
+import file_pages
+import method_pages
+import simulation_pages
+from page_text import MADE
+
+import evetac_cli as evetac
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = (command_pages, file_pages, simulation_pages, method_pages)
+OF_THE_REPOSITORY = {
+    "contributing.md": "CONTRIBUTING.md",
+    "changes.md": "CHANGELOG.md",
+    "file-changes.md": "schemas/CHANGES.md",
+}
+LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
+# Parts of the page of Python names, in their order.
+OPENING, EVENTS, SIMULATING, ERRORS = "Open files", "Events, dots, slip", "Simulate", "Errors"
+
+
+def every_page() -> dict[str, str]:
+    """The text of all reference pages by their paths below the folder."""
+    made = {path: text for module in MODULES for path, text in module.pages().items()}
+    copied = {path: for_the_site((ROOT / name).read_text("utf-8")) for path, name in OF_THE_REPOSITORY.items()}
+    return {path: MADE + text for path, text in {**made, "python.md": _python(), **copied}.items()}
+
+
+def _python() -> str:
+    """The public names of Python; mkdocstrings fills in what their docstrings say."""
+    said = [
+        "# All names in Python\n",
+        "    import evetac_cli as evetac\n",
+        "Each name is imported when it is first used. The package is typed. A test runs all examples.\n",
+    ]
+    for part in (OPENING, EVENTS, SIMULATING, ERRORS):
+        said.append(f"## {part}\n")
+        said += [f"::: evetac_cli.{name}\n" for name in evetac.__all__ if _part_of(name) == part]
+        if part == OPENING:
+            said.append("::: evetac_cli.store.files.StageFile\n")
+    return "\n".join(said)
+
+
+def _part_of(name: str) -> str:
+    item = getattr(evetac, name)
+    if name.startswith("open_") or name == "Recording":
+        return OPENING
+    if inspect.isclass(item) and issubclass(item, Exception):
+        return ERRORS
+    return SIMULATING if inspect.isfunction(item) or name == "Simulation" else EVENTS
+
+
+def for_the_site(text: str) -> str:
+    """Links to pages of docs/ lead there; other files of the repository are no part of the site and are only named."""
+
+    def replace(match: re.Match[str]) -> str:
+        said, path, place = match[1], match[2], match[3] or ""
+        if path.startswith("docs/"):
+            return f"[{said}](../{path.removeprefix('docs/')}{place})"
+        return f"`{path}`" if said.strip("`") == path else f"{said} (`{path}`)"
+
+    return LINK.sub(replace, text)
+
+
+def write(folder: Path) -> list[Path]:
+    """Write all pages into a folder that holds nothing else, and return where they lie."""
+    shutil.rmtree(folder, ignore_errors=True)
+    written = []
+    for path, text in every_page().items():
+        place = folder / path
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(text, encoding="utf-8")
+        written.append(place)
+    return written
+
+
+def main() -> None:
+    """Write the pages and say how many they are."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "reference")
+    chosen = parser.parse_args()
+    sys.stdout.write(f"{chosen.out}: {len(write(chosen.out))} pages\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,313 @@
+"""Pages of what can be simulated: scenes, sensors, their parts, objects, and every key of a scene or a sensor."""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from page_text import bounds, code, fenced, folded, prose, sentence, table, value
+
+from evetac_cli.resources import SCENES, schemas
+from evetac_cli.resources import table as packaged
+from evetac_cli.sim import scene
+from evetac_cli.sim.parts import parts
+from evetac_cli.text_files import read_toml
+
+Rules = Mapping[str, Any]
+ALL_KINDS = tuple(scene.NEEDED)
+EXAMPLE = "evetac"  # the sensor beside which others are shown
+
+
+class Keys(NamedTuple):
+    """The keys that name a part, of a sensor's row or a scene's file; none where every scene of its kind has it."""
+
+    sensor: tuple[str, ...] = ()
+    scene: tuple[str, ...] = ()
+
+
+# Where each part of sim/parts.py is named. A test compares the names and looks the keys up in schemas/.
+PARTS = {
+    "gel and friction": Keys(
+        ("shear_modulus_pa", "normal_modulus_pa"), ("randomise.static_friction", "randomise.memory_um", "solver")
+    ),
+    "friction that varies over the gel": Keys(("friction.patch_spread", "friction.patch_mm")),
+    "slow creep": Keys(("creep",)),
+    "what touches": Keys((), ("kind", "face", "rub", "tone")),
+    "gripper": Keys(("gripper",), ("gripper",)),
+    "free object": Keys((), ("kind",)),
+    "table and hand": Keys((), ("hand",)),
+    "pushes": Keys((), ("push",)),
+    "falling weight": Keys((), ("drop",)),
+    "camera": Keys(("threshold", "mismatch", "edge_sigma_px", "log_contrast")),
+    "dots": Keys(("dot_columns_px", "dot_rows_px", "dot_xy_px", "dot_radius_px")),
+    "dots that differ": Keys(("dot_radius_spread", "dot_contrast_spread")),
+    "window": Keys(("window_px",), ("gel.cut", "texture")),
+    "contact edges": Keys((), ("rub.edge_log_contrast", "rub.edge_blur_px")),
+    "cut edge": Keys(("cut_contrast", "cut_width_px", "cut_jitter_px")),
+    "noise": Keys(("noise_hz", "noise_on_share", "timestamp_step_us", "hot_pixels", "hot_pixel_hz", "hot_pixel_table")),
+    "OFF threshold of its own": Keys(("threshold_off",)),
+    "limit of the readout": Keys(("readout.events_per_s",)),
+    "slow pixels": Keys(("bandwidth_hz",)),
+    "bandwidth that falls with light": Keys(("bandwidth_by_light",)),
+    "uneven light": Keys(("light_gradient",)),
+    "lens distortion": Keys(("distortion",)),
+    "leak": Keys(("leak_hz",)),
+    "blind pixels": Keys(("refractory_us",)),
+    "changing light": Keys((), ("light",)),
+    "vanishing dots": Keys((), ("vanishing_dots",)),
+    "calibration that is off": Keys((), ("calibration",)),
+    "change of friction": Keys((), ("friction_change",)),
+    "gear friction": Keys(("gripper.friction_factor",), ("gripper.friction_factor",)),
+    "backlash of the gripper": Keys(("gripper.backlash_ticks",), ("gripper.backlash_ticks",)),
+    "second finger of its own": Keys((), ("gripper.second_finger",)),
+    "noise of the gripper's encoder": Keys(("gripper.encoder_noise_ticks",), ("gripper.encoder_noise_ticks",)),
+    "commands that come late": Keys(
+        ("gripper.command_delay_ms", "gripper.command_jitter_ms"),
+        ("gripper.command_delay_ms", "gripper.command_jitter_ms"),
+    ),
+    "profile of the hand's motion": Keys((), ("hand.profile",)),
+    "vibration of the hand": Keys((), ("hand.vibration",)),
+    "jerk of the hand": Keys((), ("hand.jerk",)),
+    "other stiffness of the gel": Keys((), ("gel.stiffness_factor",)),
+    "other mass of the object": Keys((), ("object.mass_g",)),
+}
+
+
+def pages() -> dict[str, str]:
+    """The text of every page by its path."""
+    return {
+        "scenes.md": _scenes(),
+        "sensors.md": _sensors(),
+        "parts.md": _parts(),
+        "scene-keys.md": _keys_page("scene", "A scene of your own", "--scene mine.toml"),
+        "objects.md": _objects(),
+    }
+
+
+def scene_names() -> list[str]:
+    """The packaged scenes."""
+    return sorted(path.stem for path in SCENES.glob("*.toml"))
+
+
+def plan_of(name: str, sensor: str = EXAMPLE) -> dict[str, Any]:
+    """What a packaged scene builds with a sensor."""
+    return scene.plan(name, "8", sensor, ALL_KINDS)[0]
+
+
+def _scenes() -> str:
+    said = [
+        "# Scenes\n",
+        "What can be simulated. Everything that comes of a scene is simulated, and its files say so. `--dry-run` shows"
+        " which [parts](parts.md) a scene builds; a scene pays only for those that it names. A scene of your own is a"
+        " TOML file with [these keys](scene-keys.md): begin with a copy of one below.\n",
+    ]
+    for name in scene_names():
+        text = (SCENES / f"{name}.toml").read_text()
+        comment = " ".join(line.removeprefix("#").strip() for line in _head(text))
+        named = read_toml(SCENES / f"{name}.toml")
+        command = "grasp" if named["kind"] == "lift" else "record"
+        built = [row["part"] for row in parts(plan_of(name)) if row["built"]]
+        said += [
+            f"## {name}\n",
+            sentence(prose(named["summary"])) + "\n",
+            prose(comment) + "\n" if comment else "",
+            fenced(f"evetac {command} --scene {name} --out {name}/", "console"),
+            f"Kind `{named['kind']}`. Parts: {', '.join(built)}.\n",
+            folded(f"{name}.toml", fenced(text, "toml")),
+        ]
+    return "\n".join(said)
+
+
+def _head(text: str) -> Iterator[str]:
+    """The comment at the head of a file."""
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            return
+        yield line
+
+
+def _sensors() -> str:
+    rows = packaged("sensors")
+    rules = _rules("sensor")
+    said = [
+        "# Sensors\n",
+        "Simulated sensors for `--sensor NAME`: gel, dots, camera and noise. None of them was measured on a real"
+        " Evetac; `evetac` is adjusted to figures of the paper, and [`identify`](commands/identify.md) estimates one"
+        " like yours from recordings ([how](../identify.md)).\n",
+    ]
+    for name, row in rows.items():
+        said += [f"## {name}\n", sentence(prose(row["summary"])) + "\n"]
+        if name == scene.FOR_EACH_TRIAL:
+            said.append("What is sampled, each from its own random stream; all other values are those of `evetac`.\n")
+            said.append(table(("key", "value or range"), [(code(key), _range(item)) for key, item in _flat(row)]))
+        elif name != EXAMPLE:
+            base = dict(_flat(rows[EXAMPLE]))
+            differing = [(key, item) for key, item in _flat(row) if key != "summary" and item != base.get(key)]
+            shown = [(code(key), value(base[key]) if key in base else "", value(item)) for key, item in differing]
+            said.append(table(("key", f"`{EXAMPLE}`", code(name)), shown))
+    said += [
+        "## Keys of a sensor's file\n",
+        'A sensor of your own is a TOML file, for `--sensor mine.sensor.toml`. With `like = "evetac"` it needs only the'
+        " keys in which it differs.\n",
+        table(
+            ("key", "meaning", "values", f"`{EXAMPLE}`"),
+            [
+                (code(path), prose(rule.get("description", "")), _values(rule), value(_at(rows[EXAMPLE], path)))
+                for path, rule in _flat_rules(rules, rules)
+            ],
+        ),
+    ]
+    return "\n".join(said)
+
+
+def _parts() -> str:
+    rules = {"sensor": _rules("sensor"), "scene": _rules("scene")}
+    built: dict[str, list[str]] = {}
+    why_not: dict[str, str] = {}
+    order = []
+    for name in scene_names():
+        for row in parts(plan_of(name)):
+            built.setdefault(row["part"], [])
+            if row["part"] not in order:
+                order.append(row["part"])
+            if row["built"]:
+                built[row["part"]].append(name)
+            else:
+                why_not.setdefault(row["part"], row["left_out"])
+    realistic = {row["part"]: row["built"] for row in parts(plan_of("slip", "realistic")) if row["built"]}
+    said = [
+        "# Parts of a scene and a sensor\n",
+        "What a simulation is built of. A part that nothing names is left out and costs nothing. What each does to"
+        " events, labels, tracks and grasps is measured in [Disturbances](../disturbances.md).\n",
+    ]
+    for name in order:
+        keys = PARTS[name]
+        said.append(f"## {name}\n")
+        rows = [
+            (code(path), owner, prose(rule.get("description", "")), _values(rule))
+            for owner, paths in (("sensor", keys.sensor), ("scene", keys.scene))
+            for path in paths
+            for rule in (_rule(rules[owner], path),)
+        ]
+        said.append(table(("key", "of", "meaning", "values"), rows))
+        scenes = built[name]
+        everywhere = len(scenes) == len(scene_names())
+        said.append(
+            "In every packaged scene.\n"
+            if everywhere
+            else f"In {', '.join(f'[{each}](scenes.md#{each})' for each in scenes)}.\n"
+            if scenes
+            else "In no packaged scene with the sensor `evetac`.\n"
+        )
+        if name in why_not and not everywhere:
+            said.append(f"Left out elsewhere: {prose(why_not[name])}.\n")
+        if name in realistic and not scenes:
+            said.append(f"The sensor [`realistic`](sensors.md#realistic) has it: {prose(realistic[name])}.\n")
+    return "\n".join(said)
+
+
+def _keys_page(owner: str, title: str, flag: str) -> str:
+    rules = _rules(owner)
+    rows = [(code(path), prose(rule.get("description", "")), _values(rule)) for path, rule in _flat_rules(rules, rules)]
+    return "\n".join(
+        (
+            f"# {title}\n",
+            f"Every key that a file for `{flag}` may have. A dot stands between a table and its key: `gel.cut` is `cut`"
+            " in the table `[gel]`. Begin with a copy of a [packaged scene](scenes.md); what a kind of scene needs, and"
+            " what it cannot have, is said when the file is read.\n",
+            table(("key", "meaning", "values"), rows),
+        )
+    )
+
+
+def _objects() -> str:
+    objects = packaged("objects")
+    keys = list(dict.fromkeys(key for row in objects.values() for key in row))
+    rows = [(number, *(value(row[key]) if key in row else "" for key in keys)) for number, row in objects.items()]
+    comment = " ".join(line.removeprefix("#").strip() for line in _head((SCENES.parent / "objects.toml").read_text()))
+    return "\n".join(
+        (
+            "# Objects\n",
+            prose(comment) + "\n",
+            "Choose them by number: `--object 3,8` or `--object 1-9`.\n",
+            table(("number", *(key.replace("_", " ") for key in keys)), rows),
+        )
+    )
+
+
+def _rules(owner: str) -> Rules:
+    rules: Rules = json.loads((schemas() / f"{owner}.v1.json").read_text())
+    return rules
+
+
+def _resolved(rule: Rules, rules: Rules) -> Rules:
+    """A rule with what it refers to."""
+    if "$ref" not in rule:
+        return rule
+    return {**rules["$defs"][rule["$ref"].rpartition("/")[2]], **rule}
+
+
+def _flat_rules(rule: Rules, rules: Rules, path: str = "") -> Iterator[tuple[str, Rules]]:
+    """Every key with its rule, those of tables after them with a dot between."""
+    for name, named in rule.get("properties", {}).items():
+        inner, here = _resolved(named, rules), f"{path}.{name}" if path else name
+        yield here, inner
+        yield from _flat_rules(inner, rules, here)
+
+
+def _rule(rules: Rules, path: str) -> Rules:
+    """The rule of a key; KeyError if there is none."""
+    return dict(_flat_rules(rules, rules))[path]
+
+
+def _values(rule: Rules) -> str:
+    """What a key's values may be, in words."""
+    if "enum" in rule:
+        return ", ".join(map(code, rule["enum"]))
+    if "const" in rule:
+        return value(rule["const"])
+    kind = rule.get("type")
+    if kind == "boolean":
+        return "yes or no"
+    if kind == "object":
+        return "a table"
+    if kind == "string":
+        return "text"
+    if "anyOf" in rule:
+        return "a number or a range"
+    if kind == "array":
+        items = rule.get("items", {})
+        least, most = rule.get("minItems"), rule.get("maxItems")
+        count = f"{least}" if least == most and least else f"{least or 0} to {most}" if most else "several"
+        of = _values(items) if items.get("type") in ("number", "integer") else "values"
+        return f"a list of {count}" + (f", {of}" if of != "values" else "")
+    low, above = rule.get("minimum"), rule.get("exclusiveMinimum")
+    whole = "whole, " if kind == "integer" else ""
+    return whole + bounds(low, rule.get("maximum"), above)
+
+
+def _flat(row: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value of a row with its key; what is sampled is a value."""
+    for name, item in row.items():
+        here = f"{path}.{name}" if path else name
+        if isinstance(item, Mapping) and "stream" not in item:
+            yield from _flat(item, here)
+        else:
+            yield here, item
+
+
+def _range(item: Any) -> str:
+    """A value, or the range that it is sampled from."""
+    if isinstance(item, list):
+        return ", ".join(map(_range, item))
+    if not isinstance(item, Mapping):
+        return value(item)
+    (how, (low, high)) = next((key, ends) for key, ends in item.items() if key != "stream")
+    return f"{low:g} to {high:g} ({how.replace('_', '-')})"
+
+
+def _at(row: Mapping[str, Any], path: str) -> Any:
+    """The value of a key in a row, with a dot between table and key; nothing where it is not named or a table."""
+    item: Any = row
+    for name in path.split("."):
+        item = item.get(name, "") if isinstance(item, Mapping) else ""
+    return "" if isinstance(item, Mapping) else item

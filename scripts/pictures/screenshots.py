@@ -1,0 +1,150 @@
+"""Make the screenshots of the documentation from the present code: pages of `view`, and what commands print.
+
+    python scripts/pictures/screenshots.py [--out docs/pictures] [--work FOLDER] [--only view]
+
+Records two simulated slips and a grasp into a folder (a temporary one unless --work names it), runs the commands of
+SHOTS on them, and lets a headless Chromium draw what they made. A command's picture is called as its page in the
+reference, `docs/reference/commands/NAME.md`, which shows it.
+"""
+
+import argparse
+import fcntl
+import io
+import os
+import pty
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+from pathlib import Path
+from typing import NamedTuple
+
+from PIL import Image
+from rich.console import Console
+from rich.text import Text
+
+ROOT = Path(__file__).resolve().parents[2]
+COLUMNS, LINES = 100, 50  # of the terminal
+MOST_BYTES = 200_000  # of a picture
+SPARE_PX = 200  # Chromium's window is larger than what it shows of a page
+
+
+class Shot(NamedTuple):
+    """A picture: its name, the command, the page that the command makes, and how much of it is shown, in px."""
+
+    name: str
+    command: str
+    page: str = ""  # nothing: what the command prints
+    size_px: tuple[int, int] = (1280, 1400)
+
+
+PREPARE = (
+    "evetac record --scene slip --object 8 --count 2 --out data/ --jobs 2",
+    "evetac track data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
+    "evetac label data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
+    "evetac featurize data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
+)
+SHOTS = (
+    Shot("info", "evetac info data/slip-obj08-s0-000.recording.h5"),
+    Shot("evaluate-labels", "evetac evaluate labels data/slip-obj08-s0-000.labels.h5 data/slip-obj08-s0-001.labels.h5"),
+    Shot("view", "evetac view data/slip-obj08-s0-000.features.h5 --force", "data/slip-obj08-s0-000.html"),
+    Shot("grasp", "evetac grasp --object 11 --out grasps/"),
+)
+
+
+def printed(command: str, folder: Path) -> str:
+    """What a command prints on a terminal, with its colours; progress, which is on stderr, is left out."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", LINES, COLUMNS, 0, 0))
+    run = subprocess.Popen(_words(command), stdout=theirs, stderr=subprocess.DEVNULL, cwd=folder, env=_environment())
+    os.close(theirs)
+    pieces = []
+    while True:
+        try:
+            piece = os.read(ours, 1 << 16)
+        except OSError:  # the terminal is closed at the other end
+            piece = b""
+        if not piece:
+            break
+        pieces.append(piece)
+    os.close(ours)
+    if run.wait() != 0:
+        raise SystemExit(f"{command}: exit code {run.returncode}")
+    return b"".join(pieces).decode().replace("\r\n", "\n")
+
+
+def _words(command: str) -> list[str]:
+    return [sys.executable, "-m", "evetac_cli", *command.split()[1:]]
+
+
+def _environment() -> dict[str, str]:
+    path = os.pathsep.join([str(ROOT), *os.environ.get("PYTHONPATH", "").split(os.pathsep)])
+    return {**os.environ, "PYTHONPATH": path, "TERM": "xterm-256color", "COLUMNS": str(COLUMNS), "LINES": str(LINES)}
+
+
+def terminal_page(command: str, text: str, folder: Path) -> tuple[Path, tuple[int, int]]:
+    """A page with a picture of a terminal, and its size in px; fonts are those of this computer."""
+    console = Console(record=True, width=COLUMNS, file=io.StringIO())
+    console.print(Text.from_ansi(f"$ {command}\n{text}".rstrip()))
+    drawn = re.sub(r"@font-face\s*\{[^}]*\}", "", console.export_svg(title="evetac"))
+    box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', drawn)
+    assert box is not None
+    width, height = (int(float(side)) + 1 for side in box.groups())
+    page = folder / "terminal.html"
+    page.write_text(f'<body style="margin: 0"><div style="width: {width}px">{drawn}</div>')
+    return page, (width, height)
+
+
+def photograph(page: Path, size_px: tuple[int, int], out: Path, chromium: str) -> None:
+    """Let Chromium draw a page and keep its upper left part as WebP, small enough for a repository."""
+    width, height = size_px
+    with tempfile.TemporaryDirectory() as folder:
+        drawn = Path(folder) / "page.png"
+        flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=8000")
+        where = (f"--user-data-dir={folder}/profile", f"--screenshot={drawn}")
+        size = f"--window-size={width},{height + SPARE_PX}"
+        run = [chromium, *flags, *where, size, page.resolve().as_uri()]
+        subprocess.run(run, check=True, capture_output=True, timeout=120)
+        with Image.open(drawn) as image:
+            shown = image.convert("RGB").crop((0, 0, width, min(height, image.height)))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    shown.save(out, "WEBP", quality=80, method=6)
+    if out.stat().st_size > MOST_BYTES:
+        raise SystemExit(f"{out}: {out.stat().st_size:,} bytes, expected at most {MOST_BYTES:,}; show less of the page")
+
+
+def make(shot: Shot, work: Path, out: Path, chromium: str) -> Path:
+    """Run a command and draw what it made."""
+    text = printed(shot.command, work)
+    page, size_px = (work / shot.page, shot.size_px) if shot.page else terminal_page(shot.command, text, work)
+    picture = out / f"{shot.name}.webp"
+    photograph(page, size_px, picture, chromium)
+    return picture
+
+
+def main() -> None:
+    """Prepare the files, then make every picture."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures")
+    parser.add_argument("--work", type=Path, help="folder of recordings; kept, and gone on with")
+    parser.add_argument("--only", nargs="*", choices=[shot.name for shot in SHOTS], help="these pictures alone")
+    chosen = parser.parse_args()
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        parser.exit(1, "expected chromium on the PATH, found none; try: apt install chromium\n")
+    with tempfile.TemporaryDirectory() as temporary:
+        work = chosen.work or Path(temporary)
+        work.mkdir(parents=True, exist_ok=True)
+        for command in PREPARE:
+            printed(command, work)
+        for shot in SHOTS:
+            if chosen.only is None or shot.name in chosen.only:
+                picture = make(shot, work, chosen.out, chromium)
+                sys.stdout.write(f"{picture}: {picture.stat().st_size / 1000:.0f} kB\n")
+
+
+if __name__ == "__main__":
+    main()
