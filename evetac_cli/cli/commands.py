@@ -76,5 +76,6 @@ EVALUATE = (
 VIEW = Command(
     "view", inspection.View, "inspect.view", "Stage files of one trial; others of its name are found.", "images"
 )
+REPORT = Command("report", inspection.Report, "inspect.report", "A folder of stage files; two with --compare.", "files")
 EXPORT = Command("export", inspection.Export, "inspect.export", "Recordings.", "events")
 DOCTOR = Command("doctor", inspection.Doctor, "inspect.doctor", "")

@@ -19,7 +19,7 @@ import typer
 
 from evetac_cli import __version__, console, resources
 from evetac_cli.cli import compiling, config, engines, exit_codes, workers
-from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, VIEW, Command
+from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome, require_possible_name
@@ -368,6 +368,7 @@ app.command("index", rich_help_panel="Inspect")(
     )
 )
 _add(app, VIEW, VIEW.name, "Inspect", _write_for_others, _VIEWING)
+_add(app, REPORT, REPORT.name, "Inspect", _write_for_others, _VIEWING)
 _add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, _EXPORTING)
 app.command("validate", rich_help_panel="Inspect")(
     _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")

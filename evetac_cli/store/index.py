@@ -180,7 +180,7 @@ def describe(folder: Path, name: str, size_bytes: int, changed_ns: int) -> Row:
 
 def _figures(file: Any) -> dict[str, Any]:
     header = file.header
-    recording: dict[str, Any] = _recording_of(header, header["history"]) or {}
+    recording: dict[str, Any] = recording_of(header, header["history"]) or {}
     parameters = recording.get("parameters", {})
     scene = parameters.get("scene")
     seed = recording.get("seed") if recording else header["seed"]
@@ -199,7 +199,7 @@ def _figures(file: Any) -> dict[str, Any]:
     }
 
 
-def _recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:
+def recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:
     """The header of the one recording that a file was made from, itself if it is one; None where there are several.
 
     What a model was trained on does not count.
