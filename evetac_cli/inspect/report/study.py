@@ -46,7 +46,7 @@ class Found:
         """The values that a parameter has among the files of a kind that the report descends from."""
         ancestors = (one for one in self.header["history"].values() if one["kind"] == kind)
         values = (one["parameters"].get(name) for one in ancestors)
-        return {str(value["name"] if isinstance(value, dict) else value) for value in values if value is not None}
+        return {str(value.get("name") if isinstance(value, dict) else value) for value in values if value is not None}
 
     def recordings(self, kind: str) -> list[str | None]:
         """The ids of the recordings of the files of a kind that it was made from, in the order of its rows."""
@@ -80,11 +80,6 @@ class StudyTrial:
         """Its name, with the folder in which it lies."""
         path = Path(self.row.path)
         return str(path.with_name(stem(path)))
-
-    @property
-    def outcome(self) -> str | None:
-        """What became of it, by labels, truth or the grasp's end."""
-        return self.row.outcome
 
     @property
     def label_error_ms(self) -> int | None:
@@ -157,6 +152,8 @@ def read_study(folder: Path, progress: Progress) -> Study:
     for number, (id_, group) in enumerate(groups.items()):
         progress(number, len(groups))
         first = next(group[kind] for kind in OF_TRIAL if kind in group)
+        outcome = next((row.outcome for row in group.values() if row.outcome is not None), None)
+        first = first._replace(outcome=outcome)  # a real recording's is known from its labels
         trial = StudyTrial(id_, first, {kind: row.path for kind, row in group.items()})
         _read_trial(folder, trial, draw=room > 0)
         room -= len(trial.thumbnail or b"")

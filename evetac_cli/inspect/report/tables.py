@@ -23,7 +23,7 @@ def figure_text(value: Any) -> str:
 def cell(value: Any, beside: str = "") -> str:
     """A cell that is sorted by its value."""
     numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
-    by = f" data-v='{value!r}'" if numeric and math.isfinite(value) else " data-v='1e99'" if numeric else ""
+    by = f" data-v='{float(value)!r}'" if numeric and math.isfinite(value) else " data-v='1e99'" if numeric else ""
     return f"<td{by}{' class=n' if numeric else ''}>{figure_text(value)}{beside}</td>"
 
 

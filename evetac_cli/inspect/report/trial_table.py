@@ -18,6 +18,8 @@ from evetac_cli.inspect.report.tables import cell, table
 
 MOST_TRIALS = 2000  # in the table: those that stand out most
 FILTERED = ("study", "object", "scene", "sensor", "outcome")  # columns by which trials are chosen
+EMPTY = ("<td></td>", cell(None))
+TIMES = "t_s is the true onset of gross slip, t_c the onset in the labels, t_m the first detection by a model."
 LABEL_AXIS = "onset in the labels minus true onset, t_c - t_s [ms]"
 MODEL_AXIS = "first detection minus onset in the labels, t_m - t_c [ms]"
 
@@ -38,8 +40,8 @@ def trials_of_both(studies: Sequence[Study]) -> str:
             difference = values[1] - values[0] if known else None
             differences.append(abs(difference or 0))
             cells += [cell(values[0]), cell(values[1]), cell(difference)]
-        cells += [cell(one.outcome), cell(other.outcome)]
-        changed = one.outcome != other.outcome
+        cells += [cell(one.row.outcome), cell(other.row.outcome)]
+        changed = one.row.outcome != other.row.outcome
         rows.append((changed, max(differences), f"<tr>{''.join(cells)}</tr>"))
     rows.sort(key=lambda row: row[:2], reverse=True)
     names = [html.escape(study.name) for study in studies]
@@ -74,36 +76,43 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
     """All trials, outliers first; page: where the report goes, from which its links lead."""
     rows = [(remark(trial, TIMING_MS), study, at, trial) for study in studies for at, trial in enumerate(study.trials)]
     rows.sort(key=lambda row: -row[0][0])  # stable: by name where nothing stands out
+    if not rows:
+        return "<p class='hint'>There are no trials here.</p>" + table([], [], "all-trials") + _unreadable(studies)
     outside = sum(1 for (score, _), *_ in rows if score)
-    several = len(studies) > 1
-    views = sum(trial.page is not None for _, _, _, trial in rows)
+    views = sum(trial.page is not None for *_, trial in rows)
     example = next((str(study.folder / trial.row.path) for _, study, _, trial in rows if trial.page is None), "")
     text = (
         f"<p class='hint'>{outside} of {len(rows)} stand out and come first: grasps that lost their object, slips that"
         " labels or models never find, then by how far an onset is outside its window (labels -4 to +3 ms of the truth,"
-        f" models -50 to +20 ms of the labels). {views} have a page of their own"
-        + (f"; <code>evetac view {html.escape(example)}</code> makes one." if example else ".")
-        + " A click on a point above shows its trial.</p>"
+        f" models -50 to +20 ms of the labels). {TIMES} A click on a point above shows its trial. {views} of"
+        " them have a page of their own"
+        + (f"; <code>evetac view {html.escape(example)}</code> makes one.</p>" if example else ".</p>")
     )
     if len(rows) > MOST_TRIALS:
         text += f"<p class='hint'>The first {MOST_TRIALS:,} of {len(rows):,} are shown.</p>"
-    heads = [
-        *(["study"] if several else []),
-        *("", "trial", "object", "scene", "sensor", "outcome", "t_s [ms]", "t_c [ms]", "t_c - t_s [ms]"),
-        *("t_m - t_c [ms]", "dots [px]", "moved [mm]", "grip [N]", "duration [s]", "events", "remark"),
+    shown = [
+        (_cells(study, trial, remarked, page), study, at, trial, remarked) for (_, remarked), study, at, trial in rows
     ]
-    body = [
-        _trial(study, studies.index(study), at, trial, remarked, several, page)
-        for (_, remarked), study, at, trial in rows[:MOST_TRIALS]
-    ]
-    return text + _filters([row[1:] for row in rows], several) + table(heads, body, "all-trials") + _unreadable(studies)
+    shown = shown[:MOST_TRIALS]
+    heads = [head for head in shown[0][0] if any(cells[head] not in EMPTY for cells, *_ in shown)]
+    heads = [head for head in heads if head != "study" or len(studies) > 1]
+    body = []
+    for cells, study, at, trial, remarked in shown:
+        values = {name: getattr(trial.row, name, None) for name in FILTERED} | {"study": study.name}
+        chosen = "".join(f" data-{name}='{pages.short(_text(value))}'" for name, value in values.items())
+        outlier = " data-outlier" if remarked else ""
+        row = f"data-row='{studies.index(study)}-{at}'{chosen}{outlier}"
+        body.append(f"<tr {row}>{''.join(cells[head] for head in heads)}</tr>")
+    filters = _filters([row[1:] for row in rows], len(studies) > 1)
+    return text + filters + table(heads, body, "all-trials") + _unreadable(studies)
 
 
 def _median_of(study: Study) -> str:
     return f"median of {study.models} models" if study.models > 1 else "one model"
 
 
-def _trial(study: Study, number: int, at: int, trial: StudyTrial, remarked: str, several: bool, page: Path) -> str:
+def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[str, str]:
+    """The cells of a trial by the heads of their columns."""
     row, grasp = trial.row, trial.grasp or {}
     image = ""
     if trial.thumbnail is not None:
@@ -113,19 +122,25 @@ def _trial(study: Study, number: int, at: int, trial: StudyTrial, remarked: str,
     if trial.page is not None:
         link = quote(os.path.relpath(trial.page.resolve(), page.resolve().parent))
         image, name = (f"<a href='{link}'>{part}</a>" if part else "" for part in (image, name))
-    values = {name: getattr(row, name, None) for name in FILTERED} | {"study": study.name}
-    chosen = "".join(f" data-{name}='{pages.short(_text(value))}'" for name, value in values.items())
-    outlier = " data-outlier" if remarked else ""
-    cells = [
-        *([cell(study.name)] if several else []),
-        f"<td>{image}</td><td class='name'>{name}</td>",
-        *(cell(getattr(row, name)) for name in ("object", "scene", "sensor", "outcome")),
-        *(cell(value) for value in (trial.t_s, trial.t_c, trial.label_error_ms, trial.model_error_ms)),
-        *(cell(value) for value in (trial.tracking_px, grasp.get("moved_mm"), grasp.get("force_end_n"))),
-        *(cell(value) for value in (row.slices / 1000 if row.slices is not None else None, trial.events)),
-        f"<td class='remark'>{pages.short(remarked)}</td>",
-    ]
-    return f"<tr data-row='{number}-{at}'{chosen}{outlier}>{''.join(cells)}</tr>"
+    return {
+        "study": cell(study.name),
+        "events at the onset": f"<td>{image}</td>",
+        "trial": f"<td class='name'>{name}</td>",
+        "object": cell(row.object),
+        "scene": cell(row.scene),
+        "sensor": cell(row.sensor),
+        "outcome": cell(row.outcome),
+        "t_s [ms]": cell(trial.t_s),
+        "t_c [ms]": cell(trial.t_c),
+        "t_c - t_s [ms]": cell(trial.label_error_ms),
+        "t_m - t_c [ms]": cell(trial.model_error_ms),
+        "dots from truth [px]": cell(trial.tracking_px),
+        "moved [mm]": cell(grasp.get("moved_mm")),
+        "grip at the end [N]": cell(grasp.get("force_end_n")),
+        "duration [s]": cell(row.slices / 1000 if row.slices is not None else None),
+        "events": cell(trial.events),
+        "stands out": f"<td class='remark'>{pages.short(remarked)}</td>" if remarked else cell(None),
+    }
 
 
 def _text(value: Any) -> str:
