@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.inspect.pages import BLUE, GREEN, NEUTRAL, ORANGE, bare_figure
+from evetac_cli.inspect.pages import BLUE, GREEN, NEUTRAL, ORANGE, PINK, bare_figure
 from evetac_cli.inspect.report.study import Found, Rows, Study, StudyTrial
 
 EARLY, RIGHT, LATE = ORANGE, BLUE, "#8c8c8c"  # the same three wherever timing is shown
@@ -17,7 +17,7 @@ SHOWN_MS = 100  # farther onsets are drawn at the edge
 CDF_MS = (-60, 40)  # as in the paper's figure of slip timing
 MOST_BARS = 40
 MOST_MODELS = 6  # with a figure of their own
-OBJECT_COLOURS = (BLUE, ORANGE, GREEN, "#cc79a7", "#e6a23c", "#56b4e9", "#7a5195", "#8c8c8c")
+OBJECT_COLOURS = (BLUE, ORANGE, GREEN, PINK, "#e6a23c", "#56b4e9", "#7a5195", "#8c8c8c")
 
 
 class Chart(NamedTuple):
@@ -132,10 +132,10 @@ def share_chart(rows: Rows, name: str, parts: dict[str, tuple[str, str]], paper:
             y=[label for label, _ in published],
             marker="diamond",
             size=11,
-            fill_color="#1f2730",
-            line_color="#ffffff",
+            fill_color=PINK,
+            line_color="#1f2730",
         )
-        keys["the paper's share of the first"] = "#1f2730"
+        keys["the first of these in the paper"] = PINK
     return Chart(title, chart, keys)
 
 
@@ -144,7 +144,7 @@ def cost_charts(found: Found) -> list[Chart]:
     from bokeh.models.annotations.labels import LabelSet
     from bokeh.models.sources import ColumnDataSource
 
-    rows = [(at, row) for at, row in enumerate(found.rows, start=1) if "setting" in row]
+    rows = list(enumerate((row for row in found.rows if "setting" in row), start=1))
     time = next((key for _, row in rows for key in row if key.startswith("time_") and key.endswith("_median")), None)
     charts = []
     for error in dict.fromkeys(key for _, row in rows for key in row if key.startswith("error_")):
@@ -169,7 +169,14 @@ def cost_charts(found: Found) -> list[Chart]:
                 x="x", y="y", text="n", source=source, x_offset=5, y_offset=3, text_color=NEUTRAL, text_font_size="11px"
             )
         )
-        charts.append(Chart(f"Error in {unit} against run time", chart, {}, "Numbers are the rows of the table below."))
+        charts.append(
+            Chart(
+                f"Error in {unit} against run time",
+                chart,
+                {},
+                "Numbers are rows of the table below; what is 0 is not drawn.",
+            )
+        )
     return charts
 
 

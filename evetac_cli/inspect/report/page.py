@@ -8,7 +8,7 @@ from typing import Any
 from evetac_cli.inspect import pages
 from evetac_cli.inspect.report import charts, evaluations, figures
 from evetac_cli.inspect.report.charts import Chart
-from evetac_cli.inspect.report.evaluations import SECTIONS, SUBJECTS, Section, columns_of
+from evetac_cli.inspect.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of
 from evetac_cli.inspect.report.figures import TIMING_MS
 from evetac_cli.inspect.report.study import Found, Study
 from evetac_cli.inspect.report.tables import cell, figure_text, table
@@ -126,30 +126,32 @@ def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:
         if subject.section != section.name:
             continue
         of_reports = [(study, found) for study in studies for found in study.reports(subject.command)]
-        entries = [(study, found, row) for study, found in of_reports for row in subject.rows(found)]
-        if not entries:
-            continue
-        columns = columns_of(subject, [row for *_, row in entries])
-        with_report = len(of_reports) > 1
-        heads = [*(["study"] if several else []), *(["report"] if with_report else [])]
-        numbered = section.name == "cost"
-        heads += ["row"] if numbered else []
-        heads += [html.escape(column.heading) for column in columns]
-        rows = []
-        at = {id(found): 0 for _, found in of_reports}
-        for study, found, row in entries[:MOST_ROWS]:
-            at[id(found)] += 1
-            cells = [cell(study.name)] if several else []
-            cells += [cell(found.path)] if with_report else []
-            cells += [cell(at[id(found)])] if numbered else []
-            cells += [_with_paper(column, row, found) for column in columns]
-            bad = " class='bad'" if row.get("ok") is False else ""
-            rows.append(f"<tr{bad}>{''.join(cells)}</tr>")
-        simulated = all(found.simulated for _, found in of_reports)
-        badge = " <span class='badge simulated'>simulated</span>" if simulated else ""
-        more = f" <small>the first {MOST_ROWS} of {len(entries)}</small>" if len(entries) > MOST_ROWS else ""
-        text += f"<h3>{html.escape(subject.title)}{badge}{more}</h3>" + table(heads, rows)
+        # Without columns of its own a subject shows all that a report has, which differs from report to report.
+        for some in [of_reports] if subject.columns else [[one] for one in of_reports]:
+            text += _subject(subject, some, several)
     return f"<p class='hint'>{html.escape(section.says)}</p>{text}" if text else ""
+
+
+def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:
+    """The table of a subject; empty where no report has such rows."""
+    entries = [(study, found, row) for study, found in of_reports for row in enumerate(subject.rows(found), start=1)]
+    if not entries:
+        return ""
+    columns = columns_of(subject, [row for *_, (_, row) in entries])
+    with_report, numbered = len(of_reports) > 1, subject.section == "cost"
+    heads = ["study"] * several + ["report"] * with_report + ["row"] * numbered
+    heads += [html.escape(column.heading) for column in columns]
+    rows = []
+    for study, found, (number, row) in entries[:MOST_ROWS]:
+        cells = [cell(study.name)] * several + [cell(found.path)] * with_report + [cell(number)] * numbered
+        cells += [_with_paper(column, row, found) for column in columns]
+        bad = " class='bad'" if row.get("ok") is False else ""
+        rows.append(f"<tr{bad}>{''.join(cells)}</tr>")
+    simulated = all(found.simulated for _, found in of_reports)
+    badge = " <span class='badge simulated'>simulated</span>" if simulated else ""
+    more = f" <small>the first {MOST_ROWS} of {len(entries)}</small>" if len(entries) > MOST_ROWS else ""
+    title = subject.title if subject.columns else f"{subject.title}, {of_reports[0][1].path}"
+    return f"<h3>{pages.short(title)}{badge}{more}</h3>" + table(heads, rows)
 
 
 def _with_paper(column: evaluations.Column, row: dict[str, Any], found: Found) -> str:

@@ -141,10 +141,11 @@ def read_study(folder: Path, progress: Progress) -> Study:
     groups: dict[str, dict[str, Row]] = {}
     several: Counter[str] = Counter()
     for row in rows:
-        if row.recording is not None and row.kind in OF_TRIAL:
-            group = groups.setdefault(row.recording, {})
-            several[row.kind] += row.kind in group
-            group.setdefault(row.kind, row)
+        if row.recording is None or row.kind is None or row.kind not in OF_TRIAL:
+            continue
+        group = groups.setdefault(row.recording, {})
+        several[row.kind] += row.kind in group
+        group.setdefault(row.kind, row)
     for kind, count in several.items():
         if count:
             study.notes.append(f"Of {count} trials there are several {kind}: the first by name are shown.")

@@ -26,7 +26,7 @@ def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
     if recording is None or not recording.has("gripper"):
         return []
     simulated = bool(recording.header["simulated"])
-    t_s, first, last = timed(recording, "gripper/t_us", span)
+    t_s, first, _ = timed(recording, "gripper/t_us", span)
     position = _at(t_s, {"position": BLUE}, rows_of(recording, "gripper/position_ticks", first))
 
     def currents(start: int, stop: int) -> NDArray[Any]:
@@ -40,8 +40,8 @@ def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
             for line in position
         ]
         return [current, Panel("Gripper, width between the fingers", "mm", width, {}, simulated)]
-    t_s, first, last = timed(recording, "control/t_us", span)
-    goal = _at(t_s, {"goal": INK}, rows_of(recording, "control/goal_ticks", first))
+    control_s, first_step, _ = timed(recording, "control/t_us", span)
+    goal = _at(control_s, {"goal": INK}, rows_of(recording, "control/goal_ticks", first_step))
     panels = [Panel("Gripper, goal and position (up closes)", "ticks", [*goal, *position], {}, simulated), current]
     start, stop = span
     if recording.has("truth/table_gap_mm"):
@@ -57,9 +57,7 @@ def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
             return np.asarray(away[:, None])
 
         lines = decimated({"moved": PINK}, start, stop - start, moved)
-        panels.append(
-            Panel("Object, moved in the gripper since it was gripped, truth", "mm", lines, {}, simulated=True)
-        )
+        panels.append(Panel("Object, moved in the gripper since the grip, truth", "mm", lines, {}, simulated=True))
     return panels
 
 

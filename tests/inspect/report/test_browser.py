@@ -83,6 +83,6 @@ def test_a_point_shows_its_trial(browser: Browser, page: Path) -> None:
     browser.until("document.querySelector('tr.chosen') !== null")
     row = browser.run("document.querySelector('tr.chosen').dataset.row")
     sources = "Bokeh.documents[0].roots()[0].renderers.map((glyph) => glyph.data_source)"
-    at = f"(source) => source.selected.indices.map((at) => source.get_array('row')[at])"
+    at = "(source) => source.selected.indices.map((at) => source.get_array('row')[at])"
     assert row in browser.run(f"{sources}.flatMap({at})")
     assert browser.complaints() == []
