@@ -42,12 +42,12 @@ def onset_chart(
     chart.ygrid.grid_line_color = None
     _window(chart, window_ms)
     low, high = window_ms
-    for words, colour, wanted in (
-        ("early", EARLY, lambda ms: ms < low),
-        ("right", RIGHT, lambda ms: low <= ms <= high),
-        ("late", LATE, lambda ms: ms > high),
+    for words, colour, least, most in (
+        ("early", EARLY, -np.inf, low - 1e-9),
+        ("right", RIGHT, low, high),
+        ("late", LATE, high + 1e-9, np.inf),
     ):
-        some = [one for one in points if wanted(one[2])]
+        some = [one for one in points if least <= one[2] <= most]
         for marker, edge in (("circle", False), ("triangle", True)):
             shown = [(at, trial, ms) for at, trial, ms in some if (abs(ms) > SHOWN_MS) == edge]
             data = {

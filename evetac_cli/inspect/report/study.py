@@ -119,19 +119,15 @@ class Study:
 
 def read_study(folder: Path, progress: Progress) -> Study:
     """Look through a folder; InputError where it is none, or holds no file of evetac's."""
+    if next(folder.rglob("*.h5"), None) is None:  # seen first: an index has no place in a folder of other things
+        others = sum(1 for path in folder.iterdir() if not path.name.startswith("."))
+        raise _nothing(folder, f"{others} other files and folders" if others else "an empty folder")
     with open_index(folder, progress) as index:
         rows = [Row(*row) for row in index.table.execute(f"SELECT {', '.join(Row._fields)} FROM files ORDER BY path")]
     files = Counter(row.kind for row in rows if row.kind is not None)
     unreadable = [(row.path, row.error) for row in rows if row.error is not None]
-    if not rows:
-        others = sum(1 for path in folder.iterdir() if not path.name.startswith("."))
-        raise InputError(
-            "no evetac files there",
-            where=str(folder),
-            expected="stage files, as a.recording.h5, in it or in folders below",
-            found=f"{others} other files and folders" if others else "an empty folder",
-            hint="evetac record --out FOLDER makes some",
-        )
+    if not files:
+        raise _nothing(folder, "; ".join(f"{path}: {reason}" for path, reason in unreadable[:3]))
     study = Study(
         folder, folder.resolve().name or str(folder), [], [], files, unreadable, any(row.simulated for row in rows), []
     )
@@ -163,6 +159,16 @@ def read_study(folder: Path, progress: Progress) -> Study:
         study.notes.append("Thumbnails: of the first trials only, so that the page stays small.")
     _judge(study)
     return study
+
+
+def _nothing(folder: Path, found: str) -> InputError:
+    return InputError(
+        "no evetac files there",
+        where=str(folder),
+        expected="stage files, as a.recording.h5, in it or in folders below",
+        found=found,
+        hint=f"evetac record --out {folder} makes some",
+    )
 
 
 def _read_report(study: Study, path: str) -> None:

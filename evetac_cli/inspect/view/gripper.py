@@ -104,7 +104,7 @@ def moments(trial: Trial, span: tuple[int, int]) -> dict[str, int]:
     recording = trial.recording
     found: dict[str, int | None] = {}
     if recording is None:
-        return found
+        return {}
     if recording.has("control"):
         found["gripped"] = _gripped_at(recording)
     if recording.has("truth"):
@@ -138,7 +138,9 @@ def side_view(trial: Trial, ends: NDArray[np.int64]) -> SideView | None:
         return None
     row = inner(made, "object_row") or {}
     width, height = row.get("grasped_width_mm", row.get("width_mm")), row.get("height_mm")
-    if not all(isinstance(size, (int, float)) for size in (width, height)) or inner(made, "scene", "gel", "sideways"):
+    if not (isinstance(width, (int, float)) and isinstance(height, (int, float))):
+        return None
+    if inner(made, "scene", "gel", "sideways"):
         return None
     heights, forces, moved = (
         read_rows(recording, f"truth/{name}", ends, np.nan)

@@ -1,6 +1,7 @@
 """The report over a large study in a headless Chromium, where one is installed."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_report_in_a_browser(browser: Browser, page: Path, record_property: pytest.RecordProperty) -> None:
+def test_report_in_a_browser(browser: Browser, page: Path, record_property: Callable[[str, object], None]) -> None:
     """Assert that the page is small, draws without complaint at any width, is sorted and searched by key or click.
 
     How long it takes to open is a property of the computer: it is kept with the test's record, not judged.

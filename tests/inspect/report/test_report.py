@@ -60,7 +60,7 @@ def test_the_page_is_whole(folder: Path, tmp_path: Path) -> None:
     assert "default-src 'none'" in text and "@@" not in text and "\0" not in text
     assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)='?\"?(?!data:)[a-z]+:", text) == []
     assert "0.5 <small class='paper'>(0.73, other method)</small>" in text
-    assert text.index("thick") < text.index("thin")  # the case that is not ok comes first
+    assert text.index("<td>thick") < text.index("<td>thin")  # the case that is not ok comes first
     assert "&lt;b&gt;forces&lt;/b&gt; are balanced" in text
     assert "broken.labels.h5" in text
     for missing in ("5 of 5 trials have no tracks: evetac track", "Dot tracking: evetac evaluate tracking FOLDER"):

@@ -83,7 +83,7 @@ def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
     """Assert that a page names the method of labels, escaped, draws a threshold of flow, and notes copied truth."""
     with open_recording(trial) as recording:
         header = recording.header
-    write_labels(trial.with_name("a.labels.h5"), header, method=method)
+    write_labels(trial.with_name("a.labels.h5"), header, method=method, slip_distance_px=0.3)
     data = shown(trial, images=1)
     assert data.panels[-1].logarithmic  # after slip the flow is thousands of times the threshold
     assert data.panels[-1].title == f"Flow that labels slip, {method}"

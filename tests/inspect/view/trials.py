@@ -123,7 +123,7 @@ def moving(slices: int = SLICES) -> np.ndarray:
     return REST.reshape(1, -1, 2) + np.linspace(0, 4, slices)[:, None, None] * np.array([1.0, 0.0])
 
 
-def write_labels(path: Path, parent: Header, onset: int = ONSET + 3, slices: int = SLICES, **more: str) -> Header:
+def write_labels(path: Path, parent: Header, onset: int = ONSET + 3, slices: int = SLICES, **more: Any) -> Header:
     label = np.full(slices, -1, np.int8)
     label[50:] = 0
     label[onset:] = 1
